@@ -1,0 +1,1 @@
+"""Recipes: YAML files by path, such as `train/pr2.yaml`."""

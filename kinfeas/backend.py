@@ -1,0 +1,65 @@
+"""What moves the robots: the analytic world, PyBullet, a real robot, a test double."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.spatial import Array
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """What was measured of n robots.
+
+    Attributes:
+        base_pose: World pose of the base frame, shape (n, 7).
+        joint_positions: Arm joints, shape (n, j), radians or metres.
+    """
+
+    base_pose: Array
+    joint_positions: Array
+
+
+class Backend(Protocol):
+    """n robots at once; the analytic world has any n, PyBullet and a real robot have n = 1."""
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Put robots at rest and return the state of all n.
+
+        Args:
+            base_pose: World pose of the base, shape (m, 7).
+            joint_positions: Arm joints, shape (m, j).
+            rows: Indices of the m robots to reset; all n by default.
+        """
+        ...
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Command all n robots for `dt` seconds and return what was measured after it.
+
+        Args:
+            base_twist: World twist of the base, shape (n, 6), m/s and rad/s.
+            joint_targets: Joint positions to reach, shape (n, j).
+            dt: Duration in seconds.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of what the backend holds; it may be called twice."""
+        ...
+
+
+@runtime_checkable
+class Stochastic(Protocol):
+    """A backend or adapter that draws random numbers.
+
+    Its randomness belongs to the episode: equal seeds give equal draws, whatever else is in the
+    batch.
+    """
+
+    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
+        """Begin new episodes with one seed each, shape (m,), in the m `rows`."""
+        ...

@@ -1,0 +1,128 @@
+"""Configuration: YAML into frozen dataclasses, strictly, and back.
+
+The dataclass is the schema; `kinfeas.schema` says which types its fields may have.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, is_dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from kinfeas import strict_yaml
+from kinfeas.errors import KinfeasError
+from kinfeas.schema import Interval, Place, convert_dataclass, default, init_fields, no_such
+
+__all__ = ["Interval", "dump", "from_mapping", "load", "no_such", "to_mapping"]
+
+T = TypeVar("T")
+
+
+def load(cls: type[T], path: Path, overrides: Sequence[str] = ()) -> T:
+    """Return the configuration that a YAML file holds.
+
+    Args:
+        cls: Frozen dataclass to build.
+        path: YAML file with a mapping.
+        overrides: Assignments `a.b=c` that win over the file; `c` is YAML.
+
+    Raises:
+        KinfeasError: If the file is not readable YAML or an entry is not what `cls` allows.
+    """
+    return from_mapping(cls, strict_yaml.read(path), str(path), overrides)
+
+
+def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[str] = ()) -> T:
+    """Return `data`, as YAML gives it, as an instance of the dataclass `cls`.
+
+    Args:
+        cls: Frozen dataclass to build.
+        data: Mapping of field names to plain values.
+        source: What the data is from, named in errors; a file name as a rule.
+        overrides: Assignments `a.b=c` that win over `data`; `c` is YAML.
+
+    Raises:
+        KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
+    """
+    place = Place(source)
+    if overrides:
+        data = copy.deepcopy(data)
+        assignments = {}
+        for text in overrides:
+            key, value = _parse_override(text)
+            assignments[key] = f"--set {text}"
+            if not _assign(data, cls, key.split("."), value):
+                above = key.rpartition(".")[0]
+                raise KinfeasError(f"--set {text}: unknown key {key!r}, for {above!r} has no keys")
+        place = replace(place, overrides=assignments)
+    result: T = convert_dataclass(cls, data, place)
+    return result
+
+
+def dump(config: object, path: Path) -> None:
+    """Write a dataclass as a YAML file that `load` reads back.
+
+    Raises:
+        KinfeasError: If the file cannot be written.
+    """
+    strict_yaml.write(to_mapping(config), path)
+
+
+def to_mapping(config: object) -> dict[str, object]:
+    """Return a dataclass as plain data that `from_mapping` reads back."""
+    if not is_dataclass(config) or isinstance(config, type):
+        raise TypeError(f"{config!r} is no instance of a dataclass")
+    return {field.name: _plain(getattr(config, field.name)) for field in init_fields(config)}
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value) and not isinstance(value, type):
+        return to_mapping(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Path):
+        return str(value)
+    # NumPy's float64 is a float that YAML does not know how to write.
+    return float(value) if isinstance(value, float) else value
+
+
+def _parse_override(text: str) -> tuple[str, object]:
+    key, equals, value = text.partition("=")
+    if not equals or not all(key.strip().split(".")):
+        raise KinfeasError(f"--set {text}: must be of the form key=value or key.inner=value")
+    return key.strip(), strict_yaml.parse(value, f"--set {text}")
+
+
+def _assign(data: object, cls: Any, keys: Sequence[str], value: object) -> bool:
+    """Set one entry of the nested mapping `data` in place, beginning absent blocks at defaults.
+
+    Returns:
+        Whether every key but the last leads to a mapping.
+    """
+    key, *inner = keys
+    if not isinstance(data, dict):
+        return False
+    if not inner:
+        data[key] = value
+        return True
+    if data.get(key) is None:
+        block = _default_block(cls, key)
+        data[key] = {} if block is None else block
+    return _assign(data[key], _dataclass_in(cls, key), inner, value)
+
+
+def _default_block(cls: Any, key: str) -> object:
+    """Return the default of the field `key` as plain data, or None if there is none."""
+    for field in init_fields(cls) if cls else []:
+        if field.name == key and (value := default(field)) is not MISSING:
+            return _plain(value)
+    return None
+
+
+def _dataclass_in(cls: Any, key: str) -> Any:
+    """Return the one dataclass that the field `key` allows, or None."""
+    kind = get_type_hints(cls).get(key) if cls else None
+    options = [option for option in (kind, *get_args(kind)) if is_dataclass(option)]
+    return options[0] if len(options) == 1 else None

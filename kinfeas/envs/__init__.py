@@ -1,0 +1,1 @@
+"""The analytic world: batched environment, Gymnasium environment, training adapter."""

@@ -1,0 +1,84 @@
+"""The reward: how feasible was the step, and at what price."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from kinfeas.config import Interval
+from kinfeas.loop import Step
+from kinfeas.robots.robot import Robot
+from kinfeas.spatial import Array
+
+_FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
+_FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3
+
+NotNegative = Annotated[float, Interval(low=0.0)]
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """What a step earns.
+
+    Attributes:
+        failure: `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs
+            between 0.2 and 1, growing with the distance that IK could not close.
+        action_penalty: Factor lambda on the squared norm of the action.
+        limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
+        limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
+    """
+
+    failure: Literal["indicator", "graded"] = "graded"
+    action_penalty: NotNegative = 0.001
+    limit_penalty: NotNegative = 0.1
+    limit_margin: Annotated[float, Interval(low=0.0, high=1.0)] = 0.2
+
+
+def reward(
+    config: RewardConfig, robot: Robot, step: Step, action: Array, joint_positions: Array
+) -> Array:
+    """Return what a step earned, shape (n,).
+
+    Args:
+        config: Weights.
+        robot: Its joint limits and its leeway, if it has one.
+        step: What the loop's step came to.
+        action: Base commands in [-1, 1], shape (n, a).
+        joint_positions: Arm joints after the step, shape (n, j).
+    """
+    earned = np.where(step.feasible, 0.0, -_failure_cost(config, step))
+    earned -= config.action_penalty * np.sum(np.square(action), axis=1)
+    if config.limit_penalty > 0.0:
+        short = np.maximum(0.0, config.limit_margin - limit_distance(robot, joint_positions))
+        earned -= config.limit_penalty * short / max(config.limit_margin, 1e-9)
+    if robot.leeway is not None:
+        approximation = (
+            np.square(step.position_error / robot.leeway.position)
+            + np.square(step.rotation_error / robot.leeway.rotation)
+        )
+        earned -= np.where(step.feasible, 0.5 * approximation, 0.0)
+    return earned
+
+
+def limit_distance(robot: Robot, joint_positions: Array) -> Array:
+    """Return the distance to the nearest joint limit as a share of half the range, shape (n,).
+
+    Continuous joints have no limit; without any other joint the distance is 1.
+    """
+    bounded = [i for i, joint in enumerate(robot.arm) if not joint.continuous]
+    if not bounded:
+        return np.ones(len(joint_positions))
+    lower = np.array([robot.arm[i].lower for i in bounded])
+    upper = np.array([robot.arm[i].upper for i in bounded])
+    positions = joint_positions[:, bounded]
+    inside = np.minimum(positions - lower, upper - positions)
+    distance: Array = np.min(inside / ((upper - lower) / 2.0), axis=1)
+    return distance
+
+
+def _failure_cost(config: RewardConfig, step: Step) -> Array:
+    if config.failure == "indicator":
+        return np.ones(len(step.feasible))
+    missing = np.square(step.position_error / _FAILURE_METRES)
+    missing += np.square(step.rotation_error / _FAILURE_RADIANS)
+    return np.minimum(1.0, _FAILURE_FLOOR + _FAILURE_SLOPE * missing)

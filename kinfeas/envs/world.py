@@ -1,0 +1,172 @@
+"""The Markov decision process: the loop plus reward, restarts and ends of episodes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas import observation, registry
+from kinfeas.backend import Backend
+from kinfeas.config import Interval
+from kinfeas.drive import action_size
+from kinfeas.envs.reward import RewardConfig, reward
+from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.loop import Loop, Rows, Step
+from kinfeas.robots.robot import Robot
+from kinfeas.spatial import Array
+from kinfeas.start import Start
+from kinfeas.tasks.task import Task
+
+GOAL_METRES, GOAL_RADIANS = 0.025, np.deg2rad(12.0)
+"""How near to the goal, on a feasible step, is success."""
+
+
+@dataclass(frozen=True)
+class AdapterSpec:
+    """An adapter by name.
+
+    Attributes:
+        name: Entry-point name in the group kinfeas.adapters.
+        parameters: Its keyword parameters.
+    """
+
+    name: str
+    parameters: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """What the world is made of beside robot and task.
+
+    Attributes:
+        dt: Control period, seconds.
+        max_failures: Kinematic failures in one episode beyond which it ends.
+        max_steps: Steps after which an episode is truncated.
+        adapters: Wrapped around the backend, the first one innermost.
+        reward: What a step earns.
+    """
+
+    dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
+    max_failures: Annotated[int, Interval(low=0)] = 19
+    max_steps: Annotated[int, Interval(low=1)] = 1500
+    adapters: tuple[AdapterSpec, ...] = ()
+    reward: RewardConfig = field(default_factory=RewardConfig)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """What a step of n episodes brought, each of leading shape (n,).
+
+    Attributes:
+        observation: Shape (n, 21 + j).
+        reward: What was earned.
+        terminated: Whether the episode ended by success or by too many failures.
+        truncated: Whether it ended by the time limit.
+        reached: Whether the goal was reached on a feasible step.
+        step: What the loop saw.
+    """
+
+    observation: Array
+    reward: Array
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    reached: NDArray[np.bool_]
+    step: Step
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """Whether the episode ended either way, shape (n,)."""
+        return self.terminated | self.truncated
+
+
+class World:
+    """n episodes of one task, side by side; none restarts by itself.
+
+    Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k).
+    """
+
+    def __init__(
+        self, robot: Robot, task: Task, config: WorldConfig, seed: int, options: IkOptions | None = None
+    ) -> None:
+        """Build the analytic world.
+
+        Args:
+            robot: Who moves.
+            task: Draws episodes.
+            config: Everything else.
+            seed: Of all episodes.
+            options: How hard IK searches.
+        """
+        self.robot, self.task, self.config, self.seed = robot, task, config, seed
+        self.solver = IkSolver(robot, options)
+        generator = registry.build(
+            "kinfeas.motion_generators", task.motion.generator, task.motion.parameters
+        )
+        self.loop = Loop(self.solver, generator, _backend(config), config.dt)
+        self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+
+    @property
+    def observation_size(self) -> int:
+        """How many numbers a policy sees."""
+        return observation.size(len(self.robot.arm))
+
+    @property
+    def action_size(self) -> int:
+        """How many numbers command the base."""
+        return action_size(self.robot.base)
+
+    def start(self, episodes: Sequence[int], rows: Rows | None = None) -> Array:
+        """Begin episodes and return the observation of all n, shape (n, 21 + j).
+
+        Args:
+            episodes: Numbers of the m episodes.
+            rows: Which of the n places they take; all by default, which also sets n.
+        """
+        rngs = [np.random.default_rng((self.seed, episode)) for episode in episodes]
+        starts = [self.task.sample(self.solver, rng) for rng in rngs]
+        stacked = Start(
+            np.stack([start.base_pose for start in starts]),
+            np.stack([start.joint_positions for start in starts]),
+            np.stack([start.target_pose for start in starts]),
+        )
+        self.loop.start(stacked, rngs, rows)
+        if rows is None:
+            self.failures = np.zeros(len(episodes), dtype=np.intp)
+            self.steps = np.zeros(len(episodes), dtype=np.intp)
+        else:
+            self.failures[rows], self.steps[rows] = 0, 0
+        return self.loop.observation
+
+    def step(self, action: Array) -> Transition:
+        """Advance all n episodes by one control period.
+
+        Args:
+            action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+        """
+        step = self.loop.step(action)
+        self.steps += 1
+        self.failures += ~step.feasible
+        reached = step.feasible & (step.goal_distance <= GOAL_METRES)
+        reached &= step.goal_angle <= GOAL_RADIANS
+        terminated = reached | (self.failures > self.config.max_failures)
+        joints = self.loop.state.joint_positions
+        return Transition(
+            observation=self.loop.observation,
+            reward=reward(self.config.reward, self.robot, step, action, joints),
+            terminated=terminated,
+            truncated=(self.steps >= self.config.max_steps) & ~terminated,
+            reached=reached,
+            step=step,
+        )
+
+
+def _backend(config: WorldConfig) -> Backend:
+    backend = registry.build("kinfeas.backends", "analytic", {})
+    for adapter in config.adapters:
+        backend = registry.build(
+            "kinfeas.adapters", adapter.name, {"backend": backend, **adapter.parameters}
+        )
+    return backend

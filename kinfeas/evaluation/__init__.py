@@ -1,0 +1,1 @@
+"""Evaluation: episodes, ceiling, speed, plots and reports."""

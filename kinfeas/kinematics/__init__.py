@@ -1,0 +1,1 @@
+"""Batched kinematics: forward kinematics, Jacobian, self-collision, inverse kinematics, ceiling."""

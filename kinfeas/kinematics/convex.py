@@ -1,0 +1,186 @@
+"""Do two convex shapes come closer than a margin? GJK on boxes, cylinders and spheres."""
+
+import math
+
+import numpy as np
+
+from kinfeas.kinematics.forward import kernel
+
+BOX, CYLINDER, SPHERE = 0, 1, 2
+MAX_ITERATIONS = 30
+
+
+@kernel
+def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex):
+    """Return whether two shapes are nearer to each other than `margin` metres.
+
+    Errs on the side of contact: a case that does not settle counts as near.
+
+    Args:
+        margin: Metres, above zero.
+        kind_a: BOX, CYLINDER or SPHERE; `kind_b` alike.
+        size_a: Half extents along the shape's axes, shape (3,): a cylinder is radius, radius, half
+            length; a sphere is its radius three times.
+        rot_a: Orientation, shape (3, 3).
+        pos_a: Centre, shape (3,), metres.
+        kind_b: Second shape.
+        size_b: Second shape.
+        rot_b: Second shape.
+        pos_b: Second shape.
+        simplex: Scratch, shape (6, 3).
+    """
+    v = simplex[4]
+    for i in range(3):
+        v[i] = pos_a[i] - pos_b[i]
+    count = 0
+    for _ in range(MAX_ITERATIONS):
+        length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        if length < margin:
+            return True
+        w = simplex[count]
+        w[:] = 0.0
+        _add_support(w, -1.0, 1.0, v, kind_a, size_a, rot_a, pos_a)
+        _add_support(w, 1.0, -1.0, v, kind_b, size_b, rot_b, pos_b)
+        if w[0] * v[0] + w[1] * v[1] + w[2] * v[2] > margin * length:
+            return False
+        count = _nearest(simplex, count + 1, v)
+        if count == 4:
+            return True
+    return True
+
+
+@kernel
+def _add_support(w, toward, sign, v, kind, size, rot, pos):
+    """Add sign times the point of the shape that lies farthest along toward * v."""
+    x = toward * (rot[0, 0] * v[0] + rot[1, 0] * v[1] + rot[2, 0] * v[2])
+    y = toward * (rot[0, 1] * v[0] + rot[1, 1] * v[1] + rot[2, 1] * v[2])
+    z = toward * (rot[0, 2] * v[0] + rot[1, 2] * v[1] + rot[2, 2] * v[2])
+    if kind == BOX:
+        x = math.copysign(size[0], x)
+        y = math.copysign(size[1], y)
+        z = math.copysign(size[2], z)
+    else:
+        radial = math.sqrt(x * x + y * y) if kind == CYLINDER else math.sqrt(x * x + y * y + z * z)
+        scale = size[0] / radial if radial > 1e-300 else 0.0
+        x, y = x * scale, y * scale
+        z = math.copysign(size[2], z) if kind == CYLINDER else z * scale
+    for i in range(3):
+        w[i] += sign * (pos[i] + rot[i, 0] * x + rot[i, 1] * y + rot[i, 2] * z)
+
+
+@kernel
+def _nearest(simplex, count, v):
+    """Write the point of the simplex nearest to the origin into `v`; keep only what carries it.
+
+    Returns:
+        How many of its points remain; 4 where the origin lies inside.
+    """
+    if count == 1:
+        v[:] = simplex[0]
+        return 1
+    if count == 2:
+        return _nearest_on_segment(simplex, v)
+    if count == 3:
+        return _nearest_on_triangle(simplex, v)
+    return _nearest_in_tetrahedron(simplex, v)
+
+
+@kernel
+def _nearest_on_segment(simplex, v):
+    a, b = simplex[0], simplex[1]
+    along, squared = 0.0, 0.0
+    for i in range(3):
+        edge = b[i] - a[i]
+        along -= a[i] * edge
+        squared += edge * edge
+    if squared <= 0.0 or along <= 0.0:
+        v[:] = a
+        return 1
+    if along >= squared:
+        v[:] = b
+        a[:] = b
+        return 1
+    for i in range(3):
+        v[i] = a[i] + (b[i] - a[i]) * (along / squared)
+    return 2
+
+
+@kernel
+def _nearest_on_triangle(simplex, v):
+    """Ericson, Real-Time Collision Detection (2005), section 5.1.5, with the origin as point."""
+    a, b, c = simplex[0], simplex[1], simplex[2]
+    d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        ab, ac = b[i] - a[i], c[i] - a[i]
+        d1 -= ab * a[i]
+        d2 -= ac * a[i]
+        d3 -= ab * b[i]
+        d4 -= ac * b[i]
+        d5 -= ab * c[i]
+        d6 -= ac * c[i]
+    if d1 <= 0.0 and d2 <= 0.0:
+        v[:] = a
+        return 1
+    if d3 >= 0.0 and d4 <= d3:
+        v[:] = b
+        a[:] = b
+        return 1
+    if d6 >= 0.0 and d5 <= d6:
+        v[:] = c
+        a[:] = c
+        return 1
+    if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        return _nearest_on_segment(simplex, v)
+    if d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        b[:] = c
+        return _nearest_on_segment(simplex, v)
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        a[:] = c
+        return _nearest_on_segment(simplex, v)
+    vb, vc = d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    total = va + vb + vc
+    if total <= 0.0:
+        return _nearest_on_segment(simplex, v)
+    for i in range(3):
+        v[i] = a[i] + (b[i] - a[i]) * (vb / total) + (c[i] - a[i]) * (vc / total)
+    return 3
+
+
+@kernel
+def _nearest_in_tetrahedron(simplex, v):
+    """Try the three faces at the newest point; the fourth cannot be the nearest."""
+    a, b, c, d = simplex[0].copy(), simplex[1].copy(), simplex[2].copy(), simplex[3].copy()
+    inside, best, best_count = True, np.inf, 4
+    kept = np.empty((3, 3))
+    trial = np.empty(3)
+    for face in range(4):
+        p = a if face != 3 else d
+        q = b if face != 2 else d
+        r = c if face != 1 else d
+        opposite = d if face == 0 else (c if face == 1 else (b if face == 2 else a))
+        if not _beyond(p, q, r, opposite):
+            continue
+        inside = False
+        simplex[0], simplex[1], simplex[2] = p, q, r
+        count = _nearest_on_triangle(simplex, trial)
+        squared = trial[0] ** 2 + trial[1] ** 2 + trial[2] ** 2
+        if squared < best:
+            best, best_count = squared, count
+            v[:] = trial
+            kept[:] = simplex[:3]
+    if inside:
+        return 4
+    simplex[:3] = kept
+    return best_count
+
+
+@kernel
+def _beyond(p, q, r, opposite):
+    """Return whether the origin and `opposite` lie on different sides of the plane p q r."""
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    wx, wy, wz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    origin = -(nx * p[0] + ny * p[1] + nz * p[2])
+    other = nx * (opposite[0] - p[0]) + ny * (opposite[1] - p[1]) + nz * (opposite[2] - p[2])
+    return origin * other <= 0.0

@@ -1,0 +1,222 @@
+"""One descent of the inverse kinematics: damped least squares with an active set of limits."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from kinfeas.kinematics.chain import Chain
+from kinfeas.kinematics.forward import (
+    Frames,
+    fill_columns,
+    inlined,
+    kernel,
+    make_frames,
+    place_chain,
+)
+from kinfeas.spatial import Array
+
+STALL_STEPS = 3
+"""Steps without progress after which a descent gives up."""
+
+DAMPING_FLOOR, DAMPING_GAIN = 1e-6, 0.02
+"""Damping is the floor plus the gain times the squared error, m^2."""
+
+
+class Descent(NamedTuple):
+    """What a descent is run with.
+
+    Attributes:
+        lower: Joint limits, shape (v,); -inf for continuous joints.
+        upper: Same, +inf for continuous joints.
+        position_tolerance: Metres at which a solution is exact.
+        rotation_tolerance: Radians at which a solution is exact.
+        rotation_weight: Metres that one radian of error is worth while descending.
+        max_iterations: Steps at most.
+    """
+
+    lower: Array
+    upper: Array
+    position_tolerance: float
+    rotation_tolerance: float
+    rotation_weight: float
+    max_iterations: int
+
+
+class Scratch(NamedTuple):
+    """Memory of one descent, allocated once for a whole batch."""
+
+    frames: Frames
+    columns: Array
+    normal: Array
+    error: Array
+    solved: Array
+    step: Array
+    free: Array
+    trial: Array
+
+
+@kernel
+def make_scratch(joints, variables):
+    """Return scratch memory for a chain of `joints` joints driven by `variables` variables."""
+    return Scratch(
+        make_frames(joints),
+        np.empty((variables, 6)),
+        np.empty((6, 6)),
+        np.empty(6),
+        np.empty(6),
+        np.empty(variables),
+        np.empty(variables, dtype=np.bool_),
+        np.empty(variables),
+    )
+
+
+@kernel
+def descend(chain: Chain, options: Descent, target_rotation, target_position, q, scratch):
+    """Move `q` to the target as far as its limits allow.
+
+    Sugihara's rule (IEEE T-RO 2011) damps each step by the squared error. A joint that would pass
+    its limit is set onto it, taken out of the step, and the others solve what remains.
+
+    Returns:
+        Remaining distance in metres and angle in radians.
+    """
+    stalled, best = 0, np.inf
+    metres, radians = np.inf, np.inf
+    for _ in range(options.max_iterations):
+        metres, radians = _measure(chain, target_rotation, target_position, q, scratch)
+        if metres <= options.position_tolerance and radians <= options.rotation_tolerance:
+            break
+        cost = metres**2 + (options.rotation_weight * radians) ** 2
+        stalled = 0 if cost < 0.95 * best else stalled + 1
+        best = min(best, cost)
+        if stalled > STALL_STEPS:
+            break
+        fill_columns(chain.tree, scratch.frames, scratch.columns)
+        _weigh(options.rotation_weight, scratch)
+        _step_within_limits(options, q, DAMPING_FLOOR + DAMPING_GAIN * cost, scratch)
+        for j in range(len(q)):
+            q[j] += scratch.step[j]
+    return metres, radians
+
+
+@inlined
+def _weigh(weight, scratch):
+    for i in range(3, 6):
+        scratch.error[i] *= weight
+        for j in range(len(scratch.columns)):
+            scratch.columns[j, i] *= weight
+
+
+@inlined
+def _measure(chain, target_rotation, target_position, q, scratch):
+    place_chain(chain, q, scratch.frames)
+    squared = 0.0
+    for i in range(3):
+        scratch.error[i] = target_position[i] - scratch.frames.position[i]
+        squared += scratch.error[i] ** 2
+    angle = rotation_error(target_rotation, scratch.frames.rotation, scratch.error)
+    return math.sqrt(squared), angle
+
+
+@inlined
+def rotation_error(target, current, error):
+    """Write the rotation vector from `current` to `target` into error[3:]; return its length."""
+    trace = 0.0
+    for i in range(3):
+        for k in range(3):
+            trace += target[i, k] * current[i, k]
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(3):
+        x += target[2, k] * current[1, k] - target[1, k] * current[2, k]
+        y += target[0, k] * current[2, k] - target[2, k] * current[0, k]
+        z += target[1, k] * current[0, k] - target[0, k] * current[1, k]
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (trace - 1.0)
+    angle = math.atan2(sine, cosine)
+    if sine > 1e-9:
+        scale = 0.5 * angle / sine
+        error[3], error[4], error[5] = x * scale, y * scale, z * scale
+    elif cosine > 0.0:
+        error[3], error[4], error[5] = 0.5 * x, 0.5 * y, 0.5 * z
+    else:
+        _half_turn(target, current, error)
+    return angle
+
+
+@kernel
+def _half_turn(target, current, error):
+    """Write a half turn about the axis n of R = 2 n n' - 1, where the sine says nothing."""
+    largest, column = -1.0, 0
+    for i in range(3):
+        diagonal = 0.0
+        for k in range(3):
+            diagonal += target[i, k] * current[i, k]
+        if diagonal > largest:
+            largest, column = diagonal, i
+    norm = 0.0
+    for i in range(3):
+        entry = 0.0
+        for k in range(3):
+            entry += target[i, k] * current[column, k]
+        error[3 + i] = entry + (1.0 if i == column else 0.0)
+        norm += error[3 + i] ** 2
+    scale = math.pi / math.sqrt(norm)
+    for i in range(3):
+        error[3 + i] *= scale
+
+
+@inlined
+def _step_within_limits(options, q, damping, scratch):
+    """Write the damped least-squares step that keeps `q` within its limits."""
+    columns, step, free, rest = scratch.columns, scratch.step, scratch.free, scratch.error
+    free[:] = True
+    for _ in range(len(q)):
+        _solve_damped(scratch, damping)
+        blocked = False
+        for j in range(len(q)):
+            if not free[j]:
+                continue
+            step[j] = 0.0
+            for i in range(6):
+                step[j] += columns[j, i] * scratch.solved[i]
+            bound = min(max(q[j] + step[j], options.lower[j]), options.upper[j]) - q[j]
+            if bound != step[j]:
+                step[j], free[j], blocked = bound, False, True
+                for i in range(6):
+                    rest[i] -= columns[j, i] * bound
+                    columns[j, i] = 0.0
+        if not blocked:
+            return
+
+
+@inlined
+def _solve_damped(scratch, damping):
+    """Write the solution y of (J J' + damping) y = error, by Cholesky."""
+    columns, low, y = scratch.columns, scratch.normal, scratch.solved
+    low[:] = 0.0
+    for j in range(len(columns)):
+        for i in range(6):
+            for k in range(6):
+                low[i, k] += columns[j, i] * columns[j, k]
+    for i in range(6):
+        for k in range(i):
+            total = low[i, k]
+            for j in range(k):
+                total -= low[i, j] * low[k, j]
+            low[i, k] = total * low[k, k]
+        total = low[i, i] + damping
+        for j in range(i):
+            total -= low[i, j] * low[i, j]
+        # The diagonal holds the inverse, for it is only ever divided by.
+        low[i, i] = 1.0 / math.sqrt(total)
+    for i in range(6):
+        total = scratch.error[i]
+        for j in range(i):
+            total -= low[i, j] * y[j]
+        y[i] = total * low[i, i]
+    for i in range(5, -1, -1):
+        total = y[i]
+        for j in range(i + 1, 6):
+            total -= low[j, i] * y[j]
+        y[i] = total * low[i, i]

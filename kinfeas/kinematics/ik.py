@@ -1,0 +1,170 @@
+"""Inverse kinematics that the reward can stand on: verified, within limits, deterministic."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from kinfeas.kinematics.chain import Chain, build_chain
+from kinfeas.kinematics.descent import Descent
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.search import Problem, library_features, solve_batch
+from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
+from kinfeas.robots.robot import Robot
+from kinfeas.spatial import Array, rotation
+
+ROTATION_WEIGHT = 0.4
+"""Metres that one radian of error is worth in the search, where no leeway says otherwise."""
+
+
+@dataclass(frozen=True)
+class IkOptions:
+    """How hard to search.
+
+    Attributes:
+        library: Configurations to restart from, spread over the joint limits.
+        restarts: How many of them, those whose EE pose is nearest to the target, are tried.
+        candidates: Solutions among which the one nearest to the seed is taken.
+        self_collision: Whether solutions in which the robot touches itself are rejected.
+        leeway: Whether a robot's own leeway counts as feasible; else only exact solutions do.
+        position_tolerance: Metres at which a solution is exact.
+        rotation_tolerance: Radians at which a solution is exact.
+        max_iterations: Steps of one descent at most.
+    """
+
+    library: int = 2048
+    restarts: int = 24
+    candidates: int = 3
+    self_collision: bool = True
+    leeway: bool = True
+    position_tolerance: float = 2e-5
+    rotation_tolerance: float = 2e-4
+    max_iterations: int = 40
+
+
+@dataclass(frozen=True)
+class IkSolution:
+    """What the solver found for n targets.
+
+    Attributes:
+        joint_positions: Solutions, and the seeds where there is none, shape (n, v).
+        feasible: Whether a solution was found, shape (n,).
+        position_error: Distance that the solution, or the closest attempt, leaves, shape (n,), m.
+        rotation_error: The same for the orientation, shape (n,), radians.
+    """
+
+    joint_positions: Array
+    feasible: NDArray[np.bool_]
+    position_error: Array
+    rotation_error: Array
+
+
+class IkSolver:
+    """Finds arm configurations that put the EE of one robot at given poses."""
+
+    def __init__(self, robot: Robot, options: IkOptions | None = None) -> None:
+        """Prepare the solver for `robot`."""
+        options = options or IkOptions()
+        self.robot = robot
+        self.chain = build_chain(robot)
+        self.collision = build_collision_model(robot)
+        self._problem = _make_problem(robot, options, self.chain, self.collision)
+
+    def solve(self, ee_pose_in_base: Array, seed: Array) -> IkSolution:
+        """Return the solutions nearest to `seed`.
+
+        A descent from the seed comes first if the EE is near the target there. Where that fails,
+        others start from those configurations of a fixed library that bring the EE nearest, and
+        of up to `candidates` solutions the one that the arm reaches soonest is taken. The answer
+        is a function of the two arguments alone, row by row.
+
+        Args:
+            ee_pose_in_base: Targets, shape (n, 7).
+            seed: Joint positions to begin from, shape (n, v), radians or metres.
+        """
+        targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
+        solution = np.array(seed, dtype=np.float64, order="C")
+        feasible = np.empty(len(targets), dtype=np.bool_)
+        errors = np.empty((len(targets), 2))
+        if len(targets):
+            turns = np.ascontiguousarray(rotation(targets).as_matrix())
+            solve_batch(self._problem, turns, targets[:, :3], solution, feasible, errors)
+        return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
+
+
+def _make_problem(
+    robot: Robot, options: IkOptions, chain: Chain, collision: CollisionModel
+) -> Problem:
+    lower = np.array([joint.lower for joint in robot.arm])
+    upper = np.array([joint.upper for joint in robot.arm])
+    leeway = robot.leeway if options.leeway else None
+    weight = ROTATION_WEIGHT if leeway is None else leeway.position / leeway.rotation
+    library = spread_configurations(robot, options.library)
+    if options.self_collision:
+        library = library[~self_collides(collision, library)]
+    ee_pose = forward(chain, library)
+    exact = (options.position_tolerance, options.rotation_tolerance)
+    accept = exact if leeway is None else (leeway.position, leeway.rotation)
+    return Problem(
+        chain=chain,
+        descent=Descent(lower, upper, *exact, weight, options.max_iterations),
+        collision=collision,
+        check_collision=options.self_collision and len(collision.pairs) > 0,
+        velocity=np.array([joint.velocity for joint in robot.arm]),
+        continuous=np.array([joint.continuous for joint in robot.arm]),
+        reach=_reach(chain, lower, upper),
+        library=library,
+        features=library_features(ee_pose[:, :3], rotation(ee_pose).as_matrix(), weight),
+        restarts=min(options.restarts, len(library)),
+        candidates=options.candidates,
+        accept_position=accept[0],
+        accept_rotation=accept[1],
+    )
+
+
+def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
+    """Return `count` configurations that cover the joint limits evenly, shape (count, v)."""
+    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
+    upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
+    return qmc.scale(qmc.Halton(len(robot.arm), rng=seed).random(count), lower, upper)
+
+
+def _features(ee_pose: Array, weight: float) -> NDArray[np.float32]:
+    """Return what ranks library entries by a product with `_target_features`, shape (13, l).
+
+    |p - p'|^2 + weight^2 |R - R'|^2 / 2, less what all entries share, is a sum of 13 products.
+    """
+    turns = rotation(ee_pose).as_matrix().reshape(-1, 9)
+    positions = ee_pose[:, :3]
+    squares = np.sum(np.square(positions), axis=1, keepdims=True)
+    rows = np.concatenate([squares, -2.0 * positions, -(weight**2) * turns], axis=1)
+    return np.ascontiguousarray(rows.T, dtype=np.float32)
+
+
+def _reach(chain: Chain, lower: Array, upper: Array) -> Array:
+    """Return a ball that no position of the last joint can leave: centre (3,) and radius.
+
+    The sum of the link lengths after the first joint that turns bounds the distance from it; the
+    sliding joints before it move that joint along a line, whose half length adds to the radius.
+    """
+    tree = chain.tree
+    bounded = np.isfinite(upper - lower)
+    middle, half = np.zeros_like(lower), np.zeros_like(lower)
+    middle[bounded] = (lower + upper)[bounded] / 2.0
+    half[bounded] = (upper - lower)[bounded] / 2.0
+    turning = np.flatnonzero(~tree.prismatic)
+    first = int(turning[0]) if len(turning) else len(tree.variable) - 1
+    centre, turn, radius = np.zeros(3), np.eye(3), 0.0
+    for i in range(len(tree.variable)):
+        slide = float(tree.multiplier[i] * middle[tree.variable[i]] + tree.bias[i])
+        play = float(abs(tree.multiplier[i]) * half[tree.variable[i]])
+        if i <= first:
+            centre = centre + turn @ tree.offset[i]
+            turn = turn @ tree.rotation[i]
+            if tree.prismatic[i]:
+                centre, radius = centre + turn[:, 2] * slide, radius + play
+        else:
+            radius += float(np.linalg.norm(tree.offset[i]))
+            radius += abs(slide) + play if tree.prismatic[i] else 0.0
+    return np.array([*centre, radius])

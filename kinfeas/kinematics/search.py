@@ -1,0 +1,208 @@
+"""The search of the inverse kinematics: a descent from where the arm is, then from a library."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.kinematics.chain import Chain
+from kinfeas.kinematics.descent import Descent, descend, make_scratch
+from kinfeas.kinematics.forward import inlined, kernel, place_chain
+from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
+from kinfeas.spatial import Array
+
+WARM_COST = 0.3**2
+"""Squared distance, metres, within which a descent from the seed comes before all others."""
+
+
+class Problem(NamedTuple):
+    """Everything that does not change from target to target.
+
+    Attributes:
+        chain: From base to EE, driven by v variables.
+        descent: How one descent runs.
+        collision: What the robot may touch itself with.
+        check_collision: Whether that is looked at.
+        velocity: Joint velocity limits, shape (v,).
+        continuous: Which joints turn without end, shape (v,).
+        reach: Ball that the last joint cannot leave: centre and radius, shape (4,), metres.
+        library: Configurations to restart from, shape (l, v).
+        features: What ranks them for a target, shape (13, l); see `library_features`.
+        restarts: How many of them are tried at most.
+        candidates: Solutions among which the nearest is taken.
+        accept_position: Distance at which a pose is feasible, metres.
+        accept_rotation: The same for its orientation, radians.
+    """
+
+    chain: Chain
+    descent: Descent
+    collision: CollisionModel
+    check_collision: bool
+    velocity: Array
+    continuous: NDArray[np.bool_]
+    reach: Array
+    library: Array
+    features: NDArray[np.float32]
+    restarts: int
+    candidates: int
+    accept_position: float
+    accept_rotation: float
+
+
+def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.float32]:
+    """Return what ranks library entries by their EE's distance to a target, shape (13, l).
+
+    |p - p'|^2 + (weight^2 / 2) |R - R'|^2 is, but for what all entries share, a sum of products of
+    one entry's features with the target's.
+
+    Args:
+        position: EE positions of the entries, shape (l, 3), metres.
+        turn: EE orientations, shape (l, 3, 3).
+        weight: Metres that one radian is worth.
+    """
+    squares = np.sum(np.square(position), axis=1, keepdims=True)
+    rows = [squares, -2.0 * position, -(weight**2) * turn.reshape(-1, 9)]
+    return np.ascontiguousarray(np.concatenate(rows, axis=1).T, dtype=np.float32)
+
+
+@kernel
+def solve_batch(problem: Problem, turns, positions, solution, feasible, errors):
+    """Solve row by row.
+
+    Args:
+        problem: The robot.
+        turns: Target orientations, shape (n, 3, 3).
+        positions: Target positions, shape (n, 3), metres.
+        solution: Holds the seeds and receives the answers, shape (n, v).
+        feasible: Receives whether there is one, shape (n,).
+        errors: Receives what it, or the closest attempt, leaves, shape (n, 2): metres, radians.
+    """
+    scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
+    touching = make_collision_scratch(problem.collision)
+    order = np.empty(problem.restarts, dtype=np.intp)
+    scores = np.empty(len(problem.library), dtype=np.float32)
+    for i in range(len(solution)):
+        target = turns[i], positions[i]
+        if _solve_from_seed(problem, target, solution[i], errors[i], scratch, touching):
+            feasible[i] = True
+        elif problem.restarts == 0 or _out_of_reach(problem, target):
+            feasible[i] = False
+        else:
+            _rank_library(problem, target, scores, order)
+            feasible[i] = _solve_from_library(
+                problem, target, solution[i], errors[i], order, scratch, touching
+            )
+        for j in range(solution.shape[1]):
+            if problem.continuous[j]:
+                solution[i, j] = np.pi - (np.pi - solution[i, j]) % (2.0 * np.pi)
+
+
+@inlined
+def _solve_from_seed(problem, target, solution, error, scratch, touching):
+    """Descend from the seed if it is near enough; return whether that solved it."""
+    q = scratch.trial
+    for j in range(len(q)):
+        q[j] = min(max(solution[j], problem.descent.lower[j]), problem.descent.upper[j])
+    place_chain(problem.chain, q, scratch.frames)
+    cost, trace = 0.0, 0.0
+    for i in range(3):
+        cost += (target[1][i] - scratch.frames.position[i]) ** 2
+        for k in range(3):
+            trace += target[0][i, k] * scratch.frames.rotation[i, k]
+    cost += problem.descent.rotation_weight**2 * (3.0 - trace)
+    error[0], error[1] = np.inf, np.inf
+    if cost > WARM_COST:
+        return False
+    error[0], error[1] = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
+    if not _acceptable(problem, error[0], error[1], q, touching):
+        return False
+    solution[:] = q
+    return True
+
+
+@inlined
+def _solve_from_library(problem, target, solution, error, order, scratch, touching):
+    """Descend from one library entry after the other; keep the solution nearest to the seed."""
+    q, seed = scratch.trial, solution.copy()
+    closest = _cost(problem, error[0], error[1])
+    nearest, found = np.inf, 0
+    for entry in order:
+        q[:] = problem.library[entry]
+        metres, radians = descend(
+            problem.chain, problem.descent, target[0], target[1], q, scratch
+        )
+        if _acceptable(problem, metres, radians, q, touching):
+            found += 1
+            seconds = _seconds_between(problem, seed, q)
+            if seconds < nearest:
+                nearest = seconds
+                error[0], error[1] = metres, radians
+                solution[:] = q
+            if found == problem.candidates:
+                break
+        elif found == 0 and _cost(problem, metres, radians) < closest:
+            closest = _cost(problem, metres, radians)
+            error[0], error[1] = metres, radians
+    return found > 0
+
+
+@inlined
+def _acceptable(problem, metres, radians, q, touching):
+    if metres > problem.accept_position or radians > problem.accept_rotation:
+        return False
+    return not (problem.check_collision and touches_itself(problem.collision, q, touching))
+
+
+@inlined
+def _cost(problem, metres, radians):
+    return metres**2 + (problem.descent.rotation_weight * radians) ** 2
+
+
+@inlined
+def _rank_library(problem, target, scores, order):
+    """Write the library entries whose EE is nearest to the target, nearest first."""
+    features = problem.features
+    scores[:] = features[0]
+    for k in range(3):
+        factor = np.float32(target[1][k])
+        for j in range(len(scores)):
+            scores[j] += features[1 + k, j] * factor
+    for k in range(9):
+        factor = np.float32(target[0][k // 3, k % 3])
+        for j in range(len(scores)):
+            scores[j] += features[4 + k, j] * factor
+    kept = 0
+    for j in range(len(scores)):
+        if kept == len(order) and scores[j] >= scores[order[kept - 1]]:
+            continue
+        place = min(kept, len(order) - 1)
+        kept = min(kept + 1, len(order))
+        while place > 0 and scores[order[place - 1]] > scores[j]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = j
+
+
+@inlined
+def _out_of_reach(problem, target):
+    """Return whether the last joint would have to lie where the arm's lengths cannot bring it."""
+    turn, squared = problem.chain.ee_rotation, 0.0
+    for i in range(3):
+        joint = target[1][i]
+        for k in range(3):
+            for m in range(3):
+                joint -= target[0][i, k] * turn[m, k] * problem.chain.ee_offset[m]
+        squared += (joint - problem.reach[i]) ** 2
+    return squared > (problem.reach[3] + problem.accept_position) ** 2
+
+
+@inlined
+def _seconds_between(problem, start, end):
+    """Return the time that the slowest joint needs at its velocity limit."""
+    longest = 0.0
+    for j in range(len(start)):
+        move = end[j] - start[j]
+        if problem.continuous[j]:
+            move = np.pi - (np.pi - move) % (2.0 * np.pi)
+        longest = max(longest, abs(move) / problem.velocity[j])
+    return longest

@@ -1,0 +1,254 @@
+"""Does the arm touch the robot? Exact primitives, batched, never optimistic."""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.kinematics.chain import Mount, Tree, build_tree
+from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
+from kinfeas.kinematics.forward import inlined, kernel, place_joints, turn_row
+from kinfeas.robots.robot import Robot
+from kinfeas.robots.urdf import Shape
+from kinfeas.spatial import Array, rotation
+
+MARGIN = 1e-3
+"""Metres within which two shapes count as touching."""
+
+_KINDS = {"box": BOX, "cylinder": CYLINDER, "sphere": SPHERE}
+
+
+class CollisionModel(NamedTuple):
+    """The s collision shapes of a robot and the pairs of them that may touch.
+
+    Attributes:
+        tree: All joints that the arm drives, those of mimicking bodies included.
+        body: Joint whose body carries the shape, shape (s,); -1 is the base.
+        kind: Shape kinds of `convex`, shape (s,).
+        size: Half extents, shape (s, 3), metres.
+        radius: Of the sphere around the shape, shape (s,), metres.
+        rotation: From body to shape, shape (s, 3, 3).
+        offset: Same, metres, shape (s, 3).
+        pairs: Indices of shapes to check, shape (p, 2).
+    """
+
+    tree: Tree
+    body: NDArray[np.intp]
+    kind: NDArray[np.intp]
+    size: Array
+    radius: Array
+    rotation: Array
+    offset: Array
+    pairs: NDArray[np.intp]
+
+
+class CollisionScratch(NamedTuple):
+    """Memory of one check, allocated once for a whole batch."""
+
+    motion: Array
+    bodies: Array
+    origins: Array
+    rotation: Array
+    position: Array
+    simplex: Array
+
+
+def build_collision_model(robot: Robot) -> CollisionModel:
+    """Return the collision model of `robot` with its other joints at rest.
+
+    Shapes of one link, of links joined rigidly or by one joint, of links that the arm does not
+    move against each other, and the robot's `ignored_collisions` are not checked.
+    """
+    tree, mounts = build_tree(robot)
+    named = [(link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes]
+    placed = [_mount_shape(mounts[link], shape) for link, shape in named]
+    size = np.array([_half_extents(shape) for _, shape in named]).reshape(-1, 3)
+    body = np.array([mount.joint for mount in placed], dtype=np.intp)
+    checked = _checked_links(robot, mounts)
+    pairs = [
+        (i, k)
+        for i, k in combinations(range(len(named)), 2)
+        if frozenset((named[i][0], named[k][0])) in checked
+    ]
+    return CollisionModel(
+        tree=tree,
+        body=body,
+        kind=np.array([_KINDS[shape.kind] for _, shape in named], dtype=np.intp),
+        size=size,
+        radius=np.array([_radius(shape) for _, shape in named]),
+        rotation=np.array([mount.rotation for mount in placed]).reshape(-1, 3, 3),
+        offset=np.array([mount.offset for mount in placed]).reshape(-1, 3),
+        pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
+    )
+
+
+def checked_links(robot: Robot) -> list[tuple[str, str]]:
+    """Return the pairs of links that the self-collision test looks at, sorted by name."""
+    _, mounts = build_tree(robot)
+    return sorted((min(pair), max(pair)) for pair in _checked_links(robot, mounts))
+
+
+def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
+    """Return whether the robot touches itself, to within `MARGIN`.
+
+    Args:
+        model: The robot's collision model.
+        joint_positions: Arm joints, shape (..., v), radians or metres.
+
+    Returns:
+        Shape (...).
+    """
+    flat = np.ascontiguousarray(joint_positions, dtype=np.float64)
+    leading = flat.shape[:-1]
+    touching = np.empty(int(np.prod(leading)), dtype=np.bool_)
+    _self_collides_batch(model, flat.reshape(-1, flat.shape[-1]), touching)
+    return touching.reshape(leading)
+
+
+@kernel
+def _self_collides_batch(model, joint_positions, touching):
+    scratch = make_collision_scratch(model)
+    for i in range(len(joint_positions)):
+        touching[i] = touches_itself(model, joint_positions[i], scratch)
+
+
+@kernel
+def make_collision_scratch(model):
+    """Return scratch memory with the shapes that never move already in place."""
+    joints, shapes = len(model.tree.variable), len(model.body)
+    scratch = CollisionScratch(
+        np.empty((joints, 3)),
+        np.empty((joints, 3, 3)),
+        np.empty((joints, 3)),
+        np.empty((shapes, 3, 3)),
+        np.empty((shapes, 3)),
+        np.empty((6, 3)),
+    )
+    for s in range(shapes):
+        if model.body[s] < 0:
+            scratch.rotation[s] = model.rotation[s]
+            scratch.position[s] = model.offset[s]
+    return scratch
+
+
+@kernel
+def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
+    """Return whether the robot touches itself at the arm joints `q`, shape (v,)."""
+    _place_bodies(model.tree, q, scratch)
+    rot, pos, size = scratch.rotation, scratch.position, model.size
+    for s in range(len(model.body)):
+        if model.body[s] >= 0:
+            _place_shape(model, s, scratch)
+    for p in range(len(model.pairs)):
+        a, b = model.pairs[p, 0], model.pairs[p, 1]
+        dx, dy, dz = pos[b, 0] - pos[a, 0], pos[b, 1] - pos[a, 1], pos[b, 2] - pos[a, 2]
+        reach = model.radius[a] + model.radius[b] + MARGIN
+        if dx * dx + dy * dy + dz * dz > reach * reach:
+            continue
+        if _sphere_misses_box(dx, dy, dz, model.radius[b] + MARGIN, rot[a], size[a]):
+            continue
+        if _sphere_misses_box(dx, dy, dz, model.radius[a] + MARGIN, rot[b], size[b]):
+            continue
+        if closer_than(
+            MARGIN,
+            model.kind[a], size[a], rot[a], pos[a],
+            model.kind[b], size[b], rot[b], pos[b],
+            scratch.simplex,
+        ):  # fmt: skip
+            return True
+    return False
+
+
+@inlined
+def _place_bodies(tree, q, scratch):
+    """Write orientation and origin of every joint's body in the base frame."""
+    motion, bodies, origins = scratch.motion, scratch.bodies, scratch.origins
+    place_joints(tree, q, motion)
+    for i in range(len(tree.variable)):
+        up = tree.parent[i]
+        for r in range(3):
+            a, b, c = 1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0
+            place = 0.0
+            if up >= 0:
+                a, b, c = bodies[up, r, 0], bodies[up, r, 1], bodies[up, r, 2]
+                place = origins[up, r]
+            place += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
+            a, b, c = turn_row(a, b, c, tree.rotation[i], motion[i, 0], motion[i, 1])
+            bodies[i, r, 0], bodies[i, r, 1], bodies[i, r, 2] = a, b, c
+            origins[i, r] = place + c * motion[i, 2]
+
+
+@inlined
+def _place_shape(model, s, scratch):
+    """Write orientation and centre of a shape in the base frame."""
+    body, offset, out = model.body[s], model.offset, scratch.rotation
+    for r in range(3):
+        a, b, c = scratch.bodies[body, r, 0], scratch.bodies[body, r, 1], scratch.bodies[body, r, 2]
+        shift = a * offset[s, 0] + b * offset[s, 1] + c * offset[s, 2]
+        scratch.position[s, r] = scratch.origins[body, r] + shift
+        a, b, c = turn_row(a, b, c, model.rotation[s], 1.0, 0.0)
+        out[s, r, 0], out[s, r, 1], out[s, r, 2] = a, b, c
+
+
+@inlined
+def _sphere_misses_box(dx, dy, dz, radius, rot, half):
+    """Return whether a sphere lies off a box, (dx, dy, dz) between their centres either way."""
+    squared = 0.0
+    for k in range(3):
+        along = abs(rot[0, k] * dx + rot[1, k] * dy + rot[2, k] * dz) - half[k]
+        if along > 0.0:
+            squared += along * along
+    return squared > radius * radius
+
+
+def _mount_shape(mount: Mount, shape: Shape) -> Mount:
+    turn = rotation(shape.pose).as_matrix()
+    offset = mount.offset + mount.rotation @ shape.pose[:3]
+    return Mount(mount.joint, mount.rotation @ turn, offset)
+
+
+def _half_extents(shape: Shape) -> tuple[float, float, float]:
+    if shape.kind == "box":
+        x, y, z = shape.size
+        return x / 2.0, y / 2.0, z / 2.0
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        return radius, radius, length / 2.0
+    (radius,) = shape.size
+    return radius, radius, radius
+
+
+def _radius(shape: Shape) -> float:
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        return float(np.hypot(radius, length / 2.0))
+    if shape.kind == "sphere":
+        return float(shape.size[0])
+    return float(np.linalg.norm(shape.size) / 2.0)
+
+
+def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]]:
+    """Return the pairs of links whose shapes may touch."""
+    rigid = _rigid_groups(robot)
+    joined = {
+        frozenset((rigid[joint.parent], rigid[joint.child])) for joint in robot.urdf.joints.values()
+    }
+    return {
+        frozenset((a, b))
+        for a, b in combinations(mounts, 2)
+        if rigid[a] != rigid[b]
+        and frozenset((rigid[a], rigid[b])) not in joined
+        and mounts[a].joint != mounts[b].joint
+        and frozenset((a, b)) not in robot.ignored_collisions
+    }
+
+
+def _rigid_groups(robot: Robot) -> dict[str, str]:
+    """Return for each link the topmost link that it is fixed to."""
+    above = {j.child: j.parent for j in robot.urdf.joints.values() if j.kind == "fixed"}
+
+    def top(link: str) -> str:
+        return top(above[link]) if link in above else link
+
+    return {link: top(link) for link in robot.urdf.links}

@@ -1,0 +1,95 @@
+"""How well a policy did: shares with their confidence, failures, deviations, jumps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.spatial import Array
+
+WITHIN = 0.05
+"""Metres that the EE may stray in an episode that counts as within 5 cm."""
+
+
+@dataclass(frozen=True)
+class EpisodeRecords:
+    """What happened in n episodes.
+
+    Attributes:
+        reached: Whether the goal was reached, shape (n,).
+        failures: Steps without an IK solution, shape (n,).
+        max_deviation: Largest distance of the EE from the desired position, metres, shape (n,).
+        mean_deviation: Mean of that distance over the episode, metres, shape (n,).
+        final_distance: Distance of the EE from the goal at the end, metres, shape (n,).
+        jumps: Steps in which a joint moved faster than its limit, shape (n,).
+        steps: Length of the episode, shape (n,).
+    """
+
+    reached: NDArray[np.bool_]
+    failures: NDArray[np.intp]
+    max_deviation: Array
+    mean_deviation: Array
+    final_distance: Array
+    jumps: NDArray[np.intp]
+    steps: NDArray[np.intp]
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """Whether the goal was reached without one kinematic failure, shape (n,)."""
+        return self.reached & (self.failures == 0)
+
+    @property
+    def within(self) -> NDArray[np.bool_]:
+        """Whether the EE never strayed by more than `WITHIN` and ended as near, shape (n,)."""
+        return (self.max_deviation <= WITHIN) & (self.final_distance <= WITHIN)
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of episodes with its 95 % Wilson interval, all in 0-1."""
+
+    value: float
+    low: float
+    high: float
+
+
+def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
+    """Return the share `hits / trials` with its score interval.
+
+    Args:
+        hits: Episodes that count.
+        trials: All episodes, at least one.
+        z: Quantile of the normal distribution; the default gives 95 % confidence.
+
+    Raises:
+        ValueError: If there is no trial.
+
+    Source: Wilson, J. Am. Stat. Assoc. 22 (1927).
+    """
+    if trials < 1:
+        raise ValueError("a share needs at least one trial")
+    share, weight = hits / trials, z * z / trials
+    centre = (share + weight / 2.0) / (1.0 + weight)
+    half = z * np.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials)) / (1.0 + weight)
+    return Share(share, float(max(0.0, centre - half)), float(min(1.0, centre + half)))
+
+
+def summarize(records: EpisodeRecords) -> dict[str, float | int]:
+    """Return the figures of method and README: shares in 0-1, distances in metres."""
+    episodes = len(records.reached)
+    success = wilson(int(records.success.sum()), episodes)
+    within = wilson(int(records.within.sum()), episodes)
+    return {
+        "episodes": episodes,
+        "success": success.value,
+        "success_low": success.low,
+        "success_high": success.high,
+        "reached": float(records.reached.mean()),
+        "within_5cm": within.value,
+        "within_5cm_low": within.low,
+        "within_5cm_high": within.high,
+        "mean_failures": float(records.failures.mean()),
+        "mean_deviation_m": float(records.mean_deviation.mean()),
+        "jumps_per_episode": float(records.jumps.mean()),
+        "mean_steps": float(records.steps.mean()),
+    }

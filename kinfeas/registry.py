@@ -1,0 +1,159 @@
+"""Plugins by name: what the entry points of installed distributions offer.
+
+Everything is looked up lazily and one name at a time, so that a broken plugin disturbs no other.
+"""
+
+import inspect
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.robot import Robot, read_robot
+from kinfeas.schema import no_such
+
+GROUPS = {
+    "kinfeas.motion_generators": "motion generator",
+    "kinfeas.robots": "robot",
+    "kinfeas.tasks": "task",
+    "kinfeas.adapters": "adapter",
+    "kinfeas.backends": "backend",
+}
+"""The entry-point groups, and what one entry of each is called."""
+
+# What a module's own code raises while it is imported. A list rather than `Exception`, so that
+# the machine's troubles (MemoryError, SystemError) keep their traceback.
+_IMPORT_FAILURES = (
+    ImportError,
+    SyntaxError,
+    AttributeError,
+    NameError,
+    TypeError,
+    ValueError,
+    LookupError,
+    ArithmeticError,
+    AssertionError,
+    OSError,
+    RuntimeError,
+)
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One entry of a group and the distribution that it comes from."""
+
+    group: str
+    name: str
+    distribution: str
+    version: str
+
+    def __str__(self) -> str:
+        return f"{GROUPS[self.group]} {self.name!r} ({self.distribution} {self.version})"
+
+
+def plugins(group: str) -> list[Plugin]:
+    """Return all entries of a group, sorted by name, without importing any of them."""
+    found = [_plugin(entry) for entry in _entries(group)]
+    return sorted(found, key=lambda plugin: (plugin.name, plugin.distribution))
+
+
+def names(group: str) -> list[str]:
+    """Return the sorted names of a group."""
+    return sorted({entry.name for entry in _entries(group)})
+
+
+def load(group: str, name: str) -> Any:
+    """Return the class or function that `name` stands for in a group of `GROUPS`.
+
+    Raises:
+        KinfeasError: If the name is unknown or claimed twice, or if its module does not import.
+    """
+    return _import(_find(group, name))
+
+
+def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
+    """Return what the class or function `name` makes of keyword parameters.
+
+    Args:
+        group: One of `GROUPS`.
+        name: Name of an entry point.
+        parameters: Keyword parameters, as a YAML block gives them.
+
+    Raises:
+        KinfeasError: As `load`; also if a parameter is unknown, missing or refused.
+    """
+    entry = _find(group, name)
+    factory = _import(entry)
+    if not callable(factory):
+        kind = type(factory).__name__
+        raise KinfeasError(f"{_plugin(entry)} must be a class or a function, not {kind}")
+    try:
+        _check_names(inspect.signature(factory), parameters)
+        return factory(**parameters)
+    # A value of a wrong type shows as TypeError in a constructor that only calculates with it.
+    except (ValueError, TypeError) as error:
+        raise KinfeasError(f"{_plugin(entry)}: {error}") from error
+
+
+def load_robot(name_or_path: str) -> Robot:
+    """Return the robot of a YAML file (`my/robot.yaml`) or of an entry point (`pr2`).
+
+    Raises:
+        KinfeasError: If there is no such robot, or its YAML or URDF is wrong.
+    """
+    if os.sep in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+        return read_robot(Path(name_or_path))
+    built = build("kinfeas.robots", name_or_path, {})
+    if not isinstance(built, Path):
+        raise KinfeasError(
+            f"robot {name_or_path!r} must return the Path of its YAML, not {built!r}"
+        )
+    return read_robot(built)
+
+
+def _entries(group: str) -> list[EntryPoint]:
+    if group not in GROUPS:
+        raise KinfeasError(f"unknown plugin group {group!r}{no_such(group, GROUPS)}")
+    return list(entry_points(group=group))
+
+
+def _find(group: str, name: str) -> EntryPoint:
+    matches = [entry for entry in _entries(group) if entry.name == name]
+    if not matches:
+        raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{no_such(name, names(group))}")
+    if len(matches) > 1:
+        owners = " and ".join(sorted(_plugin(entry).distribution for entry in matches))
+        raise KinfeasError(
+            f"{GROUPS[group]} {name!r} is claimed by {owners}; uninstall all but one"
+        )
+    return matches[0]
+
+
+def _plugin(entry: EntryPoint) -> Plugin:
+    distribution, version = (entry.dist.name, entry.dist.version) if entry.dist else ("?", "?")
+    return Plugin(entry.group, entry.name, distribution, version)
+
+
+def _import(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except _IMPORT_FAILURES as error:
+        cause = f"{type(error).__name__}: {error}"
+        raise KinfeasError(f"{_plugin(entry)} cannot be loaded: {cause}") from error
+
+
+def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    taken = {p.name: p for p in signature.parameters.values() if p.kind in by_name}
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+    for name in given:
+        if name not in taken and not open_ended:
+            raise KinfeasError(f"unknown parameter {name!r}{no_such(name, taken)}")
+    for name, parameter in taken.items():
+        if parameter.default is parameter.empty and name not in given:
+            raise KinfeasError(
+                f"the parameter {name!r} is missing; known are {', '.join(sorted(taken))}"
+            )

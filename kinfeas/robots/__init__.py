@@ -1,0 +1,23 @@
+"""Robots: what a URDF and the YAML beside it say of one.
+
+The functions here are the entry points of the group `kinfeas.robots`.
+"""
+
+from pathlib import Path
+
+_FOLDER = Path(__file__).parent
+
+
+def pr2() -> Path:
+    """Return the YAML file of the PR2: omnidirectional, right arm of seven joints."""
+    return _FOLDER / "pr2.yaml"
+
+
+def tiago() -> Path:
+    """Return the YAML file of TIAGo: differential drive, torso lift and arm of seven joints."""
+    return _FOLDER / "tiago.yaml"
+
+
+def hsr() -> Path:
+    """Return the YAML file of the HSR: omnidirectional, arm lift and four more joints."""
+    return _FOLDER / "hsr.yaml"

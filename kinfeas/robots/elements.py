@@ -1,0 +1,129 @@
+"""XML elements whose text and numbers are checked as they are read."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+import numpy as np
+from defusedxml import DefusedXmlException, ElementTree
+from scipy.spatial.transform import Rotation
+
+from kinfeas.errors import KinfeasError
+from kinfeas.spatial import Array, make_pose
+
+MAX_BYTES = 10_000_000
+"""More than any URDF; it keeps a wrong path from filling the memory."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """An XML element and the words that say in an error where it stands."""
+
+    xml: Any
+    where: str
+
+    def error(self, message: str) -> KinfeasError:
+        """Return the error that says where this element stands and what is wrong with it."""
+        return KinfeasError(f"{self.where}: {message}")
+
+    def children(self, tag: str) -> "list[Element]":
+        """Return the elements `tag` right below this one."""
+        inner = f"{self.where}, <{tag}>"
+        return [Element(xml, inner) for xml in self.xml.findall(tag)]
+
+    def child(self, tag: str) -> "Element | None":
+        """Return the first element `tag` right below this one, or None."""
+        found = self.children(tag)
+        return found[0] if found else None
+
+    def need(self, tag: str) -> "Element":
+        """Return the first element `tag` right below this one, which has to be there."""
+        found = self.child(tag)
+        if found is None:
+            raise self.error(f"<{tag}> is missing")
+        return found
+
+    def text(self, attribute: str) -> str:
+        """Return an attribute that has to be there and not be blank."""
+        value: str | None = self.xml.get(attribute)
+        if value is None or not value.strip():
+            raise self.error(f"the attribute {attribute!r} is missing or blank")
+        return value
+
+    def vector(
+        self, attribute: str, size: int, default: tuple[float, ...] | None = None
+    ) -> tuple[float, ...]:
+        """Return an attribute of `size` finite numbers.
+
+        Args:
+            attribute: Name of the attribute.
+            size: How many numbers it holds.
+            default: What an absent attribute means; without a default it has to be there.
+        """
+        if default is not None and self.xml.get(attribute) is None:
+            return default
+        text = self.text(attribute)
+        try:
+            numbers = tuple(float(word) for word in text.split())
+        except ValueError:
+            numbers = ()
+        if "_" in text or not text.isascii():  # numbers to Python, but not to C++ readers
+            numbers = ()
+        if len(numbers) != size or not all(map(math.isfinite, numbers)):
+            allowed = "a finite number" if size == 1 else f"{size} finite numbers"
+            raise self.error(f"{attribute!r} must be {allowed}, not {text[:40]!r}")
+        return numbers
+
+    def number(self, attribute: str, default: float | None = None) -> float:
+        """Return an attribute that is one finite number."""
+        return self.vector(attribute, 1, None if default is None else (default,))[0]
+
+    def not_negative(self, attribute: str, default: float | None = None) -> float:
+        """Return an attribute that is one finite number of at least 0."""
+        value = self.number(attribute, default)
+        if value < 0.0:
+            raise self.error(f"{attribute!r} must be at least 0, not {value:g}")
+        return value
+
+    def positive(self, attribute: str, size: int = 1) -> tuple[float, ...]:
+        """Return an attribute of `size` finite numbers above 0."""
+        numbers = self.vector(attribute, size)
+        if min(numbers) <= 0.0:
+            raise self.error(f"{attribute!r} must be above 0, not {min(numbers):g}")
+        return numbers
+
+    def origin(self) -> Array:
+        """Return the pose that <origin> below this element gives, shape (7,)."""
+        found = self.child("origin")
+        if found is None:
+            return make_pose(np.zeros(3), Rotation.identity())
+        xyz = np.array(found.vector("xyz", 3, (0.0, 0.0, 0.0)))
+        rpy = found.vector("rpy", 3, (0.0, 0.0, 0.0))
+        return make_pose(xyz, Rotation.from_euler("xyz", rpy))
+
+
+def read_xml(path: Path, tag: str) -> Element:
+    """Return the root element, `tag`, of an XML file; entities and document types are refused.
+
+    Raises:
+        KinfeasError: If `path` is not a readable file of at most `MAX_BYTES`, is not XML, declares
+            a document type, or begins with another element.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise KinfeasError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) > MAX_BYTES:
+        raise KinfeasError(f"{path}: too large, at most {MAX_BYTES} bytes are allowed")
+    try:
+        xml = ElementTree.fromstring(content, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise KinfeasError(f"{path}: document types and entities are not allowed") from error
+    except (ParseError, ValueError, LookupError) as error:
+        raise KinfeasError(f"{path}: not XML: {error}") from error
+    if xml.tag != tag:
+        raise KinfeasError(f"{path}: the first element must be <{tag}>, not <{xml.tag}>")
+    return Element(xml, str(path))

@@ -1,0 +1,88 @@
+"""What the YAML file of a robot may say: the schema, and what can be checked without the URDF."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from kinfeas.config import Interval
+
+Drive = Literal["omnidirectional", "differential"]
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+
+GOAL_HEIGHTS = ("ggr", "ggr_restricted")
+QUATERNION_TOLERANCE = 1e-3
+"""Four digits by hand are enough for a unit quaternion; it is normalised when read."""
+
+
+@dataclass(frozen=True)
+class BaseSpec:
+    """The block `base`: how the base drives, m/s, rad/s, m/s^2 and rad/s^2."""
+
+    drive: Drive
+    max_velocity: Positive
+    max_rotation: Positive
+    max_acceleration: Positive
+    max_rotation_acceleration: Positive
+
+
+@dataclass(frozen=True)
+class ArmJointSpec:
+    """A block within `arm`: what differs from the URDF, m or rad, and per second."""
+
+    soft_limits: tuple[float, float] | None = None
+    velocity: Positive | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the limits ascend."""
+        if self.soft_limits is not None:
+            _check_ascending("soft_limits", self.soft_limits)
+
+
+@dataclass(frozen=True)
+class Leeway:
+    """How far a pose may be missed and still count as feasible.
+
+    Attributes:
+        position: Metres.
+        rotation: Radians.
+    """
+
+    position: Positive
+    rotation: Positive
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """The whole file; `urdf` is relative to it, and `robot.Robot` says what the rest means."""
+
+    name: str
+    urdf: Path
+    ee_frame: str
+    tool_tip: tuple[float, float, float]
+    gripper_rotation: tuple[float, float, float, float]
+    base: BaseSpec
+    arm: dict[str, ArmJointSpec]
+    home: dict[str, tuple[float, ...]]
+    goal_heights: dict[str, tuple[float, float]]
+    fixed_joints: dict[str, float] = field(default_factory=dict)
+    leeway: Leeway | None = None
+    ignored_collisions: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check what needs no look into the URDF."""
+        if not self.arm:
+            raise ValueError("'arm' must name at least one joint")
+        if abs(math.hypot(*self.gripper_rotation) - 1.0) > QUATERNION_TOLERANCE:
+            raise ValueError("'gripper_rotation' must be a unit quaternion x y z w")
+        if "home" not in self.home:
+            raise ValueError("'home' must hold a configuration of the name 'home'")
+        if set(self.goal_heights) != set(GOAL_HEIGHTS):
+            raise ValueError(f"'goal_heights' must hold {' and '.join(GOAL_HEIGHTS)}, and no more")
+        for name, heights in self.goal_heights.items():
+            _check_ascending(f"goal_heights.{name}", heights)
+
+
+def _check_ascending(name: str, bounds: tuple[float, float]) -> None:
+    if not bounds[0] < bounds[1]:
+        raise ValueError(f"{name!r} must ascend, not go from {bounds[0]:g} to {bounds[1]:g}")

@@ -1,0 +1,118 @@
+"""Poses and twists: pure functions on arrays with any leading axes.
+
+A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw). A twist is
+`(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s.
+"""
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+IDENTITY: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+def rotation(pose: Array) -> Rotation:
+    """Return the orientation of `pose`, shape (..., 7)."""
+    return Rotation.from_quat(pose[..., 3:])
+
+
+def make_pose(position: Array, orientation: Rotation) -> Array:
+    """Return the pose at `position`, shape (..., 3) in metres, turned by `orientation`."""
+    return np.concatenate([position, canonical(orientation.as_quat())], axis=-1)
+
+
+def canonical(quaternion: Array) -> Array:
+    """Return the same rotations as quaternions with w >= 0, shape (..., 4) xyzw."""
+    return np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
+
+
+def rotate(orientation: Rotation, vector: Array) -> Array:
+    """Return `vector`, shape (..., 3), turned by `orientation`, shape (...).
+
+    Written out by elements: unlike `Rotation.apply`, a row's bits do not depend on the batch.
+    """
+    matrix = orientation.as_matrix()
+    x, y, z = (matrix[..., i] * vector[..., i, np.newaxis] for i in range(3))
+    return x + y + z
+
+
+def compose(parent: Array, child: Array) -> Array:
+    """Return `child`, given in the frame `parent`, in the frame that `parent` is given in.
+
+    Args:
+        parent: Pose, shape (..., 7).
+        child: Pose relative to `parent`, shape (..., 7).
+    """
+    turn = rotation(parent)
+    position = parent[..., :3] + rotate(turn, child[..., :3])
+    return make_pose(position, turn * rotation(child))
+
+
+def relative(pose: Array, frame: Array) -> Array:
+    """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
+    back = rotation(frame).inv()
+    position = rotate(back, pose[..., :3] - frame[..., :3])
+    return make_pose(position, back * rotation(pose))
+
+
+def integrate(pose: Array, twist: Array, dt: float) -> Array:
+    """Return the pose reached from `pose` after `dt` seconds of constant `twist`.
+
+    Args:
+        pose: World pose, shape (..., 7), metres and unit quaternion xyzw.
+        twist: World-axes twist, shape (..., 6), m/s and rad/s.
+        dt: Duration in seconds.
+    """
+    position = pose[..., :3] + twist[..., :3] * dt
+    turn = Rotation.from_rotvec(twist[..., 3:] * dt)
+    return make_pose(position, turn * rotation(pose))
+
+
+def twist_between(start: Array, end: Array, dt: float) -> Array:
+    """Return the constant twist that leads from `start` to `end` in `dt` seconds.
+
+    The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
+    """
+    linear = (end[..., :3] - start[..., :3]) / dt
+    angular = (rotation(end) * rotation(start).inv()).as_rotvec() / dt
+    return np.concatenate([linear, angular], axis=-1)
+
+
+def distance(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return how far the poses `a` and `b` are apart.
+
+    Args:
+        a: Pose, shape (..., 7).
+        b: Pose, shape (..., 7).
+
+    Returns:
+        Distance in metres and angle in radians in [0, pi], each of shape (...).
+    """
+    metres = np.linalg.norm(a[..., :3] - b[..., :3], axis=-1)
+    turn = rotation(a).inv() * rotation(b)
+    return metres, cast("Array", turn.magnitude())
+
+
+def planar_pose(x: Array, y: Array, yaw: Array) -> Array:
+    """Return poses on the floor: `x`, `y` in metres, `yaw` in radians, shape (...) -> (..., 7)."""
+    pose = np.zeros((*np.shape(yaw), 7))
+    pose[..., 0], pose[..., 1] = x, y
+    pose[..., 5], pose[..., 6] = np.sin(yaw / 2.0), np.cos(yaw / 2.0)
+    pose[..., 3:] = canonical(pose[..., 3:])
+    return pose
+
+
+def yaw(pose: Array) -> Array:
+    """Return the heading of planar poses, shape (..., 7) -> (...), radians in (-pi, pi]."""
+    return wrap(2.0 * np.arctan2(pose[..., 5], pose[..., 6]))
+
+
+def wrap(angle: Array) -> Array:
+    """Return `angle` in radians, wrapped to (-pi, pi]."""
+    turn = 2.0 * np.pi
+    # A tiny negative number modulo a turn rounds up to a whole turn, which the second one ends.
+    return np.pi - np.mod(np.mod(np.pi - angle, turn), turn)

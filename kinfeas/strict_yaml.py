@@ -1,0 +1,121 @@
+"""YAML text as plain data, and back: the safe and unsurprising part of the language.
+
+Read as in YAML 1.2, not 1.1: `1e-3` is a number, `off` and `2024-01-01` are strings. Anchors,
+duplicate keys and tags that build objects are refused.
+"""
+
+import re
+from collections.abc import Hashable
+from pathlib import Path
+
+import yaml
+
+from kinfeas.errors import KinfeasError
+
+MAX_BYTES = 1_000_000
+"""More than any file written by hand; it keeps a wrong path from filling the memory."""
+
+# What PyYAML raises on text that fits no type, such as `!!int x`, `!!bool x` or `!!timestamp x`.
+_BROKEN = (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError)
+
+
+class _Loader(yaml.SafeLoader):
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way to begin without rules
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        # An alias within an alias within an alias grows without bound in whatever walks it.
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases (*name) are not allowed")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(
+        self, node: yaml.MappingNode, deep: bool = False
+    ) -> dict[Hashable, object]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                problem = f"the key {key.value!r} stands there twice"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else key)
+        return super().construct_mapping(node, deep)
+
+
+class _Dumper(yaml.SafeDumper):
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - the reader's rules decide what needs quotes
+
+
+_RULES = {
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    "int": (r"[-+]?(0|[1-9][0-9_]*)", list("-+0123456789")),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+\.[0-9]*)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
+        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        list("-+0123456789."),
+    ),
+}
+for _class in (_Loader, _Dumper):
+    for _name, (_pattern, _first) in _RULES.items():
+        _tag = f"tag:yaml.org,2002:{_name}"
+        _class.add_implicit_resolver(_tag, re.compile(rf"^(?:{_pattern})$"), _first)
+
+
+def parse(text: str, source: str) -> object:
+    """Return the plain data that the YAML `text` stands for.
+
+    Args:
+        text: One YAML document.
+        source: Where the text is from, for the error.
+
+    Raises:
+        KinfeasError: If `text` is not YAML, with the line.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise KinfeasError(f"{source}: broken YAML{where}: {error.problem}") from error
+    except RecursionError as error:
+        raise KinfeasError(f"{source}: broken YAML: nested too deeply") from error
+    except _BROKEN as error:
+        reason = " ".join(str(error).split())
+        raise KinfeasError(f"{source}: broken YAML: {reason}") from error
+
+
+def read(path: Path) -> dict[str, object]:
+    """Return the mapping that the YAML file `path` holds; an empty file is an empty mapping.
+
+    Raises:
+        KinfeasError: If the file cannot be read, is too large or does not hold a mapping.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise KinfeasError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) > MAX_BYTES:
+        raise KinfeasError(f"{path}: too large, at most {MAX_BYTES} bytes are allowed")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise KinfeasError(f"{path}: not a text file in UTF-8") from error
+    data = parse(text, str(path))
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise KinfeasError(f"{path}: must hold a mapping of keys to values")
+    return data
+
+
+def write(data: object, path: Path) -> None:
+    """Write plain data as a YAML file that `read` reads back.
+
+    Raises:
+        KinfeasError: If the file cannot be written.
+    """
+    # Escaped to ASCII by default, for PyYAML folds some other characters that it writes.
+    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise KinfeasError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,1 @@
+"""Tasks: where episodes begin and where the EE has to go."""

@@ -1,0 +1,51 @@
+"""Random arm configurations to begin an episode with."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas import spatial
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.spatial import Array
+
+_DRAWS, _ROUNDS = 16, 100
+
+
+def random_arm(
+    solver: IkSolver,
+    rng: np.random.Generator,
+    accept: Callable[[Array], NDArray[np.bool_]] | None = None,
+) -> Array:
+    """Return arm joints drawn uniformly within the limits, shape (j,).
+
+    The robot does not touch itself there and its tool tip is above the floor.
+
+    Args:
+        solver: The robot's kinematics.
+        rng: Source of randomness.
+        accept: Which EE poses in the base frame, shape (n, 7), may be taken; all by default.
+
+    Raises:
+        KinfeasError: If 1600 draws hold no such configuration.
+    """
+    robot = solver.robot
+    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
+    upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
+    tip = np.concatenate([robot.tool_tip, [0.0, 0.0, 0.0, 1.0]])
+    for _ in range(_ROUNDS):
+        joints = rng.uniform(lower, upper, (_DRAWS, len(lower)))
+        ee = forward(solver.chain, joints)
+        good = spatial.compose(ee, np.broadcast_to(tip, ee.shape))[:, 2] > 0.0
+        if accept is not None:
+            good &= accept(ee)
+        for row in np.flatnonzero(good):
+            if not self_collides(solver.collision, joints[row]):
+                return joints[row]
+    raise KinfeasError(
+        f"robot {robot.name!r}: no arm configuration free of self-collision with the EE where the "
+        "task wants it was found in 1600 draws; check joint limits, ignored collisions and goal heights"
+    )

@@ -1,0 +1,78 @@
+"""Goal reaching at random: the task that policies are trained on."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.spatial import Array, make_pose, planar_pose
+from kinfeas.start import Start
+from kinfeas.tasks.arm_start import random_arm
+from kinfeas.tasks.task import MotionSpec
+
+
+@dataclass(frozen=True)
+class GoalReaching:
+    """Reach a random EE pose from a random arm configuration.
+
+    The base begins at the origin with a random heading; the goal lies at a random bearing.
+
+    Attributes:
+        name: Task name, also the key of the robot's goal heights.
+        motion: Generator of the EE motion.
+        distance: Least and greatest planar distance of the goal from the base, metres.
+        heights: Least and greatest height of the goal, metres; the robot's own by default.
+        restrict_start: Whether the start height keeps within the goal heights, too.
+        orientation: `rpy` draws roll, pitch and yaw uniformly, `so3` uniform rotations.
+    """
+
+    name: str = "ggr"
+    motion: MotionSpec = field(default_factory=MotionSpec)
+    distance: tuple[float, float] = (1.0, 5.0)
+    heights: tuple[float, float] | None = None
+    restrict_start: bool = False
+    orientation: Literal["rpy", "so3"] = "rpy"
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode, its arrays without a leading axis."""
+        low, high = self._heights(solver)
+        heading, bearing = rng.uniform(-np.pi, np.pi, 2)
+        distance, height = rng.uniform(*self.distance), rng.uniform(low, high)
+        goal = np.array([distance * np.cos(bearing), distance * np.sin(bearing), height])
+        target = make_pose(goal, self._orientation(rng))
+
+        def within(ee: Array) -> np.ndarray:
+            return (ee[:, 2] >= low) & (ee[:, 2] <= high)
+
+        joints = random_arm(solver, rng, within if self.restrict_start else None)
+        zero = np.array(0.0)
+        return Start(planar_pose(zero, zero, np.array(heading)), joints, target)
+
+    def _heights(self, solver: IkSolver) -> tuple[float, float]:
+        if self.heights is not None:
+            return self.heights
+        known = solver.robot.goal_heights
+        if self.name not in known:
+            raise KinfeasError(
+                f"robot {solver.robot.name!r} has no goal heights for task {self.name!r}; "
+                f"its YAML has them for: {', '.join(sorted(known)) or 'none'}"
+            )
+        return known[self.name]
+
+    def _orientation(self, rng: np.random.Generator) -> Rotation:
+        if self.orientation == "so3":
+            return Rotation.random(rng=rng)
+        return Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, 3))
+
+
+def ggr(**parameters: object) -> GoalReaching:
+    """Goal reaching with the robot's full range of goal heights."""
+    return GoalReaching(**parameters)  # type: ignore[arg-type]
+
+
+def ggr_restricted(**parameters: object) -> GoalReaching:
+    """Goal reaching with start and goal in the robot's comfortable range of heights."""
+    return GoalReaching(**{"name": "ggr_restricted", "restrict_start": True, **parameters})  # type: ignore[arg-type]

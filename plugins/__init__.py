@@ -1,0 +1,1 @@
+"""Built-in motion generators, registered by the same entry points as anyone's."""

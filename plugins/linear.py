@@ -1,0 +1,107 @@
+"""The `linear` motion: straight to the goal, slowing down as it comes near."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.motion import State
+from kinfeas.spatial import Array, twist_between
+
+# Below this distance a motion is a turn on the spot, and the angle sets its pace, in metres.
+_ON_THE_SPOT = 1e-6
+_MIN_ANGULAR_VELOCITY = 0.001  # rad/s, so that a turn on the spot ends
+_TINY = 1e-12  # keeps quotients finite; in metres and in radians
+
+
+class Linear:
+    """Straight motion of the EE to the target: a linear dynamic system in position and orientation.
+
+    The speed is `clip(gain * distance, min_velocity, max_velocity)`. Position and orientation use
+    up equal shares of what is left of them, so along the straight line the orientation is the
+    slerp from the start to the goal by the fraction of the distance covered; and they arrive
+    together. Where the turn would exceed its limit, the whole motion slows down. What comes next
+    depends on the EE pose and the goal alone, so an EE that was displaced heads straight for the
+    goal from wherever it is.
+
+    Args:
+        gain: Speed per distance to the goal, 1/s; in a turn on the spot, angular speed per angle.
+        min_velocity: Lower limit of the speed in m/s, so that the motion arrives; the angular
+            limit goes first.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s; None lifts it.
+
+    Raises:
+        KinfeasError: If a number is not positive, or the velocity limits are out of order.
+    """
+
+    def __init__(
+        self,
+        *,
+        gain: float = 0.1,
+        min_velocity: float = 0.001,
+        max_velocity: float = 0.1,
+        max_angular_velocity: float | None = 0.1,
+    ) -> None:
+        self._gain = _positive("gain", gain)
+        self._min_velocity = _positive("min_velocity", min_velocity)
+        self._max_velocity = _positive("max_velocity", max_velocity)
+        self._max_angular_velocity = (
+            None
+            if max_angular_velocity is None
+            else _positive("max_angular_velocity", max_angular_velocity)
+        )
+        if min_velocity > max_velocity:
+            raise KinfeasError(
+                f"min_velocity must be at most max_velocity, {max_velocity}, not {min_velocity}"
+            )
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions to `target_pose`, shape (n, 7); the rest is not used."""
+        return {"goal_pose": np.array(target_pose, dtype=np.float64)}
+
+    def goal_pose(self, state: State) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        return state["goal_pose"].copy()
+
+    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
+
+        Args:
+            state: State of n motions.
+            ee_pose: World pose that the motion has come to, shape (n, 7).
+            dt: Duration of the step in seconds.
+        """
+        way = twist_between(ee_pose, state["goal_pose"], 1.0)
+        # Never past the goal: at most the whole way within dt.
+        pace = np.minimum(self._pace(way), 1.0 / dt)
+        return way * pace[:, np.newaxis], dict(state)
+
+    def _pace(self, way: Array) -> Array:
+        """Return the share of the remaining `way`, shape (n, 6), to use up per second, (n,)."""
+        metres = np.maximum(_norm(way[:, :3]), _TINY)
+        radians = np.maximum(_norm(way[:, 3:]), _TINY)
+        slowest = np.where(
+            metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
+        )
+        pace = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
+        if self._max_angular_velocity is None:
+            return pace
+        return np.minimum(pace, self._max_angular_velocity / radians)
+
+
+def _norm(vector: Array) -> Array:
+    """Return lengths, shape (n, 3) -> (n,); by elements, so that no row depends on the batch."""
+    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def _positive(name: str, value: float) -> float:
+    """Return `value` if it is a positive finite number."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value) or value <= 0.0:
+        raise KinfeasError(f"{name} must be a positive number, not {value!r}")
+    return float(value)

@@ -1,0 +1,1 @@
+"""Scenes: rooms, furniture and handles, and what loads them."""

@@ -1,0 +1,167 @@
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+from kinfeas.registry import Plugin
+
+MOTIONS = "kinfeas.motion_generators"
+
+SOUND = """
+    from dataclasses import dataclass
+    from pathlib import Path
+
+    class Wave:
+        def __init__(self, height, *, width=1.0):
+            if height < 0.0:
+                raise ValueError(f"height must be positive, not {height}")
+            self.size = (height, width)
+
+    def anything(**parameters):
+        return parameters
+
+    NUMBER = 3
+
+    def my_robot():
+        return Path(__file__).with_name("my_robot.yaml")
+
+    def no_path():
+        return "my_robot.yaml"
+"""
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """A function that makes a distribution of one module and puts it on the path."""
+
+    def make(name: str, module: str, source: str, entries: dict[str, list[str]]) -> None:
+        site = tmp_path / name
+        info = site / f"{name}-1.2.dist-info"
+        info.mkdir(parents=True)
+        (site / f"{module}.py").write_text(textwrap.dedent(source))
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+        lines = [line for group, rows in entries.items() for line in (f"[{group}]", *rows)]
+        (info / "entry_points.txt").write_text("\n".join(lines))
+        monkeypatch.delitem(sys.modules, module, raising=False)
+        monkeypatch.syspath_prepend(str(site))
+
+    return make
+
+
+@pytest.fixture
+def sound(install):
+    """A distribution of plugins that work."""
+    motions = ["wave = sound_module:Wave", "any = sound_module:anything"]
+    motions += ["number = sound_module:NUMBER", "absent = sound_module:Absent"]
+    robots = ["mine = sound_module:my_robot", "text = sound_module:no_path"]
+    install("sound", "sound_module", SOUND, {MOTIONS: motions, "kinfeas.robots": robots})
+
+
+def message(call, *arguments) -> str:
+    with pytest.raises(KinfeasError) as caught:
+        call(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_built_in_and_outside_plugins_stand_side_by_side(sound):
+    assert {"linear", "wave"} <= set(registry.names(MOTIONS))
+    assert {"pr2", "tiago", "hsr", "mine"} <= set(registry.names("kinfeas.robots"))
+    assert Plugin(MOTIONS, "wave", "sound", "1.2") in registry.plugins(MOTIONS)
+    assert registry.names(MOTIONS) == sorted(registry.names(MOTIONS))
+
+
+def test_plugin_reads_well():
+    plugin = Plugin(MOTIONS, "wave", "sound", "1.2")
+    assert str(plugin) == "motion generator 'wave' (sound 1.2)"
+
+
+def test_load_and_build(sound):
+    assert registry.load(MOTIONS, "wave").__name__ == "Wave"
+    assert registry.build(MOTIONS, "wave", {"height": 2.0}).size == (2.0, 1.0)
+    assert registry.build(MOTIONS, "wave", {"height": 2.0, "width": 3.0}).size == (2.0, 3.0)
+    assert registry.build(MOTIONS, "any", {"x": 1}) == {"x": 1}
+
+
+def test_unknown_name_lists_what_there_is(sound):
+    text = message(registry.load, MOTIONS, "wav")
+    assert text.startswith("unknown motion generator 'wav' (did you mean 'wave'?); known are ")
+    assert "linear" in text
+    assert message(registry.load_robot, "pr3").startswith("unknown robot 'pr3' (did you mean 'pr2'")
+
+
+def test_unknown_group():
+    assert message(registry.names, "kinfeas.robot").startswith("unknown plugin group")
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "expected"),
+    [
+        ("wave", {"hight": 1}, "unknown parameter 'hight' (did you mean 'height'?); known are"),
+        ("wave", {"height": 1, "self": 2}, "unknown parameter 'self'; known are height, width"),
+        ("wave", {}, "the parameter 'height' is missing; known are height, width"),
+        ("wave", {"height": -1}, "height must be positive, not -1"),
+        ("wave", {"height": "x"}, "'<' not supported between instances of 'str' and 'float'"),
+    ],
+)
+def test_build_refuses_parameters(sound, name, parameters, expected):
+    text = message(registry.build, MOTIONS, name, parameters)
+    assert text.startswith(f"motion generator '{name}' (sound 1.2): {expected}")
+
+
+def test_build_refuses_what_cannot_be_called(sound):
+    text = message(registry.build, MOTIONS, "number", {})
+    assert text == "motion generator 'number' (sound 1.2) must be a class or a function, not int"
+
+
+@pytest.mark.parametrize(
+    ("source", "cause"),
+    [
+        ("import surely_no_such_module", "ModuleNotFoundError: No module named"),
+        ("def f(:", "SyntaxError: invalid syntax"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("raise RuntimeError('no licence')", "RuntimeError: no licence"),
+        ("x = undefined", "NameError: name 'undefined'"),
+        ("open('/no/such/file')", "FileNotFoundError"),
+        ("pass", "AttributeError: module 'broken_module' has no attribute 'Broken'"),
+    ],
+)
+def test_broken_plugin_names_itself_and_disturbs_no_other(sound, install, source, cause):
+    install("broken", "broken_module", source, {MOTIONS: ["bad = broken_module:Broken"]})
+    text = message(registry.load, MOTIONS, "bad")
+    assert text.startswith(f"motion generator 'bad' (broken 1.2) cannot be loaded: {cause}")
+    assert "bad" in registry.names(MOTIONS)
+    assert registry.load(MOTIONS, "wave").__name__ == "Wave"
+    assert registry.load(MOTIONS, "linear").__name__ == "Linear"
+
+
+def test_name_claimed_twice_names_both(sound, install):
+    install("rival", "rival_module", "Wave = int", {MOTIONS: ["wave = rival_module:Wave"]})
+    text = message(registry.load, MOTIONS, "wave")
+    assert text == "motion generator 'wave' is claimed by rival and sound; uninstall all but one"
+    assert registry.names(MOTIONS).count("wave") == 1
+    assert len([plugin for plugin in registry.plugins(MOTIONS) if plugin.name == "wave"]) == 2
+    assert registry.load(MOTIONS, "any")
+
+
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
+def test_load_robot_by_name_and_by_file_alike(name):
+    by_name = registry.load_robot(name)
+    path = Path(registry.load("kinfeas.robots", name)())
+    assert by_name.name == registry.load_robot(str(path)).name == name
+
+
+@pytest.mark.parametrize("name", ["absent.yaml", "absent.yml", "./pr2", "some/robot"])
+def test_load_robot_takes_a_path_for_a_file(name):
+    assert name.removeprefix("./") in message(registry.load_robot, name)
+    assert "unknown robot" not in message(registry.load_robot, name)
+
+
+def test_load_robot_reads_the_file_that_an_outside_plugin_names(sound):
+    assert "my_robot.yaml" in message(registry.load_robot, "mine")
+    assert message(registry.load_robot, "text") == (
+        "robot 'text' must return the Path of its YAML, not 'my_robot.yaml'"
+    )
