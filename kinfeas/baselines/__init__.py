@@ -1,1 +1,1 @@
-"""Policies that learn nothing, to compare with."""
+"""Base motions that are not learned: what a policy has to beat."""

@@ -1,1 +1,1 @@
-"""Evaluation: episodes, ceiling, speed, plots and reports."""
+"""Evaluation: episodes, metrics, pictures and speed."""

@@ -52,7 +52,9 @@ class Scratch(NamedTuple):
     error: Array
     solved: Array
     step: Array
-    free: Array
+    wanted: Array
+    side: Array
+    released: Array
     trial: Array
 
 
@@ -66,6 +68,8 @@ def make_scratch(joints, variables):
         np.empty(6),
         np.empty(6),
         np.empty(variables),
+        np.empty(variables),
+        np.empty(variables, dtype=np.intp),
         np.empty(variables, dtype=np.bool_),
         np.empty(variables),
     )
@@ -168,37 +172,58 @@ def _half_turn(target, current, error):
 
 @inlined
 def _step_within_limits(options, q, damping, scratch):
-    """Write the damped least-squares step that keeps `q` within its limits."""
-    columns, step, free, rest = scratch.columns, scratch.step, scratch.free, scratch.error
-    free[:] = True
-    for _ in range(len(q)):
+    """Write the damped least-squares step that keeps `q` within its limits.
+
+    Of min |J s - e|^2 + damping |s|^2 within bounds, the free joints' part is s = J' y. A joint
+    whose share of J' y passes a bound is held there. When no other does, a held joint whose share
+    has come back within its bounds is let go, each joint once, and the rest is solved again.
+    """
+    step, wanted, side, released = scratch.step, scratch.wanted, scratch.side, scratch.released
+    side[:], released[:] = 0, False
+    for _ in range(3 * len(q)):
         _solve_damped(scratch, damping)
         blocked = False
         for j in range(len(q)):
-            if not free[j]:
-                continue
-            step[j] = 0.0
+            wanted[j] = 0.0
             for i in range(6):
-                step[j] += columns[j, i] * scratch.solved[i]
-            bound = min(max(q[j] + step[j], options.lower[j]), options.upper[j]) - q[j]
-            if bound != step[j]:
-                step[j], free[j], blocked = bound, False, True
-                for i in range(6):
-                    rest[i] -= columns[j, i] * bound
-                    columns[j, i] = 0.0
-        if not blocked:
+                wanted[j] += scratch.columns[j, i] * scratch.solved[i]
+            if side[j] == 0:
+                step[j] = wanted[j]
+                if q[j] + wanted[j] > options.upper[j]:
+                    step[j], side[j], blocked = options.upper[j] - q[j], 1, True
+                elif q[j] + wanted[j] < options.lower[j]:
+                    step[j], side[j], blocked = options.lower[j] - q[j], -1, True
+        if not blocked and not _release(scratch):
             return
 
 
 @inlined
+def _release(scratch):
+    """Let go of the joint that is held most against its will; return whether there is one."""
+    worst, choice = 0.0, -1
+    for j in range(len(scratch.side)):
+        inward = scratch.side[j] * (scratch.step[j] - scratch.wanted[j])
+        if scratch.side[j] != 0 and not scratch.released[j] and inward > worst:
+            worst, choice = inward, j
+    if choice >= 0:
+        scratch.side[choice], scratch.released[choice] = 0, True
+    return choice >= 0
+
+
+@inlined
 def _solve_damped(scratch, damping):
-    """Write the solution y of (J J' + damping) y = error, by Cholesky."""
+    """Write y of (J J' + damping) y = e over the free joints, with what held ones do taken off e."""
     columns, low, y = scratch.columns, scratch.normal, scratch.solved
+    y[:] = scratch.error
     low[:] = 0.0
     for j in range(len(columns)):
-        for i in range(6):
-            for k in range(6):
-                low[i, k] += columns[j, i] * columns[j, k]
+        if scratch.side[j] == 0:
+            for i in range(6):
+                for k in range(6):
+                    low[i, k] += columns[j, i] * columns[j, k]
+        else:
+            for i in range(6):
+                y[i] -= columns[j, i] * scratch.step[j]
     for i in range(6):
         for k in range(i):
             total = low[i, k]
@@ -211,12 +236,10 @@ def _solve_damped(scratch, damping):
         # The diagonal holds the inverse, for it is only ever divided by.
         low[i, i] = 1.0 / math.sqrt(total)
     for i in range(6):
-        total = scratch.error[i]
         for j in range(i):
-            total -= low[i, j] * y[j]
-        y[i] = total * low[i, i]
+            y[i] -= low[i, j] * y[j]
+        y[i] *= low[i, i]
     for i in range(5, -1, -1):
-        total = y[i]
         for j in range(i + 1, 6):
-            total -= low[j, i] * y[j]
-        y[i] = total * low[i, i]
+            y[i] -= low[j, i] * y[j]
+        y[i] *= low[i, i]

@@ -17,6 +17,9 @@ from kinfeas.spatial import Array, rotation
 ROTATION_WEIGHT = 0.4
 """Metres that one radian of error is worth in the search, where no leeway says otherwise."""
 
+AIM = 0.2
+"""Share of the tolerances at which a descent is content; it may end anywhere within them."""
+
 
 @dataclass(frozen=True)
 class IkOptions:
@@ -28,8 +31,8 @@ class IkOptions:
         candidates: Solutions among which the one nearest to the seed is taken.
         self_collision: Whether solutions in which the robot touches itself are rejected.
         leeway: Whether a robot's own leeway counts as feasible; else only exact solutions do.
-        position_tolerance: Metres at which a solution is exact.
-        rotation_tolerance: Radians at which a solution is exact.
+        position_tolerance: Metres within which a pose counts as reached.
+        rotation_tolerance: Radians within which a pose counts as reached.
         max_iterations: Steps of one descent at most.
     """
 
@@ -38,8 +41,8 @@ class IkOptions:
     candidates: int = 3
     self_collision: bool = True
     leeway: bool = True
-    position_tolerance: float = 2e-5
-    rotation_tolerance: float = 2e-4
+    position_tolerance: float = 1e-4
+    rotation_tolerance: float = 1e-3
     max_iterations: int = 40
 
 
@@ -105,10 +108,11 @@ def _make_problem(
         library = library[~self_collides(collision, library)]
     ee_pose = forward(chain, library)
     exact = (options.position_tolerance, options.rotation_tolerance)
+    aim = (AIM * exact[0], AIM * exact[1])
     accept = exact if leeway is None else (leeway.position, leeway.rotation)
     return Problem(
         chain=chain,
-        descent=Descent(lower, upper, *exact, weight, options.max_iterations),
+        descent=Descent(lower, upper, *aim, weight, options.max_iterations),
         collision=collision,
         check_collision=options.self_collision and len(collision.pairs) > 0,
         velocity=np.array([joint.velocity for joint in robot.arm]),

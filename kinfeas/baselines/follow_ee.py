@@ -1,0 +1,29 @@
+"""The base copies the planar velocity of the EE's motion, without rotation of its own."""
+
+from dataclasses import dataclass
+
+from kinfeas.drive import action_toward
+from kinfeas.observation import HORIZON
+from kinfeas.policy import Situation
+from kinfeas.robots.robot import Base
+from kinfeas.spatial import Array
+
+
+@dataclass(frozen=True)
+class FollowEe:
+    """Drives as the EE is to move.
+
+    Attributes:
+        base: Drive and velocity limits.
+        feedback: Whether the velocity is measured from the achieved EE position, so that the base
+            also closes the arm's error, or from the desired one.
+    """
+
+    base: Base
+    feedback: bool = False
+
+    def act(self, situation: Situation) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        start = situation.ee_pose if self.feedback else situation.desired
+        velocity = (situation.planned[:, :2] - start[:, :2]) / HORIZON
+        return action_toward(self.base, situation.base_pose, velocity, HORIZON)

@@ -1,0 +1,86 @@
+"""Episodes run to their end, many at a time."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from kinfeas.envs.world import Transition, World
+from kinfeas.loop import Rows
+from kinfeas.metrics import EpisodeRecords
+from kinfeas.policy import Policy
+
+BATCH = 128
+"""Episodes side by side; no figure depends on it."""
+
+Watch = Callable[[World, Transition, Rows, Rows], None]
+"""Called after each step with the world, what happened, the live rows and their episodes."""
+
+
+def run_episodes(
+    world: World,
+    policy: Policy,
+    episodes: int,
+    on_done: Callable[[int], None] | None = None,
+    watch: Watch | None = None,
+) -> EpisodeRecords:
+    """Return what happened in episodes 0 to `episodes` - 1 of the world's seed.
+
+    Args:
+        world: Where they happen.
+        policy: Moves the base.
+        episodes: How many to run.
+        on_done: Called with the number of episodes that have just ended.
+        watch: Called after each step, for pictures and statistics.
+    """
+    tally = _Tally(episodes)
+    running = np.arange(min(BATCH, episodes))
+    world.start(running.tolist())
+    waiting = len(running)
+    while (live := np.flatnonzero(running >= 0)).size:
+        transition = world.step(policy.act(world.loop.situation))
+        tally.add(transition, live, running[live])
+        if watch is not None:
+            watch(world, transition, live, running[live])
+        ended = live[transition.done[live]]
+        if on_done is not None and ended.size:
+            on_done(ended.size)
+        fresh = np.arange(waiting, min(waiting + ended.size, episodes))
+        waiting += len(fresh)
+        running[ended] = -1
+        if fresh.size:
+            rows = ended[: len(fresh)]
+            running[rows] = fresh
+            world.start(fresh.tolist(), rows)
+    return tally.records()
+
+
+class _Tally:
+    """Sums over the steps of each episode."""
+
+    def __init__(self, episodes: int) -> None:
+        self.reached = np.zeros(episodes, dtype=np.bool_)
+        self.failures, self.jumps, self.steps = (np.zeros(episodes, dtype=np.intp) for _ in "abc")
+        self.deviation_sum, self.deviation_max, self.final = (np.zeros(episodes) for _ in "abc")
+
+    def add(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
+        step = transition.step
+        self.reached[episodes] = transition.reached[rows]
+        self.failures[episodes] += ~step.feasible[rows]
+        self.jumps[episodes] += step.jumped[rows]
+        self.steps[episodes] += 1
+        self.deviation_sum[episodes] += step.deviation[rows]
+        self.deviation_max[episodes] = np.maximum(
+            self.deviation_max[episodes], step.deviation[rows]
+        )
+        self.final[episodes] = step.goal_distance[rows]
+
+    def records(self) -> EpisodeRecords:
+        return EpisodeRecords(
+            reached=self.reached,
+            failures=self.failures,
+            max_deviation=self.deviation_max,
+            mean_deviation=self.deviation_sum / np.maximum(self.steps, 1),
+            final_distance=self.final,
+            jumps=self.jumps,
+            steps=self.steps,
+        )
