@@ -1,7 +1,8 @@
 """What moves the robots: the analytic world, PyBullet, a real robot, a test double."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,4 +63,17 @@ class Stochastic(Protocol):
 
     def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
         """Begin new episodes with one seed each, shape (m,), in the m `rows`."""
+        ...
+
+
+@runtime_checkable
+class Resumable(Protocol):
+    """A backend or adapter whose whole state fits into arrays, so that a run can go on from it."""
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state of all n robots by name."""
+        ...
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+        """Take on a state that `snapshot` returned and return what it measures."""
         ...

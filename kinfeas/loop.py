@@ -1,14 +1,16 @@
 """The loop: motion generator, policy, inverse kinematics and backend, n robots at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
-from kinfeas.backend import Backend, RobotState, Stochastic
+from kinfeas.backend import Backend, Resumable, RobotState, Stochastic
 from kinfeas.drive import base_twist
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.motion import MotionGenerator, State
@@ -18,6 +20,8 @@ from kinfeas.spatial import Array
 from kinfeas.start import Start
 
 Rows = NDArray[np.intp]
+
+_MOTION = "motion."
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,29 @@ class Loop:
             goal_angle=goal_angle,
             jumped=self._jumped(before, arm.joint_positions),
         )
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return everything that the loop goes on from, by name.
+
+        Raises:
+            KinfeasError: If the backend cannot be put into arrays.
+        """
+        if not isinstance(self.backend, Resumable):
+            raise KinfeasError(f"{type(self.backend).__name__} cannot be saved in the midst of a run")
+        motion = {f"{_MOTION}{key}": values for key, values in self.motion.items()}
+        return {**self.backend.snapshot(), **motion, "desired": self.desired}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what `snapshot` returned."""
+        if not isinstance(self.backend, Resumable):
+            raise KinfeasError(f"{type(self.backend).__name__} cannot go on from a saved run")
+        self.desired = snapshot["desired"].copy()
+        self.motion = {
+            key.removeprefix(_MOTION): values.copy()
+            for key, values in snapshot.items()
+            if key.startswith(_MOTION)
+        }
+        self._measured(self.backend.restore(snapshot))
 
     @property
     def situation(self) -> Situation:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinfeas.spatial import Array, canonical, relative, rotation
+from kinfeas.spatial import IDENTITY, Array, integrate, relative, twist_between
 
 HORIZON = 0.1
 """Seconds of planned motion that an observation shows, whatever the control rate."""
@@ -44,10 +44,10 @@ def observe(
     """
     planned_in_base = relative(planned, base_pose)
     goal_in_base = relative(goal, base_pose)
-    velocity = (planned_in_base[:, :3] - ee_in_base[:, :3]) / HORIZON
-    change = rotation(planned_in_base) * rotation(ee_in_base).inv()
+    catch_up = twist_between(ee_in_base, planned_in_base, HORIZON)
+    change = integrate(IDENTITY, catch_up, HORIZON)[:, 3:]
     return np.concatenate(
-        [ee_in_base, velocity, canonical(change.as_quat()), goal_in_base, joint_positions], axis=1
+        [ee_in_base, catch_up[:, :3], change, goal_in_base, joint_positions], axis=1
     )
 
 

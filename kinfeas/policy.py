@@ -3,14 +3,21 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 
+from kinfeas import observation
+from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
+from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
+
+_WEIGHTS, _ABOUT, _FORMAT = "policy.safetensors", "policy.json", 1
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,74 @@ class Network:
             _layer(values, weight, bias, i < last, out)
             values = out
         return np.tanh(values).astype(np.float64)
+
+
+def write_network(network: Network, folder: Path, robot: Robot, extra: dict[str, Any]) -> None:
+    """Write a network as `policy.safetensors` and `policy.json` into `folder`.
+
+    Args:
+        network: What to write.
+        folder: An existing folder.
+        robot: Whom it was trained for.
+        extra: Whatever else the JSON should tell: training configuration, success figures.
+    """
+    tensors = {"scale": network.scale}
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
+    save_file({key: np.ascontiguousarray(values) for key, values in tensors.items()}, folder / _WEIGHTS)
+    about = {"format": _FORMAT, "robot": robot.name, "layers": len(network.weights), **extra}
+    (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+
+def read_network(folder: Path, robot: Robot) -> Network:
+    """Return the network of a training run (its best checkpoint) or of one checkpoint.
+
+    Args:
+        folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
+        robot: Whom it is to drive.
+
+    Raises:
+        KinfeasError: If there is no policy, or a broken one, or one for another robot.
+    """
+    best = folder / "checkpoints" / "best"
+    place = best if best.is_dir() else folder
+    try:
+        about = json.loads((place / _ABOUT).read_text(encoding="utf-8"))
+        tensors = load_file(place / _WEIGHTS)
+        layers = int(about["layers"])
+        network = Network(
+            tensors["scale"],
+            tuple(tensors[f"weight.{i}"] for i in range(layers)),
+            tuple(tensors[f"bias.{i}"] for i in range(layers)),
+        )
+        trained_for = str(about["robot"])
+    except FileNotFoundError as error:
+        raise KinfeasError(
+            f"{folder}: not a training run or checkpoint: there is no {error.filename or _WEIGHTS}"
+        ) from error
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise KinfeasError(f"{place}: broken policy: {error}") from error
+    _check_network(network, place)
+    wanted = (observation.size(len(robot.arm)), action_size(robot.base))
+    found = (len(network.scale), len(network.biases[-1]))
+    if trained_for != robot.name or found != wanted:
+        raise KinfeasError(
+            f"{place}: a policy for robot {trained_for!r} with {found[0]} observed numbers and "
+            f"{found[1]} actions, but robot {robot.name!r} has {wanted[0]} and {wanted[1]}"
+        )
+    return network
+
+
+def _check_network(network: Network, place: Path) -> None:
+    width = len(network.scale)
+    for weight, bias in zip(network.weights, network.biases, strict=True):
+        fits = weight.ndim == 2 and weight.shape == (width, *bias.shape)
+        finite = np.isfinite(weight).all() and np.isfinite(bias).all()
+        if not (fits and finite and weight.dtype == bias.dtype == np.float32):
+            raise KinfeasError(f"{place}: broken policy: its layers do not fit or are not finite")
+        width = len(bias)
+    if not network.weights:
+        raise KinfeasError(f"{place}: broken policy: it has no layers")
 
 
 @njit(cache=True, error_model="numpy")

@@ -4,11 +4,11 @@ A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw).
 `(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s.
 """
 
-from typing import cast
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from kinfeas import pose_kernels
 
 Array = NDArray[np.float64]
 
@@ -30,16 +30,6 @@ def canonical(quaternion: Array) -> Array:
     return np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
 
 
-def rotate(orientation: Rotation, vector: Array) -> Array:
-    """Return `vector`, shape (..., 3), turned by `orientation`, shape (...).
-
-    Written out by elements: unlike `Rotation.apply`, a row's bits do not depend on the batch.
-    """
-    matrix = orientation.as_matrix()
-    x, y, z = (matrix[..., i] * vector[..., i, np.newaxis] for i in range(3))
-    return x + y + z
-
-
 def compose(parent: Array, child: Array) -> Array:
     """Return `child`, given in the frame `parent`, in the frame that `parent` is given in.
 
@@ -47,16 +37,14 @@ def compose(parent: Array, child: Array) -> Array:
         parent: Pose, shape (..., 7).
         child: Pose relative to `parent`, shape (..., 7).
     """
-    turn = rotation(parent)
-    position = parent[..., :3] + rotate(turn, child[..., :3])
-    return make_pose(position, turn * rotation(child))
+    composed: Array = pose_kernels.compose(parent, child)
+    return composed
 
 
 def relative(pose: Array, frame: Array) -> Array:
     """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
-    back = rotation(frame).inv()
-    position = rotate(back, pose[..., :3] - frame[..., :3])
-    return make_pose(position, back * rotation(pose))
+    seen: Array = pose_kernels.relative(pose, frame)
+    return seen
 
 
 def integrate(pose: Array, twist: Array, dt: float) -> Array:
@@ -67,9 +55,8 @@ def integrate(pose: Array, twist: Array, dt: float) -> Array:
         twist: World-axes twist, shape (..., 6), m/s and rad/s.
         dt: Duration in seconds.
     """
-    position = pose[..., :3] + twist[..., :3] * dt
-    turn = Rotation.from_rotvec(twist[..., 3:] * dt)
-    return make_pose(position, turn * rotation(pose))
+    reached: Array = pose_kernels.integrate(pose, twist, dt)
+    return reached
 
 
 def twist_between(start: Array, end: Array, dt: float) -> Array:
@@ -77,9 +64,8 @@ def twist_between(start: Array, end: Array, dt: float) -> Array:
 
     The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
     """
-    linear = (end[..., :3] - start[..., :3]) / dt
-    angular = (rotation(end) * rotation(start).inv()).as_rotvec() / dt
-    return np.concatenate([linear, angular], axis=-1)
+    twist: Array = pose_kernels.twist_between(start, end, dt, pose_kernels.TWIST)
+    return twist
 
 
 def distance(a: Array, b: Array) -> tuple[Array, Array]:
@@ -92,9 +78,8 @@ def distance(a: Array, b: Array) -> tuple[Array, Array]:
     Returns:
         Distance in metres and angle in radians in [0, pi], each of shape (...).
     """
-    metres = np.linalg.norm(a[..., :3] - b[..., :3], axis=-1)
-    turn = rotation(a).inv() * rotation(b)
-    return metres, cast("Array", turn.magnitude())
+    metres, radians = pose_kernels.distance(a, b)
+    return metres, radians
 
 
 def planar_pose(x: Array, y: Array, yaw: Array) -> Array:

@@ -1,12 +1,14 @@
 """Noise on the base velocity, as training and deployment studies use it."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, RobotState, Stochastic
+from kinfeas.backend import Backend, Resumable, RobotState, Stochastic
 from kinfeas.errors import KinfeasError
 from kinfeas.spatial import Array
 
@@ -60,6 +62,23 @@ class BaseNoise:
         disturbed[:, :2] += noise[:, :2] * self.linear
         disturbed[:, 5] += noise[:, 2] * self.angular
         return self.backend.step(disturbed, joint_targets, dt)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return how far the draws have come, beside the state of the wrapped backend."""
+        inner = self.backend.snapshot() if isinstance(self.backend, Resumable) else {}
+        return {**inner, "base_noise_seeds": self.seeds, "base_noise_steps": self.steps}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+        """Take on a state that `snapshot` returned and return what it measures.
+
+        Raises:
+            KinfeasError: If the wrapped backend cannot go on from a snapshot.
+        """
+        if not isinstance(self.backend, Resumable):
+            raise KinfeasError("base_noise: the wrapped backend cannot be restored")
+        self.seeds = snapshot["base_noise_seeds"].copy()
+        self.steps = snapshot["base_noise_steps"].copy()
+        return self.backend.restore(snapshot)
 
     def close(self) -> None:
         """Close the wrapped backend."""

@@ -15,7 +15,6 @@ from kinfeas.spatial import (
     make_pose,
     planar_pose,
     relative,
-    rotate,
     rotation,
     twist_between,
     wrap,
@@ -109,13 +108,6 @@ def test_canonical_keeps_the_rotation(shape):
     assert np.array_equal(canonical(-quaternion), quaternion)
     assert np.array_equal(canonical(quaternion), quaternion)
 
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_rotate_is_what_scipy_applies(shape):
-    pose = random_poses(shape)
-    vector = random_poses(shape, 1)[..., :3]
-    expected = np.squeeze(rotation(pose).as_matrix() @ vector[..., np.newaxis], -1)
-    assert np.allclose(rotate(rotation(pose), vector), expected)
 
 
 def test_a_row_has_the_same_bits_in_any_batch():

@@ -1,5 +1,8 @@
 """The analytic world: commands are carried out exactly and at once."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +34,15 @@ class AnalyticBackend:
         self.state = RobotState(
             integrate(self.state.base_pose, base_twist, dt), np.array(joint_targets)
         )
+        return self.state
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return base poses and joint positions of all robots."""
+        return {"base_pose": self.state.base_pose, "joint_positions": self.state.joint_positions}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+        """Take on a state that `snapshot` returned and return what it measures."""
+        self.state = RobotState(snapshot["base_pose"].copy(), snapshot["joint_positions"].copy())
         return self.state
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
 """The Markov decision process: the loop plus reward, restarts and ends of episodes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,6 +161,16 @@ class World:
             reached=reached,
             step=step,
         )
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return everything that the n episodes go on from, by name."""
+        return {**self.loop.snapshot(), "failures": self.failures, "steps": self.steps}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Array:
+        """Go on from what `snapshot` returned; return the observation, shape (n, 21 + j)."""
+        self.loop.restore(snapshot)
+        self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
+        return self.loop.observation
 
 
 def _backend(config: WorldConfig) -> Backend:

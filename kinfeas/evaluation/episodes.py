@@ -22,8 +22,9 @@ def run_episodes(
     episodes: int,
     on_done: Callable[[int], None] | None = None,
     watch: Watch | None = None,
+    first: int = 0,
 ) -> EpisodeRecords:
-    """Return what happened in episodes 0 to `episodes` - 1 of the world's seed.
+    """Return what happened in episodes `first` to `first + episodes - 1` of the world's seed.
 
     Args:
         world: Where they happen.
@@ -31,11 +32,13 @@ def run_episodes(
         episodes: How many to run.
         on_done: Called with the number of episodes that have just ended.
         watch: Called after each step, for pictures and statistics.
+        first: Number of the first one.
     """
-    tally = _Tally(episodes)
-    running = np.arange(min(BATCH, episodes))
+    tally = _Tally(first, episodes)
+    beyond = first + episodes
+    running = np.arange(first, first + min(BATCH, episodes))
     world.start(running.tolist())
-    waiting = len(running)
+    waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
         transition = world.step(policy.act(world.loop.situation))
         tally.add(transition, live, running[live])
@@ -44,7 +47,7 @@ def run_episodes(
         ended = live[transition.done[live]]
         if on_done is not None and ended.size:
             on_done(ended.size)
-        fresh = np.arange(waiting, min(waiting + ended.size, episodes))
+        fresh = np.arange(waiting, min(waiting + ended.size, beyond))
         waiting += len(fresh)
         running[ended] = -1
         if fresh.size:
@@ -57,13 +60,14 @@ def run_episodes(
 class _Tally:
     """Sums over the steps of each episode."""
 
-    def __init__(self, episodes: int) -> None:
+    def __init__(self, first: int, episodes: int) -> None:
+        self.first = first
         self.reached = np.zeros(episodes, dtype=np.bool_)
         self.failures, self.jumps, self.steps = (np.zeros(episodes, dtype=np.intp) for _ in "abc")
         self.deviation_sum, self.deviation_max, self.final = (np.zeros(episodes) for _ in "abc")
 
     def add(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
-        step = transition.step
+        step, episodes = transition.step, episodes - self.first
         self.reached[episodes] = transition.reached[rows]
         self.failures[episodes] += ~step.feasible[rows]
         self.jumps[episodes] += step.jumped[rows]

@@ -117,7 +117,8 @@ def _attach(robot: Robot, joint: Joint, mount: Mount, segments: list[_Segment]) 
         moved = rotation @ align
         return Mount(mount.joint, moved @ motion @ align.T, offset + moved @ slide)
     segments.append(_Segment(mount.joint, rotation @ align, offset, prismatic, drive))
-    return Mount(len(segments) - 1, align.T, np.zeros(3))
+    # In C order, for kernels are compiled anew for every memory layout.
+    return Mount(len(segments) - 1, np.ascontiguousarray(align.T), np.zeros(3))
 
 
 def _motion(position: float, prismatic: bool) -> tuple[Array, Array]:

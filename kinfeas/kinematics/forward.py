@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.spatial.transform import Rotation
 
 from kinfeas.kinematics.chain import Chain, Tree
-from kinfeas.spatial import Array, canonical
+from kinfeas.pose_kernels import write_pose
+from kinfeas.spatial import Array
 
 # numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
 # be regrouped and multiply-adds fused, always in the same way: results stay deterministic.
@@ -30,11 +30,9 @@ def forward(chain: Chain, joint_positions: Array) -> Array:
     flat = np.ascontiguousarray(joint_positions, dtype=np.float64)
     leading = flat.shape[:-1]
     flat = flat.reshape(-1, flat.shape[-1])
-    position = np.empty((len(flat), 3))
-    rotation = np.empty((len(flat), 3, 3))
-    _forward_batch(chain, flat, position, rotation)
-    quaternion = canonical(Rotation.from_matrix(rotation).as_quat())
-    return np.concatenate([position, quaternion], axis=-1).reshape(*leading, 7)
+    poses = np.empty((len(flat), 7))
+    _forward_batch(chain, flat, poses)
+    return poses.reshape(*leading, 7)
 
 
 def jacobian(chain: Chain, joint_positions: Array) -> Array:
@@ -56,19 +54,19 @@ def jacobian(chain: Chain, joint_positions: Array) -> Array:
 
 
 @kernel
-def _forward_batch(chain, joint_positions, position, rotation):
-    memory = make_frames(len(chain.tree.variable))
+def _forward_batch(chain, joint_positions, poses):
+    frames = make_frames(len(chain.tree.variable))
     for i in range(len(joint_positions)):
-        place_chain(chain, joint_positions[i], memory)
-        position[i], rotation[i] = memory.position, memory.rotation
+        place_chain(chain, joint_positions[i], frames)
+        write_pose(frames.position, frames.rotation, poses[i])
 
 
 @kernel
 def _jacobian_batch(chain, joint_positions, out):
-    memory = make_frames(len(chain.tree.variable))
+    frames = make_frames(len(chain.tree.variable))
     for i in range(len(joint_positions)):
-        place_chain(chain, joint_positions[i], memory)
-        fill_columns(chain.tree, memory, out[i])
+        place_chain(chain, joint_positions[i], frames)
+        fill_columns(chain.tree, frames, out[i])
 
 
 class Frames(NamedTuple):

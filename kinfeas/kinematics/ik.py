@@ -90,9 +90,7 @@ class IkSolver:
         solution = np.array(seed, dtype=np.float64, order="C")
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
-        if len(targets):
-            turns = np.ascontiguousarray(rotation(targets).as_matrix())
-            solve_batch(self._problem, turns, targets[:, :3], solution, feasible, errors)
+        solve_batch(self._problem, targets, solution, feasible, errors)
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
 
@@ -131,19 +129,9 @@ def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
     """Return `count` configurations that cover the joint limits evenly, shape (count, v)."""
     lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
     upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
-    return qmc.scale(qmc.Halton(len(robot.arm), rng=seed).random(count), lower, upper)
-
-
-def _features(ee_pose: Array, weight: float) -> NDArray[np.float32]:
-    """Return what ranks library entries by a product with `_target_features`, shape (13, l).
-
-    |p - p'|^2 + weight^2 |R - R'|^2 / 2, less what all entries share, is a sum of 13 products.
-    """
-    turns = rotation(ee_pose).as_matrix().reshape(-1, 9)
-    positions = ee_pose[:, :3]
-    squares = np.sum(np.square(positions), axis=1, keepdims=True)
-    rows = np.concatenate([squares, -2.0 * positions, -(weight**2) * turns], axis=1)
-    return np.ascontiguousarray(rows.T, dtype=np.float32)
+    spread = qmc.scale(qmc.Halton(len(robot.arm), rng=seed).random(count), lower, upper)
+    # In C order, for kernels are compiled anew for every memory layout.
+    return np.ascontiguousarray(spread)
 
 
 def _reach(chain: Chain, lower: Array, upper: Array) -> Array:
@@ -155,7 +143,7 @@ def _reach(chain: Chain, lower: Array, upper: Array) -> Array:
     tree = chain.tree
     bounded = np.isfinite(upper - lower)
     middle, half = np.zeros_like(lower), np.zeros_like(lower)
-    middle[bounded] = (lower + upper)[bounded] / 2.0
+    middle[bounded] = (lower[bounded] + upper[bounded]) / 2.0
     half[bounded] = (upper - lower)[bounded] / 2.0
     turning = np.flatnonzero(~tree.prismatic)
     first = int(turning[0]) if len(turning) else len(tree.variable) - 1

@@ -9,10 +9,14 @@ from kinfeas.kinematics.chain import Chain
 from kinfeas.kinematics.descent import Descent, descend, make_scratch
 from kinfeas.kinematics.forward import inlined, kernel, place_chain
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
+from kinfeas.pose_kernels import write_matrix
 from kinfeas.spatial import Array
 
 WARM_COST = 0.3**2
 """Squared distance, metres, within which a descent from the seed comes before all others."""
+
+HOPEFUL, HOPELESS_COST = 6, 0.02**2
+"""After so many restarts none of which came nearer than this squared distance, m^2, it gives up."""
 
 
 class Problem(NamedTuple):
@@ -66,13 +70,12 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
 
 
 @kernel
-def solve_batch(problem: Problem, turns, positions, solution, feasible, errors):
+def solve_batch(problem: Problem, targets, solution, feasible, errors):
     """Solve row by row.
 
     Args:
         problem: The robot.
-        turns: Target orientations, shape (n, 3, 3).
-        positions: Target positions, shape (n, 3), metres.
+        targets: EE poses in the base frame, shape (n, 7).
         solution: Holds the seeds and receives the answers, shape (n, v).
         feasible: Receives whether there is one, shape (n,).
         errors: Receives what it, or the closest attempt, leaves, shape (n, 2): metres, radians.
@@ -81,8 +84,10 @@ def solve_batch(problem: Problem, turns, positions, solution, feasible, errors):
     touching = make_collision_scratch(problem.collision)
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
+    turn = np.empty((3, 3))
     for i in range(len(solution)):
-        target = turns[i], positions[i]
+        write_matrix(targets[i], turn)
+        target = turn, targets[i, :3]
         if _solve_from_seed(problem, target, solution[i], errors[i], scratch, touching):
             feasible[i] = True
         elif problem.restarts == 0 or _out_of_reach(problem, target):
@@ -126,8 +131,10 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
     q, seed = scratch.trial, solution.copy()
     closest = _cost(problem, error[0], error[1])
     nearest, found = np.inf, 0
-    for entry in order:
-        q[:] = problem.library[entry]
+    for attempt in range(len(order)):
+        if attempt >= HOPEFUL and closest > HOPELESS_COST:
+            break
+        q[:] = problem.library[order[attempt]]
         metres, radians = descend(
             problem.chain, problem.descent, target[0], target[1], q, scratch
         )

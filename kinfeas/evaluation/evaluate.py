@@ -1,0 +1,132 @@
+"""How well a policy does: episodes run, summed up, and set beside the ceiling."""
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from functools import partial
+
+import numpy as np
+
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.evaluation.episodes import BATCH, run_episodes
+from kinfeas.metrics import EpisodeRecords, Share, summarize
+from kinfeas.policy import Policy
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.task import Task
+
+Summary = dict[str, float | int | str | None]
+
+
+def evaluation_world() -> WorldConfig:
+    """Return the world that policies are judged in: exact, and patient with failures."""
+    return WorldConfig(max_failures=99)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a policy is put to.
+
+    Attributes:
+        robot: Who moves.
+        task: Draws the episodes.
+        episodes: How many, at least 1: numbers 0 to `episodes` - 1 of the seed.
+        seed: Of all episodes.
+        world: Everything else.
+    """
+
+    robot: Robot
+    task: Task
+    episodes: int = 500
+    seed: int = 1
+    world: WorldConfig = field(default_factory=evaluation_world)
+
+
+def evaluate(
+    trial: Trial,
+    policy: Policy,
+    name: str = "",
+    ceiling: Share | None = None,
+    processes: int = 1,
+    on_done: Callable[[int], None] | None = None,
+) -> Summary:
+    """Return the figures of a policy: shares in 0-1, distances in metres.
+
+    Args:
+        trial: What it is put to.
+        policy: Moves the base.
+        name: What to call it.
+        ceiling: Share of the trial's goals that can be reached, as `trial_ceiling` finds it; null
+            in the summary by default.
+        processes: How many processes share the episodes; no figure depends on it.
+        on_done: Called with the number of episodes that have just ended.
+
+    Returns:
+        The figures of `metrics.summarize` with robot, task, policy, seed and the ceiling.
+    """
+    records = run_trial(trial, policy, processes, on_done)
+    return {
+        "robot": trial.robot.name,
+        "task": trial.task.name,
+        "policy": name,
+        "seed": trial.seed,
+        **summarize(records),
+        "ceiling": ceiling.value if ceiling else None,
+        "ceiling_low": ceiling.low if ceiling else None,
+        "ceiling_high": ceiling.high if ceiling else None,
+    }
+
+
+def trial_ceiling(trial: Trial, on_done: Callable[[float], None] | None = None) -> Share:
+    """Return the share of a trial's goals that some base pose can reach."""
+    return measure_ceiling(trial.robot, trial.task, trial.episodes, trial.seed, on_done).share
+
+
+def run_trial(
+    trial: Trial,
+    policy: Policy,
+    processes: int = 1,
+    on_done: Callable[[int], None] | None = None,
+) -> EpisodeRecords:
+    """Return what happened in each episode; arguments as in `evaluate`."""
+    if processes == 1:
+        world = World(trial.robot, trial.task, trial.world, trial.seed)
+        return run_episodes(world, policy, trial.episodes, on_done)
+    starts = range(0, trial.episodes, BATCH)
+    parts = []
+    with _pool(min(processes, len(starts))) as pool:
+        for part in pool.map(partial(_run_part, trial, policy), starts):
+            parts.append(part)
+            if on_done is not None:
+                on_done(len(part.reached))
+    return _join(parts)
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool whose workers die of Ctrl-C without a word."""
+    pool = ProcessPoolExecutor(
+        processes,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _run_part(trial: Trial, policy: Policy, first: int) -> EpisodeRecords:
+    world = World(trial.robot, trial.task, trial.world, trial.seed)
+    return run_episodes(world, policy, min(BATCH, trial.episodes - first), first=first)
+
+
+def _join(parts: list[EpisodeRecords]) -> EpisodeRecords:
+    names = [entry.name for entry in fields(EpisodeRecords)]
+    return EpisodeRecords(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    )

@@ -1,0 +1,112 @@
+"""Judges that share no code with the kernels: Pinocchio for poses, draws within the limits."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.robots.robot import Robot, read_robot
+from kinfeas.spatial import Array
+
+
+class Judge:
+    """What Pinocchio says of one robot's EE and links."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.model = pinocchio.buildModelFromUrdf(str(robot.urdf_path))
+        self.data = self.model.createData()
+        self.frame = self.model.getFrameId(robot.ee_frame)
+
+    def place(self, joint_positions: Array) -> None:
+        """Move all links to where the arm's joint positions, shape (v,), put them."""
+        self.q = pinocchio.neutral(self.model)
+        for joint in self.robot.urdf.joints.values():
+            if joint.moves:
+                constant, slopes = self.drive(joint.name)
+                self._set(joint.name, constant + float(slopes @ joint_positions))
+        pinocchio.framesForwardKinematics(self.model, self.data, self.q)
+
+    def pose(self, joint_positions: Array) -> tuple[Array, Array]:
+        """Return position, shape (3,), and orientation, shape (3, 3), of the EE."""
+        self.place(joint_positions)
+        placement = self.data.oMf[self.frame]
+        return placement.translation.copy(), placement.rotation.copy()
+
+    def link(self, name: str) -> tuple[Array, Array]:
+        """Return orientation, shape (3, 3), and position, shape (3,), of a link after `place`."""
+        placement = self.data.oMf[self.model.getFrameId(name)]
+        return placement.rotation.copy(), placement.translation.copy()
+
+    def jacobian(self, joint_positions: Array) -> Array:
+        """Return the EE's Jacobian by the arm's variables, shape (6, v)."""
+        self.place(joint_positions)
+        axes = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        whole = pinocchio.computeFrameJacobian(self.model, self.data, self.q, self.frame, axes)
+        result = np.zeros((6, len(self.robot.arm)))
+        for joint in self.robot.urdf.joints.values():
+            if joint.moves:
+                column = whole[:, self.model.joints[self.model.getJointId(joint.name)].idx_v]
+                result += np.outer(column, self.drive(joint.name)[1])
+        return result
+
+    def drive(self, name: str) -> tuple[float, Array]:
+        """Return a joint's position at zero variables and its derivatives by them, shape (v,)."""
+        names = [joint.name for joint in self.robot.arm]
+        mimic = self.robot.urdf.joints[name].mimic
+        if name in names:
+            return 0.0, np.eye(len(names))[names.index(name)]
+        if mimic is None:
+            return self.robot.fixed_joints[name], np.zeros(len(names))
+        constant, slopes = self.drive(mimic.joint)
+        return mimic.multiplier * constant + mimic.offset, mimic.multiplier * slopes
+
+    def _set(self, name: str, position: float) -> None:
+        joint = self.model.joints[self.model.getJointId(name)]
+        endless = joint.nq == 2
+        values = [math.cos(position), math.sin(position)] if endless else [position]
+        self.q[joint.idx_q : joint.idx_q + joint.nq] = values
+
+    def miss(self, ee_pose: Array, joint_positions: Array) -> Array:
+        """Return how far EE poses, (n, 7), lie from where joints put it: (n, 2), metres, radians.
+
+        The angle comes from the sine as well as the cosine, so that tiny ones keep their digits.
+        """
+        turns = Rotation.from_quat(ee_pose[:, 3:]).as_matrix()
+        found = np.empty((len(ee_pose), 2))
+        for i, joints in enumerate(joint_positions):
+            position, turn = self.pose(joints)
+            found[i, 0] = np.linalg.norm(position - ee_pose[i, :3])
+            found[i, 1] = np.linalg.norm(Rotation.from_matrix(turn.T @ turns[i]).as_rotvec())
+        return found
+
+
+@pytest.fixture(scope="session")
+def odd_robot() -> Robot:
+    """A robot with skewed axes, mimic joints within the chain and an axis that slides askew."""
+    return read_robot(Path(__file__).parent / "odd_robot.yaml")
+
+
+@pytest.fixture(scope="session")
+def judge(robot):
+    return Judge(robot)
+
+
+@pytest.fixture(scope="session")
+def odd_judge(odd_robot):
+    return Judge(odd_robot)
+
+
+@pytest.fixture(scope="session")
+def draw():
+    """Return a function that draws n configurations within the limits of a robot, shape (n, v)."""
+
+    def within_limits(robot: Robot, n: int, seed: int = 0) -> Array:
+        lower = [-np.pi if joint.continuous else joint.lower for joint in robot.arm]
+        upper = [np.pi if joint.continuous else joint.upper for joint in robot.arm]
+        return np.random.default_rng(seed).uniform(lower, upper, (n, len(lower)))
+
+    return within_limits

@@ -1,0 +1,247 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.spatial import distance, wrap
+
+METRES, RADIANS = 1e-4, 1e-3
+
+
+def lower_upper(robot):
+    return np.array([(joint.lower, joint.upper) for joint in robot.arm]).T
+
+
+def draw_free(solver, draw, n, seed=0):
+    """Return n random configurations, free of self-collision."""
+    joints = draw(solver.robot, 3 * n, seed)
+    free = joints[~self_collides(solver.collision, joints)][:n]
+    assert len(free) == n
+    return free
+
+
+def shuffled(joints, seed=0):
+    return np.random.default_rng(seed).permutation(joints)
+
+
+def moves(robot, start, end):
+    """Return how far joints move, the short way about, shape (n, v)."""
+    continuous = [joint.continuous for joint in robot.arm]
+    return np.abs(np.where(continuous, wrap(end - start), end - start))
+
+
+def check_solutions(solver, joint_positions):
+    robot = solver.robot
+    lower, upper = lower_upper(robot)
+    assert np.all(joint_positions >= lower)
+    assert np.all(joint_positions <= upper)
+    assert not np.any(self_collides(solver.collision, joint_positions))
+    endless = joint_positions[:, [joint.continuous for joint in robot.arm]]
+    assert np.all((endless > -np.pi) & (endless <= np.pi))
+
+
+def assert_same(one, other):
+    for name in ("joint_positions", "feasible", "position_error", "rotation_error"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def test_round_trip(exact_solver, judge, draw, record_property):
+    """FK, IK from somewhere else, FK: 10,000 times."""
+    joints = draw_free(exact_solver, draw, 10_000)
+    targets = forward(exact_solver.chain, joints)
+    solution = exact_solver.solve(targets, shuffled(joints))
+    solved = solution.feasible
+    record_property("solved", float(solved.mean()))
+    assert solved.mean() >= 0.995
+    check_solutions(exact_solver, solution.joint_positions[solved])
+    missed = judge.miss(targets[solved], solution.joint_positions[solved])
+    assert missed[:, 0].max() <= METRES
+    assert missed[:, 1].max() <= RADIANS
+    reported = np.stack([solution.position_error, solution.rotation_error], axis=1)[solved]
+    np.testing.assert_allclose(reported, missed, rtol=0.0, atol=1e-9)
+
+
+def test_round_trip_of_followers(odd_robot, odd_judge, draw):
+    solver = IkSolver(odd_robot)
+    joints = draw_free(solver, draw, 1000)
+    targets = forward(solver.chain, joints)
+    solution = solver.solve(targets, shuffled(joints))
+    solved = solution.feasible
+    assert solved.mean() >= 0.98
+    check_solutions(solver, solution.joint_positions[solved])
+    missed = odd_judge.miss(targets[solved], solution.joint_positions[solved])
+    assert missed[:, 0].max() <= METRES
+    assert missed[:, 1].max() <= RADIANS
+
+
+def test_same_bits_however_the_batch_is_split(solver, draw):
+    joints = draw_free(solver, draw, 600)
+    targets, seeds = forward(solver.chain, joints), shuffled(joints)
+    targets[::3, :3] += np.random.default_rng(1).normal(scale=0.2, size=(200, 3))
+    together = solver.solve(targets, seeds)
+    assert 0 < together.feasible.sum() < 600
+    assert_same(together, solver.solve(targets, seeds))
+    assert_same(together, IkSolver(solver.robot).solve(targets, seeds))
+    parts = [solver.solve(targets[i : i + 7], seeds[i : i + 7]) for i in range(0, 600, 7)]
+    for name in ("joint_positions", "feasible", "position_error", "rotation_error"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(together, name), err_msg=name)
+    order = np.random.default_rng(2).permutation(600)
+    mixed = solver.solve(targets[order], seeds[order])
+    np.testing.assert_array_equal(mixed.joint_positions, together.joint_positions[order])
+
+
+def test_arguments_are_not_written_to(solver, draw):
+    joints = draw_free(solver, draw, 20)
+    targets, seeds = forward(solver.chain, joints), shuffled(joints)
+    before = targets.copy(), seeds.copy()
+    solver.solve(targets, seeds)
+    np.testing.assert_array_equal(targets, before[0])
+    np.testing.assert_array_equal(seeds, before[1])
+
+
+def test_a_solution_from_the_seed_comes_first(robot, exact_solver, draw):
+    """Small EE motions: where a descent from the seed alone solves them, it is the answer."""
+    rng = np.random.default_rng(1)
+    joints = draw_free(exact_solver, draw, 2000)
+    lower, upper = lower_upper(robot)
+    moved = np.clip(joints + rng.normal(scale=0.01, size=joints.shape), lower, upper)
+    free = ~self_collides(exact_solver.collision, moved)
+    joints, targets = joints[free], forward(exact_solver.chain, moved[free])
+    warm = IkSolver(robot, IkOptions(leeway=False, restarts=0)).solve(targets, joints)
+    found = exact_solver.solve(targets, joints)
+    assert found.feasible.mean() >= 0.999
+    assert warm.feasible.mean() >= 0.98
+    solved = warm.feasible
+    np.testing.assert_array_equal(
+        found.joint_positions[solved], warm.joint_positions[solved]
+    )
+    travelled = moves(robot, joints, found.joint_positions).max(axis=1)
+    assert np.median(travelled) < 0.03
+    assert np.quantile(travelled, 0.95) < 0.2
+
+
+def test_the_seed_itself_is_an_answer(robot, exact_solver, draw):
+    joints = draw_free(exact_solver, draw, 500)
+    solution = exact_solver.solve(forward(exact_solver.chain, joints), joints)
+    assert solution.feasible.all()
+    np.testing.assert_allclose(moves(robot, joints, solution.joint_positions), 0.0, atol=1e-12)
+
+
+def test_of_several_solutions_a_near_one_is_taken(robot, exact_solver, draw):
+    """More candidates bring the answer nearer, by the time that the slowest joint needs."""
+    joints = draw_free(exact_solver, draw, 500)
+    targets, seeds = forward(exact_solver.chain, joints), shuffled(joints)
+    velocity = np.array([joint.velocity for joint in robot.arm])
+    seconds = []
+    for candidates in (1, 3):
+        solver = IkSolver(robot, IkOptions(leeway=False, candidates=candidates))
+        solution = solver.solve(targets, seeds)
+        needed = (moves(robot, seeds, solution.joint_positions) / velocity).max(axis=1)
+        seconds.append(needed[solution.feasible])
+    assert len(seconds[0]) == len(seconds[1])
+    assert np.all(seconds[1] <= seconds[0])
+    assert seconds[1].mean() < seconds[0].mean()
+
+
+def test_out_of_reach_keeps_the_seed(robot, solver, draw):
+    joints = draw_free(solver, draw, 50)
+    targets = forward(solver.chain, joints)
+    targets[:, :3] *= 3.0 / np.linalg.norm(targets[:, :3], axis=1, keepdims=True)
+    solution = solver.solve(targets, joints)
+    assert not solution.feasible.any()
+    np.testing.assert_array_equal(solution.joint_positions, joints)
+    # An attempt was made, and no arm is so long as to come near.
+    assert np.all((solution.position_error > 0.3) & (solution.position_error < 6.0))
+    assert np.all((solution.rotation_error >= 0.0) & (solution.rotation_error <= np.pi + 1e-9))
+
+
+def test_just_out_of_reach_reports_what_is_missing(solver, draw):
+    """Poses 2 to 20 cm off reachable ones: no solution, and a residual of about that."""
+    joints = draw_free(solver, draw, 300)
+    targets = forward(solver.chain, joints)
+    shift = np.random.default_rng(1).normal(size=(300, 3))
+    targets[:, :3] += 0.2 * shift / np.linalg.norm(shift, axis=1, keepdims=True)
+    solution = solver.solve(targets, joints)
+    failed = ~solution.feasible
+    assert np.isfinite(solution.position_error).all()
+    assert np.isfinite(solution.rotation_error).all()
+    assert np.all(solution.position_error[failed] <= 0.5)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_no_answer_to_numbers_that_are_not_finite(robot, draw, bad):
+    solver = IkSolver(robot, IkOptions(self_collision=False))
+    joints = draw(robot, 4)
+    targets = forward(solver.chain, joints)
+    targets[0, 0], targets[1, 2] = bad, -bad
+    solution = solver.solve(targets, joints)
+    np.testing.assert_array_equal(solution.feasible, [False, False, True, True])
+    np.testing.assert_array_equal(solution.joint_positions[:2], joints[:2])
+
+
+def test_none_to_solve(robot, solver):
+    solution = solver.solve(np.empty((0, 7)), np.empty((0, len(robot.arm))))
+    assert solution.joint_positions.shape == (0, len(robot.arm))
+    assert solution.feasible.shape == solution.position_error.shape == (0,)
+
+
+def test_seed_beyond_the_limits(robot, exact_solver, draw):
+    joints = draw_free(exact_solver, draw, 200)
+    seeds = shuffled(joints) * 3.0 + 5.0
+    solution = exact_solver.solve(forward(exact_solver.chain, joints), seeds)
+    assert solution.feasible.mean() >= 0.99
+    check_solutions(exact_solver, solution.joint_positions[solution.feasible])
+
+
+def test_self_collision_matters_and_can_be_left_out(robot, draw):
+    options = IkOptions(leeway=False, self_collision=False)
+    blind, seeing = IkSolver(robot, options), IkSolver(robot, replace(options, self_collision=True))
+    joints = draw(robot, 500)
+    touching = joints[self_collides(blind.collision, joints)]
+    targets = forward(blind.chain, touching)
+    found, kept = blind.solve(targets, touching), seeing.solve(targets, touching)
+    assert found.feasible.all()
+    assert self_collides(blind.collision, found.joint_positions).all()  # the seeds themselves
+    assert not self_collides(blind.collision, kept.joint_positions[kept.feasible]).any()
+
+
+def test_leeway(robot, judge, draw):
+    """Feasible if and only if what is left is within the robot's leeway, and FK says the same."""
+    if robot.leeway is None:
+        pytest.skip("has no leeway")
+    solver = IkSolver(robot, IkOptions(self_collision=False))
+    rng = np.random.default_rng(1)
+    joints = draw(robot, 1000)
+    targets = forward(solver.chain, joints)
+    targets[:, :3] += rng.normal(scale=0.08, size=(1000, 3))
+    targets[:, 3:] += rng.normal(scale=0.08, size=(1000, 4))
+    targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)
+    solution = solver.solve(targets, joints)
+    within = solution.position_error <= robot.leeway.position
+    within &= solution.rotation_error <= robot.leeway.rotation
+    np.testing.assert_array_equal(solution.feasible, within)
+    assert 100 < solution.feasible.sum() < 1000
+    solved = solution.feasible
+    missed = judge.miss(targets[solved], solution.joint_positions[solved])
+    reported = np.stack([solution.position_error, solution.rotation_error], axis=1)[solved]
+    np.testing.assert_allclose(reported, missed, rtol=0.0, atol=1e-9)
+    assert reported[:, 0].max() > 0.05  # the leeway is made use of
+    metres, radians = distance(forward(solver.chain, solution.joint_positions[solved]), targets[solved])
+    np.testing.assert_allclose(metres, reported[:, 0], atol=1e-9)
+    np.testing.assert_allclose(radians, reported[:, 1], atol=1e-7)
+
+
+def test_spread_configurations_cover_the_limits(robot):
+    joints = spread_configurations(robot, 512)
+    lower, upper = lower_upper(robot)
+    endless = [joint.continuous for joint in robot.arm]
+    lower[endless], upper[endless] = -np.pi, np.pi
+    assert np.all((joints >= lower) & (joints <= upper))
+    np.testing.assert_array_equal(joints, spread_configurations(robot, 512))
+    assert not np.array_equal(joints, spread_configurations(robot, 512, seed=1))
+    counts = [np.histogram(column, 8, (0, 1))[0] for column in ((joints - lower) / (upper - lower)).T]
+    assert np.min(counts) > 64 - 12
