@@ -87,9 +87,11 @@ class Loop:
         if every:
             self.desired, self.motion = ee, motion
         else:
-            self.desired[rows] = ee
-            for key, values in motion.items():
-                self.motion[key][rows] = values
+            # Into copies: others may hold what was there before.
+            self.desired = _with_rows(self.desired, rows, ee)
+            self.motion = {
+                key: _with_rows(self.motion[key], rows, values) for key, values in motion.items()
+            }
         self._measured(state)
 
     def step(self, action: Array) -> Step:
@@ -173,3 +175,9 @@ class Loop:
         # Rounding must not turn a motion at the very limit into a jump.
         jumped: NDArray[np.bool_] = np.any(np.abs(move) > self._velocity * self.dt * 1.001, axis=1)
         return jumped
+
+
+def _with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
+    changed = array.copy()
+    changed[rows] = values
+    return changed

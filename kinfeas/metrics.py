@@ -71,7 +71,9 @@ def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
     share, weight = hits / trials, z * z / trials
     centre = (share + weight / 2.0) / (1.0 + weight)
     half = z * np.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials)) / (1.0 + weight)
-    return Share(share, float(max(0.0, centre - half)), float(min(1.0, centre + half)))
+    # Rounding must not put the share of none or of all outside its own interval.
+    low, high = min(share, max(0.0, centre - half)), max(share, min(1.0, centre + half))
+    return Share(share, float(low), float(high))
 
 
 def summarize(records: EpisodeRecords) -> dict[str, float | int]:

@@ -66,7 +66,8 @@ class BaseNoise:
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return how far the draws have come, beside the state of the wrapped backend."""
         inner = self.backend.snapshot() if isinstance(self.backend, Resumable) else {}
-        return {**inner, "base_noise_seeds": self.seeds, "base_noise_steps": self.steps}
+        steps = self.steps.copy()  # which `step` counts up in place
+        return {**inner, "base_noise_seeds": self.seeds.copy(), "base_noise_steps": steps}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures.

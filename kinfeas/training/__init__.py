@@ -1,1 +1,1 @@
-"""Training of base policies: the only place that imports torch and Stable-Baselines3."""
+"""Training with Stable-Baselines3: the only place that imports torch."""

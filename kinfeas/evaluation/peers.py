@@ -1,0 +1,175 @@
+"""What others offer for inverse kinematics: Pinocchio and PyBullet, imported only when asked for.
+
+Both load the arm of our own robot, without anything that does not lead to its EE, and both may use
+what a careful user would give them: limits, a seed, and Pinocchio the same number of restarts.
+"""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas import spatial
+from kinfeas.kinematics.ik import IkOptions
+from kinfeas.robots.robot import Robot
+from kinfeas.robots.urdf import Joint
+from kinfeas.spatial import Array
+
+_METRES, _RADIANS = 1e-4, 1e-3
+_ITERATIONS = 40
+_DAMPING_FLOOR, _DAMPING_GAIN = 1e-6, 0.02
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Somebody else's solver.
+
+    Attributes:
+        name: What to call it.
+        prepare: Turns a target pose, shape (7,), into what `solve` takes; not timed.
+        solve: Returns joint positions, shape (v,), for a target and a seed; not verified.
+    """
+
+    name: str
+    prepare: Callable[[Array], Any]
+    solve: Callable[[Any, Array], Array]
+
+
+def pinocchio_peer(robot: Robot) -> Peer | None:
+    """Return Pinocchio's damped least squares with clamping; None where it is not installed.
+
+    The closed-loop inverse kinematics of Pinocchio's documentation as a loop in Python, with full
+    steps, damping by the squared error as in our own solver, and random restarts.
+    """
+    if find_spec("pinocchio") is None or _mimics(robot):
+        return None
+    import pinocchio as pin  # noqa: PLC0415 - installed with the tests only
+
+    model = pin.buildModelFromXML(arm_urdf(robot))
+    data, frame = model.createData(), model.getFrameId(robot.ee_frame)
+    lower, upper = _bounds(robot)
+    identity = np.eye(6)
+
+    def descend(target: Any, q: Array) -> tuple[Array, bool]:
+        for _ in range(_ITERATIONS):
+            pin.computeJointJacobians(model, data, q)
+            placement = pin.updateFramePlacement(model, data, frame)
+            error = pin.log6(placement.actInv(target)).vector
+            metres, radians = error[:3] @ error[:3], error[3:] @ error[3:]
+            if metres <= _METRES**2 and radians <= _RADIANS**2:
+                return q, True
+            jacobian = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL)
+            damping = _DAMPING_FLOOR + _DAMPING_GAIN * (metres + radians)
+            normal = jacobian @ jacobian.T + damping * identity
+            q = np.clip(q + jacobian.T @ np.linalg.solve(normal, error), lower, upper)
+        return q, False
+
+    def solve(target: Any, seed: Array) -> Array:
+        rng = np.random.default_rng(0)
+        q, found = descend(target, seed)
+        for _ in range(IkOptions().restarts):
+            if found:
+                break
+            q, found = descend(target, rng.uniform(lower, upper))
+        return q
+
+    return Peer("Pinocchio", pin.XYZQUATToSE3, solve)
+
+
+def pybullet_peer(robot: Robot) -> Peer | None:
+    """Return PyBullet's solver with limits and rest poses; None where it is not installed."""
+    if find_spec("pybullet") is None or _mimics(robot):
+        return None
+    import pybullet  # noqa: PLC0415 - has no wheels for newer Pythons
+
+    client = pybullet.connect(pybullet.DIRECT)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(arm_urdf(robot), encoding="utf-8")
+        body = pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client)
+    count = pybullet.getNumJoints(body, physicsClientId=client)
+    lower, upper = _bounds(robot)
+    limits = {
+        "lowerLimits": lower.tolist(),
+        "upperLimits": upper.tolist(),
+        "jointRanges": (upper - lower).tolist(),
+    }
+
+    def solve(target: tuple[list[float], list[float]], seed: Array) -> Array:
+        rest = seed.tolist()
+        return np.array(
+            pybullet.calculateInverseKinematics(
+                body,
+                count - 1,
+                *target,
+                **limits,
+                restPoses=rest,
+                currentPositions=rest,
+                maxNumIterations=100,
+                residualThreshold=1e-5,
+                physicsClientId=client,
+            )
+        )
+
+    return Peer("PyBullet", lambda pose: (pose[:3].tolist(), pose[3:].tolist()), solve)
+
+
+def arm_urdf(robot: Robot) -> str:
+    """Return a URDF of the joints from base to EE, with soft limits and those at rest fixed."""
+    path = robot.urdf.path_to(robot.ee_frame)
+    links = [robot.urdf.root, *(joint.child for joint in path)]
+    body = "".join(
+        f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" '
+        'iyy="0.01" iyz="0" izz="0.01"/></inertial></link>\n'
+        for link in links
+    )
+    return f'<robot name="arm">\n{body}{"".join(_joint_xml(robot, joint) for joint in path)}</robot>'
+
+
+def _joint_xml(robot: Robot, joint: Joint) -> str:
+    arm = {arm_joint.name: arm_joint for arm_joint in robot.arm}.get(joint.name)
+    origin, kind, inner = joint.origin, "fixed", ""
+    if arm is not None:
+        lower, upper = (-np.pi, np.pi) if arm.continuous else (arm.lower, arm.upper)
+        # A continuous joint turns within one turn, which spares the others a second convention.
+        kind = "prismatic" if joint.kind == "prismatic" else "revolute"
+        inner = f'<axis xyz="{_text(joint.axis)}"/>'
+        inner += f'<limit lower="{lower}" upper="{upper}" velocity="{arm.velocity}" effort="1000"/>'
+    elif joint.moves:
+        origin = spatial.compose(origin, _moved(joint, robot.fixed_joints[joint.name]))
+    rpy = spatial.rotation(origin).as_euler("xyz")
+    return (
+        f'<joint name="{joint.name}" type="{kind}"><parent link="{joint.parent}"/>'
+        f'<child link="{joint.child}"/><origin xyz="{_text(origin[:3])}" rpy="{_text(rpy)}"/>'
+        f"{inner}</joint>\n"
+    )
+
+
+def _moved(joint: Joint, position: float) -> Array:
+    """Return the pose to which a joint at `position` moves its child from where it is at 0."""
+    motion = position * np.array(joint.axis)
+    if joint.kind == "prismatic":
+        return spatial.make_pose(motion, Rotation.identity())
+    return spatial.make_pose(np.zeros(3), Rotation.from_rotvec(motion))
+
+
+def _bounds(robot: Robot) -> tuple[Array, Array]:
+    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
+    upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
+    return lower, upper
+
+
+def _mimics(robot: Robot) -> bool:
+    """Return whether one joint of the arm's chain follows another, which the others cannot do."""
+    arm = [joint.name for joint in robot.arm]
+    path = robot.urdf.path_to(robot.ee_frame)
+    return any(joint.mimic and joint.name not in (*arm, *robot.fixed_joints) for joint in path)
+
+
+def _text(numbers: Any) -> str:
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,90 @@
+"""What a training run is made of: the schema of `configs/train/*.yaml`."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from kinfeas.config import Interval
+from kinfeas.envs.world import WorldConfig
+
+Count = Annotated[int, Interval(low=1)]
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+Share = Annotated[float, Interval(low=0.0, high=1.0)]
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """Hyperparameters of SAC and TD3.
+
+    Attributes:
+        algorithm: `sac` or `td3`.
+        learning_rate: Of actor and critics.
+        schedule: Whether the learning rate stays, or falls linearly to 0 over the run.
+        batch_size: Transitions in a gradient step.
+        gradient_steps: Gradient steps for each step of all environments.
+        discount: Worth of a reward one step later.
+        smoothing: Share tau that the target networks take over in a gradient step.
+        buffer_size: Transitions kept for replay.
+        random_steps: Steps of random actions, over all environments, before learning begins.
+        hidden: Units of each hidden layer.
+        entropy: SAC: fixed entropy coefficient, or `learned`.
+        exploration_noise: TD3: standard deviation of the noise on actions.
+        policy_noise: TD3: standard deviation of the target policy's noise.
+    """
+
+    algorithm: Literal["sac", "td3"] = "sac"
+    learning_rate: Positive = 6e-4
+    schedule: Literal["constant", "linear"] = "linear"
+    batch_size: Count = 512
+    gradient_steps: Count = 4
+    discount: Share = 0.99
+    smoothing: Share = 0.005
+    buffer_size: Count = 300_000
+    random_steps: Count = 3_000
+    hidden: tuple[int, ...] = (256, 256)
+    entropy: Annotated[float, Interval(low=0.0)] | Literal["learned"] = 0.01
+    exploration_noise: Annotated[float, Interval(low=0.0)] = 0.25
+    policy_noise: Annotated[float, Interval(low=0.0)] = 0.2
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """How long a run lasts and what it does meanwhile.
+
+    Attributes:
+        steps: Environment steps in all; the run ends at them or at `minutes`.
+        minutes: Wall-clock time in all, evaluations included; one of the two is set.
+        evaluations: Evaluations, spread evenly over the run; the last one ends it.
+        evaluation_episodes: Episodes of each evaluation.
+        checkpoint_seconds: Time between checkpoints to resume from.
+    """
+
+    steps: Count | None = None
+    minutes: Positive | None = 3.0
+    evaluations: Count = 5
+    evaluation_episodes: Count = 256
+    checkpoint_seconds: Positive = 30.0
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run.
+
+    Attributes:
+        robot: Name or YAML file of the robot.
+        task: Entry-point name of the task to learn.
+        task_parameters: Keyword parameters of the task.
+        seed: Of everything random.
+        environments: Episodes side by side.
+        world: Where they happen.
+        learner: What learns from them.
+        schedule: For how long.
+    """
+
+    robot: str = "pr2"
+    task: str = "ggr"
+    task_parameters: dict[str, object] = field(default_factory=dict)
+    seed: Annotated[int, Interval(low=0)] = 0
+    environments: Count = 128
+    world: WorldConfig = field(default_factory=WorldConfig)
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

@@ -1,0 +1,97 @@
+"""SAC and TD3 of Stable-Baselines3, as the configuration asks for them."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import SAC, TD3
+from stable_baselines3.common.logger import Logger
+from torch import nn
+
+from kinfeas.policy import Network
+from kinfeas.training.config import LearnerConfig
+from kinfeas.training.vec_env import WorldVecEnv
+
+Learner = SAC | TD3
+
+
+def make_learner(config: LearnerConfig, env: WorldVecEnv, seed: int) -> Learner:
+    """Return a fresh learner whose random numbers are seeded."""
+    torch.set_flush_denormal(True)
+    common: dict[str, Any] = {
+        "policy": "MlpPolicy",
+        "env": env,
+        "learning_rate": _schedule(config),
+        "batch_size": config.batch_size,
+        "gradient_steps": config.gradient_steps,
+        "gamma": config.discount,
+        "tau": config.smoothing,
+        "buffer_size": max(config.buffer_size, env.num_envs),
+        "learning_starts": config.random_steps,
+        "policy_kwargs": {
+            "net_arch": list(config.hidden),
+            "optimizer_kwargs": {"fused": True},
+        },
+        "seed": seed,
+        "device": "cpu",
+    }
+    if config.algorithm == "td3":
+        learner: Learner = TD3(**common, target_policy_noise=config.policy_noise)
+    else:
+        learner = SAC(**common, ent_coef="auto" if config.entropy == "learned" else config.entropy)
+    learner.set_logger(Logger(None, []))
+    return learner
+
+
+def explore(
+    learner: Learner, config: LearnerConfig, observation: NDArray[np.float32], random: bool
+) -> NDArray[np.float32]:
+    """Return actions to learn from, shape (n, a).
+
+    Args:
+        learner: Whose actor acts; its action space draws the random actions.
+        config: TD3's exploration noise.
+        observation: Scaled observations, shape (n, d).
+        random: Whether to ignore the actor.
+    """
+    if random:
+        shape = (len(observation), *learner.action_space.shape)  # type: ignore[misc]
+        return np.random.default_rng(torch.randint(2**31, (1,)).item()).uniform(
+            -1.0, 1.0, shape
+        ).astype(np.float32)
+    with torch.no_grad():
+        seen = torch.from_numpy(observation)
+        if isinstance(learner, SAC):
+            return learner.actor(seen, deterministic=False).numpy()
+        action = learner.actor(seen)
+        action = action + config.exploration_noise * torch.randn_like(action)
+        return action.clamp(-1.0, 1.0).numpy()
+
+
+def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
+    """Return the learner's deterministic actor as a network that runs without torch."""
+    actor = learner.actor
+    layers = [*actor.latent_pi, actor.mu] if isinstance(learner, SAC) else [*actor.mu]
+    linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    return Network(
+        scale,
+        tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
+        tuple(layer.bias.detach().numpy().copy() for layer in linear),
+    )
+
+
+def _schedule(config: LearnerConfig) -> Any:
+    if config.schedule == "constant":
+        return config.learning_rate
+    return _Falling(config.learning_rate)
+
+
+class _Falling:
+    """A learning rate proportional to what remains of the run."""
+
+    def __init__(self, start: float) -> None:
+        self.start = start
+
+    def __call__(self, remaining: float) -> float:
+        return self.start * remaining

@@ -1,0 +1,106 @@
+"""The world as Stable-Baselines3 sees it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from kinfeas import observation
+from kinfeas.envs.world import Transition, World
+
+
+class WorldVecEnv(VecEnv):
+    """n episodes that restart by themselves; observations are scaled to about unit range.
+
+    The attribute `transition` holds what the last step came to, before any restart.
+    """
+
+    transition: Transition
+
+    def __init__(self, world: World, num_envs: int) -> None:
+        """Put `num_envs` episodes at a time into `world`."""
+        size = (world.observation_size,)
+        super().__init__(
+            num_envs,
+            spaces.Box(-np.inf, np.inf, size, np.float32),
+            spaces.Box(-1.0, 1.0, (world.action_size,), np.float32),
+        )
+        self.world = world
+        self.scale = observation.scale(len(world.robot.arm)).astype(np.float32)
+        self.next_episode = 0
+        self._actions = np.zeros((num_envs, world.action_size))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
+        return self._scaled(self.world.start(self._fresh(self.num_envs)))
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Note the actions, shape (n, a)."""
+        self._actions = np.asarray(actions, dtype=np.float64)
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Return observations, rewards, dones and infos; where done, a new episode has begun."""
+        self.transition = transition = self.world.step(self._actions)
+        seen, done = transition.observation, transition.done
+        ended = np.flatnonzero(done)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        final = self._scaled(seen[ended])
+        for place, row in enumerate(ended):
+            infos[row] = {
+                "terminal_observation": final[place],
+                "TimeLimit.truncated": bool(transition.truncated[row]),
+                "is_success": bool(transition.reached[row] and self.world.failures[row] == 0),
+                "failures": int(self.world.failures[row]),
+            }
+        if ended.size:
+            seen = self.world.start(self._fresh(ended.size), ended)
+        return self._scaled(seen), transition.reward.astype(np.float32), done, infos
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return everything that the episodes go on from, by name."""
+        return {**self.world.snapshot(), "next_episode": np.array(self.next_episode)}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """Go on from what `snapshot` returned; return the observations, shape (n, d)."""
+        self.next_episode = int(snapshot["next_episode"])
+        return self._scaled(self.world.restore(snapshot))
+
+    def close(self) -> None:
+        """Close the world's backend."""
+        self.world.loop.backend.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute once for each of the asked-for environments."""
+        return [getattr(self, attr_name, None) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: the environments are one."""
+        raise NotImplementedError("the environments of a world share their attributes")
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        """Refuse: the environments are one."""
+        raise NotImplementedError("the environments of a world have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Return False for each of the asked-for environments."""
+        return [False for _ in self._get_indices(indices)]
+
+    def seed(self, seed: int | None = None) -> Sequence[None | int]:
+        """Use another seed from the next reset on."""
+        if seed is not None:
+            self.world.seed, self.next_episode = seed, 0
+        return [seed] * self.num_envs
+
+    def _fresh(self, count: int) -> list[int]:
+        first, self.next_episode = self.next_episode, self.next_episode + count
+        return list(range(first, self.next_episode))
+
+    def _scaled(self, seen: NDArray[np.float64]) -> NDArray[np.float32]:
+        return seen.astype(np.float32) * self.scale

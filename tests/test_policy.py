@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from kinfeas.policy import Network, Situation
+
+
+def network(sizes=(28, 256, 256, 3), seed=0):
+    rng = np.random.default_rng(seed)
+    pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+    return Network(
+        rng.uniform(0.5, 2.0, sizes[0]).astype(np.float32),
+        tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs),
+        tuple(rng.normal(size=pair[1]).astype(np.float32) * np.float32(0.1) for pair in pairs),
+    )
+
+
+def observations(n, inputs=28, seed=1):
+    return np.random.default_rng(seed).normal(size=(n, inputs))
+
+
+def plain(net, observation):
+    """Return the network's output in double precision by matrix products."""
+    values = observation * net.scale.astype(float)
+    for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
+        values = np.maximum(values @ weight.astype(float) + bias, 0.0)
+    return np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])
+
+
+def test_is_a_perceptron():
+    net, observation = network(), observations(100)
+    np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+def test_shape_and_bounds(n):
+    action = network()(observations(n) * 100.0)
+    assert action.shape == (n, 3)
+    assert action.dtype == np.float64
+    assert np.all(np.abs(action) <= 1.0)
+
+
+@pytest.mark.parametrize("size", [1, 3, 16, 64, 128])
+def test_no_bit_depends_on_the_batch(size):
+    net, observation = network(), observations(128)
+    together = net(observation)
+    for first in range(0, 128, size):
+        rows = slice(first, first + size)
+        np.testing.assert_array_equal(net(observation[rows]), together[rows])
+    order = np.random.default_rng(2).permutation(128)
+    np.testing.assert_array_equal(net(observation[order]), together[order])
+
+
+@pytest.mark.parametrize("sizes", [(28, 3), (28, 7, 2), (26, 400, 300, 3)])
+def test_any_number_of_layers(sizes):
+    net, observation = network(sizes), observations(10, sizes[0])
+    np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
+    np.testing.assert_array_equal(net(observation[:1]), net(observation)[:1])
+
+
+def test_memory_layout_does_not_matter():
+    net, observation = network(), observations(20)
+    np.testing.assert_array_equal(net(np.asfortranarray(observation)), net(observation))
+
+
+def test_acts_on_the_observation_alone():
+    net, observation = network(), observations(4)
+    nothing = np.full((4, 7), np.nan)
+    np.testing.assert_array_equal(
+        net.act(Situation(observation, nothing, nothing, nothing, nothing)), net(observation)
+    )
