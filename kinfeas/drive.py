@@ -31,10 +31,13 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
     heading = yaw(base_pose)
     twist[:, 5] = action[:, -1] * base.max_rotation
     if base.drive == "omnidirectional":
-        forward, left = _clip_speed(action[:, 0] * base.max_velocity, action[:, 1] * base.max_velocity, base)
+        forward, left = _clip_speed(
+            action[:, 0] * base.max_velocity, action[:, 1] * base.max_velocity, base
+        )
     else:
         heading = heading + twist[:, 5] * dt
-        forward, left = action[:, 0] * base.max_velocity, 0.0
+        forward = action[:, 0] * base.max_velocity
+        left = np.zeros_like(forward)
     cosine, sine = np.cos(heading), np.sin(heading)
     twist[:, 0] = cosine * forward - sine * left
     twist[:, 1] = sine * forward + cosine * left

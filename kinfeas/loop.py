@@ -68,7 +68,9 @@ class Loop:
         self.desired: Array = np.empty((0, 7))
         self.motion: State = {}
 
-    def start(self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None) -> None:
+    def start(
+        self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
+    ) -> None:
         """Begin new episodes.
 
         Args:
@@ -125,7 +127,9 @@ class Loop:
             KinfeasError: If the backend cannot be put into arrays.
         """
         if not isinstance(self.backend, Resumable):
-            raise KinfeasError(f"{type(self.backend).__name__} cannot be saved in the midst of a run")
+            raise KinfeasError(
+                f"{type(self.backend).__name__} cannot be saved in the midst of a run"
+            )
         motion = {f"{_MOTION}{key}": values for key, values in self.motion.items()}
         return {**self.backend.snapshot(), **motion, "desired": self.desired}
 

@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 from kinfeas import observation
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
+from kinfeas.folders import find_folder
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
@@ -91,7 +92,8 @@ def write_network(network: Network, folder: Path, robot: Robot, extra: dict[str,
     tensors = {"scale": network.scale}
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
-    save_file({key: np.ascontiguousarray(values) for key, values in tensors.items()}, folder / _WEIGHTS)
+    contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
+    save_file(contiguous, folder / _WEIGHTS)
     about = {"format": _FORMAT, "robot": robot.name, "layers": len(network.weights), **extra}
     (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
@@ -106,8 +108,8 @@ def read_network(folder: Path, robot: Robot) -> Network:
     Raises:
         KinfeasError: If there is no policy, or a broken one, or one for another robot.
     """
-    best = folder / "checkpoints" / "best"
-    place = best if best.is_dir() else folder
+    best = find_folder(folder / "checkpoints" / "best")
+    place = best if best.is_dir() else find_folder(folder)
     try:
         about = json.loads((place / _ABOUT).read_text(encoding="utf-8"))
         tensors = load_file(place / _WEIGHTS)

@@ -1,0 +1,1 @@
+"""From the analytic world to a robot: what goes between policy and backend."""

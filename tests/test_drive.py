@@ -46,7 +46,9 @@ def test_differential_rotates_then_drives_along_the_new_heading():
 @pytest.mark.parametrize("dt", [0.02, 0.1, 1.0])
 def test_differential_never_moves_sideways(dt):
     base = random_bases(500)
-    moved = integrate(base, base_twist(DIFFERENTIAL, base, random_actions(DIFFERENTIAL, 500), dt), dt)
+    moved = integrate(
+        base, base_twist(DIFFERENTIAL, base, random_actions(DIFFERENTIAL, 500), dt), dt
+    )
     way, heading = moved[:, :2] - base[:, :2], yaw(moved)
     sideways = way[:, 1] * np.cos(heading) - way[:, 0] * np.sin(heading)
     np.testing.assert_allclose(sideways, 0.0, atol=1e-14)

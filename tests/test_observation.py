@@ -33,7 +33,9 @@ def test_layout(solver):
     base, ee_in_base, planned, goal, joints = scene(solver)
     observed = observe(base, ee_in_base, planned, goal, joints)
     assert observed.shape == (50, size(joints.shape[1])) == (50, 21 + joints.shape[1])
-    ee = np.concatenate([observed[:, PLACES[f"ee_{k}"]] for k in ("position", "orientation")], axis=1)
+    ee = np.concatenate(
+        [observed[:, PLACES[f"ee_{k}"]] for k in ("position", "orientation")], axis=1
+    )
     np.testing.assert_array_equal(ee, ee_in_base)
     np.testing.assert_allclose(observed[:, 14:21], relative(goal, base), atol=1e-12)
     np.testing.assert_array_equal(observed[:, 21:], joints)
@@ -107,4 +109,6 @@ def test_rows_do_not_depend_on_the_batch(solver):
     parts = scene(solver, 37)
     together = observe(*parts)
     for i in range(37):
-        np.testing.assert_array_equal(observe(*(part[i : i + 1] for part in parts)), together[i : i + 1])
+        np.testing.assert_array_equal(
+            observe(*(part[i : i + 1] for part in parts)), together[i : i + 1]
+        )

@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -6,7 +8,7 @@ from kinfeas.policy import Network, Situation
 
 def network(sizes=(28, 256, 256, 3), seed=0):
     rng = np.random.default_rng(seed)
-    pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+    pairs = list(pairwise(sizes))
     return Network(
         rng.uniform(0.5, 2.0, sizes[0]).astype(np.float32),
         tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs),

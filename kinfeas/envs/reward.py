@@ -52,9 +52,8 @@ def reward(
         short = np.maximum(0.0, config.limit_margin - limit_distance(robot, joint_positions))
         earned -= config.limit_penalty * short / max(config.limit_margin, 1e-9)
     if robot.leeway is not None:
-        approximation = (
-            np.square(step.position_error / robot.leeway.position)
-            + np.square(step.rotation_error / robot.leeway.rotation)
+        approximation = np.square(step.position_error / robot.leeway.position) + np.square(
+            step.rotation_error / robot.leeway.rotation
         )
         earned -= np.where(step.feasible, 0.5 * approximation, 0.0)
     return earned

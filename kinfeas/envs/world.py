@@ -46,6 +46,7 @@ class WorldConfig:
         max_steps: Steps after which an episode is truncated.
         adapters: Wrapped around the backend, the first one innermost.
         reward: What a step earns.
+        ik: How hard IK searches.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
@@ -53,6 +54,7 @@ class WorldConfig:
     max_steps: Annotated[int, Interval(low=1)] = 1500
     adapters: tuple[AdapterSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
+    ik: IkOptions = field(default_factory=IkOptions)
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,7 @@ class World:
     Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k).
     """
 
-    def __init__(
-        self, robot: Robot, task: Task, config: WorldConfig, seed: int, options: IkOptions | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, task: Task, config: WorldConfig, seed: int) -> None:
         """Build the analytic world.
 
         Args:
@@ -97,10 +97,9 @@ class World:
             task: Draws episodes.
             config: Everything else.
             seed: Of all episodes.
-            options: How hard IK searches.
         """
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
-        self.solver = IkSolver(robot, options)
+        self.solver = IkSolver(robot, config.ik)
         generator = registry.build(
             "kinfeas.motion_generators", task.motion.generator, task.motion.parameters
         )
@@ -164,7 +163,9 @@ class World:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that the n episodes go on from, by name."""
-        return {**self.loop.snapshot(), "failures": self.failures, "steps": self.steps}
+        # `step` counts in place.
+        counts = {"failures": self.failures.copy(), "steps": self.steps.copy()}
+        return {**self.loop.snapshot(), **counts}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Array:
         """Go on from what `snapshot` returned; return the observation, shape (n, 21 + j)."""

@@ -1,6 +1,7 @@
 """The ceiling of a task: what no policy can beat."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,11 +13,25 @@ from kinfeas.spatial import Array
 from kinfeas.tasks.task import Task
 
 
+@dataclass(frozen=True)
+class CeilingConfig:
+    """What can be set of a ceiling beside robot, task and seed.
+
+    Attributes:
+        task: Keyword parameters of the task.
+        ik: How hard IK searches, and whether the robot may touch itself.
+    """
+
+    task: dict[str, object] = field(default_factory=dict)
+    ik: IkOptions = field(default_factory=IkOptions)
+
+
 def measure_ceiling(
     robot: Robot,
     task: Task,
     episodes: int,
     seed: int,
+    ik: IkOptions | None = None,
     on_done: Callable[[float], None] | None = None,
 ) -> Ceiling:
     """Return which goals of episodes 0 to `episodes` - 1 some base pose can reach.
@@ -29,9 +44,10 @@ def measure_ceiling(
         task: Draws the goals, the same ones as in an evaluation.
         episodes: How many goals, at least 1.
         seed: Of the episodes.
-        on_done: Called with the share of the work that is done, 0-1, again and again.
+        ik: How hard IK searches, and whether the robot may touch itself.
+        on_done: Called with the share of all work, 0-1, that has just been done.
     """
-    solver = IkSolver(robot, _options(robot))
+    solver = IkSolver(robot, _options(robot, ik or IkOptions()))
     return reachable(solver, draw_goals(solver, task, episodes, seed), on_done=on_done)
 
 
@@ -41,9 +57,9 @@ def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
     return np.stack([task.sample(solver, rng).target_pose for rng in rngs])
 
 
-def _options(robot: Robot) -> IkOptions:
-    if robot.leeway is None:
-        return IkOptions()
-    return IkOptions(
-        leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=float(GOAL_RADIANS)
+def _options(robot: Robot, ik: IkOptions) -> IkOptions:
+    if robot.leeway is None or not ik.leeway:
+        return ik
+    return replace(
+        ik, leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=float(GOAL_RADIANS)
     )

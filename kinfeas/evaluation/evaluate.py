@@ -45,6 +45,19 @@ class Trial:
     world: WorldConfig = field(default_factory=evaluation_world)
 
 
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """What can be set of an evaluation beside what it evaluates.
+
+    Attributes:
+        task: Keyword parameters of the task.
+        world: Where the episodes happen.
+    """
+
+    task: dict[str, object] = field(default_factory=dict)
+    world: WorldConfig = field(default_factory=evaluation_world)
+
+
 def evaluate(
     trial: Trial,
     policy: Policy,
@@ -81,8 +94,11 @@ def evaluate(
 
 
 def trial_ceiling(trial: Trial, on_done: Callable[[float], None] | None = None) -> Share:
-    """Return the share of a trial's goals that some base pose can reach."""
-    return measure_ceiling(trial.robot, trial.task, trial.episodes, trial.seed, on_done).share
+    """Return the share of a trial's goals that some base pose reaches; see `measure_ceiling`."""
+    found = measure_ceiling(
+        trial.robot, trial.task, trial.episodes, trial.seed, trial.world.ik, on_done
+    )
+    return found.share
 
 
 def run_trial(

@@ -48,12 +48,12 @@ def pinocchio_peer(robot: Robot) -> Peer | None:
     """
     if find_spec("pinocchio") is None or _mimics(robot):
         return None
-    import pinocchio as pin  # noqa: PLC0415 - installed with the tests only
+    import pinocchio as pin
 
     model = pin.buildModelFromXML(arm_urdf(robot))
     data, frame = model.createData(), model.getFrameId(robot.ee_frame)
-    lower, upper = _bounds(robot)
-    identity = np.eye(6)
+    lower, upper = (np.array(bound) for bound in zip(*_limits(robot), strict=True))
+    lowest, highest = _bounds(robot)
 
     def descend(target: Any, q: Array) -> tuple[Array, bool]:
         for _ in range(_ITERATIONS):
@@ -65,8 +65,13 @@ def pinocchio_peer(robot: Robot) -> Peer | None:
                 return q, True
             jacobian = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL)
             damping = _DAMPING_FLOOR + _DAMPING_GAIN * (metres + radians)
-            normal = jacobian @ jacobian.T + damping * identity
-            q = np.clip(q + jacobian.T @ np.linalg.solve(normal, error), lower, upper)
+            step = _damped_step(jacobian, error, damping)
+            if (blocked := (q + step > upper) | (q + step < lower)).any():
+                # Such a joint goes onto its limit, and the others do what that leaves to be done.
+                held = np.where(blocked, np.clip(q + step, lower, upper) - q, 0.0)
+                rest = error - jacobian @ held
+                step = held + _damped_step(np.where(blocked, 0.0, jacobian), rest, damping)
+            q = np.clip(q + step, lower, upper)
         return q, False
 
     def solve(target: Any, seed: Array) -> Array:
@@ -75,17 +80,20 @@ def pinocchio_peer(robot: Robot) -> Peer | None:
         for _ in range(IkOptions().restarts):
             if found:
                 break
-            q, found = descend(target, rng.uniform(lower, upper))
+            q, found = descend(target, rng.uniform(lowest, highest))
         return q
 
     return Peer("Pinocchio", pin.XYZQUATToSE3, solve)
 
 
 def pybullet_peer(robot: Robot) -> Peer | None:
-    """Return PyBullet's solver with limits and rest poses; None where it is not installed."""
+    """Return PyBullet's solver with limits and rest poses; None where it is not installed.
+
+    One call with its own defaults, 20 iterations: more of them solve more, in as much more time.
+    """
     if find_spec("pybullet") is None or _mimics(robot):
         return None
-    import pybullet  # noqa: PLC0415 - has no wheels for newer Pythons
+    import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
     with tempfile.TemporaryDirectory() as folder:
@@ -110,8 +118,6 @@ def pybullet_peer(robot: Robot) -> Peer | None:
                 **limits,
                 restPoses=rest,
                 currentPositions=rest,
-                maxNumIterations=100,
-                residualThreshold=1e-5,
                 physicsClientId=client,
             )
         )
@@ -128,7 +134,9 @@ def arm_urdf(robot: Robot) -> str:
         'iyy="0.01" iyz="0" izz="0.01"/></inertial></link>\n'
         for link in links
     )
-    return f'<robot name="arm">\n{body}{"".join(_joint_xml(robot, joint) for joint in path)}</robot>'
+    return (
+        f'<robot name="arm">\n{body}{"".join(_joint_xml(robot, joint) for joint in path)}</robot>'
+    )
 
 
 def _joint_xml(robot: Robot, joint: Joint) -> str:
@@ -156,6 +164,16 @@ def _moved(joint: Joint, position: float) -> Array:
     if joint.kind == "prismatic":
         return spatial.make_pose(motion, Rotation.identity())
     return spatial.make_pose(np.zeros(3), Rotation.from_rotvec(motion))
+
+
+def _damped_step(jacobian: Array, error: Array, damping: float) -> Array:
+    normal = jacobian @ jacobian.T
+    normal.flat[::7] += damping
+    return jacobian.T @ np.linalg.solve(normal, error)
+
+
+def _limits(robot: Robot) -> list[tuple[float, float]]:
+    return [(joint.lower, joint.upper) for joint in robot.arm]
 
 
 def _bounds(robot: Robot) -> tuple[Array, Array]:

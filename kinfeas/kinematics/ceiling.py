@@ -52,17 +52,17 @@ def reachable(
         solver: Says what counts as reached, and whether self-collision does not.
         goals: World poses of the EE, shape (n, 7), n at least 1.
         stages: Ascending numbers of base poses; only goals still open go on to the next stage.
-        on_done: Called with the share of the work that is done, 0-1, again and again.
+        on_done: Called with the share of all work, 0-1, that has just been done.
     """
     postures = _Postures(solver)
     reached = np.zeros(len(goals), dtype=np.bool_)
     convergence = []
-    for stage, (first, last) in enumerate(zip((0, *stages), stages, strict=False)):
+    for first, last in zip((0, *stages), stages, strict=False):
         still_open = np.flatnonzero(~reached)
-        for count, row in enumerate(still_open, start=1):
+        for row in still_open:
             reached[row] = postures.reach(goals[row], first, last)
             if on_done is not None:
-                on_done((stage + count / len(still_open)) / len(stages))
+                on_done(1.0 / (len(still_open) * len(stages)))
         convergence.append(float(reached.mean()))
     return Ceiling(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
 

@@ -145,7 +145,9 @@ def _drive(robot: Robot, joint: Joint) -> _Drive:
     if joint.mimic is not None:
         lead = _drive(robot, robot.urdf.joints[joint.mimic.joint])
         scale = joint.mimic.multiplier
-        return _Drive(lead.variable, lead.multiplier * scale, lead.bias * scale + joint.mimic.offset)
+        return _Drive(
+            lead.variable, lead.multiplier * scale, lead.bias * scale + joint.mimic.offset
+        )
     return _Drive(FIXED, 0.0, float(np.clip(0.0, joint.lower, joint.upper)))
 
 

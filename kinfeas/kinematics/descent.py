@@ -79,22 +79,23 @@ def make_scratch(joints, variables):
 def descend(chain: Chain, options: Descent, target_rotation, target_position, q, scratch):
     """Move `q` to the target as far as its limits allow.
 
-    Sugihara's rule (IEEE T-RO 2011) damps each step by the squared error. A joint that would pass
-    its limit is set onto it, taken out of the step, and the others solve what remains.
+    Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
+    least-squares problem within the joint limits.
 
     Returns:
         Remaining distance in metres and angle in radians.
     """
     stalled, best = 0, np.inf
     metres, radians = np.inf, np.inf
-    for _ in range(options.max_iterations):
+    for iteration in range(options.max_iterations + 1):
         metres, radians = _measure(chain, target_rotation, target_position, q, scratch)
         if metres <= options.position_tolerance and radians <= options.rotation_tolerance:
             break
         cost = metres**2 + (options.rotation_weight * radians) ** 2
         stalled = 0 if cost < 0.95 * best else stalled + 1
         best = min(best, cost)
-        if stalled > STALL_STEPS:
+        # What is returned was measured at the very `q` that is left behind.
+        if stalled > STALL_STEPS or iteration == options.max_iterations:
             break
         fill_columns(chain.tree, scratch.frames, scratch.columns)
         _weigh(options.rotation_weight, scratch)
@@ -212,7 +213,7 @@ def _release(scratch):
 
 @inlined
 def _solve_damped(scratch, damping):
-    """Write y of (J J' + damping) y = e over the free joints, with what held ones do taken off e."""
+    """Write y of (J J' + damping) y = e over the free joints, less what held ones do."""
     columns, low, y = scratch.columns, scratch.normal, scratch.solved
     y[:] = scratch.error
     low[:] = 0.0

@@ -12,9 +12,9 @@ from kinfeas.spatial import Array
 
 # numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
 # be regrouped and multiply-adds fused, always in the same way: results stay deterministic.
-_OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
-kernel = njit(**_OPTIONS)
-inlined = njit(**_OPTIONS, forceinline=True)
+_FAST = {"contract", "reassoc", "nsz"}
+kernel = njit(cache=True, error_model="numpy", fastmath=_FAST)
+inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 
 
 def forward(chain: Chain, joint_positions: Array) -> Array:

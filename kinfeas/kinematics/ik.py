@@ -1,11 +1,13 @@
 """Inverse kinematics that the reward can stand on: verified, within limits, deterministic."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from kinfeas.config import Interval
 from kinfeas.kinematics.chain import Chain, build_chain
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import forward
@@ -19,6 +21,8 @@ ROTATION_WEIGHT = 0.4
 
 AIM = 0.2
 """Share of the tolerances at which a descent is content; it may end anywhere within them."""
+
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 
 
 @dataclass(frozen=True)
@@ -36,14 +40,14 @@ class IkOptions:
         max_iterations: Steps of one descent at most.
     """
 
-    library: int = 2048
-    restarts: int = 24
-    candidates: int = 3
+    library: Annotated[int, Interval(low=1, high=65536)] = 2048
+    restarts: Annotated[int, Interval(low=0)] = 24
+    candidates: Annotated[int, Interval(low=1)] = 3
     self_collision: bool = True
     leeway: bool = True
-    position_tolerance: float = 1e-4
-    rotation_tolerance: float = 1e-3
-    max_iterations: int = 40
+    position_tolerance: Positive = 1e-4
+    rotation_tolerance: Positive = 1e-3
+    max_iterations: Annotated[int, Interval(low=1)] = 40
 
 
 @dataclass(frozen=True)

@@ -135,9 +135,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
         if attempt >= HOPEFUL and closest > HOPELESS_COST:
             break
         q[:] = problem.library[order[attempt]]
-        metres, radians = descend(
-            problem.chain, problem.descent, target[0], target[1], q, scratch
-        )
+        metres, radians = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
         if _acceptable(problem, metres, radians, q, touching):
             found += 1
             seconds = _seconds_between(problem, seed, q)

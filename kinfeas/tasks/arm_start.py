@@ -30,7 +30,7 @@ def random_arm(
         accept: Which EE poses in the base frame, shape (n, 7), may be taken; all by default.
 
     Raises:
-        KinfeasError: If 1600 draws hold no such configuration.
+        KinfeasError: If 1,600 draws hold no such configuration.
     """
     robot = solver.robot
     lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
@@ -47,5 +47,6 @@ def random_arm(
                 return joints[row]
     raise KinfeasError(
         f"robot {robot.name!r}: no arm configuration free of self-collision with the EE where the "
-        "task wants it was found in 1600 draws; check joint limits, ignored collisions and goal heights"
+        f"task wants it was found in {_DRAWS * _ROUNDS} draws; check joint limits, ignored "
+        "collisions and goal heights"
     )

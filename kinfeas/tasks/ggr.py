@@ -1,17 +1,21 @@
 """Goal reaching at random: the task that policies are trained on."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas import config
+from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.spatial import Array, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.task import MotionSpec
+
+NotNegative = Annotated[float, Interval(low=0.0)]
 
 
 @dataclass(frozen=True)
@@ -31,10 +35,16 @@ class GoalReaching:
 
     name: str = "ggr"
     motion: MotionSpec = field(default_factory=MotionSpec)
-    distance: tuple[float, float] = (1.0, 5.0)
+    distance: tuple[NotNegative, NotNegative] = (1.0, 5.0)
     heights: tuple[float, float] | None = None
     restrict_start: bool = False
     orientation: Literal["rpy", "so3"] = "rpy"
+
+    def __post_init__(self) -> None:
+        """Check that the ranges ascend."""
+        for name, bounds in (("distance", self.distance), ("heights", self.heights)):
+            if bounds is not None and bounds[0] > bounds[1]:
+                raise ValueError(f"{name!r} must not descend from {bounds[0]:g} to {bounds[1]:g}")
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
@@ -70,9 +80,10 @@ class GoalReaching:
 
 def ggr(**parameters: object) -> GoalReaching:
     """Goal reaching with the robot's full range of goal heights."""
-    return GoalReaching(**parameters)  # type: ignore[arg-type]
+    return config.from_mapping(GoalReaching, parameters, "ggr")
 
 
 def ggr_restricted(**parameters: object) -> GoalReaching:
     """Goal reaching with start and goal in the robot's comfortable range of heights."""
-    return GoalReaching(**{"name": "ggr_restricted", "restrict_start": True, **parameters})  # type: ignore[arg-type]
+    defaults = {"name": "ggr_restricted", "restrict_start": True}
+    return config.from_mapping(GoalReaching, {**defaults, **parameters}, "ggr_restricted")

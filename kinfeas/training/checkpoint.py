@@ -1,9 +1,8 @@
-"""Checkpoints to resume from: tensors in safetensors, numbers in JSON, written atomically."""
+"""Checkpoints to resume from: tensors in safetensors, numbers in JSON; nothing is unpickled."""
 
 import json
-import os
-import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +17,11 @@ from kinfeas.errors import KinfeasError
 from kinfeas.training.learner import Learner
 
 _FORMAT = 1
+_TENSORS, _STATE = "state.safetensors", "state.json"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_UNSIGNED = ".unsigned"
 
-
-def write_folder(folder: Path, fill: Any) -> None:
-    """Let `fill(path)` write into a new folder that takes the place of `folder` when complete."""
-    fresh = folder.with_name(f".{folder.name}.new")
-    old = folder.with_name(f".{folder.name}.old")
-    for leftover in (fresh, old):
-        shutil.rmtree(leftover, ignore_errors=True)
-    fresh.mkdir(parents=True)
-    fill(fresh)
-    if folder.exists():
-        os.rename(folder, old)
-    os.rename(fresh, folder)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def find_folder(folder: Path) -> Path:
-    """Return `folder`, or what a run killed while writing it left in its place."""
-    old = folder.with_name(f".{folder.name}.old")
-    return old if old.is_dir() and not folder.is_dir() else folder
+Tensors = dict[str, torch.Tensor]
 
 
 def save_learner(
@@ -52,84 +35,122 @@ def save_learner(
         world: Snapshot of the environments.
         state: Counters and whatever else fits into JSON.
     """
-    tensors = {f"world.{key}": torch.from_numpy(np.array(values)) for key, values in _signed(world)}
+    tensors = _world_tensors(world)
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
+    if (entropy := _learned_entropy(learner)) is not None:
+        tensors["log_ent_coef"] = entropy
     optimizers: dict[str, Any] = {}
     for name, optimizer in _optimizers(learner).items():
         saved = optimizer.state_dict()
         optimizers[name] = saved["param_groups"]
         for index, slots in saved["state"].items():
             tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
-    if isinstance(learner, SAC) and learner.ent_coef_optimizer is not None:
-        tensors["log_ent_coef"] = learner.log_ent_coef.detach()
     buffer = learner.replay_buffer
     assert buffer is not None
     filled = buffer.buffer_size if buffer.full else buffer.pos
     for name in _BUFFER:
         tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[:filled])
-    kind, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 - SB3 samples from it
-    tensors["random.torch"] = torch.get_rng_state()
-    tensors["random.numpy"] = torch.from_numpy(np.asarray(keys).astype(np.int64))
-    save_file({key: t.clone().contiguous() for key, t in tensors.items()}, folder / "state.safetensors")
+    random, random_tensors = _random_state()
+    tensors |= random_tensors
+    save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     about = {
         "format": _FORMAT,
         "optimizers": optimizers,
         "updates": learner._n_updates,
         "buffer": {"position": buffer.pos, "full": buffer.full},
-        "random": {"kind": kind, "position": position, "has_gauss": has_gauss, "gauss": gauss},
+        "random": random,
         **state,
     }
-    (folder / "state.json").write_text(json.dumps(about), encoding="utf-8")
+    (folder / _STATE).write_text(json.dumps(about), encoding="utf-8")
 
 
-def load_learner(folder: Path, learner: Learner) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Bring a fresh learner to where a checkpoint left off.
+def read_state(folder: Path) -> dict[str, Any]:
+    """Return what `save_learner` was given as `state`, beside its own entries.
 
-    Returns:
-        The snapshot of the environments, and the state that was saved beside it.
+    Raises:
+        KinfeasError: If there is no checkpoint, or a broken one.
+    """
+    with loading(folder):
+        about: dict[str, Any] = json.loads((folder / _STATE).read_text(encoding="utf-8"))
+        if about["format"] != _FORMAT:
+            raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
+        return about
+
+
+def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
+    """Bring a fresh learner to where a checkpoint left off; return the environments' snapshot.
+
+    The global random numbers of torch and NumPy, which SB3 draws from, go on from there, too.
 
     Raises:
         KinfeasError: If the checkpoint is missing, truncated, or of another configuration.
     """
+    about = read_state(folder)
+    with loading(folder):
+        tensors = load_file(folder / _TENSORS)
+        learner.policy.load_state_dict(_below("policy.", tensors))
+        if (entropy := _learned_entropy(learner)) is not None:
+            entropy.copy_(tensors["log_ent_coef"])
+        for name, optimizer in _optimizers(learner).items():
+            _load_optimizer(
+                optimizer, about["optimizers"][name], _below(f"optimizer.{name}.", tensors)
+            )
+        _load_buffer(learner, about["buffer"], _below("buffer.", tensors))
+        learner._n_updates = int(about["updates"])
+        _load_random_state(about["random"], tensors)
+        return _world_arrays(tensors)
+
+
+@contextmanager
+def loading(folder: Path) -> Iterator[None]:
+    """Turn what a missing or broken checkpoint brings about into one `KinfeasError`."""
     try:
-        about = json.loads((folder / "state.json").read_text(encoding="utf-8"))
-        tensors = load_file(folder / "state.safetensors")
-        _fill(learner, about, tensors)
+        yield
+    except KinfeasError:
+        raise  # it says all there is to say
     except FileNotFoundError as error:
-        raise KinfeasError(f"{folder}: no checkpoint to resume: there is no {error.filename}") from error
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise KinfeasError(f"{folder}: broken checkpoint, or one of another run: {reason}") from error
-    world = {k.removeprefix("world."): v.numpy() for k, v in tensors.items() if k.startswith("world.")}
-    world = {k.removesuffix(_UNSIGNED): v.view(np.uint64) if k.endswith(_UNSIGNED) else v for k, v in world.items()}
-    return world, about
+        raise KinfeasError(f"{folder}: no checkpoint to resume: a file is missing") from error
+    except (OSError, SafetensorError, LookupError, ValueError, TypeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise KinfeasError(
+            f"{folder}: broken checkpoint, or one of another run: {type(error).__name__}: {reason}"
+        ) from error
 
 
-def _fill(learner: Learner, about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-    prefix = "policy."
-    learner.policy.load_state_dict(
-        {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
-    )
-    if isinstance(learner, SAC) and learner.ent_coef_optimizer is not None:
-        learner.log_ent_coef.data.copy_(tensors["log_ent_coef"])
-    for name, optimizer in _optimizers(learner).items():
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for key, values in tensors.items():
-            if key.startswith(f"optimizer.{name}."):
-                index, slot = key.removeprefix(f"optimizer.{name}.").split(".")
-                state.setdefault(int(index), {})[slot] = values
-        optimizer.load_state_dict({"state": state, "param_groups": about["optimizers"][name]})
+def _load_optimizer(optimizer: torch.optim.Optimizer, groups: Any, tensors: Tensors) -> None:
+    state: dict[int, Tensors] = {}
+    for key, values in tensors.items():
+        index, slot = key.split(".")
+        state.setdefault(int(index), {})[slot] = values
+    optimizer.load_state_dict({"state": state, "param_groups": groups})
+
+
+def _load_buffer(learner: Learner, about: Mapping[str, Any], tensors: Tensors) -> None:
     buffer = learner.replay_buffer
     assert buffer is not None
+    buffer.pos, buffer.full = int(about["position"]), bool(about["full"])
+    filled = buffer.buffer_size if buffer.full else buffer.pos
     for name in _BUFFER:
-        values = tensors[f"buffer.{name}"].numpy()
-        getattr(buffer, name)[: len(values)] = values
-    buffer.pos, buffer.full = about["buffer"]["position"], about["buffer"]["full"]
-    learner._n_updates = about["updates"]
+        room, values = getattr(buffer, name), tensors[name].numpy()
+        # Assignment alone would stretch one row over many.
+        if values.shape != (filled, *room.shape[1:]):
+            raise ValueError(f"its replay buffer holds {name} of shape {values.shape}")
+        room[:filled] = values
+
+
+def _random_state() -> tuple[dict[str, Any], Tensors]:
+    """Return the global random states as what goes into JSON and what goes into tensors."""
+    kind, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 - SB3 draws there
+    about = {"kind": kind, "position": position, "has_gauss": has_gauss, "gauss": gauss}
+    numpy_keys = torch.from_numpy(np.asarray(keys).astype(np.int64))
+    return about, {"random.torch": torch.get_rng_state(), "random.numpy": numpy_keys}
+
+
+def _load_random_state(about: Mapping[str, Any], tensors: Tensors) -> None:
     torch.set_rng_state(tensors["random.torch"])
-    random = about["random"]
     keys = tensors["random.numpy"].numpy().astype(np.uint32)
-    np.random.set_state((random["kind"], keys, random["position"], random["has_gauss"], random["gauss"]))  # noqa: NPY002
+    state = (about["kind"], keys, about["position"], about["has_gauss"], about["gauss"])
+    np.random.set_state(state)  # noqa: NPY002 - as above
 
 
 def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
@@ -139,12 +160,32 @@ def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
     return found
 
 
-_UNSIGNED = ".unsigned"
+def _learned_entropy(learner: Learner) -> torch.Tensor | None:
+    """Return the logarithm of SAC's entropy coefficient, if it is learned."""
+    if not isinstance(learner, SAC) or learner.log_ent_coef is None:
+        return None
+    return learner.log_ent_coef.detach()
 
 
-def _signed(world: Mapping[str, NDArray[Any]]) -> list[tuple[str, NDArray[Any]]]:
-    """Return the arrays with unsigned ones seen as signed: torch has no 64 bits without a sign."""
-    return [
-        (key + _UNSIGNED, values.view(np.int64)) if values.dtype == np.uint64 else (key, values)
-        for key, values in world.items()
-    ]
+def _below(prefix: str, tensors: Tensors) -> Tensors:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _world_tensors(world: Mapping[str, NDArray[Any]]) -> Tensors:
+    """Return the snapshot with unsigned numbers seen as signed: torch saves no others."""
+    tensors = {}
+    for key, values in world.items():
+        unsigned = values.dtype == np.uint64
+        seen = values.view(np.int64) if unsigned else values
+        # A copy, since several entries may show the same memory.
+        tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(seen))
+    return tensors
+
+
+def _world_arrays(tensors: Tensors) -> dict[str, NDArray[Any]]:
+    world = {}
+    for key, tensor in _below("world.", tensors).items():
+        unsigned = key.endswith(_UNSIGNED)
+        values = tensor.numpy()
+        world[key.removesuffix(_UNSIGNED)] = values.view(np.uint64) if unsigned else values
+    return world

@@ -39,8 +39,8 @@ class LearnerConfig:
     discount: Share = 0.99
     smoothing: Share = 0.005
     buffer_size: Count = 300_000
-    random_steps: Count = 3_000
-    hidden: tuple[int, ...] = (256, 256)
+    random_steps: Annotated[int, Interval(low=0)] = 3_000
+    hidden: tuple[Count, ...] = (256, 256)
     entropy: Annotated[float, Interval(low=0.0)] | Literal["learned"] = 0.01
     exploration_noise: Annotated[float, Interval(low=0.0)] = 0.25
     policy_noise: Annotated[float, Interval(low=0.0)] = 0.2
@@ -63,6 +63,11 @@ class ScheduleConfig:
     evaluations: Count = 5
     evaluation_episodes: Count = 256
     checkpoint_seconds: Positive = 30.0
+
+    def __post_init__(self) -> None:
+        """Check that the run has an end."""
+        if self.steps is None and self.minutes is None:
+            raise ValueError("one of 'steps' and 'minutes' must be set")
 
 
 @dataclass(frozen=True)

@@ -47,19 +47,17 @@ def make_learner(config: LearnerConfig, env: WorldVecEnv, seed: int) -> Learner:
 def explore(
     learner: Learner, config: LearnerConfig, observation: NDArray[np.float32], random: bool
 ) -> NDArray[np.float32]:
-    """Return actions to learn from, shape (n, a).
+    """Return actions to learn from, shape (n, a); all chance comes from torch's generator.
 
     Args:
-        learner: Whose actor acts; its action space draws the random actions.
+        learner: Whose actor acts.
         config: TD3's exploration noise.
         observation: Scaled observations, shape (n, d).
         random: Whether to ignore the actor.
     """
     if random:
-        shape = (len(observation), *learner.action_space.shape)  # type: ignore[misc]
-        return np.random.default_rng(torch.randint(2**31, (1,)).item()).uniform(
-            -1.0, 1.0, shape
-        ).astype(np.float32)
+        assert learner.action_space.shape is not None
+        return (2.0 * torch.rand(len(observation), *learner.action_space.shape) - 1.0).numpy()
     with torch.no_grad():
         seen = torch.from_numpy(observation)
         if isinstance(learner, SAC):
@@ -72,7 +70,8 @@ def explore(
 def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
     """Return the learner's deterministic actor as a network that runs without torch."""
     actor = learner.actor
-    layers = [*actor.latent_pi, actor.mu] if isinstance(learner, SAC) else [*actor.mu]
+    parts = [actor.latent_pi, actor.mu] if isinstance(learner, SAC) else [actor.mu]
+    layers = (layer for part in parts for layer in part.modules())
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
     return Network(
         scale,

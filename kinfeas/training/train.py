@@ -1,27 +1,29 @@
 """A training run: collect, learn, evaluate, save; and go on after any interruption."""
 
-import csv
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch.utils.tensorboard import SummaryWriter
 
 from kinfeas import config as configuration
 from kinfeas import registry
 from kinfeas.envs.world import World
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.folders import find_folder, write_folder, writing
+from kinfeas.kinematics.ik import IkOptions
 from kinfeas.metrics import summarize
 from kinfeas.policy import write_network
-from kinfeas.training.checkpoint import find_folder, load_learner, save_learner, write_folder
+from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import explore, make_learner, network_of
+from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.vec_env import WorldVecEnv
 
 EVALUATION_SEED = 1_000_003
@@ -69,16 +71,15 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     Raises:
         KinfeasError: If the folder exists with something in it, or cannot be written.
     """
-    if config.schedule.steps is None and config.schedule.minutes is None:
-        raise KinfeasError("schedule: one of steps and minutes must be set")
-    try:
+    with writing(out):
         if out.is_dir() and any(out.iterdir()):
             raise KinfeasError(f"{out}: already there; use --resume {out}, or another --out")
-        (out / "checkpoints").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise KinfeasError(f"{out}: cannot be written: {error.strerror}") from error
+    # What is wrong with the configuration shows here, before anything is written.
+    run = _Run(config, out)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
     configuration.dump(config, out / "config.yaml")
-    return _Run(config, out).go(report)
+    return run.go(report)
 
 
 def resume(out: Path, report: Report | None = None) -> Progress:
@@ -90,8 +91,7 @@ def resume(out: Path, report: Report | None = None) -> Progress:
     if not (out / "config.yaml").is_file():
         raise KinfeasError(f"{out}: not a training run: there is no config.yaml in it")
     run = _Run(configuration.load(TrainConfig, out / "config.yaml"), out)
-    if find_folder(out / "checkpoints" / "last").is_dir():
-        run.load()
+    run.load()
     return run.go(report)
 
 
@@ -103,45 +103,56 @@ class _Run:
         robot = registry.load_robot(config.robot)
         task = registry.build("kinfeas.tasks", config.task, config.task_parameters)
         self.env = WorldVecEnv(World(robot, task, config.world, config.seed), config.environments)
-        judged = replace(config.world, max_failures=99, adapters=())
+        judged = replace(config.world, max_failures=99, adapters=(), ik=IkOptions())
         self.judge = World(robot, task, judged, config.seed + EVALUATION_SEED)
         self.learner = make_learner(config.learner, self.env, config.seed)
         self.progress = Progress()
         self.observation: NDArray[np.float32] | None = None
-        self.updates = 0
 
     def load(self) -> None:
-        """Take up the last checkpoint."""
-        world, state = load_learner(find_folder(self.out / "checkpoints" / "last"), self.learner)
-        self.observation = self.env.restore(world)
-        saved = state["progress"]
-        self.progress = Progress(**{**saved, "recent": deque(saved["recent"], maxlen=RECENT)})
+        """Take up the last checkpoint, if there is one."""
+        last = find_folder(self.out / "checkpoints" / "last")
+        if not last.is_dir():
+            return
+        state = read_state(last)
+        with loading(last):
+            self._check_same(state["config"], last)
+            saved = state["progress"]
+            self.progress = Progress(**{**saved, "recent": deque(saved["recent"], maxlen=RECENT)})
+            # The schedule may have been made longer.
+            self.progress.share = self._share()
+            self.progress.evaluations = min(self.progress.evaluations, self._evaluations_due())
+            self.observation = self.env.restore(load_learner(last, self.learner))
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
-        with _Logs(self.out, self.progress.steps) as logs:
+        with Logs(self.out, self.progress.steps) as logs:
             try:
                 self._loop(logs, report)
             except KeyboardInterrupt:
-                self._save()
+                if self.observation is not None:
+                    self._save()
                 raise
-            self._save()
         return self.progress
 
-    def _loop(self, logs: "_Logs", report: Report | None) -> None:
+    def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
             self.observation = self.env.reset()
         begun = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
-        while self.progress.share < 1.0:
-            self._step()
-            self.progress.seconds = now = time.monotonic() - begun
-            self.progress.share = self._share()
-            if self.progress.share * self.config.schedule.evaluations >= self.progress.evaluations + 1:
-                logs.write(self._row() | self._evaluate())
+        while True:
+            # First, so that a run that was interrupted while it was being judged is judged again.
+            if self._evaluations_due() > self.progress.evaluations:
+                self._evaluate(logs)
                 self._save()
                 self.progress.seconds = saved = time.monotonic() - begun
-            elif now - saved >= self.config.schedule.checkpoint_seconds:
+            if self.progress.share >= 1.0:
+                break
+            with uninterrupted():
+                self._step()
+                self.progress.seconds = now = time.monotonic() - begun
+                self.progress.share = self._share()
+            if now - saved >= self.config.schedule.checkpoint_seconds:
                 self._save()
                 saved = now
             if now - logged >= LOG_SECONDS:
@@ -158,7 +169,8 @@ class _Run:
         assert self.observation is not None
         random = progress.steps < config.random_steps
         action = explore(learner, config, self.observation, random)
-        seen, rewards, dones, infos = self.env.step(action)
+        self.env.step_async(action)
+        seen, rewards, dones, infos = self.env.step_wait()
         after = seen.copy()
         for row in np.flatnonzero(dones):
             after[row] = infos[row]["terminal_observation"]
@@ -181,76 +193,60 @@ class _Run:
             shares.append(self.progress.seconds / (60.0 * schedule.minutes))
         return min(1.0, max(shares))
 
-    def _evaluate(self) -> dict[str, float]:
+    def _evaluations_due(self) -> int:
+        return int(self.progress.share * self.config.schedule.evaluations)
+
+    def _evaluate(self, logs: Logs) -> None:
         """Judge the policy on fixed episodes; keep it if none was better."""
         network = network_of(self.learner, self.env.scale)
         episodes = self.config.schedule.evaluation_episodes
         figures = summarize(run_episodes(self.judge, network, episodes))
-        self.progress.evaluations += 1
-        if figures["success"] >= self.progress.best:
-            self.progress.best = float(figures["success"])
-            about = {
-                "config": configuration.to_mapping(self.config),
-                "steps": self.progress.steps,
-                "evaluation": figures,
-            }
-            write_folder(
-                self.out / "checkpoints" / "best",
-                lambda folder: write_network(network, folder, self.env.world.robot, about),
-            )
-        return {f"evaluation/{key}": float(value) for key, value in figures.items()}
+        with uninterrupted():
+            self.progress.evaluations = self._evaluations_due()
+            if figures["success"] >= self.progress.best:
+                self.progress.best = float(figures["success"])
+                about = {
+                    "config": configuration.to_mapping(self.config),
+                    "steps": self.progress.steps,
+                    "evaluation": figures,
+                }
+                self._write("best", lambda folder: self._write_policy(folder, about))
+            judged = {f"evaluation/{key}": float(value) for key, value in figures.items()}
+            logs.write(self._row() | judged)
 
     def _row(self) -> dict[str, float]:
         p = self.progress
         row = {"steps": p.steps, "seconds": p.seconds, "train/success": p.success}
         values = self.learner.logger.name_to_value
-        return row | {key: float(values[key]) for key in _LOGGED if key in values}
+        return row | {key: float(values[key]) for key in LEARNER if key in values}
 
     def _save(self) -> None:
         progress = {**vars(self.progress), "recent": list(self.progress.recent)}
-        robot = self.env.world.robot
+        state = {"config": self._identity(), "progress": progress}
 
         def fill(folder: Path) -> None:
-            save_learner(folder, self.learner, self.env.snapshot(), {"progress": progress})
-            network = network_of(self.learner, self.env.scale)
-            write_network(network, folder, robot, {"steps": self.progress.steps})
+            save_learner(folder, self.learner, self.env.snapshot(), state)
+            self._write_policy(folder, {"steps": self.progress.steps})
 
-        write_folder(self.out / "checkpoints" / "last", fill)
+        self._write("last", fill)
 
+    def _write(self, name: str, fill: Callable[[Path], None]) -> None:
+        write_folder(self.out / "checkpoints" / name, fill)
 
-_LOGGED = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
-_EVALUATED = ("success", "within_5cm", "mean_failures", "mean_deviation_m", "jumps_per_episode")
-_COLUMNS = (
-    "steps", "seconds", "train/success", *_LOGGED, *(f"evaluation/{name}" for name in _EVALUATED)
-)  # fmt: skip
+    def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
+        network = network_of(self.learner, self.env.scale)
+        write_network(network, folder, self.env.world.robot, about)
 
+    def _identity(self) -> dict[str, object]:
+        """Return what must be the same for a run to go on: everything but how long it lasts."""
+        mapping = configuration.to_mapping(self.config)
+        del mapping["schedule"]
+        return mapping
 
-class _Logs:
-    """`metrics.csv` and TensorBoard; rows beyond the step that a run resumes from are dropped."""
-
-    def __init__(self, out: Path, steps: int) -> None:
-        path = out / "metrics.csv"
-        rows: Iterable[dict[str, Any]] = []
-        if path.is_file():
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = [row for row in csv.DictReader(file) if float(row["steps"]) <= steps]
-        self._file = path.open("w", newline="", encoding="utf-8")
-        self._table = csv.DictWriter(self._file, _COLUMNS, extrasaction="ignore")
-        self._table.writeheader()
-        self._table.writerows(rows)
-        self._board = SummaryWriter(str(out / "tensorboard"), purge_step=steps)
-
-    def __enter__(self) -> "_Logs":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._board.close()
-
-    def write(self, row: dict[str, float]) -> None:
-        """Write one row of figures."""
-        self._table.writerow(row)
-        self._file.flush()
-        for key, value in row.items():
-            if key != "steps":
-                self._board.add_scalar(key, value, int(row["steps"]))
+    def _check_same(self, saved: dict[str, object], place: Path) -> None:
+        for key, value in self._identity().items():
+            if saved[key] != value:
+                raise KinfeasError(
+                    f"{place}: a checkpoint of another run: its {key} is {saved[key]}, "
+                    f"but {self.out / 'config.yaml'} says {value}"
+                )

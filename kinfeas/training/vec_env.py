@@ -19,6 +19,7 @@ class WorldVecEnv(VecEnv):
     """
 
     transition: Transition
+    render_mode = None
 
     def __init__(self, world: World, num_envs: int) -> None:
         """Put `num_envs` episodes at a time into `world`."""
@@ -66,7 +67,15 @@ class WorldVecEnv(VecEnv):
         return {**self.world.snapshot(), "next_episode": np.array(self.next_episode)}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Go on from what `snapshot` returned; return the observations, shape (n, d)."""
+        """Go on from what `snapshot` returned; return the observations, shape (n, d).
+
+        Raises:
+            ValueError: If the snapshot is of another number of environments.
+        """
+        if len(snapshot["steps"]) != self.num_envs:
+            raise ValueError(
+                f"a snapshot of {len(snapshot['steps'])}, not {self.num_envs} episodes"
+            )
         self.next_episode = int(snapshot["next_episode"])
         return self._scaled(self.world.restore(snapshot))
 
@@ -76,7 +85,7 @@ class WorldVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute once for each of the asked-for environments."""
-        return [getattr(self, attr_name, None) for _ in self._get_indices(indices)]
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refuse: the environments are one."""
@@ -92,7 +101,7 @@ class WorldVecEnv(VecEnv):
         """Return False for each of the asked-for environments."""
         return [False for _ in self._get_indices(indices)]
 
-    def seed(self, seed: int | None = None) -> Sequence[None | int]:
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Use another seed from the next reset on."""
         if seed is not None:
             self.world.seed, self.next_episode = seed, 0

@@ -139,8 +139,11 @@ def test_parallel_faces(first, second, gap):
 
 def test_needles_plates_and_dust():
     rng = np.random.default_rng(4)
-    sizes = {BOX: [(1.0, 1e-3, 1e-3), (1.0, 1.0, 1e-3)], CYLINDER: [(1e-3, 1e-3, 1.0), (1.0, 1.0, 1e-3)],
-             SPHERE: [(1e-4, 1e-4, 1e-4), (2.0, 2.0, 2.0)]}  # fmt: skip
+    sizes = {
+        BOX: [(1.0, 1e-3, 1e-3), (1.0, 1.0, 1e-3)],
+        CYLINDER: [(1e-3, 1e-3, 1.0), (1.0, 1.0, 1e-3)],
+        SPHERE: [(1e-4, 1e-4, 1e-4), (2.0, 2.0, 2.0)],
+    }
     false_alarms = 0
     for first, second in product(KINDS, KINDS):
         for one, other in product(sizes[first], sizes[second]):

@@ -107,7 +107,8 @@ def test_any_memory_layout_and_number_type(robot, draw):
     np.testing.assert_array_equal(forward(chain, np.asfortranarray(joints)), expected)
     np.testing.assert_array_equal(forward(chain, np.repeat(joints, 2, axis=0)[::2]), expected)
     np.testing.assert_array_equal(
-        forward(chain, np.zeros(len(robot.arm), dtype=int)), forward(chain, np.zeros(len(robot.arm)))
+        forward(chain, np.zeros(len(robot.arm), dtype=int)),
+        forward(chain, np.zeros(len(robot.arm))),
     )
 
 

@@ -116,9 +116,7 @@ def test_a_solution_from_the_seed_comes_first(robot, exact_solver, draw):
     assert found.feasible.mean() >= 0.999
     assert warm.feasible.mean() >= 0.98
     solved = warm.feasible
-    np.testing.assert_array_equal(
-        found.joint_positions[solved], warm.joint_positions[solved]
-    )
+    np.testing.assert_array_equal(found.joint_positions[solved], warm.joint_positions[solved])
     travelled = moves(robot, joints, found.joint_positions).max(axis=1)
     assert np.median(travelled) < 0.03
     assert np.quantile(travelled, 0.95) < 0.2
@@ -230,7 +228,9 @@ def test_leeway(robot, judge, draw):
     reported = np.stack([solution.position_error, solution.rotation_error], axis=1)[solved]
     np.testing.assert_allclose(reported, missed, rtol=0.0, atol=1e-9)
     assert reported[:, 0].max() > 0.05  # the leeway is made use of
-    metres, radians = distance(forward(solver.chain, solution.joint_positions[solved]), targets[solved])
+    metres, radians = distance(
+        forward(solver.chain, solution.joint_positions[solved]), targets[solved]
+    )
     np.testing.assert_allclose(metres, reported[:, 0], atol=1e-9)
     np.testing.assert_allclose(radians, reported[:, 1], atol=1e-7)
 
@@ -243,5 +243,7 @@ def test_spread_configurations_cover_the_limits(robot):
     assert np.all((joints >= lower) & (joints <= upper))
     np.testing.assert_array_equal(joints, spread_configurations(robot, 512))
     assert not np.array_equal(joints, spread_configurations(robot, 512, seed=1))
-    counts = [np.histogram(column, 8, (0, 1))[0] for column in ((joints - lower) / (upper - lower)).T]
+    counts = [
+        np.histogram(column, 8, (0, 1))[0] for column in ((joints - lower) / (upper - lower)).T
+    ]
     assert np.min(counts) > 64 - 12

@@ -1,0 +1,67 @@
+"""Options that several commands share, and how they are read."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from kinfeas.cli.output import check_json_path
+
+if TYPE_CHECKING:
+    from kinfeas.robots.robot import Robot
+    from kinfeas.tasks.task import Task
+
+T = TypeVar("T")
+
+RobotName = Annotated[
+    str, typer.Option("--robot", help="Robot by name (pr2, tiago, hsr) or path of its YAML.")
+]
+TaskName = Annotated[
+    str, typer.Option("--task", help="Task by name: ggr, ggr_restricted or a plugin's.")
+]
+PolicyName = Annotated[
+    str,
+    typer.Option("--policy", help="Folder of a training run, follow_ee or follow_ee_feedback."),
+]
+Episodes = Annotated[int, typer.Option("--episodes", min=1, help="Number of episodes.")]
+Seed = Annotated[
+    int, typer.Option("--seed", min=0, help="Of all randomness; the same seed, the same result.")
+]
+Processes = Annotated[
+    int,
+    typer.Option(
+        "--processes", min=1, help="Processes that share the work; no result depends on it."
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override one setting; may be repeated."),
+]
+JsonPath = Annotated[
+    Path | None,
+    typer.Option(
+        "--json", help="Write the results as JSON to this file.", callback=check_json_path
+    ),
+]
+
+
+def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
+    """Return the settings `cls` with what `--set` says of them."""
+    from kinfeas import config
+
+    return config.from_mapping(cls, {}, "settings", overrides or ())
+
+
+def read_robot(name: str) -> "Robot":
+    """Return the robot that `--robot` names."""
+    from kinfeas.registry import load_robot
+
+    return load_robot(name)
+
+
+def read_task(name: str, parameters: dict[str, object]) -> "Task":
+    """Return the task that `--task` names."""
+    from kinfeas import registry
+
+    task: Task = registry.build("kinfeas.tasks", name, parameters)
+    return task

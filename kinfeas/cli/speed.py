@@ -1,0 +1,62 @@
+"""`kinfeas speed`: how fast everything is on this machine."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, share, status, write_json
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.policy import Network
+    from kinfeas.robots.robot import Robot
+
+PolicyFolder = Annotated[
+    str | None,
+    typer.Option(
+        "--policy",
+        help="Folder of a training run whose policy is timed; by default 256 x 256 random weights.",
+    ),
+]
+
+
+def speed(
+    robot: options.RobotName = "pr2",
+    policy: PolicyFolder = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Time inverse kinematics beside Pinocchio and PyBullet, environments, policy and training.
+
+    One core each, the best of several repeats; training takes all cores, half a minute long.
+    """
+    from kinfeas.evaluation.speed import Figure, measure_speed
+
+    network = _read_policy(policy, options.read_robot(robot)) if policy else None
+    with status("speed") as show:
+        figures = measure_speed(robot, network, on_part=lambda part: show(f"timing: {part}"))
+    if json is not None:
+        write_json({figure.key: figure.value for figure in figures if figure.key}, json)
+
+    def text(figure: Figure) -> str:
+        if figure.value is None:
+            return "not installed"
+        if not figure.unit:
+            return share(figure.value)
+        digits = 0 if figure.value >= 1000 else 2
+        return f"{figure.value:,.{digits}f} {figure.unit}"
+
+    rows = [[figure.text, text(figure)] for figure in figures]
+    print_table(f"speed, robot {robot}", ["", " on this machine"], rows)
+
+
+def _read_policy(folder: str, robot: "Robot") -> "Network":
+    from kinfeas.evaluation.policies import load_policy
+    from kinfeas.policy import Network
+
+    network = load_policy(folder, robot)
+    if not isinstance(network, Network):
+        raise KinfeasError(
+            f"--policy {folder}: speed times trained policies only; name a run folder"
+        )
+    return network

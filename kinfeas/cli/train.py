@@ -1,0 +1,186 @@
+"""`kinfeas train`: learn a base policy."""
+
+import json
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, share, write_json
+from kinfeas.cli.training_bar import training_bar
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.training.config import TrainConfig
+    from kinfeas.training.train import Progress, Report
+
+Minutes = Annotated[
+    float | None, typer.Option("--minutes", help="Wall-clock time in all, evaluations included.")
+]
+OutFolder = Annotated[
+    Path | None,
+    typer.Option("--out", help="Folder of the run; runs/ROBOT-TASK-SEED by default."),
+]
+
+
+def train(
+    robot: Annotated[
+        str | None,
+        typer.Option("--robot", help="Robot by name (pr2, tiago, hsr) or path of its YAML."),
+    ] = None,
+    task: Annotated[
+        str | None, typer.Option("--task", help="Task by name: ggr, ggr_restricted or a plugin's.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Of all randomness.")] = None,
+    minutes: Minutes = None,
+    steps: Annotated[
+        int | None, typer.Option("--steps", help="Environment steps in all, instead of minutes.")
+    ] = None,
+    algorithm: Annotated[str | None, typer.Option("--algorithm", help="sac or td3.")] = None,
+    out: OutFolder = None,
+    config: Annotated[
+        str | None,
+        typer.Option("--config", help="Recipe by name, such as train/default, or a YAML file."),
+    ] = None,
+    overrides: options.Overrides = None,
+    resume: Annotated[
+        Path | None, typer.Option("--resume", help="Go on with the run in this folder.")
+    ] = None,
+) -> None:
+    """Train a base policy; Ctrl-C leaves a checkpoint that --resume goes on from.
+
+    The recipe is train/ROBOT where there is one, else train/default. Settings: every key of it,
+    such as [bold]learner.batch_size=256[/] or [bold]environments=64[/].
+    """
+    wishes = Wishes(robot, task, seed, minutes, steps, algorithm)
+    if resume is not None:
+        if any(value is not None for value in (*vars(wishes).values(), out, config, overrides)):
+            raise KinfeasError("--resume goes on with the run's own settings: leave out all others")
+        folder, progress = resume, resume_run(resume)
+    else:
+        settings = read_settings(wishes, config, overrides or [])
+        folder = out or default_folder(settings)
+        progress = train_run(settings, folder)
+    _show(progress, folder)
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the options say of a run; None leaves it to the recipe."""
+
+    robot: str | None = None
+    task: str | None = None
+    seed: int | None = None
+    minutes: float | None = None
+    steps: int | None = None
+    algorithm: str | None = None
+
+    def overrides(self) -> list[str]:
+        """Return them as `--set` would say them."""
+        said: dict[str, object] = {
+            "robot": self.robot,
+            "task": self.task,
+            "seed": self.seed,
+            "learner.algorithm": self.algorithm,
+        }
+        said = {key: value for key, value in said.items() if value is not None}
+        if self.minutes is not None or self.steps is not None:
+            said |= {"schedule.minutes": self.minutes, "schedule.steps": self.steps}
+        return [f"{key}={json.dumps(value)}" for key, value in said.items()]
+
+
+def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "TrainConfig":
+    """Return the settings of a run: the recipe, then the options, then `--set`.
+
+    Raises:
+        KinfeasError: If recipe, robot, task, a key or a value is wrong.
+    """
+    from kinfeas.config import load
+    from kinfeas.envs.world import World
+    from kinfeas.recipes import default_recipe, find_recipe
+    from kinfeas.training.config import TrainConfig
+
+    if recipe is None:
+        path = default_recipe("train", options.read_robot(wishes.robot or TrainConfig.robot).name)
+    else:
+        path = find_recipe(recipe, "train")
+    settings = load(TrainConfig, path, [*wishes.overrides(), *overrides])
+    # What names something unknown is refused before there is a folder.
+    robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
+    World(options.read_robot(robot), task, settings.world, settings.seed)
+    return settings
+
+
+def default_folder(settings: "TrainConfig") -> Path:
+    """Return `runs/ROBOT-TASK-SEED`."""
+    return Path("runs") / f"{Path(settings.robot).stem}-{settings.task}-{settings.seed}"
+
+
+def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
+    """Train with a bar and return how far the run came."""
+    from kinfeas.training.train import train as run
+
+    return _run(folder, lambda report: run(settings, folder, report))
+
+
+def resume_run(folder: Path) -> "Progress":
+    """Go on with a run, with a bar, and return how far it came."""
+    from kinfeas.training.train import resume as run
+
+    return _run(folder, lambda report: run(folder, report))
+
+
+def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
+    try:
+        with training_bar() as report:
+            progress = work(report)
+    except KeyboardInterrupt:
+        sys.stderr.write(
+            f"interrupted: the run is kept, go on with: kinfeas train --resume {folder}\n"
+        )
+        raise typer.Exit(130) from None
+    write_json(best_figures(folder), folder / "evaluation.json")
+    return progress
+
+
+def best_figures(folder: Path) -> dict[str, Any]:
+    """Return what the evaluation of a run's best checkpoint found.
+
+    Raises:
+        KinfeasError: If the run has none, or it cannot be read.
+    """
+    path = folder / "checkpoints" / "best" / "policy.json"
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        return {
+            "robot": about["robot"],
+            "trained_with": about["config"]["robot"],
+            "task": about["config"]["task"],
+            "policy": str(folder),
+            "steps": about["steps"],
+            **about["evaluation"],
+        }
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise KinfeasError(f"{path}: not the best checkpoint of a training run") from error
+
+
+def _show(progress: "Progress", folder: Path) -> None:
+    figures = best_figures(folder)
+    rows = [
+        ["steps", f"{progress.steps:,}"],
+        ["time", f"{progress.seconds / 60.0:.1f} min"],
+        ["steps per second, evaluations included", f"{progress.steps / progress.seconds:,.0f}"],
+        [
+            f"success of the best checkpoint, {figures['episodes']} episodes",
+            share(*(float(figures[key]) for key in ("success", "success_low", "success_high"))),
+        ],
+        ["it came after steps", f"{figures['steps']:,}"],
+    ]
+    print_table(f"trained: {folder}", ["", "share (95 % interval) or figure"], rows)
+    command = ["kinfeas", "evaluate", "--robot", figures["trained_with"], "--task", figures["task"]]
+    typer.echo(f"evaluate it: {shlex.join([*command, '--policy', str(folder)])}")

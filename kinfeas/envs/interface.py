@@ -1,0 +1,91 @@
+"""What both Gymnasium environments have in common: spaces, actions and infos of a world."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from kinfeas import registry
+from kinfeas.envs.world import Transition, World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.observation import FIELDS, HORIZON
+from kinfeas.robots.robot import Robot
+from kinfeas.spatial import Array
+
+_FARTHEST = 1000.0
+"""Metres; wider than any episode, since Gymnasium wants the bounds of a space to be finite."""
+
+
+def make_world(
+    robot: str, task: str, task_parameters: Mapping[str, object] | None, config: WorldConfig | None
+) -> World:
+    """Return a world of seed 0.
+
+    Args:
+        robot: Name or YAML file of the robot.
+        task: Entry-point name of the task.
+        task_parameters: Its keyword parameters; none by default.
+        config: Everything else; the defaults of `WorldConfig` by default.
+
+    Raises:
+        KinfeasError: If there is no such robot or task, or a parameter is wrong.
+    """
+    return World(
+        registry.load_robot(robot),
+        registry.build("kinfeas.tasks", task, task_parameters or {}),
+        config or WorldConfig(),
+        seed=0,
+    )
+
+
+def observation_space(robot: Robot) -> "spaces.Box[np.float32]":
+    """Return the space of what is seen of one robot, shape (21 + j,), in metres and radians."""
+    bounds = {
+        "ee_position": _FARTHEST,
+        "planned_velocity": _FARTHEST / HORIZON,
+        "goal_position": _FARTHEST,
+    }
+    fields = np.concatenate([np.full(count, bounds.get(name, 1.0)) for name, count in FIELDS])
+    low = [-np.pi if joint.continuous else joint.lower for joint in robot.arm]
+    high = [np.pi if joint.continuous else joint.upper for joint in robot.arm]
+    return spaces.Box(
+        np.concatenate([-fields, low]).astype(np.float32),
+        np.concatenate([fields, high]).astype(np.float32),
+    )
+
+
+def action_space(world: World) -> "spaces.Box[np.float32]":
+    """Return the space of one robot's base commands, shape (3,) or (2,), shares of the limits."""
+    return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
+
+
+def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return base commands as the world takes them.
+
+    Raises:
+        KinfeasError: If they are not numbers of that shape, or not finite.
+    """
+    read = np.asarray(actions, dtype=np.float64)
+    if read.shape != shape or not np.isfinite(read).all():
+        raise KinfeasError(f"an action must be finite numbers of shape {shape}, not {actions!r}")
+    return read
+
+
+def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
+    """Return what else a step of n episodes brought, by name, each of shape (n,).
+
+    `failures` counts from the episode's beginning; `is_success` is a goal reached without any.
+    """
+    step, failures = transition.step, world.failures.copy()
+    return {
+        "feasible": step.feasible,
+        "failures": failures,
+        "deviation": step.deviation,
+        "goal_distance": step.goal_distance,
+        "goal_angle": step.goal_angle,
+        "jumped": step.jumped,
+        "reached": transition.reached,
+        "is_success": transition.reached & (failures == 0),
+    }

@@ -1,0 +1,149 @@
+"""The world as a Gymnasium vector environment: n episodes in one batch."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from kinfeas.envs.interface import (
+    action_space,
+    make_world,
+    observation_space,
+    read_actions,
+    step_info,
+)
+from kinfeas.envs.world import Transition, WorldConfig
+from kinfeas.errors import KinfeasError
+
+_Batch = NDArray[np.float32]
+
+
+class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
+    """n robots whose bases are to keep their EEs' motions feasible.
+
+    An episode that ends is followed by the next one in the same step; its own last observation
+    and info are then in `final_obs` and `final_info`. `reset(seed=s)` begins episodes 0 to n - 1
+    of seed s; each later one takes the next number, whichever row it runs in.
+    """
+
+    metadata = {
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: str = "pr2",
+        task: str = "ggr",
+        world: WorldConfig | None = None,
+        task_parameters: Mapping[str, object] | None = None,
+    ) -> None:
+        """Build the world for `num_envs` episodes; other arguments as in `make_world`.
+
+        Raises:
+            KinfeasError: If `num_envs` is less than 1, or as in `make_world`.
+        """
+        if num_envs < 1:
+            raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
+        self.num_envs = num_envs
+        self.world = make_world(robot, task, task_parameters, world)
+        self.single_observation_space = observation_space(self.world.robot)
+        self.single_action_space = action_space(self.world)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.next_episode = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[_Batch, dict[str, Any]]:
+        """Begin n episodes and return their observations, shape (n, 21 + j), and numbers.
+
+        Args:
+            seed: Of these episodes and all later ones; a random one if there never was any.
+            options: Not used.
+
+        Raises:
+            KinfeasError: If there is a seed for each row: randomness belongs to the episode.
+        """
+        if not isinstance(seed, int | np.integer | None):
+            raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
+        super().reset(seed=seed)
+        if seed is not None:
+            self.next_episode = 0
+        # A first reset without a seed finds a random one here.
+        self.world.seed = self.np_random_seed or 0
+        every = np.ones(self.num_envs, dtype=np.bool_)
+        numbers = self._take_numbers(every)
+        return self.world.start(numbers.tolist()).astype(np.float32), _masked(
+            {"episode_number": numbers}, every
+        )
+
+    def step(
+        self, actions: _Batch
+    ) -> tuple[_Batch, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Move all bases and return observations, rewards, terminated, truncated and infos.
+
+        Args:
+            actions: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+
+        Raises:
+            KinfeasError: If the actions are of another shape or not finite.
+        """
+        commands = read_actions(actions, (self.num_envs, self.world.action_size))
+        transition = self.world.step(commands)
+        brought = step_info(self.world, transition)
+        infos = _masked(brought, ~transition.done)
+        seen = transition.observation
+        if transition.done.any():
+            infos |= _ended(transition, brought)
+            numbers = self._take_numbers(transition.done)
+            infos |= _masked({"episode_number": numbers}, transition.done)
+            rows = np.flatnonzero(transition.done)
+            seen = self.world.start(numbers[rows].tolist(), rows)
+        return (
+            seen.astype(np.float32),
+            transition.reward,
+            transition.terminated,
+            transition.truncated,
+            infos,
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the world's backend."""
+        # Gymnasium also closes what could not be built.
+        if hasattr(self, "world"):
+            self.world.loop.backend.close()
+
+    def _take_numbers(self, rows: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the numbers of the episodes that begin now in `rows`, and 0 elsewhere, (n,)."""
+        numbers = np.zeros(self.num_envs, dtype=np.intp)
+        numbers[rows] = np.arange(self.next_episode, self.next_episode + rows.sum())
+        self.next_episode += int(rows.sum())
+        return numbers
+
+
+def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return infos as Gymnasium batches them: zeros where a row has none, and masks `_key`."""
+    batched: dict[str, Any] = {}
+    for key, values in infos.items():
+        batched[key] = np.where(rows, values, np.zeros_like(values))
+        batched[f"_{key}"] = rows.copy()
+    return batched
+
+
+def _ended(transition: Transition, brought: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the last observations and infos of the episodes that have ended."""
+    done = transition.done
+    final = np.full(len(done), None, dtype=object)
+    for row in np.flatnonzero(done):
+        final[row] = transition.observation[row].astype(np.float32)
+    return {
+        "final_obs": final,
+        "_final_obs": done.copy(),
+        "final_info": _masked(brought, done),
+        "_final_info": done.copy(),
+    }

@@ -1,0 +1,106 @@
+"""Solids and lines seen from a corner, drawn on flat axes: parallel lines stay parallel."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+
+from kinfeas.spatial import Array
+
+_LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])
+"""Where the light comes from, along the screen's right, into it, and up."""
+
+_DARKEST = 0.55
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A direction to look from.
+
+    Attributes:
+        right: World direction that points to the right of the picture, unit, shape (3,).
+        up: Same, to its top.
+        toward: Same, to the viewer.
+    """
+
+    right: Array
+    up: Array
+    toward: Array
+
+    def flat(self, points: Array) -> Array:
+        """Return where world points, shape (..., 3), come to lie, shape (..., 2), metres."""
+        return np.stack([points @ self.right, points @ self.up], axis=-1)
+
+
+def look(heading: float, elevation: float) -> View:
+    """Return the view in which the world direction `heading` points to the right.
+
+    Args:
+        heading: Radians from the world's x axis.
+        elevation: Angle from which to look down, radians; 0 is a side view, pi/2 a top view.
+    """
+    right = np.array([np.cos(heading), np.sin(heading), 0.0])
+    level = np.array([right[1], -right[0], 0.0])
+    toward = np.cos(elevation) * level + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    return View(right, np.cross(toward, right), toward)
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """A flat polygon with its colour.
+
+    Attributes:
+        corners: Shape (k, 3), metres, counter-clockwise when seen from outside.
+        colour: Any that matplotlib knows.
+    """
+
+    corners: Array
+    colour: str | tuple[float, ...]
+
+
+def draw_solids(axes: Axes, view: View, faces: Iterable[Painted]) -> None:
+    """Draw the faces that look toward the viewer, the nearer ones over those behind them."""
+    seen = [(face, normal) for face in faces if (normal := _normal(face)) @ view.toward > 1e-6]
+    seen.sort(key=lambda item: float(np.max(item[0].corners @ view.toward)) + _middle(item[0], view))
+    light = _LIGHT @ np.array([view.right, -view.toward, view.up])
+    colours = [_shade(face.colour, float(normal @ light)) for face, normal in seen]
+    axes.add_collection(
+        PolyCollection(
+            [view.flat(face.corners) for face, _ in seen],
+            facecolors=colours,
+            edgecolors=[tuple(0.8 * part for part in colour) for colour in colours],
+            linewidths=0.25,
+            zorder=3,
+        )
+    )
+
+
+def draw_floor(axes: Axes, view: View, points: Array, cell: float = 0.5) -> None:
+    """Draw a grid, along the view, on the floor below `points`, shape (k, 3), metres."""
+    along = view.right
+    across = np.array([-along[1], along[0], 0.0])
+    seen = points @ np.stack([along, across], axis=1)
+    low = np.floor((seen.min(axis=0) - 0.1) / cell) * cell
+    high = np.ceil((seen.max(axis=0) + 0.1) / cell) * cell
+    xs, ys = (np.arange(a, b + cell / 2.0, cell) for a, b in zip(low, high, strict=True))
+    ends = [((x, low[1]), (x, high[1])) for x in xs] + [((low[0], y), (high[0], y)) for y in ys]
+    lines = [view.flat(np.array(pair) @ np.stack([along, across])) for pair in ends]
+    axes.add_collection(LineCollection(lines, colors="#e3e6ea", linewidths=0.7, zorder=1))
+
+
+def _middle(face: Painted, view: View) -> float:
+    return float(np.mean(face.corners @ view.toward))
+
+
+def _normal(face: Painted) -> Array:
+    a, b, c = face.corners[:3]
+    normal = np.cross(b - a, c - a)
+    return normal / max(float(np.linalg.norm(normal)), 1e-12)
+
+
+def _shade(colour: str | tuple[float, ...], light: float) -> tuple[float, ...]:
+    brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * light)
+    return tuple(min(1.0, brightness * part) for part in to_rgb(colour))

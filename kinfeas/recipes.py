@@ -1,0 +1,46 @@
+"""Where recipes lie: YAML files that come with the package, by name, and the user's own, by path."""
+
+from importlib.resources import files
+from pathlib import Path
+
+from kinfeas.errors import KinfeasError
+from kinfeas.schema import no_such
+
+_SUFFIX = ".yaml"
+
+
+def recipes(folder: str) -> list[str]:
+    """Return the names of the recipes that come with the package in a folder, such as `train`."""
+    place = _root() / folder
+    return sorted(
+        path.relative_to(_root()).with_suffix("").as_posix() for path in place.glob(f"*{_SUFFIX}")
+    )
+
+
+def find_recipe(name: str, folder: str) -> Path:
+    """Return the file of a recipe.
+
+    Args:
+        name: Path of a YAML file, or the name of a recipe that comes with the package.
+        folder: Where such names are listed from, for the error.
+
+    Raises:
+        KinfeasError: If there is neither.
+    """
+    if (own := Path(name)).is_file():
+        return own
+    shipped = _root() / f"{name.removesuffix(_SUFFIX)}{_SUFFIX}"
+    if not shipped.is_file() or not shipped.resolve().is_relative_to(_root().resolve()):
+        raise KinfeasError(f"unknown configuration {name!r}{no_such(name, recipes(folder))}, or a file")
+    return shipped
+
+
+def default_recipe(folder: str, robot: str) -> Path:
+    """Return the recipe of a robot by its name, or the one for any robot."""
+    own = _root() / folder / f"{robot}{_SUFFIX}"
+    return own if robot == Path(robot).name and own.is_file() else _root() / folder / "default.yaml"
+
+
+def _root() -> Path:
+    # The package is installed as plain files, never zipped: numba caches its kernels beside them.
+    return Path(str(files("kinfeas.configs").joinpath("")))

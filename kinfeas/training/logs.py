@@ -1,0 +1,82 @@
+"""What a training run writes down as it goes: `metrics.csv` and TensorBoard."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+
+from kinfeas.errors import KinfeasError
+from kinfeas.folders import writing
+
+LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
+"""What is taken over from SB3's own log."""
+
+_EVALUATED = ("success", "within_5cm", "mean_failures", "mean_deviation_m", "jumps_per_episode")
+
+COLUMNS = (
+    "steps", "seconds", "train/success", *LEARNER, *(f"evaluation/{name}" for name in _EVALUATED)
+)  # fmt: skip
+"""Of `metrics.csv`, in order."""
+
+_FLUSH_SECONDS = 10
+
+
+class Logs:
+    """The logs of a run, open for writing; a context manager."""
+
+    def __init__(self, out: Path, steps: int) -> None:
+        """Open them for a run that goes on from `steps`; what lies beyond is dropped.
+
+        Args:
+            out: Folder of the run.
+            steps: Environment steps so far.
+
+        Raises:
+            KinfeasError: If the logs there are broken, or cannot be written.
+        """
+        self.path = out / "metrics.csv"
+        with writing(self.path):
+            rows = _rows_up_to(steps, self.path)
+            # Replaced rather than overwritten, so that a kill here loses nothing.
+            fresh = out / ".metrics.csv.new"
+            with fresh.open("w", newline="", encoding="utf-8") as file:
+                table = _table(file)
+                table.writeheader()
+                table.writerows(rows)
+            fresh.replace(self.path)
+            self._file = self.path.open("a", newline="", encoding="utf-8")
+        self._table = _table(self._file)
+        board = out / "tensorboard"
+        with writing(board):
+            self._board = SummaryWriter(str(board), purge_step=steps, flush_secs=_FLUSH_SECONDS)
+
+    def __enter__(self) -> "Logs":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+        self._board.close()
+
+    def write(self, row: dict[str, float]) -> None:
+        """Write one row of figures."""
+        with writing(self.path):
+            self._table.writerow(row)
+            self._file.flush()
+        for key, value in row.items():
+            if key != "steps":
+                self._board.add_scalar(key, value, int(row["steps"]))
+
+
+def _table(file: Any) -> "csv.DictWriter[str]":
+    return csv.DictWriter(file, COLUMNS, extrasaction="ignore")
+
+
+def _rows_up_to(steps: int, path: Path) -> list[dict[str, Any]]:
+    if not path.exists():
+        return []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [row for row in csv.DictReader(file) if float(row["steps"]) <= steps]
+    except (ValueError, TypeError, KeyError, csv.Error) as error:
+        raise KinfeasError(f"{path}: not the metrics of a training run; remove it") from error

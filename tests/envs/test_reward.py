@@ -1,0 +1,105 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas import config
+from kinfeas.envs.reward import RewardConfig, limit_distance, reward
+from kinfeas.errors import KinfeasError
+from kinfeas.loop import Step
+from kinfeas.robots.robot import Leeway
+
+PAPER = RewardConfig(failure="indicator", action_penalty=0.01, limit_penalty=0.0)
+
+
+def step(feasible, metres=0.0, radians=0.0):
+    feasible = np.atleast_1d(feasible)
+    n = len(feasible)
+    zero = np.zeros(n)
+    return Step(feasible, zero + metres, zero + radians, zero, zero, zero, np.zeros(n, dtype=bool))
+
+
+@pytest.fixture(scope="session")
+def exact_robot(robot):
+    return replace(robot, leeway=None)
+
+
+def middle(robot, n=1):
+    """Return configurations as far from all limits as can be."""
+    half = [0.0 if joint.continuous else (joint.lower + joint.upper) / 2.0 for joint in robot.arm]
+    return np.tile(half, (n, 1))
+
+
+def test_indicator_of_the_paper(exact_robot):
+    action = np.array([[0.0, 0.0], [0.0, 0.0], [0.6, -0.8], [1.0, 1.0]])
+    seen = step([True, False, True, False], metres=[0.0, 3.0, 0.0, np.inf])
+    earned = reward(PAPER, exact_robot, seen, action, middle(exact_robot, 4))
+    np.testing.assert_allclose(earned, [0.0, -1.0, -0.01, -1.02], atol=1e-15)
+
+
+@pytest.mark.parametrize("penalty", [0.0, 0.01, 0.1])
+def test_action_penalty(exact_robot, penalty):
+    action = np.array([[1.0, -1.0, 0.5]])
+    earned = reward(
+        replace(PAPER, action_penalty=penalty), exact_robot, step(True), action, middle(exact_robot)
+    )
+    np.testing.assert_allclose(earned, -penalty * 2.25)
+
+
+def test_graded_failure_grows_with_what_is_missing(exact_robot):
+    graded = RewardConfig(failure="graded", action_penalty=0.0, limit_penalty=0.0)
+    metres = np.array([0.0, 0.05, 0.1, 0.0, 0.1, 5.0, np.inf])
+    radians = np.array([0.0, 0.0, 0.0, 0.15, 0.3, 0.0, np.inf])
+    seen = step(np.zeros(7, dtype=bool), metres, radians)
+    earned = reward(graded, exact_robot, seen, np.zeros((7, 2)), middle(exact_robot, 7))
+    np.testing.assert_allclose(earned, [-0.2, -0.3, -0.6, -0.3, -1.0, -1.0, -1.0])
+    seen = step(np.ones(7, dtype=bool), metres, radians)
+    earned = reward(graded, exact_robot, seen, np.zeros((7, 2)), middle(exact_robot, 7))
+    np.testing.assert_array_equal(earned, 0.0)
+
+
+def test_leeway_costs_on_feasible_steps_alone(exact_robot):
+    lenient = replace(exact_robot, leeway=Leeway(0.1, 0.2094))
+    seen = step([True, True, True, False], [0.1, 0.0, 0.05, 0.3], [0.0, 0.2094, 0.1047, 0.3])
+    earned = reward(PAPER, lenient, seen, np.zeros((4, 3)), middle(lenient, 4))
+    np.testing.assert_allclose(earned, [-0.5, -0.5, -0.25, -1.0])
+
+
+def test_limit_penalty_falls_from_the_limit_to_the_margin(exact_robot):
+    weights = RewardConfig("indicator", 0.0, limit_penalty=0.1, limit_margin=0.2)
+    bounded = next(i for i, joint in enumerate(exact_robot.arm) if not joint.continuous)
+    joint = exact_robot.arm[bounded]
+    half = (joint.upper - joint.lower) / 2.0
+    joints = middle(exact_robot, 5)
+    low, high = joint.lower, joint.upper
+    joints[:, bounded] = [high, low, high - 0.1 * half, low + 0.2 * half, high - 0.5 * half]
+    np.testing.assert_allclose(
+        limit_distance(exact_robot, joints), [0, 0, 0.1, 0.2, 0.5], atol=1e-12
+    )
+    earned = reward(weights, exact_robot, step(np.ones(5, dtype=bool)), np.zeros((5, 2)), joints)
+    np.testing.assert_allclose(earned, [-0.1, -0.1, -0.05, 0.0, 0.0], atol=1e-12)
+    without = reward(
+        replace(weights, limit_margin=0.0), exact_robot, step(np.ones(5, dtype=bool)),
+        np.zeros((5, 2)), joints,
+    )  # fmt: skip
+    np.testing.assert_allclose(without, 0.0, atol=1e-12)
+
+
+def test_continuous_joints_have_no_limit(robot):
+    joints = middle(robot)
+    np.testing.assert_allclose(limit_distance(robot, joints), 1.0)
+    joints[:, [joint.continuous for joint in robot.arm]] = 3.1
+    np.testing.assert_allclose(limit_distance(robot, joints), 1.0)
+    endless = tuple(
+        replace(joint, continuous=True, lower=-np.inf, upper=np.inf) for joint in robot.arm
+    )
+    np.testing.assert_array_equal(limit_distance(replace(robot, arm=endless), joints), [1.0])
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [{"action_penalty": -0.1}, {"limit_penalty": -1}, {"limit_margin": 1.1}, {"failure": "dense"}],
+)
+def test_weights_out_of_range_are_one_sentence(entry):
+    with pytest.raises(KinfeasError, match=f"'{next(iter(entry))}' must be"):
+        config.from_mapping(RewardConfig, entry, "reward")

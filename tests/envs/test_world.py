@@ -1,0 +1,276 @@
+import hashlib
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.envs.reward import RewardConfig
+from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.policy import Network
+from kinfeas.registry import load_robot
+from kinfeas.tasks.ggr import ggr
+
+NOISY = WorldConfig(adapters=(AdapterSpec("base_noise", {"linear": 0.05, "angular": 0.05}),))
+
+
+def network(world, seed=0):
+    """Return an untrained network, its actions large enough to spread the episodes."""
+    rng = np.random.default_rng(seed)
+    sizes = (world.observation_size, 64, 64, world.action_size)
+    pairs = list(pairwise(sizes))
+    return Network(
+        np.ones(sizes[0], dtype=np.float32),
+        tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs),
+        tuple(np.zeros(pair[1], dtype=np.float32) for pair in pairs),
+    )
+
+
+def trace(world, episodes, steps=40):
+    """Return observations and rewards of episodes under a network, (n, steps, 21 + j + 1)."""
+    policy, found = network(world), []
+    world.start(episodes)
+    for _ in range(steps):
+        transition = world.step(policy.act(world.loop.situation))
+        found.append(np.column_stack([transition.observation, transition.reward]))
+    return np.stack(found, axis=1)
+
+
+def digest(robot_name):
+    """Return a hash of some noisy episodes, also printed when this file runs as a script."""
+    world = World(load_robot(robot_name), ggr(), NOISY, seed=3)
+    return hashlib.sha256(trace(world, range(16)).tobytes()).hexdigest()
+
+
+def pretend(world, **changes):
+    """Let the loop report what a test wants, for a batch of any size."""
+    real = world.loop.step
+
+    def step(action):
+        n = len(action)
+        seen = real(action)
+        return replace(seen, **{key: np.full(n, value) for key, value in changes.items()})
+
+    world.loop.step = step
+
+
+def idle(world, n=1):
+    return np.zeros((n, world.action_size))
+
+
+@pytest.fixture(scope="session")
+def quiet(robot):
+    return World(robot, ggr(), WorldConfig(), seed=0)
+
+
+@pytest.fixture
+def world(robot):
+    return World(robot, ggr(), WorldConfig(max_steps=50), seed=0)
+
+
+def test_sizes(quiet):
+    joints = len(quiet.robot.arm)
+    assert quiet.observation_size == 21 + joints
+    assert quiet.action_size == (2 if quiet.robot.base.drive == "differential" else 3)
+    assert quiet.start(range(3)).shape == (3, 21 + joints)
+    transition = quiet.step(idle(quiet, 3))
+    assert transition.observation.shape == (3, 21 + joints)
+    for values in (transition.reward, transition.terminated, transition.truncated, transition.done):
+        assert values.shape == (3,)
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_an_episode_is_the_same_to_the_bit_in_any_batch(robot, size):
+    world = World(robot, ggr(), NOISY, seed=3)
+    together = trace(world, range(64))
+    chosen = [0, 17, 63] if size == 1 else range(0, 64, 21)
+    for first in chosen:
+        episodes = range(first, min(first + size, 64))
+        alone = trace(World(robot, ggr(), NOISY, seed=3), episodes)
+        np.testing.assert_array_equal(alone, together[list(episodes)])
+
+
+def test_an_episode_is_the_same_wherever_and_whenever_it_starts(robot):
+    """Started late, in another row, among others."""
+    world = World(robot, ggr(), NOISY, seed=3)
+    expected = trace(world, range(8))
+    policy = network(world)
+    world.start(range(100, 105))
+    for _ in range(13):
+        world.step(policy.act(world.loop.situation))
+    world.start([7, 2], np.array([4, 0]))
+    for i in range(40):
+        transition = world.step(policy.act(world.loop.situation))
+        seen = np.column_stack([transition.observation, transition.reward])
+        np.testing.assert_array_equal(seen[[4, 0]], expected[[7, 2], i])
+
+
+def test_another_process_sees_the_same(robot):
+    command = [sys.executable, __file__, robot.name]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == digest(robot.name)
+
+
+def test_seeds_and_episodes_differ(robot):
+    first = World(robot, ggr(), WorldConfig(), seed=0).start(range(4))
+    other = World(robot, ggr(), WorldConfig(), seed=1).start(range(4))
+    assert len(np.unique(np.concatenate([first, other])[:, 0])) == 8
+
+
+def test_noise_disturbs_the_base_alone(robot):
+    plain, noisy = (World(robot, ggr(), each, seed=0) for each in (WorldConfig(), NOISY))
+    np.testing.assert_array_equal(plain.start(range(4)), noisy.start(range(4)))
+    for _ in range(5):
+        plain.step(idle(plain, 4))
+        noisy.step(idle(noisy, 4))
+    np.testing.assert_array_equal(plain.loop.desired, noisy.loop.desired)
+    moved = noisy.loop.state.base_pose - plain.loop.state.base_pose
+    assert np.all(np.abs(moved[:, [0, 1, 5]]).max(axis=0) > 1e-4)
+    np.testing.assert_array_equal(moved[:, [2, 3, 4]], 0.0)
+
+
+@pytest.mark.parametrize("allowed", [0, 19, 99])
+def test_more_failures_than_allowed_end_the_episode(robot, allowed):
+    world = World(robot, ggr(), WorldConfig(max_failures=allowed), seed=0)
+    world.start([0])
+    pretend(world, feasible=False)
+    for _ in range(allowed):
+        assert not world.step(idle(world)).done.any()
+    last = world.step(idle(world))
+    assert last.terminated.all()
+    assert not last.truncated.any()
+    assert not last.reached.any()
+    assert world.failures == [allowed + 1]
+
+
+def test_failures_need_not_follow_each_other(world):
+    world.start([0])
+    real = world.loop.step
+    for i in range(39):
+        world.loop.step = lambda action, i=i: replace(real(action), feasible=np.array([i % 2 == 1]))
+        transition = world.step(idle(world))
+        assert transition.terminated.all() == (i == 38)
+
+
+@pytest.mark.parametrize(
+    ("feasible", "metres", "degrees", "reached"),
+    [
+        (True, 0.025, 11.999999, True),
+        (True, 0.0250001, 0.0, False),
+        (True, 0.0, 12.00001, False),
+        (False, 0.0, 0.0, False),
+    ],
+)
+def test_success_is_within_25_mm_and_12_degrees_on_a_feasible_step(
+    world, feasible, metres, degrees, reached
+):
+    world.start([0, 1])
+    pretend(world, feasible=feasible, goal_distance=metres, goal_angle=np.deg2rad(degrees))
+    transition = world.step(idle(world, 2))
+    np.testing.assert_array_equal(transition.reached, reached)
+    np.testing.assert_array_equal(transition.terminated, reached)
+    np.testing.assert_array_equal(transition.done, reached)
+
+
+def test_the_time_limit_truncates(world):
+    world.start([0])
+    pretend(world, feasible=True, goal_distance=1.0)
+    for _ in range(49):
+        assert not world.step(idle(world)).done.any()
+    last = world.step(idle(world))
+    assert last.truncated.all()
+    assert not last.terminated.any()
+
+
+@pytest.mark.parametrize("end", [{"goal_distance": 0.0, "goal_angle": 0.0}, {"feasible": False}])
+def test_an_end_on_the_last_step_is_no_truncation(robot, end):
+    world = World(robot, ggr(), WorldConfig(max_steps=1, max_failures=0), seed=0)
+    world.start([0])
+    pretend(world, **({"feasible": True} | end))
+    last = world.step(idle(world))
+    assert last.terminated.all()
+    assert not last.truncated.any()
+
+
+def test_a_restart_counts_from_zero(world):
+    world.start([0, 1])
+    pretend(world, feasible=False)
+    for _ in range(10):
+        world.step(idle(world, 2))
+    world.start([2], np.array([1]))
+    np.testing.assert_array_equal(world.steps, [10, 0])
+    np.testing.assert_array_equal(world.failures, [10, 0])
+
+
+@pytest.mark.parametrize("failure", ["indicator", "graded"])
+def test_reward_is_that_of_the_step(robot, failure):
+    weights = RewardConfig(failure=failure, action_penalty=0.01, limit_penalty=0.0)
+    world = World(robot, ggr(), WorldConfig(reward=weights), seed=0)
+    world.start([0])
+    action = idle(world)
+    action[:, 0] = 1.0
+    pretend(world, feasible=False, position_error=0.1, rotation_error=0.0)
+    cost = 1.0 if failure == "indicator" else 0.6
+    np.testing.assert_allclose(world.step(action).reward, [-cost - 0.01])
+    pretend(world, feasible=True, position_error=0.05, rotation_error=0.0)
+    cost = 0.0 if robot.leeway is None else 0.125
+    np.testing.assert_allclose(world.step(action).reward, [-cost - 0.01])
+
+
+def test_a_goal_at_hand_is_reached(robot):
+    """Whole episodes without a base motion: the goal lies within the arm's reach or it fails."""
+    task = ggr(distance=(0.3, 0.7), heights=(0.6, 0.9))
+    world = World(robot, task, WorldConfig(max_failures=99), seed=0)
+    policy, n = FollowEe(robot.base, feedback=True), 24
+    world.start(range(n))
+    reached, done = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    for _ in range(900):
+        transition = world.step(policy.act(world.loop.situation))
+        reached |= transition.reached & ~done
+        done |= transition.done
+        if done.all():
+            break
+    assert done.all()
+    assert reached.mean() > 0.2
+    assert np.all(transition.reward <= 0.0)
+
+
+def test_goes_on_from_a_snapshot_to_the_bit(robot):
+    world = World(robot, ggr(), NOISY, seed=3)
+    policy = network(world)
+    world.start(range(6))
+    for _ in range(10):
+        world.step(policy.act(world.loop.situation))
+    saved = world.snapshot()
+    expected = [world.step(policy.act(world.loop.situation)) for _ in range(10)]
+    counts = world.steps.copy(), world.failures.copy()
+    other = World(robot, ggr(), NOISY, seed=3)
+    other.restore(saved)
+    for transition in expected:
+        found = other.step(policy.act(other.loop.situation))
+        np.testing.assert_array_equal(found.observation, transition.observation)
+        np.testing.assert_array_equal(found.reward, transition.reward)
+        np.testing.assert_array_equal(found.done, transition.done)
+    np.testing.assert_array_equal(other.steps, counts[0])
+    np.testing.assert_array_equal(other.failures, counts[1])
+
+
+@pytest.mark.parametrize(
+    ("adapter", "message"),
+    [
+        (AdapterSpec("base_nose"), "unknown adapter 'base_nose'"),
+        (AdapterSpec("base_noise", {"linear": -1.0}), "linear is -1.0, must be finite"),
+        (AdapterSpec("base_noise", {"linaer": 1.0}), "unknown parameter 'linaer'"),
+    ],
+)
+def test_wrong_adapters_are_one_sentence(robot, adapter, message):
+    with pytest.raises(KinfeasError, match=message):
+        World(robot, ggr(), WorldConfig(adapters=(adapter,)), seed=0)
+
+
+if __name__ == "__main__":
+    print(digest(sys.argv[1]))  # noqa: T201

@@ -1,0 +1,48 @@
+import json
+
+import numpy as np
+import pytest
+
+from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.policies import BASELINES, load_policy
+from kinfeas.evaluation.speed import random_network
+from kinfeas.policy import write_network
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_baselines_by_name(robot, name):
+    assert load_policy(name, robot) == FollowEe(robot.base, feedback=name.endswith("feedback"))
+
+
+def test_a_trained_policy_by_its_folder(robot, tmp_path):
+    network = random_network(robot, hidden=8)
+    write_network(network, tmp_path, robot, {})
+    seen = np.random.default_rng(0).normal(size=(3, len(network.scale)))
+    np.testing.assert_array_equal(load_policy(str(tmp_path), robot)(seen), network(seen))
+
+
+def test_an_unknown_name_lists_what_there_is(robot):
+    with pytest.raises(KinfeasError, match=r"follow_ee, follow_ee_feedback.*training run"):
+        load_policy("follow_me", robot)
+
+
+def test_a_folder_that_is_no_run(robot, tmp_path):
+    with pytest.raises(KinfeasError, match="not a training run"):
+        load_policy(str(tmp_path), robot)
+
+
+def test_a_broken_policy(robot, tmp_path):
+    write_network(random_network(robot, hidden=8), tmp_path, robot, {})
+    for path in tmp_path.glob("*.safetensors"):
+        path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(KinfeasError, match="broken policy"):
+        load_policy(str(tmp_path), robot)
+
+
+def test_a_policy_of_another_robot(robot, tmp_path):
+    write_network(random_network(robot, hidden=8), tmp_path, robot, {})
+    (path,) = tmp_path.glob("*.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"robot": "other"}))
+    with pytest.raises(KinfeasError, match="'other'"):
+        load_policy(str(tmp_path), robot)

@@ -1,0 +1,55 @@
+import math
+
+import numpy as np
+import pytest
+
+from kinfeas import drive, observation, registry
+from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.envs.world import WorldConfig
+from kinfeas.evaluation import speed
+from kinfeas.evaluation.speed import Effort, Figure, environment_rate, measure_speed, random_network
+
+KEYS = {
+    "ik_warm_us", "ik_cold_us", "ik_cold_solved", "pinocchio_warm_us", "pinocchio_cold_us",
+    "pybullet_warm_us", "env_steps_per_s_1", "env_steps_per_s_128", "env_steps_per_s_1024",
+    "train_steps_per_s", "action_us", "peak_rss_mb",
+}  # fmt: skip
+
+SMALL = Effort(targets=50, repeats=1)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Time little, and no training."""
+    monkeypatch.setattr(speed, "BATCHES", {1: 3, 128: 2, 1024: 1})
+    trained = Figure("training", 3000.0, "steps/s", "train_steps_per_s")
+    monkeypatch.setattr(speed, "measure_training", lambda robot, effort: iter([trained]))
+
+
+def test_measures_what_is_asked_for(quick):
+    parts = []
+    figures = measure_speed("pr2", effort=SMALL, on_part=parts.append)
+    keyed = [figure.key for figure in figures if figure.key]
+    assert sorted(keyed) == sorted(KEYS)
+    assert all(figure.value is None or math.isfinite(figure.value) for figure in figures)
+    assert len(parts) == 4
+
+
+def test_a_missing_peer_has_no_figure(quick, monkeypatch):
+    monkeypatch.setattr("kinfeas.evaluation.peers.find_spec", lambda name: None)
+    figures = {figure.key: figure.value for figure in measure_speed("pr2", effort=SMALL)}
+    missing = {key for key, value in figures.items() if value is None}
+    assert missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
+
+
+def test_ended_episodes_are_followed_by_others(monkeypatch):
+    robot = registry.load_robot("pr2")
+    monkeypatch.setattr(speed, "WorldConfig", lambda: WorldConfig(max_steps=4))
+    assert environment_rate(robot, FollowEe(robot.base), batch=3, steps=20, repeats=1) > 0.0
+
+
+def test_the_random_network_fits_the_robot(robot):
+    network = random_network(robot)
+    action = network(np.ones((5, observation.size(len(robot.arm)))))
+    assert action.shape == (5, drive.action_size(robot.base))
+    assert np.all(np.abs(action) <= 1.0)

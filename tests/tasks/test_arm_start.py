@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.spatial import compose
+from kinfeas.tasks.arm_start import random_arm
+
+
+def draws(solver, n=300, accept=None):
+    return np.array([random_arm(solver, np.random.default_rng((0, i)), accept) for i in range(n)])
+
+
+def test_within_limits_free_and_above_the_floor(solver):
+    robot, joints = solver.robot, draws(solver)
+    assert np.all(joints >= [joint.lower for joint in robot.arm])
+    assert np.all(joints <= [joint.upper for joint in robot.arm])
+    assert not self_collides(solver.collision, joints).any()
+    tip = np.concatenate([robot.tool_tip, [0.0, 0.0, 0.0, 1.0]])
+    ee = forward(solver.chain, joints)
+    assert compose(ee, np.broadcast_to(tip, ee.shape))[:, 2].min() > 0.0
+
+
+def test_covers_the_limits(solver):
+    joints = draws(solver)
+    for i, joint in enumerate(solver.robot.arm):
+        low, high = (-np.pi, np.pi) if joint.continuous else (joint.lower, joint.upper)
+        share = (joints[:, i] - low) / (high - low)
+        assert share.min() < 0.1
+        assert share.max() > 0.9
+
+
+def test_same_seed_same_arm(solver):
+    np.testing.assert_array_equal(draws(solver, 20), draws(solver, 20))
+    assert len(np.unique(draws(solver, 20)[:, 0])) == 20
+
+
+def test_accepts_what_the_caller_does(solver):
+    joints = draws(solver, 50, lambda ee: (ee[:, 2] > 0.5) & (ee[:, 2] < 0.6))
+    height = forward(solver.chain, joints)[:, 2]
+    assert np.all((height > 0.5) & (height < 0.6))
+
+
+def test_gives_up_in_one_sentence(solver):
+    with pytest.raises(KinfeasError, match="no arm configuration free of self-collision"):
+        random_arm(solver, np.random.default_rng(0), lambda ee: ee[:, 2] > 9.0)

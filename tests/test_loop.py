@@ -1,0 +1,305 @@
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from kinfeas.plugins.linear import Linear
+
+from kinfeas import spatial
+from kinfeas.backend import RobotState
+from kinfeas.drive import action_size, base_twist
+from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.kinematics.forward import forward
+from kinfeas.loop import Loop
+from kinfeas.observation import HORIZON, observe
+from kinfeas.start import Start
+
+
+class Recorder:
+    """A backend that writes down what it is told; tests may move its robots behind its back."""
+
+    def __init__(self) -> None:
+        self.resets: list[tuple] = []
+        self.steps: list[tuple] = []
+
+    def reset(self, base_pose, joint_positions, rows=None):
+        self.resets.append((base_pose.copy(), joint_positions.copy(), rows))
+        if rows is None:
+            self.base, self.joints = base_pose.copy(), joint_positions.copy()
+        else:
+            self.base[rows], self.joints[rows] = base_pose, joint_positions
+        return self.state
+
+    def step(self, base_twist, joint_targets, dt):
+        self.steps.append((base_twist.copy(), joint_targets.copy(), dt))
+        self.base = spatial.integrate(self.base, base_twist, dt)
+        self.joints = joint_targets.copy()
+        return self.state
+
+    def close(self):
+        pass
+
+    @property
+    def state(self):
+        return RobotState(self.base.copy(), self.joints.copy())
+
+
+class Noisy(AnalyticBackend):
+    """Remembers the seeds that it is given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.given: list[tuple[list[int], list[int]]] = []
+
+    def seed(self, seeds, rows):
+        self.given.append((seeds.tolist(), rows.tolist()))
+
+
+def rngs(n: int, seed: int = 0) -> Sequence[np.random.Generator]:
+    return [np.random.default_rng((seed, i)) for i in range(n)]
+
+
+def starts(robot, n, seed=0):
+    """Return n episodes from the home configuration to goals one or two metres away."""
+    rng = np.random.default_rng(seed)
+    heading, bearing = rng.uniform(-np.pi, np.pi, (2, n))
+    goal = np.zeros((n, 7))
+    reach = rng.uniform(1.0, 2.0, n)
+    goal[:, 0], goal[:, 1], goal[:, 2] = reach * np.cos(bearing), reach * np.sin(bearing), 0.7
+    goal[:, 3:] = rng.normal(size=(n, 4))
+    goal[:, 3:] /= np.linalg.norm(goal[:, 3:], axis=1, keepdims=True)
+    base = spatial.planar_pose(np.zeros(n), np.zeros(n), heading)
+    return Start(base, np.tile(robot.home["home"], (n, 1)), goal)
+
+
+def make_loop(solver, n, backend=None, dt=HORIZON, seed=0):
+    loop = Loop(solver, Linear(), backend or AnalyticBackend(), dt)
+    loop.start(starts(solver.robot, n, seed), rngs(n))
+    return loop
+
+
+def actions(loop, n, rng):
+    return rng.uniform(-1.0, 1.0, (n, action_size(loop.robot.base)))
+
+
+def still(loop):
+    return np.zeros((len(loop.desired), action_size(loop.robot.base)))
+
+
+def test_begins_at_the_ee_with_the_start_configuration(solver):
+    loop, start = make_loop(solver, 5), starts(solver.robot, 5)
+    ee = spatial.compose(start.base_pose, forward(solver.chain, start.joint_positions))
+    np.testing.assert_array_equal(loop.desired, ee)
+    np.testing.assert_array_equal(loop.ee_pose, ee)
+    np.testing.assert_allclose(loop.goal, start.target_pose, atol=1e-12)
+    np.testing.assert_array_equal(loop.state.base_pose, start.base_pose)
+
+
+def test_actions_cannot_bend_the_trajectory(solver):
+    rng = np.random.default_rng(0)
+    loops = [make_loop(solver, 8) for _ in range(3)]
+    for _ in range(60):
+        for loop, share in zip(loops, (0.0, 0.5, 1.0), strict=True):
+            loop.step(share * actions(loop, 8, rng))
+        for loop in loops[1:]:
+            np.testing.assert_array_equal(loop.desired, loops[0].desired)
+    assert np.abs(loops[2].ee_pose - loops[0].ee_pose).max() > 0.01
+
+
+def test_desired_pose_is_the_generators_integrated(solver):
+    loop, generator = make_loop(solver, 4), Linear()
+    desired = loop.desired.copy()
+    state = generator.start(desired, starts(solver.robot, 4).target_pose, rngs(4))
+    for _ in range(30):
+        loop.step(still(loop))
+        twist, state = generator.twist(state, desired, HORIZON)
+        desired = spatial.integrate(desired, twist, HORIZON)
+        np.testing.assert_array_equal(loop.desired, desired)
+
+
+def test_planned_is_the_next_desired_pose(solver):
+    loop = make_loop(solver, 4)
+    for _ in range(10):
+        planned = loop.planned.copy()
+        np.testing.assert_array_equal(loop.situation.planned, planned)
+        loop.step(still(loop))
+        np.testing.assert_array_equal(loop.desired, planned)
+
+
+def test_arm_is_placed_relative_to_the_base_that_was_commanded(solver):
+    rng, recorder = np.random.default_rng(0), Recorder()
+    loop = make_loop(solver, 6, recorder)
+    feasible = 0
+    for _ in range(20):
+        before, action = recorder.state.base_pose, 0.3 * actions(loop, 6, rng)
+        step = loop.step(action)
+        twist, targets, dt = recorder.steps[-1]
+        expected = base_twist(loop.robot.base, before, action, dt)
+        np.testing.assert_array_equal(twist, expected)
+        commanded = spatial.integrate(before, twist, dt)
+        ee = spatial.compose(commanded, forward(solver.chain, targets))
+        metres, radians = spatial.distance(ee, loop.desired)
+        np.testing.assert_allclose(
+            metres[step.feasible], step.position_error[step.feasible], atol=1e-9
+        )
+        np.testing.assert_allclose(
+            radians[step.feasible], step.rotation_error[step.feasible], atol=1e-7
+        )
+        feasible += step.feasible.sum()
+    assert feasible > 60
+
+
+def test_what_is_measured_counts_not_what_was_commanded(solver):
+    recorder = Recorder()
+    loop = make_loop(solver, 3, recorder)
+    original = recorder.step
+
+    def slipping(twist, targets, dt):
+        original(twist, targets, dt)
+        recorder.base[:, 0] += 0.01
+        return recorder.state
+
+    recorder.step = slipping
+    step = loop.step(still(loop))
+    ee = spatial.compose(recorder.base, forward(solver.chain, recorder.joints))
+    np.testing.assert_array_equal(loop.ee_pose, ee)
+    np.testing.assert_allclose(
+        step.deviation, np.linalg.norm(ee[:, :3] - loop.desired[:, :3], axis=1), atol=1e-12
+    )
+    expected = observe(
+        recorder.base, forward(solver.chain, recorder.joints), loop.planned, loop.goal,
+        recorder.joints,
+    )  # fmt: skip
+    np.testing.assert_array_equal(loop.observation, expected)
+
+
+def test_infeasible_the_arm_holds_still_and_the_ee_rides_along(solver):
+    recorder = Recorder()
+    loop = make_loop(solver, 3, recorder)
+    loop.step(still(loop))
+    recorder.base[1, :2] += 6.0  # far beyond reach of its desired pose
+    loop.start(  # row 0 begins anew, so that the loop measures
+        Start(*(part[:1] for part in vars(starts(solver.robot, 3)).values())),
+        rngs(1),
+        np.array([0]),
+    )
+    joints, planned = recorder.joints.copy(), loop.planned.copy()
+    action = still(loop)
+    action[:, 0] = 1.0
+    step = loop.step(action)
+    np.testing.assert_array_equal(step.feasible[1], False)
+    np.testing.assert_array_equal(recorder.joints[1], joints[1])
+    np.testing.assert_array_equal(loop.desired, planned)
+    ee = spatial.compose(recorder.base, forward(solver.chain, recorder.joints))
+    np.testing.assert_array_equal(loop.ee_pose, ee)
+    assert step.deviation[1] > 5.0
+    assert not step.jumped[1]
+    # Later steps may recover.
+    recorder.base[1, :2] -= 6.0
+    loop.step(still(loop))
+    assert loop.step(still(loop)).feasible[1]
+
+
+def test_restarting_rows_leaves_the_others_alone(solver):
+    rng = np.random.default_rng(1)
+    whole, other = make_loop(solver, 5), make_loop(solver, 5)
+    rows = np.array([3, 1])
+    fresh = starts(solver.robot, 2, seed=7)
+    for i in range(30):
+        action = actions(whole, 5, rng)
+        whole.step(action)
+        other.step(action)
+        if i == 10:
+            other.start(fresh, rngs(2, 7), rows)
+            ee = spatial.compose(fresh.base_pose, forward(solver.chain, fresh.joint_positions))
+            np.testing.assert_array_equal(other.desired[rows], ee)
+            np.testing.assert_allclose(other.goal[rows], fresh.target_pose, atol=1e-12)
+        for name in ("desired", "observation", "ee_pose", "planned"):
+            np.testing.assert_array_equal(
+                getattr(whole, name)[[0, 2, 4]], getattr(other, name)[[0, 2, 4]], err_msg=name
+            )
+    assert np.abs(whole.desired[rows] - other.desired[rows]).max() > 0.05
+
+
+def test_restarting_rows_does_not_write_into_what_others_hold(solver):
+    loop = make_loop(solver, 3)
+    loop.step(still(loop))
+    held = [loop.desired, loop.observation, *loop.motion.values(), loop.situation.planned]
+    before = [array.copy() for array in held]
+    loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
+    for array, old in zip(held, before, strict=True):
+        np.testing.assert_array_equal(array, old)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.05])
+def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
+    fine, coarse = make_loop(solver, 4, dt=dt), make_loop(solver, 4)
+    np.testing.assert_array_equal(fine.observation, coarse.observation)
+    for _ in range(round(HORIZON / dt)):
+        fine.step(still(fine))
+    coarse.step(still(coarse))
+    # The motion is a dynamic system of its own time: close, whatever the rate.
+    np.testing.assert_allclose(fine.desired, coarse.desired, atol=1e-3)
+    metres = np.linalg.norm(fine.planned[:, :3] - fine.desired[:, :3], axis=1)
+    coarse_metres = np.linalg.norm(coarse.planned[:, :3] - coarse.desired[:, :3], axis=1)
+    np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
+
+
+def test_control_rate_reaches_the_backend(solver):
+    recorder = Recorder()
+    loop = make_loop(solver, 2, recorder, dt=0.02)
+    action = still(loop)
+    action[:, -1] = 1.0
+    before = recorder.base.copy()
+    loop.step(action)
+    assert recorder.steps[-1][2] == 0.02
+    turned = spatial.wrap(spatial.yaw(recorder.base) - spatial.yaw(before))
+    np.testing.assert_allclose(turned, 0.02 * loop.robot.base.max_rotation)
+
+
+def test_jumps_are_moves_beyond_the_velocity_limit(solver):
+    loop = make_loop(solver, 1)
+    velocity = np.array([joint.velocity for joint in solver.robot.arm])
+    before = np.tile(solver.robot.home["home"], (3, 1))
+    after = before.copy()
+    after[1] += velocity * HORIZON  # at the limit
+    after[2, 2] += 1.01 * velocity[2] * HORIZON
+    np.testing.assert_array_equal(loop._jumped(before, after), [False, False, True])
+
+
+def test_continuous_joints_jump_the_short_way(solver):
+    endless = [i for i, joint in enumerate(solver.robot.arm) if joint.continuous]
+    loop, before = make_loop(solver, 1), np.tile(solver.robot.home["home"], (1, 1))
+    after = before.copy()
+    before[:, endless], after[:, endless] = np.pi - 0.001, -np.pi + 0.001
+    assert not loop._jumped(before, after).any()
+
+
+def test_backends_that_draw_get_a_seed_for_each_episode(solver):
+    backend = Noisy()
+    loop = make_loop(solver, 4, backend)
+    ((first, rows),) = backend.given
+    assert rows == [0, 1, 2, 3]
+    assert len(set(first)) == 4
+    loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
+    assert backend.given[-1] == ([first[2]], [1])
+
+
+def test_snapshot_goes_on_to_the_bit(solver):
+    rng = np.random.default_rng(3)
+    loop = make_loop(solver, 4)
+    for _ in range(5):
+        loop.step(actions(loop, 4, rng))
+    saved, rest = loop.snapshot(), [actions(loop, 4, rng) for _ in range(10)]
+    for action in rest:
+        loop.step(action)
+    loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
+    again = Loop(solver, Linear(), AnalyticBackend())
+    again.restore(saved)
+    expected = make_loop(solver, 4)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        expected.step(actions(expected, 4, rng))
+    for action in rest:
+        again.step(action)
+        expected.step(action)
+        np.testing.assert_array_equal(again.observation, expected.observation)
