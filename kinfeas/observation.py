@@ -1,6 +1,7 @@
 """What a policy sees of the robot and of the motion it serves."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.spatial import IDENTITY, Array, integrate, relative, twist_between
 
@@ -56,9 +57,17 @@ def scale(joints: int) -> Array:
 
     An EE that moves 0.1 m/s and 0.1 rad/s turns by a quaternion of about 0.005 in `HORIZON`.
     """
-    factors = {"planned_velocity": 5.0, "planned_rotation": 50.0, "goal_position": 0.5}
+    factors = {"planned_velocity": 5.0, "planned_rotation": 20.0, "goal_position": 0.5}
     scales = [np.full(count, factors.get(name, 1.0)) for name, count in FIELDS]
-    planned_w = sum(count for _, count in FIELDS[:4]) - 1
     joined = np.concatenate([*scales, np.full(joints, 0.5)])
-    joined[planned_w] = 1.0
+    joined[sum(count for _, count in FIELDS[:4]) - 1] = 1.0  # the w of the planned rotation
     return joined
+
+
+CLIP = 3.0
+"""Bound of a scaled number: an EE far off its path would drown all others."""
+
+
+def scaled(seen: Array, factors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return observations, shape (n, 21 + j), as networks take them in."""
+    return np.clip(seen.astype(np.float32) * factors, -CLIP, CLIP)

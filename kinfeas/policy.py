@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from kinfeas import observation
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
+from kinfeas.observation import scaled, size
 from kinfeas.folders import find_folder
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
@@ -56,7 +56,7 @@ class Network:
     else is in the batch.
 
     Attributes:
-        scale: Factor on each observed number, shape (inputs,).
+        scale: Factor on each observed number before it is clipped, shape (inputs,), float32.
         weights: Of each layer, shape (inputs, outputs), float32.
         biases: Of each layer, shape (outputs,), float32.
     """
@@ -69,9 +69,9 @@ class Network:
         """Return base commands in [-1, 1], shape (n, actions)."""
         return self(situation.observation)
 
-    def __call__(self, observation: Array) -> Array:
+    def __call__(self, seen: Array) -> Array:
         """Return the network's output for observations of shape (n, inputs)."""
-        values = np.ascontiguousarray(observation, dtype=np.float32) * self.scale
+        values = scaled(seen, self.scale)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             out = np.empty((len(values), len(bias)), dtype=np.float32)
@@ -127,7 +127,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
     except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
     _check_network(network, place)
-    wanted = (observation.size(len(robot.arm)), action_size(robot.base))
+    wanted = (size(len(robot.arm)), action_size(robot.base))
     found = (len(network.scale), len(network.biases[-1]))
     if trained_for != robot.name or found != wanted:
         raise KinfeasError(

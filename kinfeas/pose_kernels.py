@@ -18,9 +18,12 @@ inlined = njit(cache=True, error_model="numpy", forceinline=True)
 def write_matrix(pose, out):
     """Write the orientation of a pose, shape (7,), as a matrix, shape (3, 3)."""
     x, y, z, w = pose[3], pose[4], pose[5], pose[6]
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    out[0, 0], out[1, 1] = 1.0 - s * (y * y + z * z), 1.0 - s * (x * x + z * z)
+    out[2, 2] = 1.0 - s * (x * x + y * y)
+    out[0, 1], out[1, 0] = s * (x * y - z * w), s * (x * y + z * w)
+    out[0, 2], out[2, 0] = s * (x * z + y * w), s * (x * z - y * w)
+    out[1, 2], out[2, 1] = s * (y * z - x * w), s * (y * z + x * w)
 
 
 @inlined
@@ -33,7 +36,8 @@ def write_pose(position, matrix, out):
     a, b, c = matrix[0, 0], matrix[1, 1], matrix[2, 2]
     if a + b + c > 0.0:
         w = 1.0 + a + b + c
-        x, y, z = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
+        x, y = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0]
+        z = matrix[1, 0] - matrix[0, 1]
     elif a >= b and a >= c:
         x, w = 1.0 + a - b - c, matrix[2, 1] - matrix[1, 2]
         y, z = matrix[0, 1] + matrix[1, 0], matrix[0, 2] + matrix[2, 0]

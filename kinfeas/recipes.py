@@ -1,4 +1,4 @@
-"""Where recipes lie: YAML files that come with the package, by name, and the user's own, by path."""
+"""Recipes: YAML files that come with the package, by name, and the user's own, by path."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -31,7 +31,8 @@ def find_recipe(name: str, folder: str) -> Path:
         return own
     shipped = _root() / f"{name.removesuffix(_SUFFIX)}{_SUFFIX}"
     if not shipped.is_file() or not shipped.resolve().is_relative_to(_root().resolve()):
-        raise KinfeasError(f"unknown configuration {name!r}{no_such(name, recipes(folder))}, or a file")
+        known = no_such(name, recipes(folder))
+        raise KinfeasError(f"unknown configuration {name!r}{known}, or a file")
     return shipped
 
 

@@ -47,7 +47,16 @@ def demo(
     with progress("evaluating") as advance:
         comparison = compare(trial, folder, _processes(), advance)
     write_json(comparison.policy, folder / "evaluation.json")
-    started = ["kinfeas", "demo", "--robot", robot, "--minutes", f"{minutes:g}", "--seed", f"{seed}"]
+    started = [
+        "kinfeas",
+        "demo",
+        "--robot",
+        robot,
+        "--minutes",
+        f"{minutes:g}",
+        "--seed",
+        f"{seed}",
+    ]
     started += [part for text in overrides or [] for part in ("--set", text)]
     report = make_report(comparison, _commands(comparison, started))
     for name, picture in zip(PICTURES, report.pictures, strict=True):

@@ -28,7 +28,7 @@ OutFolder = Annotated[
 ]
 
 
-def train(
+def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them from the signature
     robot: Annotated[
         str | None,
         typer.Option("--robot", help="Robot by name (pr2, tiago, hsr) or path of its YAML."),

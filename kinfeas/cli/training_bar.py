@@ -23,7 +23,12 @@ def training_bar() -> Iterator[Callable[["Progress"], None]]:
     if not console.is_terminal:
         yield _Lines()
         return
-    columns = (TextColumn("training"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[news]}"))
+    columns = (
+        TextColumn("training"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[news]}"),
+    )
     with Progress(*columns, console=console) as bar:
         task = bar.add_task("training", total=1.0, news="compiling")
         yield lambda progress: bar.update(task, completed=progress.share, news=describe(progress))

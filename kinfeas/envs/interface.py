@@ -19,7 +19,10 @@ _FARTHEST = 1000.0
 
 
 def make_world(
-    robot: str, task: str, task_parameters: Mapping[str, object] | None, config: WorldConfig | None
+    robot: str,
+    task: str,
+    task_parameters: Mapping[str, object] | None = None,
+    config: WorldConfig | None = None,
 ) -> World:
     """Return a world of seed 0.
 

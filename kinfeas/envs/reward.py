@@ -30,7 +30,7 @@ class RewardConfig:
 
     failure: Literal["indicator", "graded"] = "graded"
     action_penalty: NotNegative = 0.001
-    limit_penalty: NotNegative = 0.1
+    limit_penalty: NotNegative = 0.02
     limit_margin: Annotated[float, Interval(low=0.0, high=1.0)] = 0.2
 
 

@@ -123,8 +123,9 @@ def _pictures(comparison: Comparison) -> list[Picture]:
     return [
         Picture("Episodes without a failure during training.", png(curve)),
         Picture(
-            f"The first {len(shown)} episodes of seed {trial.seed}: the robot at a few moments, the "
-            "later the darker, and the same from above. Bars lead from the base to the end-effector.",
+            f"The first {len(shown)} episodes of seed {trial.seed}: the robot at a few moments, "
+            "the later the darker, and below the same from above, with a bar from the base to the "
+            "end-effector.",
             png(episodes_figure(trial.robot, shown)),
         ),
     ]

@@ -107,11 +107,12 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     _draw_headings(axes, recording)
     _draw_goal(axes, recording, view)
     axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
     axes.set(xlabel="x (m)", ylabel="y (m)")
 
 
 def _draw_footprint(
-    axes: Axes, robot: Robot, recording: Recording, moment: int, colour: tuple[float, ...]
+    axes: Axes, robot: Robot, recording: Recording, moment: int, colour: tuple[float, float, float]
 ) -> None:
     """Draw the outline of all that the arm does not move, from above."""
     pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
@@ -120,7 +121,9 @@ def _draw_footprint(
         return
     points = np.concatenate(body)
     outline = points[ConvexHull(points).vertices]
-    axes.add_patch(Polygon(outline, facecolor=(*colour, 0.55), edgecolor="#9aa2ad", lw=0.9, zorder=2))
+    axes.add_patch(
+        Polygon(outline, facecolor=(*colour, 0.55), edgecolor="#9aa2ad", lw=0.9, zorder=2)
+    )
 
 
 def _draw_headings(axes: Axes, recording: Recording) -> None:
@@ -153,10 +156,11 @@ def _draw_goal(axes: Axes, recording: Recording, view: View) -> None:
     axes.plot(*foot[:1].T, "*", color=GOAL, mec=INK, mew=0.7, ms=17.0, zorder=11)
 
 
-def _pale(colour: str, place: int, count: int) -> tuple[float, ...]:
+def _pale(colour: str, place: int, count: int) -> tuple[float, float, float]:
     """Return `colour`, the paler the earlier: `place` 0 of `count` is the palest."""
     share = _PALEST * (1.0 - place / max(count - 1, 1))
-    return tuple(part + (1.0 - part) * share for part in to_rgb(colour))
+    red, green, blue = (part + (1.0 - part) * share for part in to_rgb(colour))
+    return red, green, blue
 
 
 def _legend() -> list[Line2D]:

@@ -111,10 +111,11 @@ def run_trial(
     if processes == 1:
         world = World(trial.robot, trial.task, trial.world, trial.seed)
         return run_episodes(world, policy, trial.episodes, on_done)
-    starts = range(0, trial.episodes, BATCH)
+    firsts = range(0, trial.episodes, BATCH)
+    counts = [min(BATCH, trial.episodes - first) for first in firsts]
     parts = []
-    with _pool(min(processes, len(starts))) as pool:
-        for part in pool.map(partial(_run_part, trial, policy), starts):
+    with _pool(min(processes, len(firsts))) as pool:
+        for part in pool.map(partial(_run_part, trial, policy), firsts, counts):
             parts.append(part)
             if on_done is not None:
                 on_done(len(part.reached))
@@ -136,9 +137,9 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(cancel_futures=True)
 
 
-def _run_part(trial: Trial, policy: Policy, first: int) -> EpisodeRecords:
+def _run_part(trial: Trial, policy: Policy, first: int, count: int) -> EpisodeRecords:
     world = World(trial.robot, trial.task, trial.world, trial.seed)
-    return run_episodes(world, policy, min(BATCH, trial.episodes - first), first=first)
+    return run_episodes(world, policy, count, first=first)
 
 
 def _join(parts: list[EpisodeRecords]) -> EpisodeRecords:

@@ -5,6 +5,7 @@ what a careful user would give them: limits, a seed, and Pinocchio the same numb
 """
 
 import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -150,7 +151,10 @@ def _joint_xml(robot: Robot, joint: Joint) -> str:
         inner += f'<limit lower="{lower}" upper="{upper}" velocity="{arm.velocity}" effort="1000"/>'
     elif joint.moves:
         origin = spatial.compose(origin, _moved(joint, robot.fixed_joints[joint.name]))
-    rpy = spatial.rotation(origin).as_euler("xyz")
+    with warnings.catch_warnings():
+        # Of many angles for one rotation, in gimbal lock, any will do.
+        warnings.simplefilter("ignore", UserWarning)
+        rpy = spatial.rotation(origin).as_euler("xyz")
     return (
         f'<joint name="{joint.name}" type="{kind}"><parent link="{joint.parent}"/>'
         f'<child link="{joint.child}"/><origin xyz="{_text(origin[:3])}" rpy="{_text(rpy)}"/>'

@@ -15,6 +15,8 @@ _LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])
 
 _DARKEST = 0.55
 
+Colour = str | tuple[float, float, float]
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -58,13 +60,13 @@ class Painted:
     """
 
     corners: Array
-    colour: str | tuple[float, ...]
+    colour: Colour
 
 
 def draw_solids(axes: Axes, view: View, faces: Iterable[Painted]) -> None:
     """Draw the faces that look toward the viewer, the nearer ones over those behind them."""
     seen = [(face, normal) for face in faces if (normal := _normal(face)) @ view.toward > 1e-6]
-    seen.sort(key=lambda item: float(np.max(item[0].corners @ view.toward)) + _middle(item[0], view))
+    seen.sort(key=lambda item: _nearness(item[0], view))
     light = _LIGHT @ np.array([view.right, -view.toward, view.up])
     colours = [_shade(face.colour, float(normal @ light)) for face, normal in seen]
     axes.add_collection(
@@ -91,8 +93,10 @@ def draw_floor(axes: Axes, view: View, points: Array, cell: float = 0.5) -> None
     axes.add_collection(LineCollection(lines, colors="#e3e6ea", linewidths=0.7, zorder=1))
 
 
-def _middle(face: Painted, view: View) -> float:
-    return float(np.mean(face.corners @ view.toward))
+def _nearness(face: Painted, view: View) -> float:
+    """Return what orders faces from back to front: the middle alone misjudges long ones."""
+    depth = face.corners @ view.toward
+    return float(np.max(depth) + np.mean(depth))
 
 
 def _normal(face: Painted) -> Array:
@@ -101,6 +105,7 @@ def _normal(face: Painted) -> Array:
     return normal / max(float(np.linalg.norm(normal)), 1e-12)
 
 
-def _shade(colour: str | tuple[float, ...], light: float) -> tuple[float, ...]:
+def _shade(colour: Colour, light: float) -> tuple[float, float, float]:
     brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * light)
-    return tuple(min(1.0, brightness * part) for part in to_rgb(colour))
+    red, green, blue = (min(1.0, brightness * part) for part in to_rgb(colour))
+    return red, green, blue

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from kinfeas import strict_yaml
 from kinfeas.errors import KinfeasError
@@ -106,13 +107,13 @@ def machine() -> dict[str, str]:
 
 def paper_success(robot: str, task: str) -> dict[str, float]:
     """Return the paper's shares, 0-1, for a robot and a task: `policy` and `follow_ee`, or none."""
-    data = strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))
-    assert isinstance(data, dict)
+    data: Any = strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))
     return {name: value / 100.0 for name, value in data.get(robot, {}).get(task, {}).items()}
 
 
 def _table(rows: Sequence[Row]) -> str:
-    heads = ("", "without a failure", "95 % interval", "", "within 5 cm", "failures", "EE deviation", "arm jumps")
+    heads = ["", "without a failure", "95 % interval", ""]
+    heads += ["within 5 cm", "failures", "EE deviation", "arm jumps"]
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     return f"<table><tr>{head}</tr>\n{''.join(_line(row) for row in rows)}</table>\n"
 
@@ -146,7 +147,8 @@ def _bar(share: Share) -> str:
     value, low, high = (160.0 * part for part in (share.value, share.low, share.high))
     whisker = f"<path d='M{low:.1f} 7H{high:.1f}M{low:.1f} 3V11M{high:.1f} 3V11'/>"
     return (
-        "<svg width=164 height=14 viewBox='-2 0 164 14'><rect class=all y=2 width=160 height=10 rx=2 />"
+        "<svg width=164 height=14 viewBox='-2 0 164 14'>"
+        "<rect class=all y=2 width=160 height=10 rx=2 />"
         f"<rect y=2 width={value:.1f} height=10 rx=2 />{whisker if high > low else ''}</svg>"
     )
 
@@ -171,7 +173,8 @@ def _processor() -> str:
 
 
 _STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;color:#2b2f36;max-width:1100px;margin:2.5rem auto;padding:0 1rem}
+body{font:16px/1.5 system-ui,sans-serif;color:#2b2f36;max-width:1100px;
+margin:2.5rem auto;padding:0 1rem}
 h1{font-size:1.7rem;margin:0 0 .3rem}h2{font-size:1.15rem;margin:2.2rem 0 .6rem}
 .summary{font-size:1.1rem;margin:0 0 1.4rem}.note{color:#6b727d;font-size:.9rem;margin:.3rem 0}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ class Face:
 
     Attributes:
         corners: Shape (k, 3), metres.
-        arm: Whether the arm moves it.
+        arm: Whether it belongs to what IK moves on the way to the EE, or to the gripper.
     """
 
     corners: Array
@@ -45,23 +46,36 @@ def robot_faces(robot: Robot, base_pose: Array, joint_positions: Array) -> list[
     rotations, positions = _bodies(tree, joint_positions)
     turn, place = spatial.rotation(base_pose).as_matrix(), base_pose[:3]
     found = []
-    for body, corners in faces:
-        seen = corners @ rotations[body].T + positions[body]
-        found.append(Face(seen @ turn.T + place, body != FIXED))
+    for body, face in faces:
+        seen = face.corners @ rotations[body].T + positions[body]
+        found.append(Face(seen @ turn.T + place, face.arm))
     return found
 
 
 @lru_cache(maxsize=8)
-def _parts(robot: Robot) -> tuple[Tree, list[tuple[int, Array]]]:
+def _parts(robot: Robot) -> tuple[Tree, list[tuple[int, Face]]]:
     """Return the tree and each face with the joint that carries it, in that joint's frame."""
     tree, mounts = build_tree(robot)
-    faces = []
+    arm, faces = _arm_links(robot), []
     for link in robot.urdf.links.values():
         mount = mounts[link.name]
         for shape in link.shapes:
             for corners in _polygons(shape):
-                faces.append((mount.joint, corners @ mount.rotation.T + mount.offset))
+                placed = corners @ mount.rotation.T + mount.offset
+                moves = mount.joint != FIXED and link.name in arm
+                faces.append((mount.joint, Face(placed, moves)))
     return tree, faces
+
+
+def _arm_links(robot: Robot) -> set[str]:
+    """Return the links from the root to the EE and all that the EE carries."""
+    links = {joint.child for joint in robot.urdf.path_to(robot.ee_frame)}
+    carried = [robot.ee_frame]
+    while carried:
+        link = carried.pop()
+        links.add(link)
+        carried += [joint.child for joint in robot.urdf.joints.values() if joint.parent == link]
+    return links
 
 
 def _bodies(tree: Tree, joint_positions: Array) -> tuple[Array, Array]:
@@ -104,7 +118,7 @@ def _turned(radii: NDArray[np.float64], heights: NDArray[np.float64]) -> list[Ar
         for radius, height in zip(radii, heights, strict=True)
     ]
     faces = [rings[0][::-1], rings[-1]]
-    for low, high in zip(rings, rings[1:], strict=False):
+    for low, high in pairwise(rings):
         for i in range(_SIDES):
             j = (i + 1) % _SIDES
             faces.append(np.array([low[i], low[j], high[j], high[i]]))

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -93,6 +93,7 @@ def measure_speed(
 def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
     """Yield the time and the yield of inverse kinematics, ours and that of others."""
     rng = np.random.default_rng(0)
+    others = {"Pinocchio": peers.pinocchio_peer(robot), "PyBullet": peers.pybullet_peer(robot)}
     with one_core():
         warm = warm_targets(robot, effort.targets, rng)
         cold = cold_targets(robot, effort.targets, rng)
@@ -102,8 +103,8 @@ def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
             is_cold = kind == "cold"
             yield from _timing(f"IK {kind}, self-collision off", free, "" if is_cold else "ik_warm")
             yield from _timing(f"IK {kind}", full, "ik_cold" if is_cold else "")
-            yield from _peer(robot, "Pinocchio", kind, targets)
-            yield from _peer(robot, "PyBullet", kind, targets)
+            for name, peer in others.items():
+                yield from _peer_timing(f"{name} {kind}", peer, robot, targets)
 
 
 def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
@@ -184,17 +185,17 @@ def _timing(text: str, timing: IkTiming, key: str) -> Iterator[Figure]:
     yield Figure(f"{text}, solved", timing.solved, "", "ik_cold_solved" if key == "ik_cold" else "")
 
 
-def _peer(robot: Robot, name: str, kind: str, targets: Targets) -> Iterator[Figure]:
-    make = {"Pinocchio": peers.pinocchio_peer, "PyBullet": peers.pybullet_peer}[name]
+def _peer_timing(
+    text: str, peer: peers.Peer | None, robot: Robot, targets: Targets
+) -> Iterator[Figure]:
     # PyBullet finds next to nothing from afar: how long it takes over that is of no use to anyone.
-    key = f"{name.lower()}_{kind}_us" if (name, kind) != ("PyBullet", "cold") else ""
-    peer = make(robot)
+    key = "" if text == "PyBullet cold" else f"{text.lower().replace(' ', '_')}_us"
     if peer is None:
-        yield Figure(f"{name} {kind}", None, "us", key)
+        yield Figure(text, None, "us", key)
         return
-    figures = list(_timing(f"{name} {kind}", time_peer(robot, peer, targets), ""))
-    yield replace(figures[0], key=key)
-    yield figures[1]
+    timing = time_peer(robot, peer, targets)
+    yield Figure(text, timing.microseconds, "us", key)
+    yield Figure(f"{text}, solved", timing.solved, "")
 
 
 def _drive(world: World, policy: Policy, steps: int) -> None:

@@ -88,7 +88,7 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
     stalled, best = 0, np.inf
     metres, radians = np.inf, np.inf
     for iteration in range(options.max_iterations + 1):
-        metres, radians = _measure(chain, target_rotation, target_position, q, scratch)
+        metres, radians = measure(chain, target_rotation, target_position, q, scratch)
         if metres <= options.position_tolerance and radians <= options.rotation_tolerance:
             break
         cost = metres**2 + (options.rotation_weight * radians) ** 2
@@ -114,7 +114,7 @@ def _weigh(weight, scratch):
 
 
 @inlined
-def _measure(chain, target_rotation, target_position, q, scratch):
+def measure(chain, target_rotation, target_position, q, scratch):
     place_chain(chain, q, scratch.frames)
     squared = 0.0
     for i in range(3):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Chain
-from kinfeas.kinematics.descent import Descent, descend, make_scratch
+from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
 from kinfeas.kinematics.forward import inlined, kernel, place_chain
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
 from kinfeas.pose_kernels import write_matrix
@@ -98,8 +98,8 @@ def solve_batch(problem: Problem, targets, solution, feasible, errors):
                 problem, target, solution[i], errors[i], order, scratch, touching
             )
         for j in range(solution.shape[1]):
-            if problem.continuous[j]:
-                solution[i, j] = np.pi - (np.pi - solution[i, j]) % (2.0 * np.pi)
+            if feasible[i] and problem.continuous[j]:
+                solution[i, j] = _wrap(solution[i, j])
 
 
 @inlined
@@ -115,8 +115,8 @@ def _solve_from_seed(problem, target, solution, error, scratch, touching):
         for k in range(3):
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
     cost += problem.descent.rotation_weight**2 * (3.0 - trace)
-    error[0], error[1] = np.inf, np.inf
     if cost > WARM_COST:
+        error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
         return False
     error[0], error[1] = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
     if not _acceptable(problem, error[0], error[1], q, touching):
@@ -152,8 +152,18 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
 
 
 @inlined
+def _wrap(angle):
+    """Return the angle in (-pi, pi], with its own bits if it lies there."""
+    if -np.pi < angle <= np.pi:
+        return angle
+    wrapped = np.pi - (np.pi - angle) % (2.0 * np.pi)
+    return wrapped if wrapped > -np.pi else np.pi
+
+
+@inlined
 def _acceptable(problem, metres, radians, q, touching):
-    if metres > problem.accept_position or radians > problem.accept_rotation:
+    # Asked this way about, numbers that are not finite are no solution.
+    if not (metres <= problem.accept_position and radians <= problem.accept_rotation):
         return False
     return not (problem.check_collision and touches_itself(problem.collision, q, touching))
 
@@ -208,6 +218,6 @@ def _seconds_between(problem, start, end):
     for j in range(len(start)):
         move = end[j] - start[j]
         if problem.continuous[j]:
-            move = np.pi - (np.pi - move) % (2.0 * np.pi)
+            move = _wrap(move)
         longest = max(longest, abs(move) / problem.velocity[j])
     return longest

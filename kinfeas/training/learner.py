@@ -70,9 +70,9 @@ def explore(
 def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
     """Return the learner's deterministic actor as a network that runs without torch."""
     actor = learner.actor
-    parts = [actor.latent_pi, actor.mu] if isinstance(learner, SAC) else [actor.mu]
-    layers = (layer for part in parts for layer in part.modules())
-    linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    # In SAC's actor the layers of the deviation follow those of the mean.
+    used = [name for name, _ in actor.named_modules() if name.split(".")[0] in ("latent_pi", "mu")]
+    linear = [m for m in map(actor.get_submodule, used) if isinstance(m, nn.Linear)]
     return Network(
         scale,
         tuple(layer.weight.detach().numpy().T.copy() for layer in linear),

@@ -112,4 +112,4 @@ class WorldVecEnv(VecEnv):
         return list(range(first, self.next_episode))
 
     def _scaled(self, seen: NDArray[np.float64]) -> NDArray[np.float32]:
-        return seen.astype(np.float32) * self.scale
+        return observation.scaled(seen, self.scale)

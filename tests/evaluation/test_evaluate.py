@@ -60,10 +60,11 @@ def test_the_same_seed_gives_the_same_figures(trial, policy):
     assert evaluate(trial, policy) != evaluate(replace(trial, seed=4), policy)
 
 
-def test_parts_join_to_the_whole(trial, policy, monkeypatch):
+def test_parts_join_to_the_whole(trial, policy):
     whole = run_trial(trial, policy)
-    monkeypatch.setattr(module, "BATCH", 8)
-    parts = [module._run_part(trial, policy, first) for first in range(0, trial.episodes, 8)]
+    sizes = [8, 1, 11]
+    firsts = np.cumsum([0, *sizes])
+    parts = [module._run_part(trial, policy, *part) for part in zip(firsts, sizes, strict=False)]
     joined = module._join(parts)
     for key, values in vars(whole).items():
         np.testing.assert_array_equal(getattr(joined, key), values, err_msg=key)

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import spatial
 from kinfeas.kinematics.ceiling import STAGES, reachable
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import spread_configurations
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 
 
@@ -20,7 +20,9 @@ def made_by_the_arm(solver, count):
 
 def at_height(count, low, high):
     rng = np.random.default_rng(5)
-    position = np.stack([*rng.uniform(-3.0, 3.0, (2, count)), rng.uniform(low, high, count)], axis=1)
+    position = np.stack(
+        [*rng.uniform(-3.0, 3.0, (2, count)), rng.uniform(low, high, count)], axis=1
+    )
     return spatial.make_pose(position, Rotation.random(count, rng=rng))
 
 
@@ -38,9 +40,11 @@ def by_chance(solver, goals, tries):
     return reached
 
 
-def test_what_the_arm_can_do_is_reachable(exact_solver):
-    goals = made_by_the_arm(exact_solver, 40)
-    found = reachable(exact_solver, goals)
+def test_what_the_arm_can_do_is_reachable(robot):
+    # Few joints reach a pose exactly from hardly any base pose, so that nearly has to do.
+    nearly = IkOptions(leeway=False, position_tolerance=0.025, rotation_tolerance=0.2)
+    solver = IkSolver(robot, nearly)
+    found = reachable(solver, made_by_the_arm(solver, 40))
     assert found.reached.all()
     assert found.share.value == 1.0
     assert found.share.low < 1.0

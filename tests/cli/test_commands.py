@@ -1,0 +1,122 @@
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from kinfeas import registry
+from kinfeas.cli.main import app
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation import speed as speed_module
+from kinfeas.evaluation.speed import Figure, random_network
+from kinfeas.policy import write_network
+
+SHORT = ["--set", "world.max_steps=30", "--episodes", "3"]
+
+
+def kinfeas(*arguments):
+    """Run a command; an exception that `main` would report is raised."""
+    result = CliRunner().invoke(app, list(arguments))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def test_evaluate(tmp_path):
+    path = tmp_path / "out.json"
+    result = kinfeas("evaluate", "--policy", "follow_ee", *SHORT, "--json", str(path))
+    assert result.exit_code == 0
+    assert "ceiling" in result.output
+    figures = json.loads(path.read_text())
+    assert figures["episodes"] == 3
+    assert figures["policy"] == "follow_ee"
+    assert 0.0 <= figures["ceiling"] <= 1.0
+
+
+def test_evaluate_a_trained_policy_on_another_robot_and_task(tmp_path):
+    robot = registry.load_robot("tiago")
+    write_network(random_network(robot, hidden=8), tmp_path, robot, {})
+    options = ["--robot", "tiago", "--task", "ggr_restricted", "--seed", "7"]
+    result = kinfeas("evaluate", "--policy", str(tmp_path), *options, *SHORT)
+    assert "ggr_restricted, robot tiago, 3 episodes of seed 7" in " ".join(result.output.split())
+
+
+def test_evaluate_a_robot_by_its_path():
+    path = str(registry.load_robot("pr2").urdf_path.with_suffix(".yaml"))
+    assert kinfeas("evaluate", "--policy", "follow_ee", "--robot", path, *SHORT).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--policy", "follow_me"], "unknown policy"),
+        (["--policy", "follow_ee", "--robot", "pr3"], "unknown robot"),
+        (["--policy", "follow_ee", "--task", "gr"], "unknown task"),
+        (["--policy", "follow_ee", "--set", "world.dt=0"], "world.dt"),
+        (["--policy", "follow_ee", "--set", "word.dt=0.1"], "did you mean 'world'"),
+        (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
+        (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
+    ],
+)
+def test_evaluate_refuses(arguments, message):
+    with pytest.raises(KinfeasError, match=message):
+        kinfeas("evaluate", *arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["--policy", "follow_ee", "--episodes", "0"], ["--policy"]]
+)
+def test_evaluate_is_used_wrongly(arguments):
+    assert kinfeas("evaluate", *arguments).exit_code == 2
+
+
+def test_ceiling(tmp_path):
+    path = tmp_path / "out.json"
+    result = kinfeas("ceiling", "--episodes", "8", "--seed", "3", "--json", str(path))
+    assert result.exit_code == 0
+    figures = json.loads(path.read_text())
+    assert figures["convergence"][-1] == figures["ceiling"]
+    assert figures["ceiling_low"] <= figures["ceiling"] <= figures["ceiling_high"]
+    assert len(figures["convergence"]) == len(figures["base_poses"])
+
+
+def test_ceiling_is_the_one_that_evaluate_shows(tmp_path):
+    paths = tmp_path / "ceiling.json", tmp_path / "evaluate.json"
+    settings = ["--set", "task.heights=[0.1,1.5]", "--seed", "3", "--json"]
+    kinfeas("ceiling", "--episodes", "3", *settings, str(paths[0]))
+    kinfeas("evaluate", "--policy", "follow_ee", *SHORT, *settings, str(paths[1]))
+    first, second = (json.loads(path.read_text())["ceiling"] for path in paths)
+    assert first == second
+
+
+def test_speed(tmp_path, monkeypatch):
+    figures = [Figure("one", 1.5, "us", "one_us"), Figure("peer", None, "us", "peer_us")]
+    figures += [Figure("solved", 0.25, ""), Figure("rate", 12345.6, "steps/s")]
+    monkeypatch.setattr(speed_module, "measure_speed", lambda *_, **__: figures)
+    path = tmp_path / "out.json"
+    result = kinfeas("speed", "--json", str(path))
+    assert json.loads(path.read_text()) == {"one_us": 1.5, "peer_us": None}
+    for text in ("1.50 us", "not installed", "25.0 %", "12,346 steps/s"):
+        assert text in result.output
+
+
+def test_speed_times_the_policy_of_a_run(tmp_path, monkeypatch):
+    robot, timed = registry.load_robot("pr2"), []
+    network = random_network(robot, hidden=4)
+    write_network(network, tmp_path, robot, {})
+    monkeypatch.setattr(
+        speed_module, "measure_speed", lambda robot, network, on_part: timed.append(network) or []
+    )
+    kinfeas("speed", "--policy", str(tmp_path))
+    np.testing.assert_array_equal(timed[0].weights[0], network.weights[0])
+    with pytest.raises(KinfeasError, match="trained policies only"):
+        kinfeas("speed", "--policy", "follow_ee")
+
+
+def test_plugins_list(tmp_path):
+    path = tmp_path / "out.json"
+    result = kinfeas("plugins", "list", "--json", str(path))
+    assert result.exit_code == 0
+    listed = {(entry["group"], entry["name"]) for entry in json.loads(path.read_text())}
+    assert {("kinfeas.robots", "pr2"), ("kinfeas.motion_generators", "linear")} <= listed
+    assert "motion generator" in result.output

@@ -1,0 +1,79 @@
+import subprocess
+import sys
+
+import pytest
+
+from kinfeas import __version__
+from kinfeas.cli import main as module
+from kinfeas.errors import KinfeasError
+
+HEAVY = ("numpy", "numba", "scipy", "torch", "gymnasium", "matplotlib", "pybullet")
+
+
+def kinfeas(*arguments):
+    code = "from kinfeas.cli.main import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from kinfeas.cli.main import main\n"
+        "sys.argv = ['kinfeas', '--help']\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        f"print('loaded:', [name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "evaluate" in done.stdout
+    assert done.stdout.endswith("loaded: []\n")
+
+
+def test_version():
+    done = kinfeas("--version")
+    assert done.stdout == f"kinfeas {__version__}\n"
+    assert done.returncode == 0
+
+
+def test_bad_input_is_one_line_and_exit_code_2():
+    done = kinfeas("ceiling", "--robot", "pr3")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: unknown robot 'pr3' (did you mean 'pr2'?)")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["evaluat"], ["ceiling", "--episodes", "none"]])
+def test_wrong_usage_exits_with_2(arguments):
+    done = kinfeas(*arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+def raising(error):
+    def app():
+        raise error
+
+    return app
+
+
+def test_an_error_of_many_lines_becomes_one(monkeypatch, capsys):
+    monkeypatch.setattr(module, "app", raising(KinfeasError("first\n  second")))
+    with pytest.raises(SystemExit) as end:
+        module.main()
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "error: first second\n"
+
+
+def test_ctrl_c_exits_with_130(monkeypatch):
+    monkeypatch.setattr(module, "app", raising(KeyboardInterrupt))
+    with pytest.raises(SystemExit) as end:
+        module.main()
+    assert end.value.code == 130
+
+
+def test_our_own_mistakes_keep_their_traceback(monkeypatch):
+    monkeypatch.setattr(module, "app", raising(ZeroDivisionError))
+    with pytest.raises(ZeroDivisionError):
+        module.main()

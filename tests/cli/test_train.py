@@ -1,0 +1,118 @@
+import csv
+import json
+import shutil
+
+import pytest
+import yaml
+
+from kinfeas.training import train as training
+from tests.cli.conftest import TINY, is_one_line
+
+
+@pytest.fixture
+def run_folder(kinfeas, tmp_path):
+    assert kinfeas("train", "--steps", "64", "--out", "run", *TINY).code == 0
+    return tmp_path / "run"
+
+
+def test_a_run_leaves_what_it_says(kinfeas, tmp_path):
+    outcome = kinfeas("train", "--steps", "64", "--seed", "3", "--out", "run", *TINY)
+    assert outcome.code == 0, outcome.err
+    assert "kinfeas evaluate --robot pr2 --task ggr --policy run" in outcome.out
+    run = tmp_path / "run"
+    figures = json.loads((run / "evaluation.json").read_text())
+    assert figures["episodes"] == 2
+    assert figures["steps"] == 64
+    assert figures["success_low"] <= figures["success"] <= figures["success_high"]
+    settings = yaml.safe_load((run / "config.yaml").read_text())
+    assert (settings["seed"], settings["schedule"]["steps"]) == (3, 64)
+    assert settings["schedule"]["minutes"] is None
+    with (run / "metrics.csv").open() as file:
+        assert list(csv.DictReader(file))
+
+
+def test_the_folder_is_named_after_the_run(kinfeas, tmp_path):
+    arguments = ("--robot", "tiago", "--task", "ggr_restricted", "--algorithm", "td3")
+    assert kinfeas("train", *arguments, "--seed", "5", "--steps", "32", *TINY).code == 0
+    settings = tmp_path / "runs" / "tiago-ggr_restricted-5" / "config.yaml"
+    assert yaml.safe_load(settings.read_text())["learner"]["algorithm"] == "td3"
+
+
+def test_a_robot_by_path_and_a_recipe_by_path(kinfeas, tmp_path):
+    from kinfeas.robots import pr2
+
+    for file in (pr2(), pr2().with_suffix(".urdf")):
+        shutil.copy(file, tmp_path / file.name)
+    (tmp_path / "recipe.yaml").write_text("robot: ./pr2.yaml\nenvironments: 8\n")
+    outcome = kinfeas("train", "--config", "recipe.yaml", "--steps", "16", "--out", "run", *TINY)
+    assert outcome.code == 0, outcome.err
+    assert "--robot ./pr2.yaml" in outcome.out
+
+
+def test_resume_of_a_finished_run_does_no_harm(kinfeas, run_folder):
+    before = (run_folder / "checkpoints" / "best" / "policy.safetensors").read_bytes()
+    assert kinfeas("train", "--resume", "run").code == 0
+    assert (run_folder / "checkpoints" / "best" / "policy.safetensors").read_bytes() == before
+
+
+def test_interruption_says_how_to_go_on(kinfeas, monkeypatch):
+    steps = []
+    step = training._Run._step
+
+    def interrupted(run):
+        steps.append(step(run))
+        if len(steps) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(training._Run, "_step", interrupted)
+    outcome = kinfeas("train", "--steps", "64", "--out", "run", *TINY)
+    assert outcome.code == 130
+    assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
+    assert "Traceback" not in outcome.err
+    assert kinfeas("train", "--resume", "run").code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--robot", "pr3"), "unknown robot 'pr3'"),
+        (("--robot", "none/robot.yaml"), "none/robot.yaml"),
+        (("--task", "fly"), "unknown task 'fly'"),
+        (("--config", "train/none"), "train/default"),
+        (("--config", "../pyproject"), "unknown configuration"),
+        (("--set", "learner.lerning_rate=1"), "did you mean 'learning_rate'"),
+        (("--set", "learner.batch_size=0"), ">= 1"),
+        (("--set", "world.adapters=[{name: nois}]"), "unknown adapter 'nois'"),
+        (("--set", "nonsense"), "key=value"),
+        (("--minutes", "0"), "> 0"),
+        (("--steps", "-3"), ">= 1"),
+        (("--seed", "-1"), ">= 0"),
+        (("--algorithm", "ppo"), "'sac', 'td3'"),
+        (("--resume", "nowhere"), "not a training run"),
+        (("--resume", "nowhere", "--seed", "1"), "leave out"),
+    ],
+)
+def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, words):
+    outcome = kinfeas("train", *arguments)
+    assert is_one_line(outcome), outcome.err
+    assert words in outcome.err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(kinfeas, tmp_path):
+    (tmp_path / "file").write_text("")
+    outcome = kinfeas("train", "--out", "file/run", "--steps", "8", *TINY)
+    assert is_one_line(outcome), outcome.err
+    assert "cannot be written" in outcome.err
+
+
+def test_a_run_is_not_overwritten(kinfeas, run_folder):
+    outcome = kinfeas("train", "--steps", "64", "--out", "run", *TINY)
+    assert is_one_line(outcome), outcome.err
+    assert "--resume run" in outcome.err
+
+
+def test_a_broken_checkpoint_is_one_line(kinfeas, run_folder):
+    state = run_folder / "checkpoints" / "last" / "state.safetensors"
+    state.write_bytes(state.read_bytes()[:100])
+    assert is_one_line(kinfeas("train", "--resume", "run"))

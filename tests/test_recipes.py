@@ -1,0 +1,39 @@
+import pytest
+
+from kinfeas import config, strict_yaml
+from kinfeas.errors import KinfeasError
+from kinfeas.recipes import default_recipe, find_recipe, recipes
+from kinfeas.training.config import TrainConfig
+
+
+@pytest.mark.parametrize("name", recipes("train"))
+def test_shipped_training_recipes_are_valid(name):
+    assert config.load(TrainConfig, find_recipe(name, "train"))
+
+
+def test_a_name_with_and_without_its_suffix():
+    assert find_recipe("train/default", "train") == find_recipe("train/default.yaml", "train")
+
+
+def test_a_path_wins(tmp_path):
+    own = tmp_path / "own.yaml"
+    own.write_text("seed: 3\n")
+    assert find_recipe(str(own), "train") == own
+
+
+@pytest.mark.parametrize("name", ["train/defalt", "nothing", "../pyproject", "", "/no.yaml"])
+def test_an_unknown_name_says_what_there_is(name):
+    with pytest.raises(KinfeasError, match="train/default"):
+        find_recipe(name, "train")
+
+
+@pytest.mark.parametrize("robot", ["no_such_robot", "../train/default", "a/b"])
+def test_a_robot_without_its_own_takes_the_default(robot):
+    assert default_recipe("train", robot).name == "default.yaml"
+
+
+def test_figures_of_the_paper_are_shares():
+    data = strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))
+    figures = [f for tasks in data.values() for task in tasks.values() for f in task.values()]
+    assert len(figures) == 12
+    assert all(0.0 < figure <= 100.0 for figure in figures)

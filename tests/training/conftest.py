@@ -1,0 +1,49 @@
+"""Runs so small that they take a few seconds."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from kinfeas import config
+from kinfeas.training.config import TrainConfig
+
+TINY = {
+    "environments": 8,
+    "world": {"max_steps": 50, "adapters": [{"name": "base_noise"}]},
+    "learner": {
+        "hidden": [16, 16],
+        "batch_size": 32,
+        "random_steps": 200,
+        "buffer_size": 1_000,
+        "gradient_steps": 2,
+    },
+    "schedule": {
+        "steps": 1_600,
+        "minutes": None,
+        "evaluations": 2,
+        "evaluation_episodes": 4,
+        "checkpoint_seconds": 0.2,
+    },
+}
+
+
+def _tiny(*overrides: str) -> TrainConfig:
+    return config.from_mapping(TrainConfig, TINY, "tiny", overrides)
+
+
+def _digest(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+@pytest.fixture(scope="session")
+def tiny():
+    """Return a configuration with overrides as `--set` takes them."""
+    return _tiny
+
+
+@pytest.fixture(scope="session")
+def digest():
+    """Return what tells whether anything in a folder has changed."""
+    return _digest

@@ -1,0 +1,413 @@
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from kinfeas import config, registry
+from kinfeas.errors import KinfeasError
+from kinfeas.policy import read_network
+from kinfeas.training import checkpoint, logs
+from kinfeas.training import train as training
+from kinfeas.training.train import resume, train
+
+LEARNERS = {
+    "sac": (),
+    "sac with learned entropy": ("learner.entropy=learned",),
+    "td3": ("learner.algorithm=td3", "learner.schedule=constant"),
+}
+
+# Slowed down, so that it cannot end before it is killed; no figure depends on it.
+TRAIN = """
+import sys, time
+from pathlib import Path
+from kinfeas import config
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.train import _Run, train
+step = _Run._step
+_Run._step = lambda run: (time.sleep(0.02), step(run))
+train(config.load(TrainConfig, Path(sys.argv[1])), Path(sys.argv[2]))
+"""
+
+
+@pytest.fixture(scope="module", params=LEARNERS.values(), ids=LEARNERS.keys())
+def whole(request, tiny, tmp_path_factory):
+    """Return the settings of a run, and the run that nothing interrupted."""
+    settings = tiny(*request.param)
+    out = tmp_path_factory.mktemp("whole") / "run"
+    train(settings, out)
+    return settings, out
+
+
+@pytest.fixture(scope="module")
+def plain(tiny, tmp_path_factory):
+    """Return the same for the first learner alone."""
+    out = tmp_path_factory.mktemp("plain") / "run"
+    train(tiny(), out)
+    return tiny(), out
+
+
+@pytest.fixture(scope="module")
+def finished(tiny, tmp_path_factory):
+    """Return a finished run that tests do not change."""
+    out = tmp_path_factory.mktemp("finished") / "run"
+    train(tiny("schedule.steps=800"), out)
+    return out
+
+
+@pytest.fixture
+def half(finished, tmp_path):
+    """Return a copy of it that has more to do."""
+    out = tmp_path / "half"
+    subprocess.run(["cp", "-r", finished, out], check=True)
+    text = (out / "config.yaml").read_text()
+    assert "steps: 800" in text
+    (out / "config.yaml").write_text(text.replace("steps: 800", "steps: 1600"))
+    return out
+
+
+def state(out):
+    return json.loads((out / "checkpoints" / "last" / "state.json").read_text())
+
+
+def rows(out):
+    with (out / "metrics.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def assert_same(one, other):
+    """Check that two runs came to the same, to the bit, the clock apart."""
+    for name in ("last/state.safetensors", "last/policy.safetensors", "best/policy.safetensors"):
+        mine, others = (load_file(out / "checkpoints" / name) for out in (one, other))
+        assert mine.keys() == others.keys()
+        for key, values in mine.items():
+            np.testing.assert_array_equal(values, others[key], err_msg=f"{name}: {key}")
+    mine, others = state(one), state(other)
+    for about in (mine, others):
+        del about["progress"]["seconds"]
+    assert repr(mine) == repr(others)  # NaN is not equal to itself
+    assert judgements(one) == judgements(other)
+
+
+def judgements(out):
+    """Return the rows with an evaluation; losses are of the last step before, which may be none."""
+    names = [name for name in logs.COLUMNS if name.startswith("evaluation/")]
+    judged = [row for row in rows(out) if row["evaluation/success"]]
+    return [[row[name] for name in ("steps", "train/success", *names)] for row in judged]
+
+
+def assert_monotone(out):
+    steps = [float(row["steps"]) for row in rows(out)]
+    assert steps == sorted(steps)
+
+
+def test_a_run_leaves_what_it_should(whole):
+    settings, out = whole
+    assert config.load(type(settings), out / "config.yaml") == settings
+    assert {path.name for path in (out / "checkpoints").iterdir()} == {"best", "last"}
+    assert list((out / "tensorboard").glob("events.*"))
+    judged = [row for row in rows(out) if row["evaluation/success"]]
+    assert [int(row["steps"]) for row in judged] == [800, 1600]
+    assert_monotone(out)
+    assert state(out)["progress"]["steps"] == 1600
+    network = read_network(out, registry.load_robot("pr2"))
+    assert [len(bias) for bias in network.biases] == [16, 16, 3]
+
+
+@contextmanager
+def child_that_trains(settings, folder, out):
+    """Yield a process once it has learned something and written a checkpoint of it."""
+    config.dump(settings, folder / "settings.yaml")
+    child = subprocess.Popen(
+        [sys.executable, "-c", TRAIN, folder / "settings.yaml", out],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 120.0
+        while checkpoint_steps(out) <= settings.learner.random_steps:
+            assert child.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        yield child
+    finally:
+        child.kill()
+        child.wait()
+
+
+def test_a_run_killed_and_resumed_equals_an_uninterrupted_one(whole, tmp_path):
+    settings, expected = whole
+    out = tmp_path / "run"
+    with child_that_trains(settings, tmp_path, out) as child:
+        child.send_signal(signal.SIGKILL)
+        assert child.wait() == -signal.SIGKILL
+    assert 200 < checkpoint_steps(out) < 1600
+    resume(out)
+    assert_same(out, expected)
+    assert_monotone(out)
+
+
+def checkpoint_steps(out):
+    try:
+        return state(out)["progress"]["steps"]
+    except (FileNotFoundError, json.JSONDecodeError):
+        return 0
+
+
+def test_a_run_resumed_without_a_checkpoint_begins_again(plain, tmp_path):
+    settings, expected = plain
+    config.dump(settings, tmp_path / "config.yaml")
+    resume(tmp_path)
+    assert_same(tmp_path, expected)
+
+
+def interrupt_at(monkeypatch, owner, name, call):
+    """Let Ctrl-C be pressed within the n-th call of a function."""
+    function, calls = getattr(owner, name), []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == call:
+            signal.raise_signal(signal.SIGINT)
+        return function(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, interrupted)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "call"),
+    [
+        (training.World, "step", 40),  # in the midst of a step
+        (training, "explore", 100),
+        (training, "run_episodes", 1),  # while it is judged
+        (training, "run_episodes", 2),  # for the last time
+        (training, "write_network", 2),  # while a checkpoint is written
+        (training._Run, "_row", 1),
+    ],
+)
+def test_ctrl_c_leaves_a_checkpoint_that_resumes(plain, tmp_path, monkeypatch, owner, name, call):
+    settings, expected = plain
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        interrupt_at(patch, owner, name, call)
+        train(settings, out)
+    assert checkpoint_steps(out) > 0
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    resume(out)
+    assert_same(out, expected)
+    assert_monotone(out)
+
+
+def test_ctrl_c_from_outside(plain, tmp_path):
+    settings, expected = plain
+    out = tmp_path / "run"
+    with child_that_trains(settings, tmp_path, out) as child:
+        child.send_signal(signal.SIGINT)
+        assert child.wait(timeout=60) != 0
+    resume(out)
+    assert_same(out, expected)
+
+
+def test_rows_beyond_the_checkpoint_are_dropped(half):
+    with (half / "metrics.csv").open("a") as file:
+        file.write("900,7.0\n1500,9.0\n")
+    resume(half)
+    steps = [int(row["steps"]) for row in rows(half)]
+    assert 900 not in steps
+    assert 1500 not in steps
+    assert steps[-1] == 1600
+    assert_monotone(half)
+
+
+def test_a_finished_run_resumes_to_nothing(finished, digest):
+    before = digest(finished / "checkpoints")
+    progress = resume(finished)
+    assert (progress.steps, progress.share) == (800, 1.0)
+    assert digest(finished / "checkpoints") == before
+
+
+def test_a_longer_schedule_takes_a_finished_run_further(half):
+    assert resume(half).steps == 1600
+    assert sum(bool(row["evaluation/success"]) for row in rows(half)) == 3
+
+
+def test_minutes_end_a_run_and_count_over_its_parts(tiny, tmp_path):
+    settings = tiny("schedule.steps=null", "schedule.minutes=0.02", "environments=4")
+    seen = []
+    progress = train(settings, tmp_path / "run", seen.append)
+    assert progress.share == 1.0
+    assert progress.seconds >= 1.2
+    assert progress.evaluations == 2
+    assert seen
+    assert resume(tmp_path / "run").steps == progress.steps
+
+
+def test_the_best_policy_is_kept(tiny, tmp_path, monkeypatch):
+    successes = iter([0.5, 0.25, 0.5, 0.4])
+    original = training.summarize
+    monkeypatch.setattr(
+        training, "summarize", lambda records: {**original(records), "success": next(successes)}
+    )
+    train(tiny("schedule.evaluations=4", "schedule.steps=800"), tmp_path / "run")
+    about = json.loads((tmp_path / "run/checkpoints/best/policy.json").read_text())
+    assert about["evaluation"]["success"] == 0.5
+    assert about["steps"] == 600  # of equals the later one
+    assert about["config"]["robot"] == "pr2"
+
+
+def test_a_folder_with_something_in_it_is_not_written_over(finished, tiny, digest):
+    before = digest(finished)
+    with pytest.raises(KinfeasError, match=r"already there; use --resume .*, or another --out"):
+        train(tiny(), finished)
+    assert digest(finished) == before
+
+
+def test_an_empty_folder_is_welcome(tiny, tmp_path):
+    out = tmp_path / "run"
+    out.mkdir()
+    assert train(tiny("schedule.steps=80"), out).steps == 80
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("robot=pr3", "unknown robot 'pr3'"),
+        ("task=dance", "unknown task 'dance'"),
+        ("task_parameters={speed: 3}", "speed"),
+        ("world.adapters=[{name: fog}]", "unknown adapter 'fog'"),
+    ],
+)
+def test_nothing_is_written_for_a_wrong_configuration(tiny, tmp_path, override, message):
+    with pytest.raises(KinfeasError, match=message):
+        train(tiny(override), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_a_clear_error(tiny, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for out in (tmp_path / "file", tmp_path / "file" / "run"):
+        with pytest.raises(KinfeasError, match=r"file.*: cannot be written: "):
+            train(tiny(), out)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_a_clear_error(half, tiny, tmp_path):
+    out = tmp_path / "closed"
+    out.mkdir(mode=0o500)
+    with pytest.raises(KinfeasError, match=r"closed.*: cannot be written: Permission denied"):
+        train(tiny(), out / "run")
+    half.chmod(0o500)
+    with pytest.raises(KinfeasError, match=r"half.*: cannot be written: Permission denied"):
+        resume(half)
+    half.chmod(0o700)
+
+
+def test_metrics_that_cannot_be_written_are_a_clear_error(half, digest):
+    (half / "metrics.csv").unlink()
+    (half / "metrics.csv").mkdir()
+    before = digest(half)
+    with pytest.raises(KinfeasError, match=r"metrics\.csv: cannot be written: Is a directory"):
+        resume(half)
+    assert digest(half) == before
+
+
+def test_metrics_of_something_else_are_a_clear_error(half, digest):
+    (half / "metrics.csv").write_text("a,b\n1,2\n")
+    before = digest(half)
+    with pytest.raises(KinfeasError, match="not the metrics of a training run"):
+        resume(half)
+    assert digest(half) == before
+
+
+def test_a_full_disk_is_a_clear_error_and_loses_nothing(half, monkeypatch, digest):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    before = digest(half / "checkpoints")
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save_file", full)
+        with pytest.raises(KinfeasError, match=r"last: cannot be written: No space left on device"):
+            resume(half)
+    after = digest(half / "checkpoints")
+    assert {key: after[key] for key in before if key.startswith("last/")} == {
+        key: value for key, value in before.items() if key.startswith("last/")
+    }
+    assert resume(half).steps == 1600
+
+
+@pytest.mark.parametrize("name", ["nothing", "."])
+def test_a_folder_that_is_no_run_is_a_clear_error(tmp_path, name):
+    with pytest.raises(KinfeasError, match=r"not a training run: there is no config\.yaml in it"):
+        resume(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("robot: pr2", "robot: hsr", "robot"),
+        ("environments: 8", "environments: 4", "environments"),
+        ("algorithm: sac", "algorithm: td3", "learner"),
+        ("name: base_noise", "name: base_noise\n    parameters: {linear: 0.1}", "world"),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_a_clear_error(half, digest, old, new, key):
+    path = half / "config.yaml"
+    text = path.read_text().replace("\n    parameters: {}", "")
+    assert old in text
+    path.write_text(text.replace(old, new))
+    before = digest(half)
+    with pytest.raises(KinfeasError, match=f"a checkpoint of another run: its {key} is"):
+        resume(half)
+    assert digest(half) == before
+
+
+@pytest.mark.parametrize("name", ["state.json", "state.safetensors"])
+@pytest.mark.parametrize("share", [None, 0.0, 0.3, 0.99])
+def test_a_broken_checkpoint_is_a_clear_error(half, digest, name, share):
+    path = half / "checkpoints" / "last" / name
+    content = path.read_bytes()
+    path.unlink()
+    if share is not None:
+        path.write_bytes(content[: int(share * len(content))])
+    before = digest(half)
+    with pytest.raises(KinfeasError, match=r"last: (broken checkpoint|no checkpoint to resume)"):
+        resume(half)
+    assert digest(half) == before
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", "3", '{"format": 2}', '{"format": 1}', "\0"])
+def test_a_foreign_checkpoint_is_a_clear_error(half, content):
+    (half / "checkpoints" / "last" / "state.json").write_text(content)
+    with pytest.raises(KinfeasError, match="last: broken checkpoint, or one of another run"):
+        resume(half)
+
+
+def test_the_state_of_a_writer_killed_between_its_renames_is_found(half):
+    checkpoints = half / "checkpoints"
+    for name in ("last", "best"):
+        (checkpoints / name).rename(checkpoints / f".{name}.old")
+    assert read_network(half, registry.load_robot("pr2")).biases
+    assert resume(half).steps == 1600
+    assert {path.name for path in checkpoints.iterdir()} >= {"last"}
+
+
+def test_metrics_are_replaced_not_overwritten(half, monkeypatch):
+    before = (half / "metrics.csv").read_bytes()
+
+    class Killed(BaseException):
+        pass
+
+    def killed(*_):
+        raise Killed
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(logs.csv.DictWriter, "writerows", killed)
+        resume(half)
+    assert (half / "metrics.csv").read_bytes() == before

@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+from stable_baselines3 import SAC
+
+from kinfeas import registry
+from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.training.vec_env import WorldVecEnv
+
+NOISY = WorldConfig(max_steps=12, max_failures=3, adapters=(AdapterSpec("base_noise"),))
+
+
+def make(robot, n, config=NOISY, seed=4):
+    return WorldVecEnv(World(robot, registry.build("kinfeas.tasks", "ggr", {}), config, seed), n)
+
+
+def actions(env, rng):
+    return rng.uniform(-1.0, 1.0, (env.num_envs, env.world.action_size)).astype(np.float32)
+
+
+def run(env, steps, seed=0):
+    rng = np.random.default_rng(seed)
+    return [env.step(actions(env, rng)) for _ in range(steps)]
+
+
+def assert_equal(one, other):
+    """Check that two runs are equal to the bit, infos too."""
+    for mine, others in zip(one, other, strict=True):
+        for a, b in zip(mine[:3], others[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert repr(mine[3]) == repr(others[3])
+
+
+def test_observations_are_the_worlds_scaled(robot):
+    env = make(robot, 3)
+    seen = env.reset()
+    assert seen.dtype == np.float32
+    np.testing.assert_array_equal(seen, env.world.loop.observation.astype(np.float32) * env.scale)
+    assert np.abs(seen).max() < 10.0
+
+
+def test_terminal_observation_is_the_last_one_before_the_restart(robot):
+    n = 4
+    env, beside = make(robot, n), make(robot, n).world
+    env.reset()
+    beside.start(range(n))
+    rng, ended, following = np.random.default_rng(0), 0, n
+    for _ in range(40):
+        action = actions(env, rng)
+        seen, rewards, dones, infos = env.step(action)
+        expected = beside.step(action.astype(np.float64))
+        np.testing.assert_array_equal(dones, expected.done)
+        np.testing.assert_array_equal(rewards, expected.reward.astype(np.float32))
+        for row in range(n):
+            last = expected.observation[row].astype(np.float32) * env.scale
+            if dones[row]:
+                info = infos[row]
+                np.testing.assert_array_equal(info["terminal_observation"], last)
+                assert not np.array_equal(seen[row], last)
+                assert info["TimeLimit.truncated"] == expected.truncated[row]
+                assert info["failures"] == beside.failures[row]
+                assert info["is_success"] == (expected.reached[row] and info["failures"] == 0)
+                ended += 1
+            else:
+                np.testing.assert_array_equal(seen[row], last)
+                assert infos[row] == {}
+        rows = np.flatnonzero(dones)
+        if rows.size:
+            beside.start(range(following, following + rows.size), rows)
+            following += rows.size
+    assert ended > n
+
+
+def test_a_time_limit_truncates_and_a_failure_does_not(robot):
+    env = make(robot, 16, WorldConfig(max_steps=6, max_failures=1))
+    env.reset()
+    kinds = set()
+    for _, _, dones, infos in run(env, 30):
+        for row in np.flatnonzero(dones):
+            truncated = infos[row]["TimeLimit.truncated"]
+            assert truncated == (infos[row]["failures"] <= 1 and not infos[row]["is_success"])
+            kinds.add(truncated)
+    assert kinds == {True, False}
+
+
+def test_goes_on_from_a_snapshot_to_the_bit(robot):
+    env = make(robot, 5)
+    env.reset()
+    run(env, 17)
+    snapshot = {key: values.copy() for key, values in env.snapshot().items()}
+    kept = env.snapshot()
+    expected = run(env, 30, seed=1)
+    for key, values in snapshot.items():
+        np.testing.assert_array_equal(kept[key], values, err_msg=f"{key} changed afterwards")
+    fresh = make(robot, 5)
+    seen = fresh.restore(snapshot)
+    assert_equal(run(fresh, 30, seed=1), expected)
+    np.testing.assert_array_equal(env.restore(snapshot), seen)
+    assert_equal(run(env, 30, seed=1), expected)
+
+
+def test_noise_goes_on_too(robot):
+    """Without its state the restored run would be another one."""
+    env = make(robot, 2)
+    env.reset()
+    run(env, 3)
+    snapshot = env.snapshot()
+    expected = run(env, 2, seed=1)
+    env.restore({**snapshot, "base_noise_steps": snapshot["base_noise_steps"] + np.uint64(1)})
+    assert not np.array_equal(run(env, 2, seed=1)[-1][0], expected[-1][0])
+
+
+def test_a_snapshot_of_another_size_is_refused(robot):
+    env = make(robot, 3)
+    env.reset()
+    with pytest.raises(ValueError, match="a snapshot of 3, not 4 episodes"):
+        make(robot, 4).restore(env.snapshot())
+
+
+def test_a_seed_begins_anew(robot):
+    env = make(robot, 3)
+    first = env.reset()
+    later = env.reset()
+    assert not np.array_equal(first, later)
+    assert env.seed(4) == [4, 4, 4]
+    np.testing.assert_array_equal(env.reset(), first)
+    env.seed(5)
+    assert not np.array_equal(env.reset(), first)
+
+
+def test_sb3_can_learn_in_it_by_itself(robot):
+    env = make(robot, 4)
+    policy = {"net_arch": [8]}
+    learner = SAC("MlpPolicy", env, learning_starts=40, batch_size=8, policy_kwargs=policy)
+    learner.learn(120)
+    assert learner.num_timesteps == 120
+    assert learner.ep_success_buffer
+    env.close()
+
+
+def test_the_environments_are_one(robot):
+    env = make(robot, 2)
+    assert env.get_attr("num_envs") == [2, 2]
+    assert env.env_is_wrapped(object) == [False, False]
+    with pytest.raises(AttributeError):
+        env.get_attr("nothing")
+    with pytest.raises(NotImplementedError):
+        env.set_attr("world", None)
+    with pytest.raises(NotImplementedError):
+        env.env_method("reset")
