@@ -13,8 +13,8 @@ from safetensors.numpy import load_file, save_file
 
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
-from kinfeas.observation import scaled, size
 from kinfeas.folders import find_folder
+from kinfeas.observation import scaled, size
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 

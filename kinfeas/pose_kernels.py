@@ -5,13 +5,47 @@ cost about one. Quaternions are xyzw; results have w >= 0 and unit length. A pos
 depend on what else is in the batch.
 """
 
+import fcntl
 import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import guvectorize, njit
 
-_OPTIONS = {"nopython": True, "cache": True}
 inlined = njit(cache=True, error_model="numpy", forceinline=True)
+
+
+def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
+    """Return a decorator that makes a generalized ufunc, by one process at a time.
+
+    Numba caches such a function in two parts, of which one calls the other by a name that differs
+    from process to process: two processes that filled the cache together would leave parts there
+    that do not fit, and every later process would crash.
+    """
+
+    def compile_alone(function: Callable[..., None]) -> Any:
+        with _alone():
+            return guvectorize(signatures, layout, nopython=True, cache=True)(function)
+
+    return compile_alone
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Wait until no other process of this user is within such a block."""
+    try:
+        lock = (Path(tempfile.gettempdir()) / f"kinfeas-{os.getuid()}.lock").open("a")
+    except OSError:
+        yield  # nowhere to write: then there is no cache to fill either
+        return
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @inlined
@@ -76,7 +110,7 @@ def _turn(x, y, z, w, vx, vy, vz):
     )
 
 
-@guvectorize(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)", **_OPTIONS)
+@compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
 def compose(parent, child, out):
     """Pose `child`, given in `parent`, in the frame of `parent`."""
     a, b = parent, child
@@ -86,7 +120,7 @@ def compose(parent, child, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
-@guvectorize(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)", **_OPTIONS)
+@compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
 def relative(pose, frame, out):
     """`pose` as seen from `frame`."""
     a, b = frame, pose
@@ -96,7 +130,7 @@ def relative(pose, frame, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
-@guvectorize(["void(f8[:], f8[:], f8, f8[:])"], "(p),(t),()->(p)", **_OPTIONS)
+@compiled(["void(f8[:], f8[:], f8, f8[:])"], "(p),(t),()->(p)")
 def integrate(pose, twist, dt, out):
     """Pose after `dt` seconds of constant world `twist`."""
     x, y, z = twist[3] * dt, twist[4] * dt, twist[5] * dt
@@ -111,7 +145,7 @@ def integrate(pose, twist, dt, out):
     out[3], out[4], out[5], out[6] = quaternion
 
 
-@guvectorize(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)", **_OPTIONS)
+@compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)")
 def twist_between(start, end, dt, like, out):
     """World twist that leads from `start` to `end` in `dt` seconds; `like` only lends its size."""
     x, y, z, w = _product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
@@ -123,7 +157,7 @@ def twist_between(start, end, dt, like, out):
     out[3], out[4], out[5] = x * scale / dt, y * scale / dt, z * scale / dt
 
 
-@guvectorize(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p)->(),()", **_OPTIONS)
+@compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p)->(),()")
 def distance(a, b, metres, radians):
     """Metres between two poses, and the angle between them in [0, pi]."""
     x, y, z, w = _product(a[3], a[4], a[5], a[6], -b[3], -b[4], -b[5], b[6])

@@ -3,6 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from kinfeas.observation import CLIP
 from kinfeas.policy import Network, Situation
 
 
@@ -22,7 +23,7 @@ def observations(n, inputs=28, seed=1):
 
 def plain(net, observation):
     """Return the network's output in double precision by matrix products."""
-    values = observation * net.scale.astype(float)
+    values = np.clip(observation * net.scale.astype(float), -CLIP, CLIP)
     for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
         values = np.maximum(values @ weight.astype(float) + bias, 0.0)
     return np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])

@@ -7,13 +7,13 @@ import sys
 from typing import Annotated
 
 import typer
+from typer.exceptions import TyperException
 
 from kinfeas import __version__
 from kinfeas.cli import ceiling, demo, evaluate, plugins, speed, train
 from kinfeas.errors import KinfeasError
 
 app = typer.Typer(
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -29,12 +29,15 @@ app.add_typer(plugins.app, name="plugins")
 def main() -> None:
     """Run the command line; exit with 2 and one line on bad input, with 130 on Ctrl-C."""
     try:
-        app()
-    except KinfeasError as error:
-        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+        code = app(standalone_mode=False)
+    except (KinfeasError, TyperException) as error:
+        message = error.format_message() if isinstance(error, TyperException) else str(error)
+        if message:
+            sys.stderr.write(f"error: {' '.join(message.split())}\n")
         sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    except (KeyboardInterrupt, typer.Abort):
+        code = 130
+    sys.exit(code if isinstance(code, int) else 0)
 
 
 def _print_version(wanted: bool) -> None:
@@ -43,8 +46,9 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _global_options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -53,3 +57,5 @@ def _global_options(
     ] = False,
 ) -> None:
     """Learned base motions that keep any end-effector motion kinematically feasible."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())

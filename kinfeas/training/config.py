@@ -34,8 +34,8 @@ class LearnerConfig:
     algorithm: Literal["sac", "td3"] = "sac"
     learning_rate: Positive = 6e-4
     schedule: Literal["constant", "linear"] = "linear"
-    batch_size: Count = 512
-    gradient_steps: Count = 4
+    batch_size: Count = 256
+    gradient_steps: Count = 1
     discount: Share = 0.99
     smoothing: Share = 0.005
     buffer_size: Count = 300_000

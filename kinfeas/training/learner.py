@@ -18,6 +18,9 @@ Learner = SAC | TD3
 
 def make_learner(config: LearnerConfig, env: WorldVecEnv, seed: int) -> Learner:
     """Return a fresh learner whose random numbers are seeded."""
+    # Small networks gain nothing from a second thread, and threads that wait for each other lose
+    # most of their time as soon as another process wants a core.
+    torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     common: dict[str, Any] = {
         "policy": "MlpPolicy",

@@ -9,11 +9,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker as sb3_checker
 
-from kinfeas import envs, observation, registry
+from kinfeas import envs, registry
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
 from kinfeas.errors import KinfeasError
+from kinfeas.observation import scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(
@@ -128,15 +129,14 @@ def test_an_episode_is_the_same_in_the_training_adapter(name):
         first = single.reset(seed=SEED)[0]
         for _ in range(skipped):
             first = single.reset()[0]
-        np.testing.assert_array_equal(first * env.scale, seen[skipped])
-    scale = observation.scale(len(robot.arm)).astype(np.float32)
+        np.testing.assert_array_equal(scaled(first, env.scale), seen[skipped])
     running = set(range(n))
     while running:
         seen, rewards, dones, infos = env.step(np.tile(command(step, size), (n, 1)))
         for row in sorted(running):
             alone, reward, terminated, truncated, info = singles[row].step(command(step, size))
             here = infos[row]["terminal_observation"] if dones[row] else seen[row]
-            np.testing.assert_array_equal(alone * scale, here)
+            np.testing.assert_array_equal(scaled(alone, env.scale), here)
             assert (np.float32(reward), terminated or truncated) == (rewards[row], dones[row])
             if dones[row]:
                 assert infos[row]["TimeLimit.truncated"] == truncated

@@ -167,7 +167,7 @@ def test_a_run_and_its_checkpoints_are_policies(run, place):
 
 
 def test_the_policy_of_another_robot_is_a_clear_error(run):
-    with pytest.raises(KinfeasError, match="a policy for robot 'pr2' .* but robot 'hsr' has"):
+    with pytest.raises(KinfeasError, match=r"a policy for robot 'pr2' .* but robot 'hsr' has"):
         read_network(run, registry.load_robot("hsr"))
 
 
@@ -180,7 +180,7 @@ def test_a_truncated_or_foreign_policy_is_a_clear_error(run, tmp_path):
             for path, whole in contents.items():
                 (tmp_path / path).write_bytes(whole)
             (tmp_path / name).unlink() if other is None else (tmp_path / name).write_bytes(other)
-            with pytest.raises(KinfeasError, match="broken policy|not a training run"):
+            with pytest.raises(KinfeasError, match=r"broken policy|not a training run"):
                 read_network(tmp_path, robot)
 
 

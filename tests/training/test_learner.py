@@ -6,6 +6,7 @@ import torch
 
 from kinfeas import registry
 from kinfeas.envs.world import World
+from kinfeas.observation import scaled
 from kinfeas.policy import read_network, write_network
 from kinfeas.training.learner import explore, make_learner, network_of
 from kinfeas.training.vec_env import WorldVecEnv
@@ -34,7 +35,7 @@ def test_the_network_acts_as_the_actor_does(config, env, hidden):
         for parameter in learner.actor.parameters():
             parameter.mul_(3.0)  # so that no action is near 0
     seen = observations(env)
-    expected, _ = learner.predict(seen.astype(np.float32) * env.scale, deterministic=True)
+    expected, _ = learner.predict(scaled(seen, env.scale), deterministic=True)
     found = network_of(learner, env.scale)(seen)
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found, expected, atol=1e-5)

@@ -4,6 +4,7 @@ from stable_baselines3 import SAC
 
 from kinfeas import registry
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.observation import CLIP, scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(max_steps=12, max_failures=3, adapters=(AdapterSpec("base_noise"),))
@@ -34,8 +35,8 @@ def test_observations_are_the_worlds_scaled(robot):
     env = make(robot, 3)
     seen = env.reset()
     assert seen.dtype == np.float32
-    np.testing.assert_array_equal(seen, env.world.loop.observation.astype(np.float32) * env.scale)
-    assert np.abs(seen).max() < 10.0
+    np.testing.assert_array_equal(seen, scaled(env.world.loop.observation, env.scale))
+    assert np.abs(seen).max() <= CLIP
 
 
 def test_terminal_observation_is_the_last_one_before_the_restart(robot):
@@ -51,7 +52,7 @@ def test_terminal_observation_is_the_last_one_before_the_restart(robot):
         np.testing.assert_array_equal(dones, expected.done)
         np.testing.assert_array_equal(rewards, expected.reward.astype(np.float32))
         for row in range(n):
-            last = expected.observation[row].astype(np.float32) * env.scale
+            last = scaled(expected.observation[row], env.scale)
             if dones[row]:
                 info = infos[row]
                 np.testing.assert_array_equal(info["terminal_observation"], last)

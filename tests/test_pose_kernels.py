@@ -1,0 +1,25 @@
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+USE = """
+import numpy as np
+from kinfeas import spatial
+poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
+spatial.integrate(poses, spatial.twist_between(poses, spatial.compose(poses, poses), 1.0), 1.0)
+spatial.distance(poses, spatial.relative(poses, poses))
+"""
+
+
+@pytest.mark.parametrize("delay", [0.2, 0.8])
+def test_two_processes_may_compile_at_once(tmp_path, delay):
+    """Those that come later find kernels in the cache that fit together, and do not crash."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    first = subprocess.Popen([sys.executable, "-c", USE], env=environment)
+    time.sleep(delay)
+    second = subprocess.Popen([sys.executable, "-c", USE], env=environment)
+    assert (first.wait(timeout=120), second.wait(timeout=120)) == (0, 0)
+    subprocess.run([sys.executable, "-c", USE], env=environment, check=True, timeout=120)
