@@ -12,7 +12,19 @@ ROOT = Path(__file__).parents[1]
 # From the lowest to the highest. A set in a layer is one group: groups of one layer do not import
 # each other, while the modules of a group may.
 LAYERS = (
-    ({"__init__", "spatial", "errors", "folders", "strict_yaml", "schema", "config", "recipes", "pose_kernels"},),
+    (
+        {
+            "__init__",
+            "spatial",
+            "errors",
+            "folders",
+            "strict_yaml",
+            "schema",
+            "config",
+            "recipes",
+            "pose_kernels",
+        },
+    ),
     ({"robots", "motion", "single_motion", "backend", "start"},),
     ({"kinematics", "drive", "observation", "policy", "registry", "metrics", "testing"},),
     ({"loop"}, {"plugins"}, {"scenes"}, {"tasks"}, {"baselines"}),

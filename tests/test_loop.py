@@ -2,7 +2,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from kinfeas.plugins.linear import Linear
 
 from kinfeas import spatial
 from kinfeas.backend import RobotState
@@ -11,6 +10,7 @@ from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.kinematics.forward import forward
 from kinfeas.loop import Loop
 from kinfeas.observation import HORIZON, observe
+from kinfeas.plugins.linear import Linear
 from kinfeas.start import Start
 
 

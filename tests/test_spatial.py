@@ -109,7 +109,6 @@ def test_canonical_keeps_the_rotation(shape):
     assert np.array_equal(canonical(quaternion), quaternion)
 
 
-
 def test_a_row_has_the_same_bits_in_any_batch():
     a, b = random_poses((17,), 1), random_poses((17,), 2)
     functions = (

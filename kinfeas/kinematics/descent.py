@@ -115,6 +115,7 @@ def _weigh(weight, scratch):
 
 @inlined
 def measure(chain, target_rotation, target_position, q, scratch):
+    """Write the error that `q` leaves, metres and radians; return the lengths of its halves."""
     place_chain(chain, q, scratch.frames)
     squared = 0.0
     for i in range(3):

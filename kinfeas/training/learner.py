@@ -1,5 +1,7 @@
 """SAC and TD3 of Stable-Baselines3, as the configuration asks for them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,6 @@ def make_learner(config: LearnerConfig, env: WorldVecEnv, seed: int) -> Learner:
     # Small networks gain nothing from a second thread, and threads that wait for each other lose
     # most of their time as soon as another process wants a core.
     torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
     common: dict[str, Any] = {
         "policy": "MlpPolicy",
         "env": env,
@@ -45,6 +46,19 @@ def make_learner(config: LearnerConfig, env: WorldVecEnv, seed: int) -> Learner:
         learner = SAC(**common, ent_coef="auto" if config.entropy == "learned" else config.entropy)
     learner.set_logger(Logger(None, []))
     return learner
+
+
+@contextmanager
+def without_denormals() -> Iterator[None]:
+    """Round the tiniest numbers to 0 within the block, for optimizers are slow with them.
+
+    The processor does so for everything that runs in the thread, hence not for good.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
 
 
 def explore(

@@ -22,7 +22,7 @@ from kinfeas.policy import write_network
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
-from kinfeas.training.learner import explore, make_learner, network_of
+from kinfeas.training.learner import explore, make_learner, network_of, without_denormals
 from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.vec_env import WorldVecEnv
 
@@ -126,7 +126,7 @@ class _Run:
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
-        with Logs(self.out, self.progress.steps) as logs:
+        with Logs(self.out, self.progress.steps) as logs, without_denormals():
             try:
                 self._loop(logs, report)
             except KeyboardInterrupt:

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from kinfeas.sim2real.base_noise import BaseNoise
 from scipy.stats import kstest
 
 from kinfeas import registry
 from kinfeas.backend import RobotState, Stochastic
 from kinfeas.errors import KinfeasError
+from kinfeas.sim2real.base_noise import BaseNoise
 
 
 class Recorder:

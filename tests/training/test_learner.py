@@ -8,7 +8,7 @@ from kinfeas import registry
 from kinfeas.envs.world import World
 from kinfeas.observation import scaled
 from kinfeas.policy import read_network, write_network
-from kinfeas.training.learner import explore, make_learner, network_of
+from kinfeas.training.learner import explore, make_learner, network_of, without_denormals
 from kinfeas.training.vec_env import WorldVecEnv
 
 
@@ -122,3 +122,10 @@ def test_hyperparameters_reach_sb3(env, tiny):
     td3 = make_learner(tiny("learner.algorithm=td3", "learner.policy_noise=0.5").learner, env, 0)
     assert td3.target_policy_noise == 0.5
     assert td3.replay_buffer.handle_timeout_termination
+
+
+def test_denormals_are_flushed_for_a_while_only():
+    tiny = np.full(1, 1e-310)
+    with without_denormals():
+        assert (tiny * 1.0).item() == 0.0
+    assert (tiny * 1.0).item() == 1e-310
