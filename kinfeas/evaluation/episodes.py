@@ -9,7 +9,7 @@ from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
 
-BATCH = 128
+BATCH = 256
 """Episodes side by side; no figure depends on it."""
 
 Watch = Callable[[World, Transition, Rows, Rows], None]

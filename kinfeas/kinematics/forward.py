@@ -13,7 +13,7 @@ from kinfeas.spatial import Array
 # numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
 # be regrouped and multiply-adds fused, always in the same way: results stay deterministic.
 _FAST = {"contract", "reassoc", "nsz"}
-kernel = njit(cache=True, error_model="numpy", fastmath=_FAST)
+kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True)
 inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 
 

@@ -60,7 +60,7 @@ class ScheduleConfig:
 
     steps: Count | None = None
     minutes: Positive | None = 3.0
-    evaluations: Count = 5
+    evaluations: Count = 3
     evaluation_episodes: Count = 256
     checkpoint_seconds: Positive = 30.0
 

@@ -167,9 +167,13 @@ class _Run:
         """Step all environments once, and learn from what has been seen."""
         config, learner, progress = self.config.learner, self.learner, self.progress
         assert self.observation is not None
-        random = progress.steps < config.random_steps
+        random = progress.steps < max(config.random_steps, self.config.environments)
         action = explore(learner, config, self.observation, random)
+        # The world moves in its own thread while the learner works on what came before.
         self.env.step_async(action)
+        if not random:
+            learner._current_progress_remaining = 1.0 - progress.share
+            learner.train(config.gradient_steps, config.batch_size)
         seen, rewards, dones, infos = self.env.step_wait()
         after = seen.copy()
         for row in np.flatnonzero(dones):
@@ -180,9 +184,6 @@ class _Run:
         self.observation = seen
         progress.steps += self.config.environments
         progress.success = float(np.mean(progress.recent)) if progress.recent else float("nan")
-        if not random:
-            learner._current_progress_remaining = 1.0 - progress.share
-            learner.train(config.gradient_steps, config.batch_size)
 
     def _share(self) -> float:
         schedule = self.config.schedule

@@ -1,6 +1,7 @@
 """The world as Stable-Baselines3 sees it."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,10 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from kinfeas import observation
 from kinfeas.envs.world import Transition, World
+
+StepResult = tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
+]
 
 
 class WorldVecEnv(VecEnv):
@@ -32,21 +37,26 @@ class WorldVecEnv(VecEnv):
         self.world = world
         self.scale = observation.scale(len(world.robot.arm)).astype(np.float32)
         self.next_episode = 0
-        self._actions = np.zeros((num_envs, world.action_size))
+        self._worker = ThreadPoolExecutor(1)
+        self._coming: Future[StepResult] | None = None
 
     def reset(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
         return self._scaled(self.world.start(self._fresh(self.num_envs)))
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Note the actions, shape (n, a)."""
-        self._actions = np.asarray(actions, dtype=np.float64)
+        """Begin a step with the actions, shape (n, a), in a thread of the world's own."""
+        self._coming = self._worker.submit(self._advance, np.array(actions, dtype=np.float64))
 
-    def step_wait(
-        self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> StepResult:
         """Return observations, rewards, dones and infos; where done, a new episode has begun."""
-        self.transition = transition = self.world.step(self._actions)
+        if self._coming is None:
+            raise RuntimeError("step_wait needs a step_async before it")
+        coming, self._coming = self._coming, None
+        return coming.result()
+
+    def _advance(self, actions: NDArray[np.float64]) -> StepResult:
+        self.transition = transition = self.world.step(actions)
         seen, done = transition.observation, transition.done
         ended = np.flatnonzero(done)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -63,7 +73,9 @@ class WorldVecEnv(VecEnv):
         return self._scaled(seen), transition.reward.astype(np.float32), done, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that the episodes go on from, by name."""
+        """Return everything that the episodes go on from, by name; a step under way ends first."""
+        if self._coming is not None:
+            self._coming.result()
         return {**self.world.snapshot(), "next_episode": np.array(self.next_episode)}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
@@ -80,7 +92,8 @@ class WorldVecEnv(VecEnv):
         return self._scaled(self.world.restore(snapshot))
 
     def close(self) -> None:
-        """Close the world's backend."""
+        """Close the world's backend; a step under way ends first."""
+        self._worker.shutdown()
         self.world.loop.backend.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:

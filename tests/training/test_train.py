@@ -125,14 +125,15 @@ def test_a_run_leaves_what_it_should(whole):
 def child_that_trains(settings, folder, out):
     """Yield a process once it has learned something and written a checkpoint of it."""
     config.dump(settings, folder / "settings.yaml")
-    child = subprocess.Popen(
-        [sys.executable, "-c", TRAIN, folder / "settings.yaml", out],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    errors = folder / "stderr"
+    with errors.open("w") as file:
+        child = subprocess.Popen(
+            [sys.executable, "-c", TRAIN, folder / "settings.yaml", out], stderr=file
+        )
     try:
         deadline = time.monotonic() + 120.0
         while checkpoint_steps(out) <= settings.learner.random_steps:
-            assert child.poll() is None
+            assert child.poll() is None, errors.read_text()
             assert time.monotonic() < deadline
             time.sleep(0.005)
         yield child
