@@ -19,29 +19,51 @@ if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.train import Progress, Report
 
+_RECIPE = "the recipe's, else {}"
+
 Minutes = Annotated[
-    float | None, typer.Option("--minutes", help="Wall-clock time in all, evaluations included.")
+    float | None,
+    typer.Option(
+        "--minutes",
+        help="Wall-clock minutes in all, evaluations included.",
+        show_default=_RECIPE.format(3),
+    ),
 ]
 OutFolder = Annotated[
     Path | None,
-    typer.Option("--out", help="Folder of the run; runs/ROBOT-TASK-SEED by default."),
+    typer.Option("--out", help="Folder of the run.", show_default="runs/ROBOT-TASK-SEED"),
 ]
 
 
 def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them from the signature
     robot: Annotated[
         str | None,
-        typer.Option("--robot", help="Robot by name (pr2, tiago, hsr) or path of its YAML."),
+        typer.Option(
+            "--robot",
+            help="Robot by name (pr2, tiago, hsr) or path of its YAML.",
+            show_default=_RECIPE.format("pr2"),
+        ),
     ] = None,
     task: Annotated[
-        str | None, typer.Option("--task", help="Task by name: ggr, ggr_restricted or a plugin's.")
+        str | None,
+        typer.Option(
+            "--task",
+            help="Task by name: ggr, ggr_restricted or a plugin's.",
+            show_default=_RECIPE.format("ggr"),
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", help="Of all randomness.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", help="Of all randomness.", show_default=_RECIPE.format(0)),
+    ] = None,
     minutes: Minutes = None,
     steps: Annotated[
         int | None, typer.Option("--steps", help="Environment steps in all, instead of minutes.")
     ] = None,
-    algorithm: Annotated[str | None, typer.Option("--algorithm", help="sac or td3.")] = None,
+    algorithm: Annotated[
+        str | None,
+        typer.Option("--algorithm", help="sac or td3.", show_default=_RECIPE.format("sac")),
+    ] = None,
     out: OutFolder = None,
     config: Annotated[
         str | None,
