@@ -145,6 +145,7 @@ class World:
         Args:
             action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
         """
+        action = np.clip(action, -1.0, 1.0)
         step = self.loop.step(action)
         self.steps += 1
         self.failures += ~step.feasible

@@ -52,7 +52,7 @@ def test_wrong_usage_exits_with_2(arguments):
 
 
 def raising(error):
-    def app():
+    def app(**_):
         raise error
 
     return app
@@ -77,3 +77,32 @@ def test_our_own_mistakes_keep_their_traceback(monkeypatch):
     monkeypatch.setattr(module, "app", raising(ZeroDivisionError))
     with pytest.raises(ZeroDivisionError):
         module.main()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["evaluate", "--policy", "follow_ee", "--episodes", "0"], "--episodes"),
+        (["evaluate", "--nope"], "--nope"),
+        (["evaluate"], "--policy"),
+        (["fly"], "fly"),
+    ],
+)
+def test_wrong_usage_is_one_line(monkeypatch, capsys, words, named):
+    monkeypatch.setattr("sys.argv", ["kinfeas", *words])
+    with pytest.raises(SystemExit) as end:
+        module.main()
+    message = capsys.readouterr().err
+    assert end.value.code == 2
+    assert message.startswith("error: ")
+    assert named in message
+    assert message.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["--version"]])
+def test_help_and_version_succeed(monkeypatch, capsys, words):
+    monkeypatch.setattr("sys.argv", ["kinfeas", *words])
+    with pytest.raises(SystemExit) as end:
+        module.main()
+    assert end.value.code == 0
+    assert "kinfeas" in capsys.readouterr().out
