@@ -138,6 +138,7 @@ class _Run:
     def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
             self.observation = self.env.reset()
+        self._compile()
         begun = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
@@ -162,6 +163,12 @@ class _Run:
                     report(self.progress)
         if report is not None:
             report(self.progress)
+
+    def _compile(self) -> None:
+        """Run every kernel once, so that compiling them is not counted as training time."""
+        self.judge.start([0])
+        network_of(self.learner, self.env.scale).act(self.judge.loop.situation)
+        self.judge.step(np.zeros((1, self.judge.action_size)))
 
     def _step(self) -> None:
         """Step all environments once, and learn from what has been seen."""
