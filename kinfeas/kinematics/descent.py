@@ -29,8 +29,8 @@ class Descent(NamedTuple):
     Attributes:
         lower: Joint limits, shape (v,); -inf for continuous joints.
         upper: Same, +inf for continuous joints.
-        position_tolerance: Metres at which a solution is exact.
-        rotation_tolerance: Radians at which a solution is exact.
+        position_tolerance: Metres at which a descent is content.
+        rotation_tolerance: Radians at which a descent is content.
         rotation_weight: Metres that one radian of error is worth while descending.
         max_iterations: Steps at most.
     """
@@ -81,6 +81,14 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
 
     Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
     least-squares problem within the joint limits.
+
+    Args:
+        chain: From base to EE, driven by v variables.
+        options: Limits, tolerances and patience.
+        target_rotation: EE orientation in the base frame, shape (3, 3).
+        target_position: EE position in the base frame, shape (3,), metres.
+        q: Where to begin, within the limits; receives where it ends, shape (v,).
+        scratch: Memory of `make_scratch`.
 
     Returns:
         Remaining distance in metres and angle in radians.
