@@ -107,7 +107,8 @@ class Loop:
         command = base_twist(self.robot.base, self.state.base_pose, action, self.dt)
         commanded = spatial.integrate(self.state.base_pose, command, self.dt)
         before = self.state.joint_positions
-        arm = self.solver.solve(spatial.relative(self.desired, commanded), before)
+        target = spatial.relative(self.desired, commanded)
+        arm = self.solver.solve(target, before, self._velocity * self.dt)
         self._measured(self.backend.step(command, arm.joint_positions, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, self.goal)
         return Step(

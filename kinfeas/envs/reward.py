@@ -24,12 +24,14 @@ class RewardConfig:
         failure: `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs
             between 0.2 and 1, growing with the distance that IK could not close.
         action_penalty: Factor lambda on the squared norm of the action.
+        jump_penalty: Cost of a step in which an arm joint has to move faster than it can.
         limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
         limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
     """
 
     failure: Literal["indicator", "graded"] = "graded"
     action_penalty: NotNegative = 0.001
+    jump_penalty: NotNegative = 0.1
     limit_penalty: NotNegative = 0.02
     limit_margin: Annotated[float, Interval(low=0.0, high=1.0)] = 0.2
 
@@ -48,6 +50,7 @@ def reward(
     """
     earned = np.where(step.feasible, 0.0, -_failure_cost(config, step))
     earned -= config.action_penalty * np.sum(np.square(action), axis=1)
+    earned -= config.jump_penalty * step.jumped
     if config.limit_penalty > 0.0:
         short = np.maximum(0.0, config.limit_margin - limit_distance(robot, joint_positions))
         earned -= config.limit_penalty * short / max(config.limit_margin, 1e-9)

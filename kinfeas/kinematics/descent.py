@@ -43,6 +43,19 @@ class Descent(NamedTuple):
     max_iterations: int
 
 
+@inlined
+def within(options, lower, upper):
+    """Return the same descent within other limits, shape (v,) each."""
+    return Descent(
+        lower,
+        upper,
+        options.position_tolerance,
+        options.rotation_tolerance,
+        options.rotation_weight,
+        options.max_iterations,
+    )
+
+
 class Scratch(NamedTuple):
     """Memory of one descent, allocated once for a whole batch."""
 

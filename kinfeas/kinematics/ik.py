@@ -78,23 +78,28 @@ class IkSolver:
         self.collision = build_collision_model(robot)
         self._problem = _make_problem(robot, options, self.chain, self.collision)
 
-    def solve(self, ee_pose_in_base: Array, seed: Array) -> IkSolution:
+    def solve(
+        self, ee_pose_in_base: Array, seed: Array, moves: Array | None = None
+    ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
-        A descent from the seed comes first if the EE is near the target there. Where that fails,
-        others start from those configurations of a fixed library that bring the EE nearest, and
+        A descent from the seed comes first if the EE is near the target there: within `moves`,
+        and where that fails, as far as the limits allow. Where that fails, too, others start from those configurations of a fixed library that bring the EE nearest, and
         of up to `candidates` solutions the one that the arm reaches soonest is taken. The answer
-        is a function of the two arguments alone, row by row.
+        is a function of the arguments alone, row by row.
 
         Args:
             ee_pose_in_base: Targets, shape (n, 7).
             seed: Joint positions to begin from, shape (n, v), radians or metres.
+            moves: How far each joint can go from there in time, shape (v,); a solution within is
+                taken before any other. By default nothing is known of it.
         """
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
-        solve_batch(self._problem, targets, solution, feasible, errors)
+        near = np.empty(0) if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        solve_batch(self._problem, targets, near, solution, feasible, errors)
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
 

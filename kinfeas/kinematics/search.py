@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Chain
-from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure
+from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure, within
 from kinfeas.kinematics.forward import inlined, kernel, place_chain
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
 from kinfeas.pose_kernels import write_matrix
@@ -70,25 +70,30 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
 
 
 @kernel
-def solve_batch(problem: Problem, targets, solution, feasible, errors):
+def solve_batch(problem: Problem, targets, moves, solution, feasible, errors):
     """Solve row by row.
 
     Args:
         problem: The robot.
         targets: EE poses in the base frame, shape (n, 7).
+        moves: How far each joint may go from its seed in a solution that comes before all
+            others, shape (v,), or (0,) if none does.
         solution: Holds the seeds and receives the answers, shape (n, v).
         feasible: Receives whether there is one, shape (n,).
         errors: Receives what it, or the closest attempt, leaves, shape (n, 2): metres, radians.
     """
     scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
     touching = make_collision_scratch(problem.collision)
+    near = np.empty((2, len(moves)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
     turn = np.empty((3, 3))
     for i in range(len(solution)):
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
-        if _solve_from_seed(problem, target, solution[i], errors[i], scratch, touching):
+        if _solve_from_seed(
+            problem, target, moves, near, solution[i], errors[i], scratch, touching
+        ):
             feasible[i] = True
         elif problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
@@ -103,26 +108,37 @@ def solve_batch(problem: Problem, targets, solution, feasible, errors):
 
 
 @inlined
-def _solve_from_seed(problem, target, solution, error, scratch, touching):
-    """Descend from the seed if it is near enough; return whether that solved it."""
+def _solve_from_seed(problem, target, moves, near, solution, error, scratch, touching):
+    """Descend from the seed if it is near enough; return whether that solved it.
+
+    First within `moves` of it, for the arm gets there in time; then from there as far as it takes.
+    """
     q = scratch.trial
+    limits = problem.descent
     for j in range(len(q)):
-        q[j] = min(max(solution[j], problem.descent.lower[j]), problem.descent.upper[j])
+        q[j] = min(max(solution[j], limits.lower[j]), limits.upper[j])
     place_chain(problem.chain, q, scratch.frames)
     cost, trace = 0.0, 0.0
     for i in range(3):
         cost += (target[1][i] - scratch.frames.position[i]) ** 2
         for k in range(3):
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
-    cost += problem.descent.rotation_weight**2 * (3.0 - trace)
+    cost += limits.rotation_weight**2 * (3.0 - trace)
     if cost > WARM_COST:
         error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
         return False
-    error[0], error[1] = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
-    if not _acceptable(problem, error[0], error[1], q, touching):
-        return False
-    solution[:] = q
-    return True
+    for attempt in range(2 if len(moves) > 0 else 1):
+        bounds = limits
+        if attempt == 0 and len(moves) > 0:
+            for j in range(len(q)):
+                near[0, j] = max(limits.lower[j], q[j] - moves[j])
+                near[1, j] = min(limits.upper[j], q[j] + moves[j])
+            bounds = within(limits, near[0], near[1])
+        error[0], error[1] = descend(problem.chain, bounds, target[0], target[1], q, scratch)
+        if _acceptable(problem, error[0], error[1], q, touching):
+            solution[:] = q
+            return True
+    return False
 
 
 @inlined
