@@ -5,6 +5,7 @@ duplicate keys and tags that build objects are refused.
 """
 
 import re
+import sys
 from collections.abc import Hashable
 from pathlib import Path
 
@@ -107,14 +108,20 @@ def read(path: Path) -> dict[str, object]:
     return data
 
 
-def write(data: object, path: Path) -> None:
+def write(data: object, path: Path, *, compact: bool = False) -> None:
     """Write plain data as a YAML file that `read` reads back.
+
+    Args:
+        data: Nested mappings and lists of plain values.
+        path: File to write.
+        compact: Put each innermost mapping and list on a line of its own, as for matrices.
 
     Raises:
         KinfeasError: If the file cannot be written.
     """
     # Escaped to ASCII by default, for PyYAML folds some other characters that it writes.
-    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
+    flow, width = (None, sys.maxsize) if compact else (False, None)
+    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

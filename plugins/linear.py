@@ -1,12 +1,12 @@
 """The `linear` motion: straight to the goal, slowing down as it comes near."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from kinfeas.errors import KinfeasError
 from kinfeas.motion import State
+from kinfeas.plugins.limits import norm, positive
 from kinfeas.spatial import Array, twist_between
 
 # Below this distance a motion is a turn on the spot, and the angle sets its pace, in metres.
@@ -44,13 +44,13 @@ class Linear:
         max_velocity: float = 0.1,
         max_angular_velocity: float | None = 0.1,
     ) -> None:
-        self._gain = _positive("gain", gain)
-        self._min_velocity = _positive("min_velocity", min_velocity)
-        self._max_velocity = _positive("max_velocity", max_velocity)
+        self._gain = positive("gain", gain)
+        self._min_velocity = positive("min_velocity", min_velocity)
+        self._max_velocity = positive("max_velocity", max_velocity)
         self._max_angular_velocity = (
             None
             if max_angular_velocity is None
-            else _positive("max_angular_velocity", max_angular_velocity)
+            else positive("max_angular_velocity", max_angular_velocity)
         )
         if min_velocity > max_velocity:
             raise KinfeasError(
@@ -82,8 +82,8 @@ class Linear:
 
     def _pace(self, way: Array) -> Array:
         """Return the share of the remaining `way`, shape (n, 6), to use up per second, (n,)."""
-        metres = np.maximum(_norm(way[:, :3]), _TINY)
-        radians = np.maximum(_norm(way[:, 3:]), _TINY)
+        metres = np.maximum(norm(way[:, :3]), _TINY)
+        radians = np.maximum(norm(way[:, 3:]), _TINY)
         slowest = np.where(
             metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )
@@ -91,17 +91,3 @@ class Linear:
         if self._max_angular_velocity is None:
             return pace
         return np.minimum(pace, self._max_angular_velocity / radians)
-
-
-def _norm(vector: Array) -> Array:
-    """Return lengths, shape (n, 3) -> (n,); by elements, so that no row depends on the batch."""
-    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
-    return np.sqrt(x * x + y * y + z * z)
-
-
-def _positive(name: str, value: float) -> float:
-    """Return `value` if it is a positive finite number."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or value <= 0.0:
-        raise KinfeasError(f"{name} must be a positive number, not {value!r}")
-    return float(value)

@@ -124,3 +124,10 @@ def test_read_refuses_what_is_no_file(tmp_path):
 def test_write_refuses_an_absent_folder(tmp_path):
     with pytest.raises(KinfeasError, match="cannot be written: No such file"):
         strict_yaml.write({}, tmp_path / "absent" / "x.yaml")
+
+
+def test_compact_puts_a_row_on_a_line(tmp_path):
+    path, matrix = tmp_path / "matrix.yaml", [[1.0 / 3.0] * 40, [2e-9] * 40]
+    strict_yaml.write({"name": "a: b", "matrix": matrix}, path, compact=True)
+    assert strict_yaml.read(path) == {"name": "a: b", "matrix": matrix}
+    assert path.read_text().count("\n") == 4

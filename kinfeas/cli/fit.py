@@ -1,0 +1,90 @@
+"""`kinfeas fit`: learn an EE motion from recorded demonstrations."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, status, write_json
+
+if TYPE_CHECKING:
+    from kinfeas.plugins.fit import Fit
+
+
+def fit(
+    demonstrations: Annotated[
+        Path, typer.Option("--demonstrations", help="Folder of *.csv or *.npz files.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Model file to write, such as model.yaml.")],
+    kind: Annotated[
+        Literal["imitation", "gaussian_mixture"],
+        typer.Option("--kind", help="Motion generator that is to follow the model."),
+    ] = "imitation",
+    components: Annotated[
+        int, typer.Option("--components", min=1, help="Size of the Gaussian mixture.")
+    ] = 8,
+    seed: options.Seed = 0,
+    json: options.JsonPath = None,
+) -> None:
+    """Learn an EE motion from recorded demonstrations, for any pose of the handled object.
+
+    A demonstration is a CSV table with the columns time, ee_x, ee_y, ee_z, ee_qx, ee_qy, ee_qz,
+    ee_qw and the same of base_ and object_, or an NPZ of the arrays time, ee_pose, base_pose and
+    object_pose: world poses in metres and unit quaternions. The motion is learned in the frame
+    that the object has at the start.
+
+    Use the model in a task or a test as the parameter [bold]model: path/of/model.yaml[/] of the
+    motion generator that [bold]--kind[/] names.
+    """
+    from kinfeas.demonstrations import read_demonstrations
+    from kinfeas.plugins.fit import fit as run
+    from kinfeas.plugins.model import write_model
+
+    # The folder's name only: where it lies on this machine says nothing to others.
+    folder = shlex.quote(demonstrations.resolve().name)
+    command = (
+        f"kinfeas fit --demonstrations {folder} --kind {kind} "
+        f"--components {components} --seed {seed}"
+    )
+    with status("learning"):
+        found = run(read_demonstrations(demonstrations), kind, components, seed, command)
+    write_model(found.model, out)
+    summary = _summary(found)
+    if json is not None:
+        write_json(summary, json)
+    _show(found, out)
+
+
+def _summary(found: "Fit") -> dict[str, object]:
+    return {
+        "kind": found.model.kind,
+        "demonstrations": found.model.fitted_from.demonstrations,
+        "components": len(found.model.components),
+        "base": found.model.has_base,
+        "duration_s": found.duration,
+        "length_m": found.length,
+        "position_residual_m": list(found.position_residual),
+        "rotation_residual_rad": list(found.rotation_residual),
+    }
+
+
+def _show(found: "Fit", out: Path) -> None:
+    from numpy import rad2deg
+
+    millimetres = [1000.0 * metres for metres in found.position_residual]
+    degrees = [float(rad2deg(radians)) for radians in found.rotation_residual]
+    count = len(millimetres)
+    rows = [
+        ["demonstrations", str(count)],
+        ["duration, mean", f"{found.duration:.2f} s"],
+        ["way of the hand, mean", f"{found.length:.3f} m"],
+        ["components", str(len(found.model.components))],
+        ["base", "learned" if found.model.has_base else "not shown"],
+        ["distance from the learned path, mean", f"{sum(millimetres) / count:.1f} mm"],
+        ["the same of the worst demonstration", f"{max(millimetres):.1f} mm"],
+        ["angle from the learned path, mean", f"{sum(degrees) / count:.1f} degrees"],
+        ["the same of the worst demonstration", f"{max(degrees):.1f} degrees"],
+    ]
+    print_table(f"{found.model.kind} model in {out}", ["", " value"], rows)

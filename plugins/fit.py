@@ -1,0 +1,212 @@
+"""Learning a motion from recorded demonstrations: what `kinfeas fit` does.
+
+A demonstration is a file `anything.csv` with a header and a line for each moment (or an `.npz` of
+the arrays of `kinfeas.demonstrations.Demonstration`), in metres and unit quaternions xyzw::
+
+    time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw,base_x,...,base_qw,object_x,...,object_qw
+    0.00,0.71,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
+    0.05,0.72,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
+
+The motion is learned in the frame that the object has in the first line: what the hand does to
+the object afterwards is part of the motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from kinfeas.demonstrations import Demonstration
+from kinfeas.errors import KinfeasError
+from kinfeas.plugins.model import DURATIONS, FORMAT, Component, Kind, Model, Source, rounded
+from kinfeas.plugins.path import below, tabulate
+from kinfeas.spatial import Array, canonical, distance, make_pose, relative, rotation, wrap, yaw
+
+_SAMPLES = 200  # of each demonstration
+_MOST_COMPONENTS = 50  # four samples each, and a file that can still be read
+_CLOCK = 30.0  # seconds that a `gaussian_mixture` takes, as the authors' models do
+_METRES_PER_RADIAN = 0.2  # so that the index of `imitation` goes on in a turn on the spot too
+_STILL = 1e-3  # metres, below which a demonstration has no way to learn
+_MOST_TURN = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
+_FARTHEST = 30.0  # metres from the object
+_REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the way
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A learned motion, and how well it stands for what it was learned from.
+
+    Attributes:
+        model: The motion.
+        duration: Mean duration of the demonstrations in seconds.
+        length: Mean length of the hand's way in metres.
+        position_residual: Mean distance of each demonstration from the learned path, metres.
+        rotation_residual: The same in radians.
+    """
+
+    model: Model
+    duration: float
+    length: float
+    position_residual: tuple[float, ...]
+    rotation_residual: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A demonstration in the frame of the object, at even steps of the index.
+
+    Attributes:
+        ee_pose: Poses of the hand, shape (m, 7).
+        base: x, y and unwrapped yaw of the base, shape (m, 3); not-a-number if unknown.
+        duration: Seconds.
+        length: Metres.
+    """
+
+    ee_pose: Array
+    base: Array
+    duration: float
+    length: float
+
+
+def fit(
+    demonstrations: Sequence[Demonstration],
+    kind: Kind = "imitation",
+    components: int = 8,
+    seed: int = 0,
+    command: str = "",
+) -> Fit:
+    """Return the motion that demonstrations show, by expectation maximization.
+
+    The base is learned too if its poses are finite in all of them.
+
+    Args:
+        demonstrations: One or more, of one motion.
+        kind: What the motion is indexed by: length of the way, or time.
+        components: Size of the mixture.
+        seed: Where the search for the mixture begins.
+        command: What the model's file is to say it was made by.
+
+    Raises:
+        KinfeasError: If there are none, one does not move or moves too far, or they turn too far.
+    """
+    if not demonstrations:
+        raise KinfeasError("there must be at least one demonstration to learn from")
+    if not 1 <= components <= _MOST_COMPONENTS:
+        raise KinfeasError(
+            f"components must be a number in [1, {_MOST_COMPONENTS}], not {components}"
+        )
+    ways = [_way(shown, kind, number) for number, shown in enumerate(demonstrations, 1)]
+    duration = float(np.mean([way.duration for way in ways]))
+    goals = np.stack([way.ee_pose[-1] for way in ways])
+    mean_orientation = rotation(np.concatenate([way.ee_pose for way in ways])).mean()
+    model = Model(
+        format=FORMAT,
+        kind=kind,
+        duration=_plain(duration if kind == "imitation" else _CLOCK),
+        goal=_plain(make_pose(goals[:, :3].mean(axis=0), rotation(goals).mean())),
+        mean_orientation=_plain(canonical(mean_orientation.as_quat())),
+        fitted_from=Source(len(ways), command),
+        components=_mixture(_features(ways, mean_orientation), components, seed),
+    )
+    metres, radians = zip(*(_residual(model, way) for way in ways), strict=True)
+    length = float(np.mean([way.length for way in ways]))
+    return Fit(model, duration, length, metres, radians)
+
+
+def _way(shown: Demonstration, kind: Kind, number: int) -> _Way:
+    """Return the demonstration of this number, counted from 1."""
+    frame = shown.object_pose[:1]
+    ee_pose = relative(shown.ee_pose, frame)
+    metres, radians = distance(ee_pose[:-1], ee_pose[1:])
+    steps = metres + _METRES_PER_RADIAN * radians
+    if steps.sum() < _STILL:
+        raise KinfeasError(f"demonstration {number}: the hand does not move")
+    if kind == "gaussian_mixture":
+        steps = np.diff(shown.time)
+    index = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
+    moves = np.concatenate([[True], np.diff(index) > 0.0])
+    index, even = index[moves], np.linspace(0.0, 1.0, _SAMPLES)
+    index[-1] = 1.0  # a sum may have rounded past it
+    position = _interpolate(even, index, ee_pose[moves, :3])
+    base = _interpolate(even, index, _planar(shown.base_pose, frame)[moves])
+    if np.nanmax(np.abs([position, base])) > _FARTHEST:
+        raise KinfeasError(
+            f"demonstration {number}: leads more than {_FARTHEST:g} m from the object"
+        )
+    orientation = Slerp(index, rotation(ee_pose[moves]))(even)
+    duration = float(shown.time[-1] - shown.time[0])
+    if duration not in DURATIONS:
+        raise KinfeasError(f"demonstration {number}: its seconds must be a number {DURATIONS}")
+    return _Way(make_pose(position, orientation), base, duration, float(metres.sum()))
+
+
+def _planar(base_pose: Array, frame: Array) -> Array:
+    """Return x, y and unwrapped yaw of the base in the frame below the object, shape (t, 3)."""
+    if not np.isfinite(base_pose).all():
+        return np.full((len(base_pose), 3), np.nan)
+    pose = relative(below(base_pose), below(frame))
+    return np.stack([pose[:, 0], pose[:, 1], np.unwrap(yaw(pose))], axis=-1)
+
+
+def _features(ways: Sequence[_Way], mean_orientation: Rotation) -> Array:
+    """Return what the mixture is of, a row for each sample, shape (ways * m, 7 or 10)."""
+    ee_pose = np.concatenate([way.ee_pose for way in ways])
+    turn = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
+    if np.linalg.norm(turn, axis=1).max() > _MOST_TURN:
+        raise KinfeasError(
+            f"the hand turns more than {_MOST_TURN:g} rad away from its mean orientation; "
+            "cut the demonstrations into shorter ones"
+        )
+    index = np.tile(np.linspace(0.0, 1.0, _SAMPLES), len(ways))
+    features = np.concatenate([index[:, np.newaxis], ee_pose[:, :3], turn], axis=1)
+    base = _bases(ways)
+    return features if np.isnan(base).any() else np.concatenate([features, base], axis=1)
+
+
+def _bases(ways: Sequence[_Way]) -> Array:
+    """Return x, y and yaw of the base, shape (ways * m, 3), with no yaws that lie a turn apart."""
+    began = np.array([way.base[0, 2] for way in ways])
+    shift = wrap(began - began[0]) + began[0] - began
+    bases = np.stack([way.base for way in ways])
+    bases[:, :, 2] += shift[:, np.newaxis]
+    return bases.reshape(-1, 3)
+
+
+def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ...]:
+    """Return the mixture of the features, its components in the order of their index."""
+    from sklearn.mixture import GaussianMixture
+    from threadpoolctl import threadpool_limits
+
+    # What is wide is rounded coarsely when written, and must stay positive definite.
+    floor = _REGULARIZATION * max(1.0, float(features.var(axis=0).max()))
+    search = GaussianMixture(components, reg_covar=floor, max_iter=500, random_state=seed)
+    with threadpool_limits(1):  # threads would sum in another order each time
+        found = search.fit(features)
+    # Sums in either triangle round differently.
+    covariances = 0.5 * (found.covariances_ + found.covariances_.transpose(0, 2, 1))
+    return tuple(
+        Component(_plain(found.weights_[i]), _plain(found.means_[i]), _plain(covariances[i]))
+        for i in np.argsort(found.means_[:, 0])
+    )
+
+
+def _residual(model: Model, way: _Way) -> tuple[float, float]:
+    """Return the mean distance of a way from the learned path, in metres and radians."""
+    learned = tabulate(model).at(np.linspace(0.0, 1.0, _SAMPLES))
+    metres, radians = distance(learned, way.ee_pose)
+    return float(metres.mean()), float(radians.mean())
+
+
+def _interpolate(at: Array, index: Array, values: Array) -> Array:
+    return np.stack([np.interp(at, index, column) for column in values.T], axis=-1)
+
+
+def _plain(values: Any) -> Any:
+    """Return an array as nested tuples of numbers, with no more digits than a file holds."""
+    return _tuples(rounded(np.asarray(values)).tolist())
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(_tuples(value) for value in values) if isinstance(values, list) else values

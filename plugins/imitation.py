@@ -1,0 +1,103 @@
+"""The `imitation` motion: a demonstrated path, followed from wherever the hand starts."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinfeas.motion import State
+from kinfeas.plugins.limits import norm, positive, slowed
+from kinfeas.plugins.model import read_model
+from kinfeas.plugins.path import tabulate
+from kinfeas.spatial import Array, compose, twist_between
+
+
+class Imitation:
+    """Phase dynamic system on R^3 x S^3, in the frame of the handled object.
+
+    The hand is drawn to the point of the learned path that the phase s in [0, 1] stands for, and
+    the phase goes on only as the hand is near that point: `s' = psi / T` with `psi =
+    exp(-|e_p|^2 / a^2 - |e_r|^2 / b^2)` of the errors in position and orientation. The twist is
+    what the phase demands less `gain` times the errors. Where it would exceed a limit, hand and
+    phase slow down together. So the hand first comes to the beginning of the path, then moves as
+    was demonstrated, from any start, and ends at the learned end exactly.
+
+    Args:
+        model: Name of a shipped model, or path of a file that `kinfeas fit` wrote.
+        gain: Rate at which errors decay, 1/s.
+        position_scale: The length a: the error at which the phase slows down by e, in metres.
+        rotation_scale: The same angle b in radians.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
+
+    Raises:
+        KinfeasError: If there is no such model, its file is wrong, or a number is not positive.
+    """
+
+    def __init__(
+        self,
+        *,
+        model: str | None = None,
+        gain: float = 1.0,
+        position_scale: float = 0.05,
+        rotation_scale: float = 0.3,
+        max_velocity: float = 0.1,
+        max_angular_velocity: float = 0.1,
+    ) -> None:
+        self._gain = positive("gain", gain)
+        self._position_scale = positive("position_scale", position_scale)
+        self._rotation_scale = positive("rotation_scale", rotation_scale)
+        self._max_velocity = positive("max_velocity", max_velocity)
+        self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
+        learned = read_model(model, "imitation")
+        self._path, self._duration = tabulate(learned), learned.duration
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions.
+
+        Args:
+            ee_pose: World pose of the driven frame, shape (n, 7); not used.
+            target_pose: World pose of the handled object, shape (n, 7).
+            rngs: Not used.
+        """
+        target = np.array(target_pose, dtype=np.float64)
+        return {"object_pose": target, "phase": np.zeros(len(target))}
+
+    def goal_pose(self, state: State) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        return compose(state["object_pose"], self._path.knots[-1])
+
+    def base_pose(self, state: State) -> Array:
+        """Return where the base was demonstrated to be now, shape (n, 7), in the world.
+
+        Not-a-number if the model was fitted from demonstrations without a base.
+        """
+        return self._path.base_at(state["phase"], state["object_pose"])
+
+    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
+
+        Args:
+            state: State of n motions.
+            ee_pose: World pose that the motion has come to, shape (n, 7).
+            dt: Duration of the step in seconds.
+        """
+        target, phase = state["object_pose"], state["phase"]
+        here = compose(target, self._path.at(phase))
+        error = twist_between(here, ee_pose, 1.0)
+        advance = np.minimum(self._nearness(error) * dt / self._duration, 1.0 - phase)
+        there = compose(target, self._path.at(phase + advance))
+        # A step longer than 1 / gain would shoot past the path.
+        wanted = twist_between(here, there, dt) - min(self._gain, 1.0 / dt) * error
+        share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
+        after = {"object_pose": target, "phase": phase + share * advance}
+        return wanted * share[:, np.newaxis], after
+
+    def _nearness(self, error: Array) -> Array:
+        """Return psi in [0, 1], shape (n, 6) -> (n,): how near the hand is to its path."""
+        metres, radians = norm(error[:, :3]), norm(error[:, 3:])
+        nearness: Array = np.exp(
+            -((metres / self._position_scale) ** 2) - (radians / self._rotation_scale) ** 2
+        )
+        return nearness

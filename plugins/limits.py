@@ -1,0 +1,41 @@
+"""Limits that motions keep, and the numbers that describe them."""
+
+import math
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.spatial import Array
+
+_TINY = 1e-12  # keeps quotients finite; in m/s and in rad/s
+
+
+def slowed(twist: Array, max_velocity: float, max_angular_velocity: float) -> Array:
+    """Return the share of `twist`, shape (n, 6) -> (n,), in (0, 1], that keeps both limits.
+
+    Args:
+        twist: Wanted twists, m/s and rad/s.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
+    """
+    linear = max_velocity / np.maximum(norm(twist[:, :3]), _TINY)
+    angular = max_angular_velocity / np.maximum(norm(twist[:, 3:]), _TINY)
+    return np.minimum(1.0, np.minimum(linear, angular))
+
+
+def norm(vector: Array) -> Array:
+    """Return lengths, shape (n, 3) -> (n,); by elements, so that no row depends on the batch."""
+    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def positive(name: str, value: float) -> float:
+    """Return `value` if it is a positive finite number.
+
+    Raises:
+        KinfeasError: If it is not; the sentence begins with `name`.
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value) or value <= 0.0:
+        raise KinfeasError(f"{name} must be a positive number, not {value!r}")
+    return float(value)

@@ -1,0 +1,80 @@
+"""Demonstrations of a door, and the models learned from them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.demonstrations import Demonstration
+from kinfeas.plugins.fit import fit
+from kinfeas.plugins.model import write_model
+from kinfeas.plugins.path import below
+from kinfeas.spatial import compose, distance, integrate, make_pose, planar_pose
+
+KINDS = ("imitation", "gaussian_mixture")
+DT = 0.1
+RADIUS, ANGLE = 0.312, np.deg2rad(96.0)
+
+
+def door_demonstrations(n=6, seed=0, scatter=1.0, base=True):
+    """Return demonstrations of a hand that opens a door, which turns about the object's z axis.
+
+    `scatter` scales how differently the hand holds on; the way itself is the same.
+    """
+    rng = np.random.default_rng(seed)
+    return [_door_demonstration(rng, scatter, base) for _ in range(n)]
+
+
+def _door_demonstration(rng, scatter, base):
+    time = np.linspace(0.0, rng.uniform(2.0, 5.0), 120)
+    share = time / time[-1]
+    done = 10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5
+    angle = done * ANGLE
+    arc = RADIUS * np.stack([np.cos(angle) - 1.0, np.sin(angle), 0.0 * angle], axis=-1)
+    turn = Rotation.from_rotvec(angle[:, np.newaxis] * np.array([0.0, 0.0, 0.85]))
+    held = Rotation.from_rotvec(scatter * rng.normal(0.0, 0.08, 3))
+    ee = make_pose(arc + scatter * rng.normal(0.0, 0.008, 3), turn * held)
+    spot = rng.uniform(-2.0, 2.0), rng.uniform(-2.0, 2.0), rng.uniform(-3.0, 3.0)
+    door = planar_pose(*np.array(spot)[:, np.newaxis])
+    door[:, 2] = 0.7
+    door = np.repeat(door, len(time), axis=0)
+    walked = planar_pose(-0.7 - 0.3 * done, 0.3 * done, np.pi + 0.5 * done)
+    stood = compose(below(door), walked) if base else np.full_like(ee, np.nan)
+    return Demonstration(time, compose(door, ee), stood, door)
+
+
+def random_poses(n, seed, reach=2.0):
+    """Return poses within `reach` metres of the origin, turned any way, shape (n, 7)."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=(n, 3))
+    way *= (reach * rng.uniform(size=n) / np.linalg.norm(way, axis=1))[:, np.newaxis]
+    return make_pose(way, Rotation.from_quat(rng.normal(size=(n, 4))))
+
+
+def run(generator, start, target, duration, dt=DT):
+    """Return poses, shape (steps + 1, n, 7), twists, (steps, n, 6), and the last state."""
+    state, poses, twists = generator.start(start, target, [None] * len(start)), [start], []
+    for _ in range(round(duration / dt)):
+        twist, state = generator.twist(state, poses[-1], dt)
+        poses.append(integrate(poses[-1], twist, dt))
+        twists.append(twist)
+    return np.stack(poses), np.stack(twists), state
+
+
+def apart(poses, target):
+    """Return the metres and radians between each pose and `target`, broadcast."""
+    return distance(poses, np.broadcast_to(target, poses.shape))
+
+
+def speeds(twists):
+    return np.linalg.norm(twists[..., :3], axis=-1), np.linalg.norm(twists[..., 3:], axis=-1)
+
+
+@pytest.fixture(scope="session")
+def models(tmp_path_factory):
+    """Paths of a door's models, by kind; `nobase` has an imitation model without the base."""
+    folder, shown = tmp_path_factory.mktemp("models"), door_demonstrations()
+    paths = {name: str(folder / f"{name}.yaml") for name in (*KINDS, "nobase")}
+    for kind in KINDS:
+        write_model(fit(shown, kind, command="kinfeas fit").model, folder / f"{kind}.yaml")
+    write_model(fit(door_demonstrations(base=False)).model, folder / "nobase.yaml")
+    return paths

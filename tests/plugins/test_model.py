@@ -1,0 +1,121 @@
+import copy
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinfeas import config, registry, strict_yaml
+from kinfeas.errors import KinfeasError
+from kinfeas.plugins import model as module
+from kinfeas.plugins.model import Model, read_model, rounded, shipped_models, write_model
+from kinfeas.testing import check_motion_generator
+from tests.plugins.conftest import KINDS
+
+
+@pytest.fixture(scope="module")
+def plain(models):
+    """An `imitation` model as plain data."""
+    return strict_yaml.read(Path(models["imitation"]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_read_and_written_again_is_the_same(kind, models, tmp_path):
+    path = tmp_path / "again.yaml"
+    write_model(read_model(models[kind], kind), path)
+    assert path.read_text() == Path(models[kind]).read_text()
+    assert path.stat().st_size < 30_000
+
+
+@pytest.mark.parametrize("name", ["imitation", "nobase"])
+def test_knows_whether_there_is_a_base(name, models):
+    assert read_model(models[name], "imitation").has_base == (name != "nobase")
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_shipped_models_are_small_and_keep_the_contract(name):
+    path = Path(module.__file__).parent / "models" / f"{name}.yaml"
+    assert path.stat().st_size < 30_000
+    model = config.load(Model, path)
+    assert model.has_base
+    generator = registry.build("kinfeas.motion_generators", model.kind, {"model": name})
+    check_motion_generator(generator)
+
+
+def test_a_shipped_model_goes_by_its_name(models, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_FOLDER", Path(models["imitation"]).parent)
+    assert shipped_models() == ["gaussian_mixture", "imitation", "nobase"]
+    assert read_model("imitation", "imitation") == read_model(models["imitation"], "imitation")
+    with pytest.raises(KinfeasError, match=r"unknown model 'imitatio' \(did you mean 'imitation'"):
+        read_model("imitatio", "imitation")
+    for missing in (None, 3):
+        with pytest.raises(KinfeasError, match="shipped one: gaussian_mixture, imitation, nobase"):
+            read_model(missing, "imitation")
+    with pytest.raises(KinfeasError, match=r"here\.yaml: cannot be read"):
+        read_model("here.yaml", "imitation")
+
+
+def test_refuses_a_model_of_another_kind(models):
+    with pytest.raises(KinfeasError, match="'kind' must be 'gaussian_mixture' here, not 'imit"):
+        read_model(models["imitation"], "gaussian_mixture")
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "message"),
+    [
+        (["format"], 2, "'format' must be one of 1, not 2"),
+        (["kind"], "spline", "'kind' must be one of 'imitation', 'gaussian_mixture', not 'spline'"),
+        (["colour"], "red", "unknown key 'colour'"),
+        (["duration"], 0.0, "'duration' must be a number in"),
+        (["duration"], math.nan, "'duration' must be a number in"),
+        (["goal"], [0.0] * 6, "'goal' must be a list of 7 entries"),
+        (["goal", 6], 2.0, "'goal' must have a unit quaternion"),
+        (["goal", 0], 1e9, r"'goal.0' must be a number in \[-1000, 1000\]"),
+        (["mean_orientation"], [0.0] * 4, "'mean_orientation' must have a unit quaternion"),
+        (["fitted_from", "demonstrations"], 0, "'fitted_from.demonstrations' must be"),
+        (["components"], [], "'components' must be one or more"),
+        (["components", 0, "weight"], 0.9, "the weights of 'components' must add up to 1"),
+        (["components", 0, "weight"], -0.1, "'components.0.weight' must be a number in"),
+        (["components", 1, "mean", 2], math.inf, "'components.1.mean.2' must be a number"),
+        (["components", 1, "mean"], [0.0] * 8, "'components.1': the mean must have 7 or 10 num"),
+        (["components", 1, "covariance"], [[1.0]], "'components.1': the covariance must have 10"),
+        (["components", 1, "covariance", 0, 1], 0.5, "'components.1': .* must be symmetric"),
+        (["components", 1, "covariance", 3, 3], -0.5, "'components.1': .* positive definite"),
+        (["components", 1, "covariance", 3, 3], math.nan, "covariance.3.3' must be a number"),
+        (["components", 1, "covariance", 3, 3], "wide", "covariance.3.3' must be a number"),
+    ],
+)
+def test_refuses_what_is_no_model(keys, value, message, plain, tmp_path):
+    broken = copy.deepcopy(plain)
+    *above, last = keys
+    entry = broken
+    for key in above:
+        entry = entry[key]
+    entry[last] = value
+    path = tmp_path / "broken.yaml"
+    strict_yaml.write(broken, path)
+    with pytest.raises(KinfeasError, match=message) as caught:
+        read_model(str(path), "imitation")
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_refuses_components_of_different_sizes(plain, tmp_path):
+    broken = copy.deepcopy(plain)
+    broken["components"][0]["mean"] = [0.0] * 7
+    broken["components"][0]["covariance"] = np.eye(7).tolist()
+    path = tmp_path / "broken.yaml"
+    strict_yaml.write(broken, path)
+    with pytest.raises(KinfeasError, match="'components' must be one or more, all of the same"):
+        read_model(str(path), "imitation")
+
+
+def test_a_file_never_runs_code(tmp_path):
+    path = tmp_path / "evil.yaml"
+    path.write_text("format: !!python/object/apply:os.abort []\n")
+    with pytest.raises(KinfeasError, match="broken YAML"):
+        read_model(str(path), "imitation")
+
+
+def test_rounded_keeps_eight_digits():
+    values = rounded(np.array([[np.pi, -1e-9 / 3.0], [0.0, 123456789.0]]))
+    assert np.array_equal(values, [[3.1415927, -3.3333333e-10], [0.0, 123456790.0]])

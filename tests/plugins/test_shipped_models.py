@@ -1,0 +1,104 @@
+"""The models that are shipped: made from the simulated hand, and shaped as it showed."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas import registry
+from kinfeas.plugins.fit import fit
+from kinfeas.plugins.model import read_model, shipped_models
+from kinfeas.plugins.path import tabulate
+from kinfeas.scenes.demonstrate import SCENES, demonstrate, load_habits, load_scene
+from kinfeas.spatial import compose, distance, integrate, make_pose, planar_pose, relative
+
+N = 16
+
+
+def rollout(model, ee_pose, target, dt=0.1):
+    """Return the poses (t, n, 7) of a motion until it has arrived."""
+    generator = registry.build("kinfeas.motion_generators", "imitation", {"model": model})
+    state = generator.start(ee_pose, target, [np.random.default_rng(0)] * len(ee_pose))
+    path = [ee_pose]
+    for _ in range(1000):
+        twist, state = generator.twist(state, path[-1], dt)
+        path.append(integrate(path[-1], twist, dt))
+        metres, radians = distance(path[-1], generator.goal_pose(state))
+        if metres.max() < 1e-3 and radians.max() < 1e-3:
+            return np.stack(path)
+    raise AssertionError(f"{model} does not arrive")
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def rolled(request):
+    """Name, and grasp and opening in the handle's frame, from random starts in front of it."""
+    rng, name = np.random.default_rng(7), request.param
+    x, y, yaw = rng.uniform(-2.0, 2.0, (3, N))
+    target = compose(planar_pose(x, y, yaw), load_scene(name).handle_pose())
+    away = rng.uniform([-1.0, -0.8, -0.5], [-0.3, 0.8, 0.5], (N, 3))
+    start = compose(target, make_pose(away, Rotation.random(N, rng)))
+    grasp = rollout(f"{name}_grasp", start, target)
+    pull = rollout(f"{name}_open", grasp[-1], target)
+    return name, relative(grasp, target), relative(pull, target)
+
+
+def test_there_are_four():
+    assert shipped_models() == ["door_grasp", "door_open", "drawer_grasp", "drawer_open"]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_documented_commands_make_them(name):
+    takes = demonstrate(load_scene(name), load_habits(), 12, seed=0)
+    for motion in ("grasp", "open"):
+        made = fit([getattr(take, motion) for take in takes], "imitation", 8, 0).model
+        shipped = read_model(f"{name}_{motion}", "imitation")
+        assert made.duration == pytest.approx(shipped.duration)
+        index = np.linspace(0.0, 1.0, 50)
+        metres, radians = distance(tabulate(made).at(index), tabulate(shipped).at(index))
+        assert metres.max() < 1e-3
+        assert radians.max() < 1e-2
+
+
+def test_every_grasp_ends_at_the_handle(rolled):
+    name, grasp, _ = rolled
+    scene = load_scene(name)
+    held = make_pose(np.zeros(3), Rotation.from_rotvec([scene.handle.gripper_roll, 0.0, 0.0]))
+    metres, radians = distance(grasp[-1], held)
+    assert metres.max() < 0.01
+    assert np.rad2deg(radians).max() < 6.0
+    # From the side, too, the hand first comes in front of the handle.
+    near = np.linalg.norm(grasp[..., :3], axis=-1) < 0.04
+    for row in range(N):
+        assert np.abs(grasp[near[:, row], row, 1]).max() < 0.02
+
+
+def test_the_door_is_pulled_along_its_arc():
+    rng = np.random.default_rng(1)
+    target = load_scene("door").handle_pose()[np.newaxis]
+    start = make_pose(
+        target[:, :3] + rng.uniform(-0.02, 0.02, 3), Rotation.from_quat(target[:, 3:])
+    )
+    path = relative(rollout("door_open", start, target), target)[:, 0]
+    hinge = make_pose(np.array(load_scene("door").joint.origin), Rotation.identity())
+    hinge = relative(hinge, target[0])[:2]
+    away = path[:, :2] - hinge
+    radius = np.linalg.norm(away, axis=1)
+    arc = np.rad2deg(np.ptp(np.unwrap(np.arctan2(away[:, 1], away[:, 0]))))
+    turn = np.rad2deg(distance(path[-1], path[0])[1])
+    assert radius[20:] == pytest.approx(0.312, abs=0.012)
+    assert arc == pytest.approx(96.0, abs=6.0)
+    assert turn == pytest.approx(81.0, abs=4.0)
+
+
+def test_openings_end_where_they_were_shown_to(rolled):
+    name, _, pull = rolled
+    scene = load_scene(name)
+    handle = scene.handle_pose()
+    opened = relative(scene.joint.carry(handle, scene.opening), handle)
+    ends = pull[-1, :, :3] - [0.0, 0.0, scene.rise]
+    assert np.linalg.norm(ends - opened[:3], axis=1).max() < 0.015
+
+
+def test_the_base_is_known_and_travels_as_was_shown():
+    path = tabulate(read_model("door_open", "imitation"))
+    assert path.base is not None
+    assert np.linalg.norm(path.base[-1, :2] - path.base[0, :2]) == pytest.approx(0.44, abs=0.01)
