@@ -1,0 +1,187 @@
+"""Recorded demonstrations: what the hand, the base and the object did, and the files that hold it.
+
+A file is a CSV table or a NumPy archive of one demonstration; a folder of them is a set of
+demonstrations of one motion.
+"""
+
+import csv
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.errors import KinfeasError
+from kinfeas.folders import writing
+from kinfeas.spatial import Array
+
+_AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_POSES = ("ee_pose", "base_pose", "object_pose")
+_OPTIONAL = "base_pose"
+_NOT_UNIT = 1e-3  # how far the norm of a recorded quaternion may be from 1
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What was recorded at t moments, in the world.
+
+    Attributes:
+        time: Moments in seconds, strictly ascending, shape (t,), t >= 2.
+        ee_pose: Poses of the hand that demonstrates, shape (t, 7).
+        base_pose: Poses of its base, shape (t, 7); all NaN if there was none.
+        object_pose: Poses of the handled object, the frame that the motion is learned in,
+            shape (t, 7).
+    """
+
+    time: Array
+    ee_pose: Array
+    base_pose: Array
+    object_pose: Array
+
+
+def read_demonstrations(folder: Path) -> list[Demonstration]:
+    """Return the demonstrations of all CSV and NPZ files in `folder`, in the order of their names.
+
+    Raises:
+        KinfeasError: If there are none, or one is not what `read_demonstration` allows.
+    """
+    if not folder.is_dir():
+        raise KinfeasError(f"{folder}: no such folder of demonstrations")
+    paths = sorted(path for path in folder.iterdir() if path.suffix in _READERS)
+    if not paths:
+        raise KinfeasError(f"{folder}: holds no demonstrations, which are *.csv or *.npz files")
+    return [read_demonstration(path) for path in paths]
+
+
+def read_demonstration(path: Path) -> Demonstration:
+    """Return the demonstration that a CSV or NPZ file holds, its quaternions made unit.
+
+    Columns that are not in `columns`, and all of the base, may be there or not.
+
+    Raises:
+        KinfeasError: If the file cannot be read, lacks a column, has fewer than two samples or
+            numbers that are not finite, its time does not ascend or a quaternion is not unit.
+    """
+    reader = _READERS.get(path.suffix)
+    if reader is None:
+        raise KinfeasError(f"{path}: must be a .csv or .npz file")
+    try:
+        return reader(path)
+    except OSError as error:
+        raise KinfeasError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, csv.Error, zipfile.BadZipFile, EOFError) as error:
+        raise KinfeasError(f"{path}: is no {path.suffix[1:].upper()} file: {error}") from error
+
+
+def write_demonstration(demonstration: Demonstration, path: Path) -> None:
+    """Write a CSV or NPZ file, as the suffix says, that `read_demonstration` reads back.
+
+    Raises:
+        KinfeasError: If the suffix is another one or the file cannot be written.
+    """
+    known = not np.isnan(demonstration.base_pose).all()
+    poses = [pose for pose in _POSES if known or pose != _OPTIONAL]
+    arrays = {name: getattr(demonstration, name) for name in ("time", *poses)}
+    with writing(path):
+        if path.suffix == ".npz":
+            np.savez_compressed(path, **arrays)
+        elif path.suffix == ".csv":
+            with path.open("w", newline="", encoding="utf-8") as file:
+                rows = csv.writer(file, lineterminator="\n")
+                rows.writerow(columns(poses))
+                rows.writerows(np.column_stack(list(arrays.values())).tolist())
+        else:
+            raise KinfeasError(f"{path}: must be a .csv or .npz file")
+
+
+def columns(poses: Iterable[str] = _POSES) -> list[str]:
+    """Return the columns of a CSV file that holds the time and some of the poses."""
+    return ["time", *(f"{pose.removesuffix('_pose')}_{axis}" for pose in poses for axis in _AXES)]
+
+
+def _read_csv(path: Path) -> Demonstration:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file, strict=True)
+        header = [name.strip() for name in next(rows, [])]
+        without = set(header).isdisjoint(columns([_OPTIONAL])[1:])
+        poses = [pose for pose in _POSES if not (without and pose == _OPTIONAL)]
+        wanted = columns(poses)
+        for name in wanted:
+            if header.count(name) != 1:
+                problem = "repeated" if name in header else "missing"
+                raise KinfeasError(f"{path}, line 1: column {name!r} is {problem}")
+        lines, samples = [], []
+        for row in filter(None, rows):
+            lines.append(rows.line_num)
+            samples.append(_numbers(row, header, wanted, f"{path}, line {rows.line_num}"))
+    table = np.array(samples, dtype=np.float64).reshape(-1, len(wanted))
+    split = np.split(table[:, 1:], len(poses), axis=1)
+    values = {"time": table[:, 0], **dict(zip(poses, split, strict=True))}
+    return _checked(values, str(path), lambda name, i: f"{path}, line {lines[i]}, {name}")
+
+
+def _numbers(
+    row: Sequence[str], header: Sequence[str], wanted: Sequence[str], place: str
+) -> list[float]:
+    if len(row) != len(header):
+        raise KinfeasError(f"{place}: has {len(row)} entries for {len(header)} columns")
+    entries = dict(zip(header, row, strict=True))
+    numbers = []
+    for name in wanted:
+        try:
+            numbers.append(float(entries[name]))
+        except ValueError as error:
+            raise KinfeasError(f"{place}, {name}: {entries[name]!r} is not a number") from error
+    return numbers
+
+
+def _read_npz(path: Path) -> Demonstration:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            names = [name for name in ("time", *_POSES) if name != _OPTIONAL or name in archive]
+            missing = [name for name in names if name not in archive]
+            values = {name: archive[name] for name in names if name in archive}
+    except (ValueError, TypeError) as error:
+        raise KinfeasError(f"{path}: is no NPZ file of plain arrays: {error}") from error
+    if missing:
+        raise KinfeasError(f"{path}: key {missing[0]!r} is missing")
+    samples = values["time"].size
+    for name, value in values.items():
+        shape = (samples,) if name == "time" else (samples, 7)
+        if value.shape != shape or value.dtype.kind not in "fiu":
+            raise KinfeasError(
+                f"{path}, {name}: must hold numbers of shape {shape},"
+                f" not {value.dtype} of shape {value.shape}"
+            )
+    return _checked(values, str(path), lambda name, i: f"{path}, {name}[{i}]")
+
+
+def _checked(
+    values: Mapping[str, Array], source: str, place: Callable[[str, int], str]
+) -> Demonstration:
+    """Return the demonstration of `values`; `place(name, i)` says where sample i stands."""
+    arrays = {name: np.array(value, dtype=np.float64) for name, value in values.items()}
+    time = arrays.pop("time")
+    if len(time) < 2:
+        raise KinfeasError(f"{source}: has {len(time)} samples, at least 2 are needed")
+    for name, value in (("time", time[:, np.newaxis]), *arrays.items()):
+        _refuse(~np.isfinite(value).all(axis=1), name, "is not finite", place)
+    stuck = np.concatenate([[False], np.diff(time) <= 0.0])
+    _refuse(stuck, "time", "does not ascend from the sample before", place)
+    for name, pose in arrays.items():
+        norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
+        _refuse(np.abs(norm - 1.0) > _NOT_UNIT, name, "has no unit quaternion (xyzw)", place)
+        pose[:, 3:] /= norm[:, np.newaxis]
+    return Demonstration(time, **{_OPTIONAL: np.full((len(time), 7), np.nan), **arrays})
+
+
+def _refuse(
+    bad: NDArray[np.bool_], name: str, problem: str, place: Callable[[str, int], str]
+) -> None:
+    if bad.any():
+        raise KinfeasError(f"{place(name, int(np.argmax(bad)))}: {problem}")
+
+
+_READERS: dict[str, Callable[[Path], Demonstration]] = {".csv": _read_csv, ".npz": _read_npz}
