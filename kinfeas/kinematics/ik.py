@@ -57,7 +57,8 @@ class IkSolution:
     Attributes:
         joint_positions: Solutions, and the seeds where there is none, shape (n, v).
         feasible: Whether a solution was found, shape (n,).
-        position_error: Distance that the solution, or the closest attempt, leaves, shape (n,), m.
+        position_error: Distance that the solution, or the closest attempt free of self-collision,
+            leaves, shape (n,), metres.
         rotation_error: The same for the orientation, shape (n,), radians.
     """
 

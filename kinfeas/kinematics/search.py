@@ -124,8 +124,8 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
         for k in range(3):
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
     cost += limits.rotation_weight**2 * (3.0 - trace)
+    error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
     if cost > WARM_COST:
-        error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
         return False
     for attempt in range(2 if len(moves) > 0 else 1):
         bounds = limits
@@ -134,11 +134,23 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
                 near[0, j] = max(limits.lower[j], q[j] - moves[j])
                 near[1, j] = min(limits.upper[j], q[j] + moves[j])
             bounds = within(limits, near[0], near[1])
-        error[0], error[1] = descend(problem.chain, bounds, target[0], target[1], q, scratch)
-        if _acceptable(problem, error[0], error[1], q, touching):
-            solution[:] = q
-            return True
-    return False
+        metres, radians = descend(problem.chain, bounds, target[0], target[1], q, scratch)
+        if _close_enough(problem, metres, radians):
+            if _free(problem, q, touching):
+                error[0], error[1] = metres, radians
+                solution[:] = q
+                return True
+        elif _improves(problem, metres, radians, error, q, touching):
+            error[0], error[1] = metres, radians
+    # Where there is leeway, staying may be an answer that every descent has left.
+    if not _close_enough(problem, error[0], error[1]):
+        return False
+    for j in range(len(q)):
+        q[j] = min(max(solution[j], limits.lower[j]), limits.upper[j])
+    if not _free(problem, q, touching):
+        return False
+    solution[:] = q
+    return True
 
 
 @inlined
@@ -152,7 +164,10 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
             break
         q[:] = problem.library[order[attempt]]
         metres, radians = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
-        if _acceptable(problem, metres, radians, q, touching):
+        closest = min(closest, _cost(problem, metres, radians))
+        if _close_enough(problem, metres, radians):
+            if not _free(problem, q, touching):
+                continue
             found += 1
             seconds = _seconds_between(problem, seed, q)
             if seconds < nearest:
@@ -161,8 +176,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
                 solution[:] = q
             if found == problem.candidates:
                 break
-        elif found == 0 and _cost(problem, metres, radians) < closest:
-            closest = _cost(problem, metres, radians)
+        elif found == 0 and _improves(problem, metres, radians, error, q, touching):
             error[0], error[1] = metres, radians
     return found > 0
 
@@ -177,11 +191,21 @@ def _wrap(angle):
 
 
 @inlined
-def _acceptable(problem, metres, radians, q, touching):
+def _close_enough(problem, metres, radians):
     # Asked this way about, numbers that are not finite are no solution.
-    if not (metres <= problem.accept_position and radians <= problem.accept_rotation):
-        return False
+    return metres <= problem.accept_position and radians <= problem.accept_rotation
+
+
+@inlined
+def _free(problem, q, touching):
     return not (problem.check_collision and touches_itself(problem.collision, q, touching))
+
+
+@inlined
+def _improves(problem, metres, radians, error, q, touching):
+    """Return whether an attempt comes nearer than the best so far without touching itself."""
+    closer = _cost(problem, metres, radians) < _cost(problem, error[0], error[1])
+    return closer and _free(problem, q, touching)
 
 
 @inlined

@@ -122,6 +122,27 @@ def test_a_solution_from_the_seed_comes_first(robot, exact_solver, draw):
     assert np.quantile(travelled, 0.95) < 0.2
 
 
+def test_a_solution_in_time_comes_before_any_other(robot, exact_solver, draw):
+    """Where joints that move as far as they may reach the target, none is asked to move farther."""
+    rng = np.random.default_rng(2)
+    joints = draw_free(exact_solver, draw, 1000)
+    lower, upper = lower_upper(robot)
+    reach = 0.1 * np.array([joint.velocity for joint in robot.arm])
+    moved = np.clip(joints + rng.uniform(-0.2, 0.2, joints.shape) * reach, lower, upper)
+    free = ~self_collides(exact_solver.collision, moved)
+    joints, targets = joints[free], forward(exact_solver.chain, moved[free])
+    patient = exact_solver.solve(targets, joints)
+    hasty = exact_solver.solve(targets, joints, reach)
+    np.testing.assert_array_equal(patient.feasible, hasty.feasible)
+    check_solutions(exact_solver, hasty.joint_positions[hasty.feasible])
+
+    def late(solution):
+        return np.any(moves(robot, joints, solution.joint_positions) > reach * 1.001, axis=1)
+
+    assert late(hasty).mean() <= 0.02
+    assert late(hasty).mean() <= late(patient).mean()
+
+
 def test_the_seed_itself_is_an_answer(robot, exact_solver, draw):
     joints = draw_free(exact_solver, draw, 500)
     solution = exact_solver.solve(forward(exact_solver.chain, joints), joints)
