@@ -13,15 +13,13 @@ from kinfeas.drive import base_twist
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.motion import MotionGenerator, State
+from kinfeas.legs import GOAL_METRES, GOAL_RADIANS, Course, LegMotion, Rows
 from kinfeas.observation import HORIZON, observe
 from kinfeas.policy import Situation
 from kinfeas.spatial import Array
 from kinfeas.start import Start
 
-Rows = NDArray[np.intp]
-
-_MOTION = "motion."
+__all__ = ["Loop", "Rows", "Step"]
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,10 @@ class Step:
         position_error: Metres that the IK solution, or its closest attempt, leaves.
         rotation_error: The same in radians.
         deviation: Distance of the achieved EE from the desired position, metres.
-        goal_distance: Distance of the achieved EE from the motion's end, metres.
+        leg: Number of the leg that the step was a part of.
+        goal_distance: Distance of the achieved EE from the end of that leg, metres.
         goal_angle: The same in radians.
+        finished: Whether the end of the last leg was reached, on this feasible step.
         jumped: Whether an arm joint was asked to move faster than its limit.
     """
 
@@ -42,8 +42,10 @@ class Step:
     position_error: Array
     rotation_error: Array
     deviation: Array
+    leg: NDArray[np.intp]
     goal_distance: Array
     goal_angle: Array
+    finished: NDArray[np.bool_]
     jumped: NDArray[np.bool_]
 
 
@@ -51,22 +53,25 @@ class Loop:
     """n robots, each carrying its own EE motion."""
 
     def __init__(
-        self, solver: IkSolver, generator: MotionGenerator, backend: Backend, dt: float = HORIZON
+        self,
+        solver: IkSolver,
+        legs: Sequence[LegMotion],
+        backend: Backend,
+        dt: float = HORIZON,
     ) -> None:
         """Connect the parts; `start` must follow before anything else.
 
         Args:
             solver: Places the arm; it also says which robot this is.
-            generator: Moves the EE.
+            legs: Motions that every EE makes one after the other, at least one.
             backend: Moves the robots.
             dt: Control period in seconds.
         """
-        self.solver, self.generator, self.backend, self.dt = solver, generator, backend, dt
+        self.solver, self.backend, self.dt = solver, backend, dt
         self.robot = solver.robot
+        self.course = Course(legs, self.robot, dt)
         self._velocity = np.array([joint.velocity for joint in self.robot.arm])
         self._continuous = np.array([joint.continuous for joint in self.robot.arm])
-        self.desired: Array = np.empty((0, 7))
-        self.motion: State = {}
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -78,48 +83,49 @@ class Loop:
             rngs: One source of randomness for each of them.
             rows: Which of the n robots begin anew; all of them by default, which also sets n.
         """
-        every = rows is None
-        rows = np.arange(len(rngs)) if rows is None else rows
         if isinstance(self.backend, Stochastic):
             seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
-            self.backend.seed(seeds, rows)
-        state = self.backend.reset(start.base_pose, start.joint_positions, None if every else rows)
+            self.backend.seed(seeds, np.arange(len(rngs)) if rows is None else rows)
+        state = self.backend.reset(start.base_pose, start.joint_positions, rows)
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
-        motion = self.generator.start(ee, start.target_pose, rngs)
-        if every:
-            self.desired, self.motion = ee, motion
-        else:
-            # Into copies: others may hold what was there before.
-            self.desired = _with_rows(self.desired, rows, ee)
-            self.motion = {
-                key: _with_rows(self.motion[key], rows, values) for key, values in motion.items()
-            }
+        self.course.start(ee, start.target_poses, rngs, rows)
         self._measured(state)
+        self._look_ahead()
 
     def step(self, action: Array) -> Step:
         """Advance all robots by one control period.
 
+        A leg ends on a feasible step that brings the EE to its end; after its wait the next leg
+        begins at the desired pose.
+
         Args:
             action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
         """
-        twist, self.motion = self._next_motion()
-        self.desired = spatial.integrate(self.desired, twist, self.dt)
+        # What was looked ahead for is not computed again.
+        course = self.course
+        course.move(self._ahead if self.dt == HORIZON else course.ahead(self.dt))
         command = base_twist(self.robot.base, self.state.base_pose, action, self.dt)
         commanded = spatial.integrate(self.state.base_pose, command, self.dt)
         before = self.state.joint_positions
-        target = spatial.relative(self.desired, commanded)
+        target = spatial.relative(course.desired, commanded)
         arm = self.solver.solve(target, before, self._velocity * self.dt)
         self._measured(self.backend.step(command, arm.joint_positions, self.dt))
-        goal_distance, goal_angle = spatial.distance(self.ee_pose, self.goal)
-        return Step(
+        goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)
+        arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
+        step = Step(
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=np.linalg.norm(self.ee_pose[:, :3] - self.desired[:, :3], axis=1),
+            deviation=np.linalg.norm(self.ee_pose[:, :3] - course.desired[:, :3], axis=1),
+            leg=course.leg,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
+            finished=arrived & course.last,
             jumped=self._jumped(before, arm.joint_positions),
         )
+        course.advance(arrived)
+        self._look_ahead()
+        return step
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that the loop goes on from, by name.
@@ -131,20 +137,20 @@ class Loop:
             raise KinfeasError(
                 f"{type(self.backend).__name__} cannot be saved in the midst of a run"
             )
-        motion = {f"{_MOTION}{key}": values for key, values in self.motion.items()}
-        return {**self.backend.snapshot(), **motion, "desired": self.desired}
+        return {**self.backend.snapshot(), **self.course.snapshot()}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""
         if not isinstance(self.backend, Resumable):
             raise KinfeasError(f"{type(self.backend).__name__} cannot go on from a saved run")
-        self.desired = snapshot["desired"].copy()
-        self.motion = {
-            key.removeprefix(_MOTION): values.copy()
-            for key, values in snapshot.items()
-            if key.startswith(_MOTION)
-        }
+        self.course.restore(snapshot)
         self._measured(self.backend.restore(snapshot))
+        self._look_ahead()
+
+    @property
+    def desired(self) -> Array:
+        """Desired world pose of the EE now, shape (n, 7)."""
+        return self.course.desired
 
     @property
     def situation(self) -> Situation:
@@ -155,34 +161,25 @@ class Loop:
             ee_pose=self.ee_pose,
             desired=self.desired,
             planned=self.planned,
+            demonstrated_base=self.course.demonstrated_base,
         )
 
     def _measured(self, state: RobotState) -> None:
-        """Take in what the backend measured and look ahead from there."""
+        """Take in what the backend measured."""
         self.state = state
-        ee_in_base = forward(self.solver.chain, state.joint_positions)
-        self.ee_pose = spatial.compose(state.base_pose, ee_in_base)
-        self.goal = self.generator.goal_pose(self.motion)
-        self._ahead = self.generator.twist(self.motion, self.desired, HORIZON)
-        self.planned = spatial.integrate(self.desired, self._ahead[0], HORIZON)
-        self.observation = observe(
-            state.base_pose, ee_in_base, self.planned, self.goal, state.joint_positions
-        )
+        self._ee_in_base = forward(self.solver.chain, state.joint_positions)
+        self.ee_pose = spatial.compose(state.base_pose, self._ee_in_base)
 
-    def _next_motion(self) -> tuple[Array, State]:
-        """Return the generator's next step; what was looked ahead for is not computed again."""
-        if self.dt == HORIZON:
-            return self._ahead
-        return self.generator.twist(self.motion, self.desired, self.dt)
+    def _look_ahead(self) -> None:
+        """Find where the motions lead from here, and what a policy sees of that."""
+        self.goal = self.course.goal
+        self._ahead = self.course.ahead(HORIZON)
+        self.planned = self._ahead[0]
+        base, joints = self.state.base_pose, self.state.joint_positions
+        self.observation = observe(base, self._ee_in_base, self.planned, self.goal, joints)
 
     def _jumped(self, before: Array, after: Array) -> NDArray[np.bool_]:
         move = np.where(self._continuous, spatial.wrap(after - before), after - before)
         # Rounding must not turn a motion at the very limit into a jump.
         jumped: NDArray[np.bool_] = np.any(np.abs(move) > self._velocity * self.dt * 1.001, axis=1)
         return jumped
-
-
-def _with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
-    changed = array.copy()
-    changed[rows] = values
-    return changed

@@ -16,11 +16,12 @@ class EpisodeRecords:
     """What happened in n episodes.
 
     Attributes:
-        reached: Whether the goal was reached, shape (n,).
+        reached: Whether the goal, the end of the last leg, was reached, shape (n,).
         failures: Steps without an IK solution, shape (n,).
         max_deviation: Largest distance of the EE from the desired position, metres, shape (n,).
         mean_deviation: Mean of that distance over the episode, metres, shape (n,).
-        final_distance: Distance of the EE from the goal at the end, metres, shape (n,).
+        final_distance: Distance of the EE from the goal at the end, metres, shape (n,); infinite
+            where the last leg was never begun.
         jumps: Steps in which a joint moved faster than its limit, shape (n,).
         steps: Length of the episode, shape (n,).
     """

@@ -1,7 +1,7 @@
 """What a motion generator is: the seam that plugins fill in."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -42,5 +42,17 @@ class MotionGenerator(Protocol):
             state: State of n motions.
             ee_pose: Desired world pose that the motion has come to, shape (n, 7).
             dt: Duration of the step in seconds.
+        """
+        ...
+
+
+@runtime_checkable
+class Demonstrated(Protocol):
+    """What a motion generator has besides if the base was demonstrated along with the EE."""
+
+    def base_pose(self, state: State) -> Array:
+        """Return the world poses at which the base was demonstrated to be now, shape (n, 7).
+
+        Rows of NaN where that is not known.
         """
         ...

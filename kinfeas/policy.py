@@ -31,6 +31,8 @@ class Situation:
         ee_pose: Achieved world pose of the EE, shape (n, 7).
         desired: Desired world pose of the EE now, shape (n, 7).
         planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7).
+        demonstrated_base: World pose at which the base was demonstrated to be now, shape (n, 7);
+            NaN where none was.
     """
 
     observation: Array
@@ -38,6 +40,7 @@ class Situation:
     ee_pose: Array
     desired: Array
     planned: Array
+    demonstrated_base: Array
 
 
 class Policy(Protocol):

@@ -12,9 +12,9 @@ class Start:
     Attributes:
         base_pose: World pose of the base, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
-        target_pose: What the motion generator heads for, in the world, shape (n, 7).
+        target_poses: What the motion of each leg heads for, in the world, shape (n, legs, 7).
     """
 
     base_pose: Array
     joint_positions: Array
-    target_pose: Array
+    target_poses: Array

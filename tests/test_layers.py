@@ -25,8 +25,8 @@ LAYERS = (
             "pose_kernels",
         },
     ),
-    ({"robots", "motion", "single_motion", "backend", "start"},),
-    ({"kinematics", "drive", "observation", "policy", "registry", "metrics", "testing"},),
+    ({"robots", "motion", "single_motion", "backend", "start", "pretrained", "demonstrations"},),
+    ({"kinematics", "legs", "drive", "observation", "policy", "registry", "metrics", "testing"},),
     ({"loop"}, {"plugins"}, {"scenes"}, {"tasks"}, {"baselines"}),
     ({"envs"}, {"sim"}, {"sim2real"}),
     ({"training", "evaluation"},),
@@ -41,6 +41,7 @@ CONFINED = {
     # `kinfeas speed` times PyBullet's and Pinocchio's IK beside ours.
     "pybullet": ("kinfeas.sim", "kinfeas.evaluation.peers"),
     "pinocchio": ("kinfeas.evaluation.peers",),
+    "sklearn": ("kinfeas.plugins.fit",),
 }
 
 # Where the packages lie in the tree; all others lie where their name says.

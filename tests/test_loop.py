@@ -8,6 +8,7 @@ from kinfeas.backend import RobotState
 from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.kinematics.forward import forward
+from kinfeas.legs import LegMotion
 from kinfeas.loop import Loop
 from kinfeas.observation import HORIZON, observe
 from kinfeas.plugins.linear import Linear
@@ -68,11 +69,11 @@ def starts(robot, n, seed=0):
     goal[:, 3:] = rng.normal(size=(n, 4))
     goal[:, 3:] /= np.linalg.norm(goal[:, 3:], axis=1, keepdims=True)
     base = spatial.planar_pose(np.zeros(n), np.zeros(n), heading)
-    return Start(base, np.tile(robot.home["home"], (n, 1)), goal)
+    return Start(base, np.tile(robot.home["home"], (n, 1)), goal[:, np.newaxis])
 
 
 def make_loop(solver, n, backend=None, dt=HORIZON, seed=0):
-    loop = Loop(solver, Linear(), backend or AnalyticBackend(), dt)
+    loop = Loop(solver, [LegMotion(Linear())], backend or AnalyticBackend(), dt)
     loop.start(starts(solver.robot, n, seed), rngs(n))
     return loop
 
@@ -90,7 +91,7 @@ def test_begins_at_the_ee_with_the_start_configuration(solver):
     ee = spatial.compose(start.base_pose, forward(solver.chain, start.joint_positions))
     np.testing.assert_array_equal(loop.desired, ee)
     np.testing.assert_array_equal(loop.ee_pose, ee)
-    np.testing.assert_allclose(loop.goal, start.target_pose, atol=1e-12)
+    np.testing.assert_allclose(loop.goal, start.target_poses[:, 0], atol=1e-12)
     np.testing.assert_array_equal(loop.state.base_pose, start.base_pose)
 
 
@@ -108,7 +109,7 @@ def test_actions_cannot_bend_the_trajectory(solver):
 def test_desired_pose_is_the_generators_integrated(solver):
     loop, generator = make_loop(solver, 4), Linear()
     desired = loop.desired.copy()
-    state = generator.start(desired, starts(solver.robot, 4).target_pose, rngs(4))
+    state = generator.start(desired, starts(solver.robot, 4).target_poses[:, 0], rngs(4))
     for _ in range(30):
         loop.step(still(loop))
         twist, state = generator.twist(state, desired, HORIZON)
@@ -212,7 +213,7 @@ def test_restarting_rows_leaves_the_others_alone(solver):
             other.start(fresh, rngs(2, 7), rows)
             ee = spatial.compose(fresh.base_pose, forward(solver.chain, fresh.joint_positions))
             np.testing.assert_array_equal(other.desired[rows], ee)
-            np.testing.assert_allclose(other.goal[rows], fresh.target_pose, atol=1e-12)
+            np.testing.assert_allclose(other.goal[rows], fresh.target_poses[:, 0], atol=1e-12)
         for name in ("desired", "observation", "ee_pose", "planned"):
             np.testing.assert_array_equal(
                 getattr(whole, name)[[0, 2, 4]], getattr(other, name)[[0, 2, 4]], err_msg=name
@@ -223,7 +224,7 @@ def test_restarting_rows_leaves_the_others_alone(solver):
 def test_restarting_rows_does_not_write_into_what_others_hold(solver):
     loop = make_loop(solver, 3)
     loop.step(still(loop))
-    held = [loop.desired, loop.observation, *loop.motion.values(), loop.situation.planned]
+    held = [loop.desired, loop.observation, *loop.course.snapshot().values(), loop.planned]
     before = [array.copy() for array in held]
     loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
     for array, old in zip(held, before, strict=True):
@@ -293,7 +294,7 @@ def test_snapshot_goes_on_to_the_bit(solver):
     for action in rest:
         loop.step(action)
     loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
-    again = Loop(solver, Linear(), AnalyticBackend())
+    again = Loop(solver, [LegMotion(Linear())], AnalyticBackend())
     again.restore(saved)
     expected = make_loop(solver, 4)
     rng = np.random.default_rng(3)
@@ -303,3 +304,98 @@ def test_snapshot_goes_on_to_the_bit(solver):
         again.step(action)
         expected.step(action)
         np.testing.assert_array_equal(again.observation, expected.observation)
+
+
+def targets_at(loop, *shifts):
+    """Return targets so near to the EE that legs end at once, shape (n, legs, 7)."""
+    poses = np.repeat(loop.desired[:, np.newaxis], len(shifts), axis=1)
+    poses[:, :, 2] += shifts
+    return poses
+
+
+def chained(solver, n, waits, shifts, backend=None):
+    linear = Linear()
+    loop = make_loop(solver, n)
+    start = starts(solver.robot, n)
+    start = Start(start.base_pose, start.joint_positions, targets_at(loop, *shifts))
+    loop = Loop(solver, [LegMotion(linear, "ee", wait) for wait in waits], backend or Recorder())
+    loop.start(start, rngs(n))
+    return loop
+
+
+def test_legs_end_within_25_mm_and_the_last_one_finishes(solver):
+    loop = chained(solver, 2, (0.0, 0.2, 0.0), (-0.01, -0.02, -0.02))
+    seen = [loop.step(still(loop)) for _ in range(5)]
+    assert [int(step.leg[0]) for step in seen] == [0, 1, 1, 1, 2]
+    assert [bool(step.finished[0]) for step in seen] == [False] * 4 + [True]
+    goal = targets_at(loop, 0.0)[:, 0]
+    for step in seen:
+        assert np.all(step.goal_distance <= 0.025)
+    np.testing.assert_array_equal(loop.goal[:, :2], goal[:, :2])
+
+
+@pytest.mark.parametrize(
+    ("metres", "degrees", "finished"),
+    [(0.024, 0.0, True), (0.026, 0.0, False), (0.0, 11.9, True), (0.0, 12.1, False)],
+)
+def test_success_is_within_25_mm_and_12_degrees(solver, metres, degrees, finished):
+    recorder = Recorder()
+    loop = chained(solver, 1, (0.0,), (0.0,), recorder)
+    original = recorder.step
+
+    def displaced(twist, targets, dt):
+        original(twist, targets, dt)
+        turn = np.deg2rad(degrees)
+        ee = loop.desired.copy()
+        ee[:, 0] += metres
+        ee = spatial.integrate(ee, np.array([[0, 0, 0, 0, 0, turn]]), 1.0)
+        in_base = forward(solver.chain, recorder.joints)
+        shift = spatial.relative(np.array([spatial.IDENTITY]), in_base)
+        recorder.base = spatial.compose(ee, shift)
+        return recorder.state
+
+    recorder.step = displaced
+    step = loop.step(still(loop))
+    assert step.feasible.all()
+    np.testing.assert_allclose(step.goal_distance, metres, atol=1e-3)
+    assert step.finished == [finished]
+
+
+def test_only_a_feasible_step_ends_a_leg(solver):
+    recorder = Recorder()
+    loop = chained(solver, 1, (0.0,), (0.0,), recorder)
+    recorder.base[:, 0] += 5.0
+    original = recorder.step
+
+    def back(twist, targets, dt):
+        original(twist, targets, dt)
+        recorder.base[:, 0] -= 5.0
+        return recorder.state
+
+    recorder.step = back
+    loop._measured(recorder.state)
+    step = loop.step(still(loop))
+    assert not step.feasible.any()
+    assert np.all(step.goal_distance <= 0.025)
+    assert not step.finished.any()
+
+
+def test_the_base_may_move_while_the_ee_waits(solver):
+    loop = chained(solver, 1, (1.0, 0.0), (0.0, -0.3))
+    loop.step(still(loop))
+    stood, base = loop.desired, loop.state.base_pose
+    action = still(loop)
+    action[:, 0] = 0.3
+    for _ in range(10):
+        np.testing.assert_array_equal(loop.planned, stood)
+        assert loop.step(action).leg == [0]
+        np.testing.assert_array_equal(loop.desired, stood)
+    assert np.linalg.norm(loop.state.base_pose - base) > 0.01
+    assert loop.step(action).leg == [1]
+    assert loop.desired[0, 2] < stood[0, 2]
+
+
+def test_policies_see_no_demonstrated_base_where_there_is_none(solver):
+    loop = make_loop(solver, 3)
+    assert np.isnan(loop.situation.demonstrated_base).all()
+    assert loop.situation.demonstrated_base.shape == (3, 7)

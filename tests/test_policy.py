@@ -69,5 +69,6 @@ def test_acts_on_the_observation_alone():
     net, observation = network(), observations(4)
     nothing = np.full((4, 7), np.nan)
     np.testing.assert_array_equal(
-        net.act(Situation(observation, nothing, nothing, nothing, nothing)), net(observation)
+        net.act(Situation(observation, nothing, nothing, nothing, nothing, nothing)),
+        net(observation),
     )

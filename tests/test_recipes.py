@@ -1,7 +1,10 @@
+from pathlib import Path
+
 import pytest
 
-from kinfeas import config, strict_yaml
+from kinfeas import config
 from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark_study import read_study, to_train
 from kinfeas.recipes import default_recipe, find_recipe, recipes
 from kinfeas.training.config import TrainConfig
 
@@ -32,8 +35,8 @@ def test_a_robot_without_its_own_takes_the_default(robot):
     assert default_recipe("train", robot).name == "default.yaml"
 
 
-def test_figures_of_the_paper_are_shares():
-    data = strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))
-    figures = [f for tasks in data.values() for task in tasks.values() for f in task.values()]
-    assert len(figures) == 12
-    assert all(0.0 < figure <= 100.0 for figure in figures)
+@pytest.mark.parametrize("name", ["benchmark/study", "benchmark/quick"])
+def test_shipped_studies_are_valid(name):
+    study = read_study(name)
+    for settings, _ in to_train(study, Path("out")):
+        assert settings.task == "ggr"

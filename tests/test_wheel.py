@@ -89,12 +89,18 @@ def test_wheel_holds_the_data_beside_the_code(wheel):
     in_tree = {
         *(ROOT / "kinfeas" / "robots").glob("*.yaml"),
         *(ROOT / "kinfeas" / "robots").glob("*.urdf"),
+        *(ROOT / "kinfeas" / "tasks").glob("*.yaml"),
         *(ROOT / "configs").rglob("*.yaml"),
+        *(ROOT / "kinfeas" / "pretrained").glob("*/policy.*"),
+        *(ROOT / "plugins" / "models").glob("*.yaml"),
+        *(ROOT / "scenes").glob("*.yaml"),
         ROOT / "kinfeas" / "py.typed",
     }
     for path in in_tree:
         name = path.relative_to(ROOT).as_posix()
-        assert (f"kinfeas/{name}" if name.startswith("configs/") else name) in names
+        assert (
+            f"kinfeas/{name}" if name.startswith(("configs/", "plugins/", "scenes/")) else name
+        ) in names
     for robot in ("pr2", "tiago", "hsr"):
         assert {f"kinfeas/robots/{robot}.yaml", f"kinfeas/robots/{robot}.urdf"} <= names
     assert any(name.startswith("kinfeas/configs/train/") for name in names)
@@ -111,6 +117,8 @@ def test_every_entry_point_loads_from_the_wheel(environment, tmp_path):
     entries = {(group, name): where for group, name, where in lines if group != "robot"}
     assert {
         ("kinfeas.motion_generators", "linear"),
+        ("kinfeas.motion_generators", "imitation"),
+        ("kinfeas.motion_generators", "gaussian_mixture"),
         ("kinfeas.robots", "pr2"),
         ("kinfeas.tasks", "ggr"),
         ("kinfeas.backends", "analytic"),

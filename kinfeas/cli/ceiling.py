@@ -1,35 +1,45 @@
 """`kinfeas ceiling`: how many goals can be reached at all."""
 
+from typing import Annotated
+
+import typer
+
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, share, write_json
 
 
-def ceiling(
+def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.RobotName = "pr2",
     task: options.TaskName = "ggr",
     episodes: options.Episodes = 500,
     seed: options.Seed = 1,
+    path: Annotated[
+        bool, typer.Option("--path", help="Ask for the poses along the way as well, 16 a leg.")
+    ] = False,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
     """Show the share of goals that some base pose can reach: what no policy can beat.
 
-    The goals are those that [bold]kinfeas evaluate[/] draws with the same seed. Settings:
+    The goals are those that [bold]kinfeas evaluate[/] draws with the same seed; where an episode
+    has several legs, the goals of all of them count as one. Settings:
     [bold]ik.KEY[/], such as [bold]ik.self_collision=false[/], and [bold]task.KEY[/], the task's own
     parameters, such as [bold]task.orientation=so3[/].
     """
-    from kinfeas.evaluation.ceiling import CeilingConfig, measure_ceiling
+    from kinfeas.evaluation.ceiling import CeilingConfig, measure_ceiling, measure_path_ceiling
     from kinfeas.kinematics.ceiling import STAGES
 
     config = options.read_overrides(CeilingConfig, overrides)
     known, drawn_by = options.read_robot(robot), options.read_task(task, config.task)
     with progress(f"{episodes} goals") as advance:
-        found = measure_ceiling(known, drawn_by, episodes, seed, config.ik, advance)
+        measure = measure_path_ceiling if path else measure_ceiling
+        found = measure(known, drawn_by, episodes, seed, config.ik, advance)
     summary = {
         "robot": known.name,
         "task": drawn_by.name,
         "seed": seed,
         "episodes": episodes,
+        "path": path,
         "ceiling": found.share.value,
         "ceiling_low": found.share.low,
         "ceiling_high": found.share.high,
@@ -38,7 +48,8 @@ def ceiling(
     }
     if json is not None:
         write_json(summary, json)
-    title = f"ceiling of {drawn_by.name}, robot {known.name}, {episodes} goals of seed {seed}"
+    what = f"{drawn_by.name}{', the way there included' if path else ''}"
+    title = f"ceiling of {what}, robot {known.name}, {episodes} goals of seed {seed}"
     stages = zip(STAGES, found.convergence, strict=True)
     rows = [[f"found with {tries} base poses a goal", share(value)] for tries, value in stages]
     interval = share(found.share.value, found.share.low, found.share.high)

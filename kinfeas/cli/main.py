@@ -10,7 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 from kinfeas import __version__
-from kinfeas.cli import ceiling, demo, evaluate, plugins, speed, train
+from kinfeas.cli import benchmark, ceiling, demo, demonstrate, evaluate, fit, plugins, speed, train
 from kinfeas.errors import KinfeasError
 
 app = typer.Typer(
@@ -21,7 +21,10 @@ app = typer.Typer(
 app.command("demo")(demo.demo)
 app.command("train")(train.train)
 app.command("evaluate")(evaluate.evaluate)
+app.command("benchmark")(benchmark.benchmark)
 app.command("ceiling")(ceiling.ceiling)
+app.command("demonstrate")(demonstrate.demonstrate)
+app.command("fit")(fit.fit)
 app.command("speed")(speed.speed)
 app.add_typer(plugins.app, name="plugins")
 

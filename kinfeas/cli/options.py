@@ -13,15 +13,17 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+TASK_HELP = "Task by name (ggr, ggr_restricted, pick_place, door, drawer) or path of its YAML."
+
 RobotName = Annotated[
     str, typer.Option("--robot", help="Robot by name (pr2, tiago, hsr) or path of its YAML.")
 ]
-TaskName = Annotated[
-    str, typer.Option("--task", help="Task by name: ggr, ggr_restricted or a plugin's.")
-]
+TaskName = Annotated[str, typer.Option("--task", help=TASK_HELP)]
 PolicyName = Annotated[
     str,
-    typer.Option("--policy", help="Folder of a training run, follow_ee or follow_ee_feedback."),
+    typer.Option(
+        "--policy", help="Folder of a training run, pretrained, follow_ee or follow_ee_feedback."
+    ),
 ]
 Episodes = Annotated[int, typer.Option("--episodes", min=1, help="Number of episodes.")]
 Seed = Annotated[
@@ -61,7 +63,6 @@ def read_robot(name: str) -> "Robot":
 
 def read_task(name: str, parameters: dict[str, object]) -> "Task":
     """Return the task that `--task` names."""
-    from kinfeas import registry
+    from kinfeas.tasks.loading import load_task
 
-    task: Task = registry.build("kinfeas.tasks", name, parameters)
-    return task
+    return load_task(name, parameters)

@@ -48,7 +48,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         str | None,
         typer.Option(
             "--task",
-            help="Task by name: ggr, ggr_restricted or a plugin's.",
+            help=options.TASK_HELP,
             show_default=_RECIPE.format("ggr"),
         ),
     ] = None,
@@ -140,7 +140,8 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
 
 def default_folder(settings: "TrainConfig") -> Path:
     """Return `runs/ROBOT-TASK-SEED`."""
-    return Path("runs") / f"{Path(settings.robot).stem}-{settings.task}-{settings.seed}"
+    robot, task = Path(settings.robot).stem, Path(settings.task).stem
+    return Path("runs") / f"{robot}-{task}-{settings.seed}"
 
 
 def train_run(settings: "TrainConfig", folder: Path) -> "Progress":

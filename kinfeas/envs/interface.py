@@ -13,6 +13,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.observation import FIELDS, HORIZON
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
+from kinfeas.tasks.loading import load_task
 
 _FARTHEST = 1000.0
 """Metres; wider than any episode, since Gymnasium wants the bounds of a space to be finite."""
@@ -28,8 +29,8 @@ def make_world(
 
     Args:
         robot: Name or YAML file of the robot.
-        task: Entry-point name of the task.
-        task_parameters: Its keyword parameters; none by default.
+        task: Entry-point name or YAML file of the task.
+        task_parameters: Its keyword parameters, or changes to the file; none by default.
         config: Everything else; the defaults of `WorldConfig` by default.
 
     Raises:
@@ -37,7 +38,7 @@ def make_world(
     """
     return World(
         registry.load_robot(robot),
-        registry.build("kinfeas.tasks", task, task_parameters or {}),
+        load_task(task, task_parameters),
         config or WorldConfig(),
         seed=0,
     )
@@ -83,6 +84,7 @@ def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
     """
     step, failures = transition.step, world.failures.copy()
     return {
+        "leg": step.leg,
         "feasible": step.feasible,
         "failures": failures,
         "deviation": step.deviation,

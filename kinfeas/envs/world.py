@@ -17,10 +17,7 @@ from kinfeas.loop import Loop, Rows, Step
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.start import Start
-from kinfeas.tasks.task import Task
-
-GOAL_METRES, GOAL_RADIANS = 0.025, np.deg2rad(12.0)
-"""How near to the goal, on a feasible step, is success."""
+from kinfeas.tasks.task import Task, build_legs
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class WorldConfig:
     Attributes:
         dt: Control period, seconds.
         max_failures: Kinematic failures in one episode beyond which it ends.
-        max_steps: Steps after which an episode is truncated.
+        max_steps: Steps of one leg, its wait included, after which an episode is truncated.
         adapters: Wrapped around the backend, the first one innermost.
         reward: What a step earns.
         ik: How hard IK searches.
@@ -66,7 +63,7 @@ class Transition:
         reward: What was earned.
         terminated: Whether the episode ended by success or by too many failures.
         truncated: Whether it ended by the time limit.
-        reached: Whether the goal was reached on a feasible step.
+        reached: Whether the end of the last leg was reached on a feasible step.
         step: What the loop saw.
     """
 
@@ -100,10 +97,7 @@ class World:
         """
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
-        generator = registry.build(
-            "kinfeas.motion_generators", task.motion.generator, task.motion.parameters
-        )
-        self.loop = Loop(self.solver, generator, _backend(config), config.dt)
+        self.loop = Loop(self.solver, build_legs(task.legs), _backend(config), config.dt)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 
@@ -129,7 +123,7 @@ class World:
         stacked = Start(
             np.stack([start.base_pose for start in starts]),
             np.stack([start.joint_positions for start in starts]),
-            np.stack([start.target_pose for start in starts]),
+            np.stack([start.target_poses for start in starts]),
         )
         self.loop.start(stacked, rngs, rows)
         if rows is None:
@@ -148,17 +142,16 @@ class World:
         action = np.clip(action, -1.0, 1.0)
         step = self.loop.step(action)
         self.steps += 1
+        self.steps[self.loop.course.leg != step.leg] = 0
         self.failures += ~step.feasible
-        reached = step.feasible & (step.goal_distance <= GOAL_METRES)
-        reached &= step.goal_angle <= GOAL_RADIANS
-        terminated = reached | (self.failures > self.config.max_failures)
+        terminated = step.finished | (self.failures > self.config.max_failures)
         joints = self.loop.state.joint_positions
         return Transition(
             observation=self.loop.observation,
             reward=reward(self.config.reward, self.robot, step, action, joints),
             terminated=terminated,
             truncated=(self.steps >= self.config.max_steps) & ~terminated,
-            reached=reached,
+            reached=step.finished,
             step=step,
         )
 

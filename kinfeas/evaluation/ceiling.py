@@ -1,16 +1,23 @@
 """The ceiling of a task: what no policy can beat."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kinfeas.envs.world import GOAL_METRES, GOAL_RADIANS
-from kinfeas.kinematics.ceiling import Ceiling, reachable
+from kinfeas.evaluation.waypoints import draw_goals, draw_waypoints
+from kinfeas.kinematics.ceiling import STAGES, Ceiling, reachable
 from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
+from kinfeas.metrics import wilson
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.tasks.task import Task
+
+MOST_ALONG_THE_WAY = 256
+"""Base poses that are tried around a pose along the way."""
+
+OnDone = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -26,40 +33,91 @@ class CeilingConfig:
     ik: IkOptions = field(default_factory=IkOptions)
 
 
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """What has to be reached in n episodes.
+
+    Attributes:
+        solver: Says what counts as reached.
+        poses: World poses of the EE, shape (n, k, 7).
+        most: Base poses to try around each.
+    """
+
+    solver: IkSolver
+    poses: Array
+    most: int = STAGES[-1]
+
+
 def measure_ceiling(
     robot: Robot,
     task: Task,
     episodes: int,
     seed: int,
     ik: IkOptions | None = None,
-    on_done: Callable[[float], None] | None = None,
+    on_done: OnDone | None = None,
 ) -> Ceiling:
-    """Return which goals of episodes 0 to `episodes` - 1 some base pose can reach.
+    """Return in which of episodes 0 to `episodes` - 1 some base pose reaches the goal of each leg.
 
-    A robot with leeway has to come as near to the goal as success asks for; all others have to
-    reach it exactly, free of self-collision like every solution.
+    A robot with leeway has to come as near to the goals as success asks for; all others have to
+    reach them exactly, free of self-collision like every solution.
 
     Args:
         robot: Who moves.
         task: Draws the goals, the same ones as in an evaluation.
-        episodes: How many goals, at least 1.
+        episodes: How many, at least 1.
         seed: Of the episodes.
         ik: How hard IK searches, and whether the robot may touch itself.
         on_done: Called with the share of all work, 0-1, that has just been done.
     """
-    solver = IkSolver(robot, _options(robot, ik or IkOptions()))
-    return reachable(solver, draw_goals(solver, task, episodes, seed), on_done=on_done)
+    return _reached([_goals(robot, task, episodes, seed, ik)], on_done)
 
 
-def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return the goals of episodes 0 to `episodes` - 1 as world poses, shape (episodes, 7)."""
-    rngs = (np.random.default_rng((seed, episode)) for episode in range(episodes))
-    return np.stack([task.sample(solver, rng).target_pose for rng in rngs])
+def measure_path_ceiling(
+    robot: Robot,
+    task: Task,
+    episodes: int,
+    seed: int,
+    ik: IkOptions | None = None,
+    on_done: OnDone | None = None,
+) -> Ceiling:
+    """Return as `measure_ceiling`, where some base pose has to reach the poses on the way, too.
+
+    A robot with leeway has it there. That the base can move from the one base pose to the next is
+    not asked for. Arguments as in `measure_ceiling`.
+    """
+    solver = IkSolver(robot, ik or IkOptions())
+    way = _Poses(solver, draw_waypoints(solver, task, episodes, seed), MOST_ALONG_THE_WAY)
+    return _reached([_goals(robot, task, episodes, seed, ik), way], on_done)
 
 
-def _options(robot: Robot, ik: IkOptions) -> IkOptions:
+def _goals(robot: Robot, task: Task, episodes: int, seed: int, ik: IkOptions | None) -> _Poses:
+    solver = IkSolver(robot, _strict(robot, ik or IkOptions()))
+    return _Poses(solver, draw_goals(solver, task, episodes, seed))
+
+
+def _strict(robot: Robot, ik: IkOptions) -> IkOptions:
     if robot.leeway is None or not ik.leeway:
         return ik
     return replace(
-        ik, leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=float(GOAL_RADIANS)
+        ik, leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
     )
+
+
+def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Ceiling:
+    """Return in which episodes all poses of all groups are reached."""
+    report = on_done or (lambda _: None)
+    reached = [np.zeros(group.poses.shape[:2], dtype=np.bool_) for group in groups]
+    episodes, work = len(reached[0]), len(groups) * len(STAGES)
+    convergence = []
+    for stage in STAGES:
+        for group, found in zip(groups, reached, strict=True):
+            still_open = ~found
+            if stage > group.most or not still_open.any():
+                report(1.0 / work)
+                continue
+            found[still_open] = reachable(
+                group.solver, group.poses[still_open], (stage,), lambda done: report(done / work)
+            ).reached
+        all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
+        convergence.append(float(all_reached.mean()))
+    return Ceiling(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))

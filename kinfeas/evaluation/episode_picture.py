@@ -77,7 +77,8 @@ def _draw_side(axes: Axes, robot: Robot, recording: Recording) -> None:
     draw_floor(axes, view, corners)
     _draw_paths(axes, recording, view, floor=recording.base_pose[:, :3])
     draw_solids(axes, view, faces)
-    _draw_goal(axes, recording, view)
+    for goal in recording.goals:
+        _draw_goal(axes, goal, view)
     axes.set_aspect("equal", adjustable="datalim")
     axes.autoscale_view()
     axes.set_axis_off()
@@ -105,7 +106,8 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
                   solid_capstyle="round")  # fmt: skip
     _draw_paths(axes, recording, view, floor=recording.base_pose[:, :3])
     _draw_headings(axes, recording)
-    _draw_goal(axes, recording, view)
+    for goal in recording.goals:
+        _draw_goal(axes, goal, view)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.set(xlabel="x (m)", ylabel="y (m)")
@@ -149,8 +151,8 @@ def _draw_paths(axes: Axes, recording: Recording, view: View, floor: Array) -> N
     axes.plot(*base[:1].T, "o", color="white", mec=BASE, mew=2.0, ms=8.0, zorder=6.5)
 
 
-def _draw_goal(axes: Axes, recording: Recording, view: View) -> None:
-    place = recording.goal[:3]
+def _draw_goal(axes: Axes, goal: Array, view: View) -> None:
+    place = goal[:3]
     foot = view.flat(np.stack([place, place * [1.0, 1.0, 0.0]]))
     axes.plot(*foot.T, color=GOAL, lw=1.3, ls=":", zorder=6)
     axes.plot(*foot[:1].T, "*", color=GOAL, mec=INK, mew=0.7, ms=17.0, zorder=11)

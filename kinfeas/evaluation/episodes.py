@@ -34,7 +34,7 @@ def run_episodes(
         watch: Called after each step, for pictures and statistics.
         first: Number of the first one.
     """
-    tally = _Tally(first, episodes)
+    tally = _Tally(first, episodes, len(world.task.legs))
     beyond = first + episodes
     running = np.arange(first, first + min(BATCH, episodes))
     world.start(running.tolist())
@@ -60,8 +60,8 @@ def run_episodes(
 class _Tally:
     """Sums over the steps of each episode."""
 
-    def __init__(self, first: int, episodes: int) -> None:
-        self.first = first
+    def __init__(self, first: int, episodes: int, legs: int) -> None:
+        self.first, self.last = first, legs - 1
         self.reached = np.zeros(episodes, dtype=np.bool_)
         self.failures, self.jumps, self.steps = (np.zeros(episodes, dtype=np.intp) for _ in "abc")
         self.deviation_sum, self.deviation_max, self.final = (np.zeros(episodes) for _ in "abc")
@@ -76,7 +76,8 @@ class _Tally:
         self.deviation_max[episodes] = np.maximum(
             self.deviation_max[episodes], step.deviation[rows]
         )
-        self.final[episodes] = step.goal_distance[rows]
+        # Whoever never came to the last leg is not near its end.
+        self.final[episodes] = np.where(step.leg == self.last, step.goal_distance, np.inf)[rows]
 
     def records(self) -> EpisodeRecords:
         return EpisodeRecords(

@@ -25,7 +25,7 @@ class Recording:
         desired: Desired world pose of the EE, shape (t, 7).
         ee_pose: Achieved world pose of the EE, shape (t, 7).
         feasible: Whether IK found the desired pose, shape (t,); True at the start.
-        goal: World pose of the EE's goal, shape (7,).
+        goals: World poses of the EE at the ends of the legs that were begun, shape (legs, 7).
         reached: Whether the episode ended at the goal.
         dt: Seconds between moments.
     """
@@ -36,9 +36,14 @@ class Recording:
     desired: Array
     ee_pose: Array
     feasible: NDArray[np.bool_]
-    goal: Array
+    goals: Array
     reached: bool
     dt: float
+
+    @property
+    def goal(self) -> Array:
+        """World pose of the EE at the end of the last leg that was begun, shape (7,)."""
+        return self.goals[-1]
 
 
 def record_episodes(world: World, policy: Policy, episodes: int, first: int = 0) -> list[Recording]:
@@ -61,7 +66,8 @@ class _Kept:
         start = world.task.sample(world.solver, np.random.default_rng((world.seed, episode)))
         ee = spatial.compose(start.base_pose, forward(world.solver.chain, start.joint_positions))
         self.moments = [(start.base_pose, start.joint_positions, ee, ee, True)]
-        self.goal, self.reached = start.target_pose, False
+        self.goals: dict[int, Array] = {}
+        self.reached = False
 
     def add(self, world: World, transition: Transition, row: int) -> None:
         loop = world.loop
@@ -74,7 +80,8 @@ class _Kept:
                 bool(transition.step.feasible[row]),
             )
         )
-        self.goal, self.reached = loop.goal[row].copy(), bool(transition.reached[row])
+        self.goals[int(loop.course.leg[row])] = loop.goal[row].copy()
+        self.reached = bool(transition.reached[row])
 
     def recording(self) -> Recording:
         base, joints, desired, ee, feasible = zip(*self.moments, strict=True)
@@ -85,7 +92,7 @@ class _Kept:
             np.array(desired),
             np.array(ee),
             np.array(feasible),
-            self.goal,
+            np.array(list(self.goals.values())),
             self.reached,
             self.dt,
         )

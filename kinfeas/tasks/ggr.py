@@ -1,21 +1,18 @@
 """Goal reaching at random: the task that policies are trained on."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.spatial import Array, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
-from kinfeas.tasks.task import MotionSpec
-
-NotNegative = Annotated[float, Interval(low=0.0)]
+from kinfeas.tasks.task import Leg, MotionSpec, NotNegative
 
 
 @dataclass(frozen=True)
@@ -46,6 +43,11 @@ class GoalReaching:
             if bounds is not None and bounds[0] > bounds[1]:
                 raise ValueError(f"{name!r} must not descend from {bounds[0]:g} to {bounds[1]:g}")
 
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """The one motion, of the EE frame."""
+        return (Leg(self.motion),)
+
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
         low, high = self._heights(solver)
@@ -59,7 +61,7 @@ class GoalReaching:
 
         joints = random_arm(solver, rng, within if self.restrict_start else None)
         zero = np.array(0.0)
-        return Start(planar_pose(zero, zero, np.array(heading)), joints, target)
+        return Start(planar_pose(zero, zero, np.array(heading)), joints, target[np.newaxis])
 
     def _heights(self, solver: IkSolver) -> tuple[float, float]:
         if self.heights is not None:

@@ -1,12 +1,18 @@
 """What a task is."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
+from kinfeas import registry
+from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.legs import Frame, LegMotion
 from kinfeas.start import Start
+
+NotNegative = Annotated[float, Interval(low=0.0)]
 
 
 @dataclass(frozen=True)
@@ -22,17 +28,61 @@ class MotionSpec:
     parameters: dict[str, object] = field(default_factory=dict)
 
 
-class Task(Protocol):
-    """Draws the episodes that policies are trained and judged on."""
+@dataclass(frozen=True)
+class Leg:
+    """One motion of a chain.
 
-    name: str
-    motion: MotionSpec
+    Attributes:
+        motion: What moves the frame.
+        frame: Whether that is the EE frame or the tool tip in the common gripper convention, whose
+            x is the approach and whose y the finger axis.
+        wait: Seconds that the EE stands still after its arrival, while the base may move.
+    """
+
+    motion: MotionSpec = field(default_factory=MotionSpec)
+    frame: Frame = "ee"
+    wait: NotNegative = 0.0
+
+
+class Task(Protocol):
+    """Draws the episodes that policies are trained and judged on.
+
+    Attributes:
+        name: Short name.
+        legs: The motions that the EE makes one after the other, at least one.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102 - see above
+
+    @property
+    def legs(self) -> tuple[Leg, ...]: ...  # noqa: D102 - see above
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode, its arrays without a leading axis.
+        """Return one random episode, its arrays without a leading axis: (7,), (j,), (legs, 7).
 
         Args:
             solver: The robot's kinematics.
             rng: The only source of randomness, so that an episode is a function of its seed.
         """
         ...
+
+
+def build_legs(legs: Sequence[Leg]) -> tuple[LegMotion, ...]:
+    """Return legs with their generators; those of equal motions share one.
+
+    Raises:
+        KinfeasError: If there is no such generator, or a parameter is wrong.
+    """
+    built: list[LegMotion] = []
+    for leg in legs:
+        known = next((b for a, b in zip(legs, built, strict=False) if a.motion == leg.motion), None)
+        generator = (
+            known.generator
+            if known
+            else registry.build(
+                "kinfeas.motion_generators", leg.motion.generator, leg.motion.parameters
+            )
+        )
+        built.append(LegMotion(generator, leg.frame, leg.wait))
+    return tuple(built)

@@ -76,7 +76,7 @@ class TrainConfig:
 
     Attributes:
         robot: Name or YAML file of the robot.
-        task: Entry-point name of the task to learn.
+        task: Entry-point name or YAML file of the task to learn.
         task_parameters: Keyword parameters of the task.
         seed: Of everything random.
         environments: Episodes side by side.

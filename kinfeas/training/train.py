@@ -19,6 +19,7 @@ from kinfeas.folders import find_folder, write_folder, writing
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.metrics import summarize
 from kinfeas.policy import write_network
+from kinfeas.tasks.loading import load_task
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
@@ -101,7 +102,7 @@ class _Run:
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
         robot = registry.load_robot(config.robot)
-        task = registry.build("kinfeas.tasks", config.task, config.task_parameters)
+        task = load_task(config.task, config.task_parameters)
         self.env = WorldVecEnv(World(robot, task, config.world, config.seed), config.environments)
         judged = replace(config.world, max_failures=99, adapters=(), ik=IkOptions())
         self.judge = World(robot, task, judged, config.seed + EVALUATION_SEED)

@@ -18,7 +18,8 @@ def situation(velocity, lag=(0.0, 0.0), heading=0.7):
     ee = desired.copy()
     ee[:, :2] -= lag
     base = planar_pose(np.ones(n), np.zeros(n), np.full(n, heading))
-    return Situation(np.empty((n, 0)), base, ee, desired, integrate(desired, twist, HORIZON))
+    planned = integrate(desired, twist, HORIZON)
+    return Situation(np.empty((n, 0)), base, ee, desired, planned, np.full((n, 7), np.nan))
 
 
 def drive(robot, policy, seen):

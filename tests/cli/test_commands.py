@@ -70,6 +70,33 @@ def test_evaluate_is_used_wrongly(arguments):
     assert kinfeas("evaluate", *arguments).exit_code == 2
 
 
+TASK = """
+name: fetch
+places: {cup: {position: [1.5, [-1, 1], 0.8]}}
+legs: [{place: cup, offset: [-0.2, 0, 0], frame: tip}, {place: cup, frame: tip, wait: 1}]
+"""
+
+
+def test_a_task_of_ones_own(tmp_path):
+    path = tmp_path / "fetch.yaml"
+    path.write_text(TASK)
+    result = kinfeas("evaluate", "--policy", "follow_ee", "--task", str(path), *SHORT)
+    assert "follow_ee on fetch, robot pr2" in " ".join(result.output.split())
+    changed = ["--task", str(path), "--set", "task.start.square=0", "--episodes", "4"]
+    result = kinfeas("ceiling", *changed)
+    assert "ceiling of fetch, robot pr2, 4 goals" in " ".join(result.output.split())
+    path.write_text(TASK.replace("offset", "ofset"))
+    with pytest.raises(KinfeasError, match="did you mean 'offset'"):
+        kinfeas("evaluate", "--policy", "follow_ee", "--task", str(path), *SHORT)
+
+
+def test_ceiling_along_the_way(tmp_path):
+    path = tmp_path / "out.json"
+    result = kinfeas("ceiling", "--episodes", "3", "--path", "--json", str(path))
+    assert "the way there included" in " ".join(result.output.split())
+    assert json.loads(path.read_text())["path"] is True
+
+
 def test_ceiling(tmp_path):
     path = tmp_path / "out.json"
     result = kinfeas("ceiling", "--episodes", "8", "--seed", "3", "--json", str(path))

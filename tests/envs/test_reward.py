@@ -15,8 +15,9 @@ PAPER = RewardConfig(failure="indicator", action_penalty=0.01, limit_penalty=0.0
 def step(feasible, metres=0.0, radians=0.0):
     feasible = np.atleast_1d(feasible)
     n = len(feasible)
-    zero = np.zeros(n)
-    return Step(feasible, zero + metres, zero + radians, zero, zero, zero, np.zeros(n, dtype=bool))
+    zero, no = np.zeros(n), np.zeros(n, dtype=bool)
+    leg = np.zeros(n, dtype=np.intp)
+    return Step(feasible, zero + metres, zero + radians, zero, leg, zero, zero, no, no)
 
 
 @pytest.fixture(scope="session")

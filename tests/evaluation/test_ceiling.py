@@ -1,18 +1,11 @@
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.ceiling import draw_goals, measure_ceiling
+from kinfeas import config, registry
+from kinfeas.evaluation.ceiling import measure_ceiling, measure_path_ceiling
 from kinfeas.kinematics.ik import IkOptions
+from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
-
-
-def test_goals_are_those_of_the_world(robot, solver):
-    task = ggr()
-    world = World(robot, task, WorldConfig(), seed=5)
-    world.start(range(6))
-    np.testing.assert_allclose(draw_goals(solver, task, 6, 5), world.loop.goal, atol=1e-12)
 
 
 def test_ceilings_are_as_the_method_says(robot):
@@ -42,3 +35,30 @@ def test_self_collision_lowers_it(robot_name):
     robot = registry.load_robot(robot_name)
     free = measure_ceiling(robot, ggr(), 120, 3, IkOptions(self_collision=False)).share
     assert measure_ceiling(robot, ggr(), 120, 3).share.value <= free.value
+
+
+def reach(*heights):
+    """Return a task whose legs lead to these heights, one metre ahead."""
+    places = {f"at {z}": {"position": [1.0, 0.0, z]} for z in heights}
+    legs = [{"place": name} for name in places]
+    data = {"name": "reach", "places": places, "legs": legs, "start": {"square": 0.0}}
+    return config.from_mapping(ChainTask, data, "test")
+
+
+def test_every_leg_counts():
+    robot = registry.load_robot("pr2")
+    assert measure_ceiling(robot, reach(0.7, 0.9), 2, 0).share.value == 1.0
+    for heights in ((0.7, 3.0), (3.0, 0.7)):
+        found = measure_ceiling(robot, reach(*heights), 2, 0)
+        assert found.reached.tolist() == [False, False]
+        assert found.convergence == (0.0,) * 5
+
+
+def test_the_way_asks_for_more(robot):
+    goals = measure_ceiling(robot, ggr(), 30, 1)
+    done = []
+    way = measure_path_ceiling(robot, ggr(), 30, 1, on_done=done.append)
+    assert not np.any(way.reached & ~goals.reached)
+    assert way.share.value >= goals.share.value - 0.1
+    assert sum(done) == pytest.approx(1.0)
+    assert list(way.convergence) == sorted(way.convergence)

@@ -5,6 +5,7 @@ from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
 from kinfeas.evaluation import episodes as module
 from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 
 CONFIG = WorldConfig(
@@ -87,3 +88,11 @@ def test_progress_and_what_is_watched(world, policy, records, monkeypatch):
     assert sum(ended) == 24
     assert min(ended) > 0
     np.testing.assert_array_equal(steps, records.steps)
+
+
+def test_who_never_begins_the_last_leg_is_not_near_its_end(robot):
+    config = WorldConfig(max_failures=10**6, max_steps=30)
+    records = run_episodes(World(robot, pick_place(), config, seed=0), FollowEe(robot.base), 3)
+    assert np.all(np.isinf(records.final_distance))
+    assert not records.within.any()
+    assert np.all(records.steps == 30)

@@ -6,7 +6,9 @@ from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.recording import record_episodes
+from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.forward import forward
+from kinfeas.tasks.chain import pick_place
 
 
 def world(max_steps=60):
@@ -47,3 +49,12 @@ def test_the_ee_is_where_the_joints_put_it(recordings):
     for one in recordings:
         expected = spatial.compose(one.base_pose, forward(chain, one.joint_positions))
         np.testing.assert_allclose(one.ee_pose, expected, atol=1e-9)
+
+
+def test_the_goals_are_those_of_the_legs_begun():
+    robot = registry.load_robot("hsr")
+    place = World(robot, pick_place(), WorldConfig(max_failures=99), seed=1)
+    (one,) = record_episodes(place, FollowEe(robot.base, feedback=True), 1)
+    assert one.reached
+    np.testing.assert_allclose(one.goals, draw_goals(place.solver, place.task, 1, 1)[0], atol=1e-9)
+    np.testing.assert_array_equal(one.goal, one.goals[-1])

@@ -12,6 +12,7 @@ from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.spatial import rotation, yaw
 from kinfeas.start import Start
 from kinfeas.tasks.ggr import GoalReaching
+from kinfeas.tasks.task import Leg, MotionSpec
 
 
 def build(name, **parameters):
@@ -37,7 +38,7 @@ def test_starts_and_goals(solver, name):
     found = sample(task, solver)
     np.testing.assert_array_equal(found.base_pose[:, :3], 0.0)
     assert uniform(yaw(found.base_pose), -np.pi, np.pi)
-    x, y, z = found.target_pose[:, :3].T
+    x, y, z = found.target_poses[:, 0, :3].T
     assert uniform(np.hypot(x, y), 1.0, 5.0)
     assert uniform(np.arctan2(y, x), -np.pi, np.pi)
     assert uniform(z, low, high)
@@ -49,7 +50,7 @@ def test_starts_and_goals(solver, name):
 
 def test_roll_pitch_and_yaw_are_uniform(exact_solver):
     """Then the height of the approach axis follows the arcsine law, not the uniform one."""
-    quaternion = sample(build("ggr"), exact_solver).target_pose[:, 3:]
+    quaternion = sample(build("ggr"), exact_solver).target_poses[:, 0, 3:]
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0, atol=1e-12)
     assert quaternion[:, 3].min() >= 0.0
     lift = -Rotation.from_quat(quaternion).as_matrix()[:, 2, 0]  # sine of the pitch
@@ -58,7 +59,9 @@ def test_roll_pitch_and_yaw_are_uniform(exact_solver):
 
 
 def test_so3_draws_uniform_rotations(exact_solver):
-    turns = rotation(sample(build("ggr", orientation="so3"), exact_solver).target_pose).as_matrix()
+    turns = rotation(
+        sample(build("ggr", orientation="so3"), exact_solver).target_poses[:, 0]
+    ).as_matrix()
     for i in range(3):
         for k in range(3):
             assert uniform(turns[:, i, k], -1.0, 1.0)
@@ -66,7 +69,7 @@ def test_so3_draws_uniform_rotations(exact_solver):
 
 def test_parameters(exact_solver):
     task = build("ggr", distance=(0.5, 0.6), heights=(1.3, 1.4))
-    goal = sample(task, exact_solver, 50).target_pose
+    goal = sample(task, exact_solver, 50).target_poses[:, 0]
     reach = np.hypot(goal[:, 0], goal[:, 1])
     assert np.all((reach >= 0.5) & (reach <= 0.6))
     assert np.all((goal[:, 2] >= 1.3) & (goal[:, 2] <= 1.4))
@@ -74,7 +77,7 @@ def test_parameters(exact_solver):
 
 def test_parameters_as_yaml_gives_them(exact_solver):
     task = build("ggr", distance=[1, 2], motion={"generator": "linear"})
-    assert task.motion.generator == "linear"
+    assert task.legs == (Leg(MotionSpec("linear")),)
     task.sample(exact_solver, np.random.default_rng(0))
 
 

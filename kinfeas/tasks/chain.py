@@ -1,0 +1,163 @@
+"""Tasks from YAML: a chain of motions to places that are drawn anew for each episode."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas import config, strict_yaml
+from kinfeas.config import Interval, no_such
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
+from kinfeas.start import Start
+from kinfeas.tasks.arm_start import random_arm
+from kinfeas.tasks.task import Leg, NotNegative
+
+Drawn = float | tuple[float, float]
+"""A number, or the lowest and the highest to draw from uniformly."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A world pose, drawn once for each episode.
+
+    Attributes:
+        position: Metres.
+        rpy: Roll, pitch and yaw about the world's x, y and z axes, one after the other, radians.
+    """
+
+    position: tuple[Drawn, Drawn, Drawn]
+    rpy: tuple[Drawn, Drawn, Drawn] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check that the ranges ascend."""
+        for name, numbers in (("position", self.position), ("rpy", self.rpy)):
+            for number in numbers:
+                if isinstance(number, tuple) and number[0] > number[1]:
+                    raise ValueError(
+                        f"{name!r} must not descend from {number[0]:g} to {number[1]:g}"
+                    )
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return a pose, shape (7,)."""
+        position = np.array([_draw(number, rng) for number in self.position])
+        return make_pose(
+            position, Rotation.from_euler("xyz", [_draw(number, rng) for number in self.rpy])
+        )
+
+
+@dataclass(frozen=True)
+class BaseStart:
+    """Where the base begins.
+
+    Attributes:
+        square: Side of the square around the origin that it is drawn from, metres.
+        heading: How far it may be turned away from the first leg's target, radians.
+    """
+
+    square: NotNegative = 1.5
+    heading: Annotated[float, Interval(low=0.0, high=float(np.pi))] = float(np.pi / 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainLeg(Leg):
+    """One motion of a chain, and where it leads.
+
+    Attributes:
+        place: Name of a place.
+        offset: From there to the motion's target, along the place's own axes, metres.
+    """
+
+    place: str
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ChainTask:
+    """Move along a chain of legs, from a random arm configuration.
+
+    Attributes:
+        name: Task name.
+        legs: The motions, at least one.
+        places: What they lead to, by name.
+        start: Where the base begins.
+    """
+
+    name: str
+    legs: tuple[ChainLeg, ...]
+    places: dict[str, Place]
+    start: BaseStart = field(default_factory=BaseStart)
+
+    def __post_init__(self) -> None:
+        """Check that the legs lead to places that there are."""
+        if not self.legs:
+            raise ValueError("'legs' must have at least one entry")
+        for number, leg in enumerate(self.legs):
+            if leg.place not in self.places:
+                known = no_such(leg.place, self.places)
+                raise ValueError(f"'legs.{number}.place': unknown place {leg.place!r}{known}")
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode, its arrays without a leading axis."""
+        places = {name: place.draw(rng) for name, place in self.places.items()}
+        targets = np.stack([_shifted(places[leg.place], leg.offset) for leg in self.legs])
+        x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
+        bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
+        heading = bearing + rng.uniform(-self.start.heading, self.start.heading)
+        return Start(planar_pose(x, y, heading), random_arm(solver, rng), targets)
+
+
+def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> ChainTask:
+    """Return the task that a YAML file describes.
+
+    Args:
+        path: File with the fields of `ChainTask`.
+        changes: What to take instead of the file's entries; a mapping changes its own keys only.
+
+    Raises:
+        KinfeasError: If the file is broken, or an entry is not what `ChainTask` allows.
+    """
+    data = _changed(strict_yaml.read(path), changes or {})
+    return config.from_mapping(ChainTask, data, str(path))
+
+
+def pick_place(**parameters: object) -> ChainTask:
+    """Fetch an object from one table and put it down on another."""
+    return _shipped("pick_place", parameters)
+
+
+def door(**parameters: object) -> ChainTask:
+    """Take the handle of a cupboard's door and open it."""
+    return _shipped("door", parameters)
+
+
+def drawer(**parameters: object) -> ChainTask:
+    """Take the handle of a drawer and pull it open."""
+    return _shipped("drawer", parameters)
+
+
+def _shipped(name: str, parameters: Mapping[str, object]) -> ChainTask:
+    return read_chain(Path(__file__).parent / f"{name}.yaml", parameters)
+
+
+def _changed(data: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:
+    """Return `data` with `changes`, mapping within mapping."""
+    changed = dict(data)
+    for key, value in changes.items():
+        old = data.get(key)
+        if isinstance(old, Mapping) and isinstance(value, Mapping):
+            value = _changed(old, value)
+        changed[key] = value
+    return changed
+
+
+def _draw(number: Drawn, rng: np.random.Generator) -> float:
+    return float(rng.uniform(*number)) if isinstance(number, tuple) else number
+
+
+def _shifted(place: Array, offset: tuple[float, float, float]) -> Array:
+    """Return the pose `offset` away from `place`, along its own axes, shape (7,)."""
+    return compose(place, np.concatenate([offset, IDENTITY[3:]]))

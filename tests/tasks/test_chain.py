@@ -1,0 +1,153 @@
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.spatial import rotation, wrap, yaw
+from kinfeas.tasks.chain import read_chain
+
+SHIPPED = ("pick_place", "door", "drawer")
+
+
+def build(name, **parameters):
+    return registry.build("kinfeas.tasks", name, parameters)
+
+
+def sample(task, solver, n=300):
+    """Return base poses, joints and targets of n episodes."""
+    episodes = [task.sample(solver, np.random.default_rng((0, i))) for i in range(n)]
+    return (np.array([vars(one)[key] for one in episodes]) for key in vars(episodes[0]))
+
+
+def uniform(values, low, high):
+    """Return whether values look uniform; a share of 1e-4 of good draws would not."""
+    return kstest(values, "uniform", args=(low, high - low)).pvalue > 1e-4
+
+
+def write(tmp_path, text):
+    path = tmp_path / "task.yaml"
+    path.write_text(text)
+    return path
+
+
+def approach(targets):
+    """Return the world directions along which the gripper comes, (n, 3)."""
+    return rotation(targets).as_matrix()[:, :, 0]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_starts(solver, name):
+    task = build(name)
+    base, joints, targets = sample(task, solver)
+    assert task.name == name
+    assert targets.shape == (300, len(task.legs), 7)
+    assert uniform(base[:, 0], -0.75, 0.75)
+    assert uniform(base[:, 1], -0.75, 0.75)
+    way = targets[:, 0, :2] - base[:, :2]
+    turn = wrap(yaw(base) - np.arctan2(way[:, 1], way[:, 0]))
+    assert uniform(turn, -np.pi / 2, np.pi / 2)
+    assert not self_collides(solver.collision, joints).any()
+    assert forward(solver.chain, joints)[:, 2].std() > 0.1
+
+
+def test_pick_place(exact_solver):
+    """Objects on the near edge of a table at (3, 0), put down on that of another one."""
+    task = build("pick_place")
+    _, _, targets = sample(task, exact_solver)
+    before, at, before_place, place = np.moveaxis(targets, 1, 0)
+    assert [leg.wait for leg in task.legs] == [0.0, 2.0, 0.0, 0.0]
+    assert {(leg.frame, leg.motion.generator) for leg in task.legs} == {("tip", "linear")}
+    np.testing.assert_allclose(at[:, [0, 2]], np.tile([2.725, 0.61], (300, 1)))
+    assert uniform(at[:, 1], -0.325, 0.325)
+    np.testing.assert_allclose(at[:, :3] - before[:, :3], np.tile([0.2, 0, 0], (300, 1)))
+    np.testing.assert_allclose(approach(at), np.tile([1.0, 0, 0], (300, 1)), atol=1e-12)
+    assert uniform(place[:, 0], -1.5, 2.0)
+    assert uniform(place[:, 1] - 0.275, -3.0, -2.5)
+    np.testing.assert_allclose(place[:, 2], 0.70)
+    np.testing.assert_allclose(
+        place[:, :3] - before_place[:, :3], np.tile([0, -0.2, 0], (300, 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(approach(place), np.tile([0, -1.0, 0], (300, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "handle", "along"),
+    [("door", (-0.130, 2.796, 0.618), (0, 1, 0)), ("drawer", (-2.81, 0.015, 0.525), (-1, 0, 0))],
+)
+def test_furniture(exact_solver, name, handle, along):
+    task = build(name)
+    _, _, targets = sample(task, exact_solver, 5)
+    np.testing.assert_allclose(targets[..., :3], np.broadcast_to(handle, (5, 2, 3)))
+    np.testing.assert_allclose(approach(targets[:, 0]), np.tile(along, (5, 1)), atol=1e-12)
+    assert [(leg.frame, leg.wait) for leg in task.legs] == [("tip", 2.0), ("tip", 0.0)]
+    models = [leg.motion.parameters["model"] for leg in task.legs]
+    assert models == [f"{name}_grasp", f"{name}_open"]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_same_seed_same_episode(solver, name):
+    one, two = (build(name).sample(solver, np.random.default_rng(5)) for _ in range(2))
+    for key, value in vars(one).items():
+        np.testing.assert_array_equal(value, vars(two)[key])
+
+
+def test_parameters_change_their_own_entries_only():
+    task = build("pick_place", start={"square": 3.0}, places={"table": {"rpy": [0, 0, 3]}})
+    plain = build("pick_place")
+    assert task.start.square == 3.0
+    assert task.start.heading == plain.start.heading
+    assert task.places["object"] == plain.places["object"]
+    assert task.places["table"].position == plain.places["table"].position
+
+
+def test_least_that_a_file_needs(exact_solver, tmp_path):
+    path = write(tmp_path, "{name: a, places: {b: {position: [1, 2, 3]}}, legs: [{place: b}]}")
+    task = read_chain(path)
+    (leg,) = task.legs
+    assert (leg.frame, leg.wait, leg.motion.generator) == ("ee", 0.0, "linear")
+    target = task.sample(exact_solver, np.random.default_rng(0)).target_poses
+    np.testing.assert_array_equal(target, [[1, 2, 3, 0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("legs: []", "'legs' must have at least one entry"),
+        ("legs: [{place: shelf}]", "'legs.0.place': unknown place 'shelf'; known are cup"),
+        ("legs: [{place: cap}]", "did you mean 'cup'"),
+        ("legs: [{offset: [0, 0, 1]}]", "'legs.0.place' is missing"),
+        ("legs: [{place: cup, weight: 2}]", "unknown key 'legs.0.weight'"),
+        ("legs: [{place: cup, wait: -1}]", "'legs.0.wait' must be a number >= 0, not -1"),
+        ("legs: [{place: cup, frame: tool}]", "'legs.0.frame' must be one of 'ee', 'tip'"),
+        ("legs: [{place: cup, offset: [1, 2]}]", "'legs.0.offset' must be a list of 3 entries"),
+        ("places: {cup: {position: [1, 2]}}", "'places.cup.position' must be a list of 3"),
+        ("places: {cup: {position: [1, 2, [3]]}}", "'places.cup.position.2' must be"),
+        ("places: {cup: {position: [1, 2, [4, 3]]}}", "'position' must not descend from 4 to 3"),
+        ("places: {cup: {position: [1, 2, 3], rpy: [0, [1, 0], 0]}}", "'rpy' must not descend"),
+        ("start: {square: -1}", "'start.square' must be a number >= 0"),
+        ("start: {heading: 4}", "'start.heading' must be a number in"),
+        ("start: {centre: 0}", "unknown key 'start.centre'"),
+        ("colour: red", "unknown key 'colour'"),
+    ],
+)
+def test_wrong_files_are_one_sentence(tmp_path, text, message):
+    good = {
+        "name": "name: fetch",
+        "places": "places: {cup: {position: [1, 2, 3]}}",
+        "legs": "legs: [{place: cup}]",
+    }
+    lines = {**good, text.split(":")[0]: text}
+    path = write(tmp_path, "\n".join(lines.values()))
+    with pytest.raises(KinfeasError, match=message) as caught:
+        read_chain(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_wrong_parameters_are_one_sentence(name):
+    with pytest.raises(KinfeasError, match="unknown key 'colour'"):
+        build(name, colour="red")
