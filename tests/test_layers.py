@@ -40,7 +40,8 @@ CONFINED = {
     "stable_baselines3": ("kinfeas.training",),
     # `kinfeas speed` times PyBullet's and Pinocchio's IK beside ours.
     "pybullet": ("kinfeas.sim", "kinfeas.evaluation.peers"),
-    "pinocchio": ("kinfeas.evaluation.peers",),
+    "pinocchio": ("kinfeas.evaluation.peers", "kinfeas.baselines.whole_body_qp"),
+    "pink": ("kinfeas.baselines.whole_body_qp",),
     "sklearn": ("kinfeas.plugins.fit",),
 }
 

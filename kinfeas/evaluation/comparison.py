@@ -8,7 +8,7 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.episode_picture import episodes_figure
 from kinfeas.evaluation.evaluate import Summary, Trial, evaluate, trial_ceiling
 from kinfeas.evaluation.pictures import learning_curve, png, read_metrics
-from kinfeas.evaluation.policies import BASELINES, load_policy
+from kinfeas.evaluation.policies import QUICK_BASELINES, load_policy
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.evaluation.report import Picture, Report, Row, paper_success
 from kinfeas.metrics import Share
@@ -48,7 +48,7 @@ def compare(
         processes: How many processes share the episodes; no figure depends on it.
         on_done: Called with the share of all work, 0-1, that has just been done.
     """
-    work = 2 + len(BASELINES)
+    work = 2 + len(QUICK_BASELINES)
 
     def done(share: float) -> None:
         if on_done is not None:
@@ -61,7 +61,7 @@ def compare(
         )
 
     ceiling = trial_ceiling(trial, done)
-    baselines = {name: judge(name) for name in BASELINES}
+    baselines = {name: judge(name) for name in QUICK_BASELINES}
     return Comparison(trial, run, judge(str(run)), baselines, ceiling)
 
 

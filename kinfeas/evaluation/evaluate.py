@@ -4,6 +4,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import partial
@@ -11,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.ceiling import measure_ceiling
 from kinfeas.evaluation.episodes import BATCH, run_episodes
 from kinfeas.metrics import EpisodeRecords, Share, summarize
@@ -114,7 +116,7 @@ def run_trial(
     firsts = range(0, trial.episodes, BATCH)
     counts = [min(BATCH, trial.episodes - first) for first in firsts]
     parts = []
-    with _pool(min(processes, len(firsts))) as pool:
+    with worker_pool(min(processes, len(firsts))) as pool:
         for part in pool.map(partial(_run_part, trial, policy), firsts, counts):
             parts.append(part)
             if on_done is not None:
@@ -123,8 +125,12 @@ def run_trial(
 
 
 @contextmanager
-def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool whose workers die of Ctrl-C without a word."""
+def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool whose workers die of Ctrl-C without a word.
+
+    Raises:
+        KinfeasError: If a worker dies of anything else but an exception.
+    """
     pool = ProcessPoolExecutor(
         processes,
         mp_context=multiprocessing.get_context("spawn"),
@@ -133,6 +139,11 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     )
     try:
         yield pool
+    except BrokenProcessPool as error:
+        raise KinfeasError(
+            f"one of {processes} worker processes died, as if killed or out of memory; "
+            "try fewer --processes"
+        ) from error
     finally:
         pool.shutdown(cancel_futures=True)
 

@@ -3,8 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from kinfeas import policy
+from kinfeas import policy, pretrained
+from kinfeas.baselines.demonstrated_base import demonstrated_base
 from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.baselines.geometric_modulation import geometric_modulation
+from kinfeas.baselines.whole_body_qp import whole_body_qp
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import Policy
@@ -13,20 +16,31 @@ from kinfeas.robots.robot import Robot
 BASELINES: dict[str, Callable[[Robot], Policy]] = {
     "follow_ee": lambda robot: FollowEe(robot.base),
     "follow_ee_feedback": lambda robot: FollowEe(robot.base, feedback=True),
+    "demonstrated_base": demonstrated_base,
+    "geometric_modulation": geometric_modulation,
+    "whole_body_qp": whole_body_qp,
 }
 """Base motions that need no training."""
+
+QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
+"""Those that a trained policy is always set beside: they cost nothing and need no extra."""
 
 
 def load_policy(name: str, robot: Robot) -> Policy:
     """Return a baseline by its name or a trained policy by its run or checkpoint folder.
 
+    `pretrained` is the policy that comes with the package for `robot`.
+
     Raises:
-        KinfeasError: If there is neither, or the trained policy is broken or not for `robot`.
+        KinfeasError: If there is none, or the trained policy is broken or not for `robot`.
     """
     if name in BASELINES:
         return BASELINES[name](robot)
+    if name == pretrained.NAME:
+        return policy.read_network(pretrained.find(robot.name), robot)
     if not Path(name).exists():
         raise KinfeasError(
-            f"unknown policy {name!r}{no_such(name, BASELINES)}, or the folder of a training run"
+            f"unknown policy {name!r}{no_such(name, [*BASELINES, pretrained.NAME])}, "
+            "or the folder of a training run"
         )
     return policy.read_network(Path(name), robot)

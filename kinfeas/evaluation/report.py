@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-from kinfeas import strict_yaml
 from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark_paper import paper_figures
 from kinfeas.metrics import Share
-from kinfeas.recipes import find_recipe
 
 _VERSIONS = ("kinfeas", "numpy", "numba", "torch", "stable-baselines3")
 
@@ -106,9 +104,8 @@ def machine() -> dict[str, str]:
 
 
 def paper_success(robot: str, task: str) -> dict[str, float]:
-    """Return the paper's shares, 0-1, for a robot and a task: `policy` and `follow_ee`, or none."""
-    data: Any = strict_yaml.read(find_recipe("benchmark/paper", "benchmark"))
-    return {name: value / 100.0 for name, value in data.get(robot, {}).get(task, {}).items()}
+    """Return the paper's shares, 0-1, for a robot and a task, by policy; `policy` is its own."""
+    return {name: figures.success for name, figures in paper_figures(robot, task).items()}
 
 
 def _table(rows: Sequence[Row]) -> str:

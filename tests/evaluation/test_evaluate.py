@@ -1,4 +1,5 @@
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 
 from kinfeas import config, registry
 from kinfeas.envs.world import WorldConfig
+from kinfeas.errors import KinfeasError
 from kinfeas.evaluation import evaluate as module
 from kinfeas.evaluation.evaluate import (
     EvaluationConfig,
@@ -14,6 +16,7 @@ from kinfeas.evaluation.evaluate import (
     evaluation_world,
     run_trial,
     trial_ceiling,
+    worker_pool,
 )
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.metrics import Share
@@ -77,6 +80,12 @@ def test_no_figure_depends_on_the_number_of_processes(trial, policy, monkeypatch
     shared = evaluate(trial, policy, processes=2, on_done=done.append)
     assert shared == evaluate(trial, policy)
     assert sum(done) == trial.episodes
+
+
+def test_a_worker_that_dies_is_one_sentence():
+    with pytest.raises(KinfeasError, match="one of 2 worker processes died"):  # noqa: SIM117
+        with worker_pool(2) as pool:
+            pool.submit(os._exit, 1).result()
 
 
 def test_progress_adds_up(trial, policy):

@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+from kinfeas import pretrained
 from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import BASELINES, load_policy
@@ -25,6 +26,17 @@ def test_a_trained_policy_by_its_folder(robot, tmp_path):
 def test_an_unknown_name_lists_what_there_is(robot):
     with pytest.raises(KinfeasError, match=r"follow_ee, follow_ee_feedback.*training run"):
         load_policy("follow_me", robot)
+
+
+def test_the_policy_that_comes_with_the_package(robot, tmp_path, monkeypatch):
+    monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
+    with pytest.raises(KinfeasError, match=f"no pretrained policy for robot '{robot.name}'"):
+        load_policy("pretrained", robot)
+    network = random_network(robot, hidden=8)
+    (tmp_path / robot.name).mkdir()
+    write_network(network, tmp_path / robot.name, robot, {})
+    seen = np.random.default_rng(0).normal(size=(3, len(network.scale)))
+    np.testing.assert_array_equal(load_policy("pretrained", robot)(seen), network(seen))
 
 
 def test_a_folder_that_is_no_run(robot, tmp_path):

@@ -70,7 +70,7 @@ def test_the_machine_and_the_versions_are_named():
 
 
 def test_figures_of_the_paper():
-    assert paper_success("pr2", "ggr") == {"follow_ee": 0.608, "policy": 0.902}
+    assert paper_success("tiago", "ggr") == {"follow_ee": 0.216, "policy": 0.716}
     assert paper_success("pr2", "fly") == paper_success("my_robot", "ggr") == {}
 
 

@@ -1,0 +1,196 @@
+"""`kinfeas benchmark`: robots x tasks x policies, beside the ceiling and the paper."""
+
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, progress, status, write_json
+from kinfeas.cli.training_bar import training_bar
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.evaluation.benchmark import Findings
+    from kinfeas.evaluation.benchmark_runs import Plan, Run
+    from kinfeas.evaluation.benchmark_study import StudyConfig
+    from kinfeas.evaluation.benchmark_table import Cell
+
+
+def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
+    config: Annotated[
+        str | None,
+        typer.Option(
+            "--config",
+            help="Study by name or YAML file.",
+            show_default="benchmark/study, with --quick benchmark/quick",
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of the results; a stopped study goes on there.")
+    ] = Path("runs/benchmark"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="The small version: a few minutes on two cores.")
+    ] = False,
+    runs: Annotated[
+        list[Path] | None,
+        typer.Option("--runs", help="Take these training runs, or those below, and train none."),
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option("--policy", help="pretrained: take the shipped policies and train none."),
+    ] = None,
+    processes: Annotated[
+        int | None,
+        typer.Option("--processes", min=1, help="Processes in all.", show_default="one a core"),
+    ] = None,
+    publish: Annotated[
+        Path | None,
+        typer.Option("--publish", help="Also copy each robot's best policy to DIR/ROBOT."),
+    ] = None,
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Set policies side by side: tables, pictures and JSON; what is done is not done again.
+
+    Settings: every key of the study, such as [bold]episodes=100[/] or [bold]seeds=[0,1][/].
+    After a change of the program choose another [bold]--out[/]: figures are told apart by robot,
+    task, policy, episodes and settings, and not by the code.
+    """
+    from kinfeas.evaluation.benchmark import check_out, write_pictures, write_tables
+
+    study, taken = _read(config, quick, policy, runs or [], overrides or [])
+    plans = _plans(study, out, taken)
+    if publish is not None and not (taken or plans):
+        raise KinfeasError("--publish needs policies that were trained, by the study or by --runs")
+    check_out(out)
+    cores = processes or os.cpu_count() or 1
+    try:
+        taken = taken or _train(plans, cores)
+        findings = _compute(study, taken, out / "cells", cores)
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted: what is done is kept, the same command goes on from there\n")
+        raise typer.Exit(130) from None
+    with status("drawing"):
+        pictures = write_pictures(findings, out)
+    write_tables(findings, [_command()], pictures, out)
+    policies = _publish(findings, [out / "pretrained", *([publish] if publish else [])])
+    if json is not None:
+        _write_json(findings, json)
+    _show(findings)
+    for path in (out / "table.md", out / "table.json", *pictures, *policies):
+        typer.echo(str(path))
+
+
+def _read(
+    name: str | None,
+    quick: bool,
+    policy: str | None,
+    folders: Sequence[Path],
+    overrides: Sequence[str],
+) -> tuple["StudyConfig", list["Run"]]:
+    """Return the study that the options ask for, and the runs that it is to take."""
+    from kinfeas.evaluation.benchmark_runs import find_runs
+    from kinfeas.evaluation.benchmark_study import read_study, restricted
+
+    if policy not in (None, "pretrained") or (policy and folders):
+        raise KinfeasError("--policy can be pretrained only, and not beside --runs")
+    said = ["policies=pretrained"] if policy else []
+    study = read_study(name or f"benchmark/{'quick' if quick else 'study'}", [*said, *overrides])
+    runs = find_runs(folders)
+    return (restricted(study, {run.robot for run in runs}) if runs else study), runs
+
+
+def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
+    """Return the training runs that are to be there, after a check of all policies' names."""
+    from kinfeas import pretrained
+    from kinfeas.evaluation.benchmark_study import to_train
+    from kinfeas.registry import load_robot
+
+    if taken:
+        return []
+    if study.policies == "pretrained":
+        for robot in study.robots:
+            pretrained.find(load_robot(robot).name)
+    return to_train(study, out)
+
+
+def _train(plans: Sequence["Plan"], cores: int) -> list["Run"]:
+    """Train what is missing and return all runs."""
+    from kinfeas.evaluation.benchmark_runs import CORES, finish, finish_all, is_missing, read_run
+
+    missing = [plan for plan in plans if is_missing(*plan)]
+    at_once = min(len(missing), cores // CORES)
+    if at_once > 1:
+        with progress(f"training {len(missing)} runs", len(missing)) as advance:
+            finish_all(missing, at_once, lambda: advance(1.0))
+    else:
+        for number, (settings, folder) in enumerate(missing, start=1):
+            sys.stderr.write(f"training {folder} ({number} of {len(missing)})\n")
+            with training_bar() as report:
+                finish(settings, folder, report)
+    return [read_run(folder) for _, folder in plans]
+
+
+def _compute(
+    study: "StudyConfig", runs: Sequence["Run"], folder: Path, processes: int
+) -> "Findings":
+    from kinfeas.evaluation.benchmark import Findings, plan_jobs
+    from kinfeas.evaluation.benchmark_cells import run_jobs
+
+    jobs = plan_jobs(study, runs)
+    with progress(f"{len(jobs)} cells", len(jobs)) as advance:
+        results = run_jobs(jobs, folder, processes, lambda _: advance(1.0))
+    return Findings(study, runs, jobs, results)
+
+
+def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
+    """Copy each robot's best policy into each of `folders`; return where they lie now."""
+    from kinfeas.evaluation.benchmark import figures_of_runs
+    from kinfeas.evaluation.benchmark_publish import publish
+
+    figures = figures_of_runs(findings)
+    return [
+        place for folder in folders for place in publish(findings.runs, figures, folder).values()
+    ]
+
+
+def _write_json(findings: "Findings", path: Path) -> None:
+    from kinfeas.evaluation.benchmark_table import to_json
+
+    write_json(to_json(findings.cells), path)
+
+
+def _command() -> str:
+    return shlex.join(["kinfeas", *sys.argv[1:]])
+
+
+def _show(findings: "Findings") -> None:
+    from kinfeas.evaluation.benchmark_text import groups, label, title
+
+    cells = findings.cells
+    tasks = list(dict.fromkeys(cell.task for cell in cells))
+    rows = []
+    for group in groups(cells):
+        own = [cell for cell in cells if (cell.robot, cell.variant) == group]
+        for policy in dict.fromkeys(cell.policy for cell in own):
+            by_task = {cell.task: cell for cell in own if cell.policy == policy}
+            entries = [_entry(by_task.get(task)) for task in tasks]
+            rows.append([title(*group), label(next(iter(by_task.values()))), *entries])
+        ceilings = {cell.task: f"{100 * cell.ceiling:.1f}" for cell in own}
+        rows.append([title(*group), "ceiling", *(ceilings.get(task, "-") for task in tasks)])
+    heads = ["robot", "policy", *(f" {task}" for task in tasks)]
+    print_table("% of episodes without a kinematic failure", heads, rows)
+    if findings.study.note:
+        typer.echo(findings.study.note)
+
+
+def _entry(cell: "Cell | None") -> str:
+    if cell is None:
+        return "-"
+    spread = "" if cell.success_std is None else f" ± {100 * cell.success_std:.1f}"
+    return f"{100 * cell.success:.1f}{spread}"

@@ -1,0 +1,208 @@
+"""The cells of a benchmark: each computed once, written at once, and found again after a stop."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinfeas import __version__, config, registry
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark_samples import WorkspaceSamples
+from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.evaluation.evaluate import worker_pool
+from kinfeas.evaluation.policies import BASELINES, load_policy
+from kinfeas.folders import writing
+from kinfeas.metrics import summarize
+from kinfeas.policy import Network
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task
+
+_FORMAT = 1
+"""Of the files; whoever changes what stands in them or how it is found counts it up."""
+
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One figure to find: a policy on a task, or the task's ceiling.
+
+    Attributes:
+        robot: Name or YAML file.
+        task: Entry-point name.
+        parameters: Its keyword parameters.
+        variant: What is different about them.
+        policy: What the policy is called in the table; `ceiling` for the ceiling.
+        source: What `load_policy` takes.
+        training_seed: Seed that it was trained with, if it was and that is known.
+        episodes: How many.
+        seed: Of the episodes.
+        world: Where they happen.
+    """
+
+    robot: str
+    task: str
+    parameters: dict[str, object]
+    variant: str
+    policy: str
+    source: str
+    training_seed: int | None
+    episodes: int
+    seed: int
+    world: WorldConfig
+
+    @property
+    def name(self) -> str:
+        """What it is called in errors and as a file."""
+        seed = "" if self.training_seed is None else f"-{self.training_seed}"
+        variant = "" if not self.variant else "-variant"
+        return f"{Path(self.robot).stem}-{self.task}{variant}-{self.policy}{seed}"
+
+
+CEILING = "ceiling"
+
+
+def identity(job: Job) -> dict[str, Any]:
+    """Return everything that determines what a job finds, as plain data.
+
+    Raises:
+        KinfeasError: If its robot or its policy cannot be read.
+    """
+    robot = registry.load_robot(job.robot)
+    return {
+        "format": _FORMAT,
+        "version": __version__,
+        "robot": robot.name,
+        "robot_digest": _robot_digest(robot),
+        "task": job.task,
+        "parameters": job.parameters,
+        "policy": _policy_digest(job, robot),
+        "episodes": job.episodes,
+        "seed": job.seed,
+        "world": config.to_mapping(job.world),
+    }
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    folder: Path,
+    processes: int = 1,
+    on_done: Callable[[Job], None] | None = None,
+) -> list[Result]:
+    """Return what each job found; those found before are read from `folder`.
+
+    Args:
+        jobs: What to find.
+        folder: Where results are kept, each written as soon as it is there.
+        processes: How many processes share the work; no result depends on it.
+        on_done: Called with each job that is done.
+
+    Raises:
+        KinfeasError: If a job's input is wrong, a result cannot be written or a worker dies.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    whole = [identity(job) for job in jobs]
+    paths = [folder / f"{job.name}-{_key(one)}.json" for job, one in zip(jobs, whole, strict=True)]
+    found: list[Result | None] = [
+        _stored(path, one) for path, one in zip(paths, whole, strict=True)
+    ]
+
+    def keep(index: int, result: Result) -> None:
+        _write(paths[index], {"identity": whole[index], **result})
+        found[index] = result
+        if on_done is not None:
+            on_done(jobs[index])
+
+    missing = [index for index, result in enumerate(found) if result is None]
+    if on_done is not None:
+        for index in sorted(set(range(len(jobs))) - set(missing)):
+            on_done(jobs[index])
+    if processes == 1 or len(missing) < 2:
+        for index in missing:
+            keep(index, compute(jobs[index]))
+    else:
+        with worker_pool(min(processes, len(missing))) as pool:
+            futures = {pool.submit(compute, jobs[index]): index for index in missing}
+            for future in as_completed(futures):
+                keep(futures[future], future.result())
+    return [result for result in found if result is not None]
+
+
+def compute(job: Job) -> Result:
+    """Return what a job finds: its figures, and for a learned policy samples of the workspace."""
+    robot, task = registry.load_robot(job.robot), load_task(job.task, job.parameters)
+    if job.policy == CEILING:
+        ceiling = measure_ceiling(robot, task, job.episodes, job.seed, job.world.ik)
+        share = ceiling.share
+        return {"figures": {"success": share.value, "low": share.low, "high": share.high}}
+    policy = load_policy(job.source, robot)
+    world = World(robot, task, job.world, job.seed)
+    samples = WorkspaceSamples() if isinstance(policy, Network) else None
+    records = run_episodes(world, policy, job.episodes, watch=samples)
+    result: Result = {"figures": summarize(records)}
+    return result if samples is None else {**result, "workspace": samples.kept()}
+
+
+def _stored(path: Path, wanted: dict[str, Any]) -> Result | None:
+    """Return the result that a file holds, or None if there is none of this identity."""
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        same = held.pop("identity") == json.loads(json.dumps(wanted))
+        return held if same and "figures" in held else None
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, AttributeError) as error:
+        raise KinfeasError(f"{path}: broken; remove it to have it computed again") from error
+
+
+def _write(path: Path, result: Result) -> None:
+    fresh = path.with_suffix(".new")
+    with writing(path):
+        fresh.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
+        fresh.replace(path)
+
+
+def _key(whole: dict[str, Any]) -> str:
+    text = json.dumps(whole, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _policy_digest(job: Job, robot: Robot) -> str:
+    if job.policy == CEILING or job.source in BASELINES:
+        return job.source
+    network = load_policy(job.source, robot)
+    assert isinstance(network, Network)
+    digest = hashlib.sha256()
+    for values in (network.scale, *network.weights, *network.biases):
+        digest.update(f"{values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
+def _robot_digest(robot: Robot) -> str:
+    """Return what tells two versions of a robot apart: all that its YAML and its URDF say."""
+    told = {
+        entry.name: getattr(robot, entry.name)
+        for entry in fields(robot)
+        if entry.name not in ("urdf", "urdf_path")
+    }
+    text = json.dumps(told, default=_plain, sort_keys=True)
+    return hashlib.sha256(robot.urdf_path.read_bytes() + text.encode()).hexdigest()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, frozenset):
+        return sorted((_plain(entry) for entry in value), key=str)
+    if is_dataclass(value) and not isinstance(value, type):
+        return {entry.name: getattr(value, entry.name) for entry in fields(value)}
+    return value

@@ -1,0 +1,130 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation import benchmark_cells as module
+from kinfeas.evaluation.benchmark_cells import CEILING, Job, compute, identity, run_jobs
+from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.speed import random_network
+from kinfeas.policy import write_network
+
+WORLD = replace(evaluation_world(), max_steps=30)
+
+
+def job(policy="follow_ee", source=None, **changes):
+    plain = Job("pr2", "ggr", {}, "", policy, source or policy, None, 4, 1, WORLD)
+    return replace(plain, **changes)
+
+
+@pytest.fixture
+def run(tmp_path):
+    robot = registry.load_robot("pr2")
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_network(random_network(robot, hidden=4), folder, robot, {})
+    return folder
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    done = []
+
+    def counting(one):
+        done.append(one)
+        return compute(one)
+
+    monkeypatch.setattr(module, "compute", counting)
+    return done
+
+
+def test_what_is_done_is_not_done_again(tmp_path, run, counted):
+    jobs = [job(CEILING), job(), job("sac", str(run), training_seed=3)]
+    first = run_jobs(jobs, tmp_path / "cells")
+    assert len(counted) == 3
+    told = []
+    assert run_jobs(jobs, tmp_path / "cells", on_done=told.append) == first
+    assert len(counted) == 3
+    assert told == jobs
+    run_jobs([*jobs, job("follow_ee_feedback")], tmp_path / "cells")
+    assert [one.policy for one in counted[3:]] == ["follow_ee_feedback"]
+
+
+def test_a_stop_keeps_the_cells_before_it(tmp_path, monkeypatch, counted):
+    jobs = [job(), job("follow_ee_feedback"), job(CEILING)]
+
+    def interrupted(one):
+        if one is jobs[1]:
+            raise KeyboardInterrupt
+        return compute(one)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(module, "compute", interrupted)
+        run_jobs(jobs, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    run_jobs(jobs, tmp_path)
+    assert counted == jobs[1:]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"episodes": 5},
+        {"seed": 2},
+        {"task": "ggr_restricted"},
+        {"parameters": {"orientation": "so3"}},
+        {"robot": "hsr"},
+        {"source": "follow_ee_feedback"},
+        {"world": replace(WORLD, max_steps=31)},
+    ],
+)
+def test_everything_that_matters_tells_cells_apart(changes):
+    assert identity(job()) == identity(job())
+    assert identity(job()) != identity(job(**changes))
+
+
+def test_other_weights_are_another_cell(run):
+    before = identity(job("sac", str(run)))
+    assert identity(job("td3", str(run))) == before
+    robot = registry.load_robot("pr2")
+    write_network(random_network(robot, hidden=5), run, robot, {})
+    assert identity(job("sac", str(run))) != before
+
+
+def test_a_learned_policy_leaves_samples_of_the_workspace(run):
+    found = compute(job("sac", str(run)))
+    assert found["workspace"].keys() == {"feasible", "infeasible"}
+    assert compute(job()).keys() == {"figures"}
+    assert compute(job(CEILING))["figures"].keys() == {"success", "low", "high"}
+
+
+def test_a_broken_file_is_named(tmp_path):
+    run_jobs([job()], tmp_path)
+    (path,) = tmp_path.iterdir()
+    path.write_text(path.read_text()[:50])
+    with pytest.raises(KinfeasError, match=f"{path.name}: broken; remove it"):
+        run_jobs([job()], tmp_path)
+
+
+def test_a_file_of_another_cell_is_not_taken(tmp_path, counted):
+    run_jobs([job()], tmp_path)
+    (path,) = tmp_path.iterdir()
+    held = json.loads(path.read_text())
+    held["identity"]["seed"] = 9
+    path.write_text(json.dumps(held))
+    run_jobs([job()], tmp_path)
+    assert len(counted) == 2
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(KinfeasError, match="cannot be written"):
+        run_jobs([job()], tmp_path / "file" / "cells")
+
+
+@pytest.mark.slow
+def test_no_result_depends_on_the_number_of_processes(tmp_path):
+    jobs = [job(), job("follow_ee_feedback"), job(CEILING)]
+    assert run_jobs(jobs, tmp_path / "a", processes=2) == run_jobs(jobs, tmp_path / "b")
