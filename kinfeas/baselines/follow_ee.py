@@ -13,6 +13,10 @@ from kinfeas.spatial import Array
 class FollowEe:
     """Drives as the EE is to move.
 
+    It acts on the motion planned for `HORIZON` seconds, whatever the control period: the velocity
+    is the mean of that time, and a differential base that is asked more often takes a part of the
+    turn each time.
+
     Attributes:
         base: Drive and velocity limits.
         feedback: Whether the velocity is measured from the achieved EE position, so that the base

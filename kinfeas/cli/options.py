@@ -22,7 +22,9 @@ TaskName = Annotated[str, typer.Option("--task", help=TASK_HELP)]
 PolicyName = Annotated[
     str,
     typer.Option(
-        "--policy", help="Folder of a training run, pretrained, follow_ee or follow_ee_feedback."
+        "--policy",
+        help="Folder of a training run, pretrained, or a baseline: follow_ee, follow_ee_feedback, "
+        "demonstrated_base, geometric_modulation or whole_body_qp.",
     ),
 ]
 Episodes = Annotated[int, typer.Option("--episodes", min=1, help="Number of episodes.")]

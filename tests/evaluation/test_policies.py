@@ -1,19 +1,46 @@
 import json
+import pickle
 
 import numpy as np
 import pytest
 
 from kinfeas import pretrained
+from kinfeas.baselines.demonstrated_base import DemonstratedBase
 from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.baselines.geometric_modulation import GeometricModulation
+from kinfeas.baselines.whole_body_qp import WholeBodyQp
+from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.policies import BASELINES, load_policy
+from kinfeas.evaluation.policies import BASELINES, QUICK_BASELINES, load_policy
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
+from tests.baselines.situations import situations
+
+
+@pytest.mark.parametrize("name", QUICK_BASELINES)
+def test_quick_baselines_by_name(robot, name):
+    assert load_policy(name, robot) == FollowEe(robot.base, feedback=name.endswith("feedback"))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("demonstrated_base", DemonstratedBase),
+        ("geometric_modulation", GeometricModulation),
+        ("whole_body_qp", WholeBodyQp),
+    ],
+)
+def test_other_baselines_by_name(robot, name, kind):
+    assert isinstance(load_policy(name, robot), kind)
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_baselines_by_name(robot, name):
-    assert load_policy(name, robot) == FollowEe(robot.base, feedback=name.endswith("feedback"))
+def test_baselines_survive_the_way_to_a_worker_process(robot, name):
+    situation = situations(robot, 4)
+    policy = load_policy(name, robot)
+    action = policy.act(situation)
+    assert action.shape == (4, action_size(robot.base))
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(policy)).act(situation), action)
 
 
 def test_a_trained_policy_by_its_folder(robot, tmp_path):
