@@ -38,7 +38,7 @@ class LearnerConfig:
     gradient_steps: Count = 1
     discount: Share = 0.99
     smoothing: Share = 0.005
-    buffer_size: Count = 300_000
+    buffer_size: Count = 1_000_000
     random_steps: Annotated[int, Interval(low=0)] = 3_000
     hidden: tuple[Count, ...] = (256, 256)
     entropy: Annotated[float, Interval(low=0.0)] | Literal["learned"] = 0.01
@@ -89,7 +89,7 @@ class TrainConfig:
     task: str = "ggr"
     task_parameters: dict[str, object] = field(default_factory=dict)
     seed: Annotated[int, Interval(low=0)] = 0
-    environments: Count = 128
+    environments: Count = 256
     world: WorldConfig = field(default_factory=WorldConfig)
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
