@@ -1,22 +1,36 @@
-"""What the README shows works as it stands there."""
+"""What the README and the pages of docs/ show works as it stands there."""
 
 import importlib.util
 import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 
+from kinfeas import registry
 from kinfeas.cli.main import app
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
 FENCED = re.findall(r"^```(\w*)\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
-INLINE = re.findall(r"`(kinfeas [^`]+)`", re.sub(r"^```.*?^```$", "", TEXT, flags=re.M | re.S))
-LINES = [line.split("  #")[0] for _, block in FENCED for line in block.splitlines()]
-COMMANDS = sorted({*INLINE, *(line for line in LINES if line.startswith("kinfeas "))})
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def commands(text):
+    fenced = re.findall(r"^```\w*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [line.split("  #")[0] for block in fenced for line in block.splitlines()]
+    inline = re.findall(r"`(kinfeas [^`]+)`", re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S))
+    return {*(" ".join(line.split()) for line in inline), *lines}
+
+
+COMMANDS = sorted(
+    {line for page in PAGES for line in commands(page.read_text()) if line.startswith("kinfeas ")}
+)
 
 
 def test_there_are_commands():
@@ -43,9 +57,20 @@ def test_every_make_target_exists(target):
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
 
 
-def test_every_linked_file_exists():
-    for path in re.findall(r"\]\((?!https?:)([^)#]+)\)", TEXT):
-        assert (ROOT / path).is_file(), path
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_linked_file_exists(page):
+    for path in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
+        assert (page.parent / path).is_file(), path
+
+
+def test_the_task_of_the_page_on_tasks(tmp_path):
+    page = (ROOT / "docs" / "tasks.md").read_text()
+    path = tmp_path / "tidy_up.yaml"
+    path.write_text(re.search(r"^```yaml\n(.*?)^```$", page, re.M | re.S).group(1))
+    task = load_task(str(path))
+    start = task.sample(IkSolver(registry.load_robot("pr2")), np.random.default_rng(0))
+    assert start.target_poses.shape == (3, 7)
+    assert [leg.wait for leg in task.legs] == [0.0, 2.0, 0.0]
 
 
 def test_pictures_are_small():
