@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.demonstrations import Demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.scenes.exercise import Exercise
 from kinfeas.scenes.hand import (
     Habits,
     drift,
@@ -19,56 +19,13 @@ from kinfeas.scenes.hand import (
     samples,
     scatter,
 )
-from kinfeas.scenes.mechanism import AnalyticMechanism, Joint, Positive, Vector
-from kinfeas.schema import no_such
+from kinfeas.scenes.mechanism import AnalyticMechanism
 from kinfeas.spatial import Array, compose, make_pose, planar_pose, rotation
 
-Corners = tuple[tuple[float, float], tuple[float, float]]
-
-SCENES = ("door", "drawer")
-
-_FOLDER = Path(__file__).parent
 _EVERY_AXIS = np.ones(3)
 _NO_FINGER_AXIS = np.array([1.0, 0.0, 1.0])
 _ROOM = 2.0  # m, half the side of the square in which the furniture's room is put down
 _DIGITS = 6  # of what is recorded: micrometres
-
-
-@dataclass(frozen=True)
-class Handle:
-    """Where the gripper holds: a place with x along the approach and z up, in m and rad."""
-
-    position: Vector
-    heading: float
-    gripper_roll: float
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A mechanism in its room and what the hand makes of it.
-
-    Attributes:
-        joint: What moves when the handle is pulled.
-        handle: Where the gripper holds while it is closed.
-        start: Where the tool tip begins to reach, in the handle's frame, metres.
-        opening: How far the hand means to open it, rad or m.
-        rise: How far the hand rises while it pulls, metres.
-        body: Outline of the furniture from above, two opposite corners, metres.
-        part: The same of what moves, while it is closed.
-    """
-
-    joint: Joint
-    handle: Handle
-    start: Vector
-    opening: Positive
-    rise: float
-    body: Corners
-    part: Corners
-
-    def handle_pose(self) -> Array:
-        """Return the place of the closed handle, shape (7,)."""
-        heading = Rotation.from_rotvec([0.0, 0.0, self.handle.heading])
-        return make_pose(np.array(self.handle.position), heading)
 
 
 @dataclass(frozen=True)
@@ -79,33 +36,24 @@ class Take:
     open: Demonstration
 
 
-def load_scene(name: str) -> Scene:
-    """Return the scene `door` or `drawer`.
-
-    Raises:
-        KinfeasError: If there is no such scene.
-    """
-    if name not in SCENES:
-        raise KinfeasError(f"unknown mechanism {name!r}{no_such(name, SCENES)}")
-    return config.load(Scene, _FOLDER / f"{name}.yaml")
-
-
 def load_habits() -> Habits:
     """Return the habits of the simulated hand."""
-    return config.load(Habits, _FOLDER / "hand.yaml")
+    return config.load(Habits, Path(__file__).parent / "hand.yaml")
 
 
-def demonstrate(scene: Scene, habits: Habits, count: int, seed: int) -> list[Take]:
+def demonstrate(exercise: Exercise, habits: Habits, count: int, seed: int) -> list[Take]:
     """Return `count` takes; the first ones of a seed do not depend on how many there are."""
-    return [_take(scene, habits, np.random.default_rng((seed, number))) for number in range(count)]
+    return [
+        _take(exercise, habits, np.random.default_rng((seed, number))) for number in range(count)
+    ]
 
 
-def _take(scene: Scene, habits: Habits, rng: np.random.Generator) -> Take:
+def _take(exercise: Exercise, habits: Habits, rng: np.random.Generator) -> Take:
     x, y, yaw = rng.uniform(-1.0, 1.0, 3) * [_ROOM, _ROOM, np.pi]
     room = planar_pose(x, y, yaw)
-    handle = scene.handle_pose()
-    reach_time, reached = _reach(scene, habits, rng)
-    pull_time, pulled = _pull(scene, habits, reached[-1], rng)
+    handle = exercise.handle
+    reach_time, reached = _reach(exercise, habits, rng)
+    pull_time, pulled = _pull(exercise, habits, reached[-1], rng)
     stand = _stand(handle, habits, rng)
     bases = (
         _base(reached, reach_time, stand, habits, arriving=True),
@@ -118,23 +66,23 @@ def _take(scene: Scene, habits: Habits, rng: np.random.Generator) -> Take:
     return Take(*recorded)
 
 
-def _reach(scene: Scene, habits: Habits, rng: np.random.Generator) -> tuple[Array, Array]:
+def _reach(exercise: Exercise, habits: Habits, rng: np.random.Generator) -> tuple[Array, Array]:
     time = samples(habits, rng)
     # The fingers centre the handle between them when they close.
     grasp = _near(
         np.zeros(3),
-        scene.handle.gripper_roll,
+        exercise.plan.gripper_roll,
         scatter(rng, habits.grasp_scatter, _NO_FINGER_AXIS),
         scatter(rng, habits.grasp_turn_scatter, _EVERY_AXIS),
     )
     start = _near(
-        np.array(scene.start),
-        scene.handle.gripper_roll,
+        np.array(exercise.plan.start),
+        exercise.plan.gripper_roll,
         scatter(rng, habits.start_scatter, _EVERY_AXIS),
         scatter(rng, habits.start_turn_scatter, _EVERY_AXIS),
     )
     path = reach(start, grasp, time, drift(rng, time, habits.drift))
-    return time, compose(scene.handle_pose(), path)
+    return time, compose(exercise.handle, path)
 
 
 def _near(position: Array, roll: float, shift: Array, turn: Array) -> Array:
@@ -144,18 +92,18 @@ def _near(position: Array, roll: float, shift: Array, turn: Array) -> Array:
 
 
 def _pull(
-    scene: Scene, habits: Habits, hand: Array, rng: np.random.Generator
+    exercise: Exercise, habits: Habits, hand: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     time = samples(habits, rng)
     fine = fine_times(time)
     misjudged = scatter(rng, habits.joint_misjudged, _EVERY_AXIS)
-    believed = replace(scene.joint, origin=tuple(scene.joint.origin + misjudged))
-    opening = scene.opening * (1.0 + habits.opening_scatter * rng.normal())
+    believed = replace(exercise.joint, origin=tuple(exercise.joint.origin + misjudged))
+    opening = exercise.plan.opening * (1.0 + habits.opening_scatter * rng.normal())
     slip = habits.slip + habits.slip_scatter * rng.normal()
     share = minimum_jerk(fine / fine[-1])
     wanted = believed.carry(hand, opening * share)[:, :3] + drift(rng, fine, habits.drift)
-    wanted[:, 2] += scene.rise * share
-    mechanism = AnalyticMechanism(scene.joint, scene.handle_pose())
+    wanted[:, 2] += exercise.plan.rise * share
+    mechanism = AnalyticMechanism(exercise.joint, exercise.handle)
     path, _ = pull(mechanism, hand, wanted, habits, slip)
     return time, path
 

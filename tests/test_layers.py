@@ -43,6 +43,7 @@ CONFINED = {
     "pinocchio": ("kinfeas.evaluation.peers", "kinfeas.baselines.whole_body_qp"),
     "pink": ("kinfeas.baselines.whole_body_qp",),
     "sklearn": ("kinfeas.plugins.fit",),
+    "viser": ("kinfeas.evaluation.scene_page",),
 }
 
 # Where the packages lie in the tree; all others lie where their name says.

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from kinfeas.demonstrations import Demonstration
-    from kinfeas.scenes.demonstrate import Scene, Take
+    from kinfeas.scenes.demonstrate import Take
+    from kinfeas.scenes.exercise import Exercise
 
 Figures = dict[str, float]
 
@@ -46,12 +47,13 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
     in the room each time: what [bold]kinfeas fit[/] learns the shipped motions from.
     """
     from kinfeas.scenes.demonstrate import demonstrate as show
-    from kinfeas.scenes.demonstrate import load_habits, load_scene
+    from kinfeas.scenes.demonstrate import load_habits
+    from kinfeas.scenes.exercise import load_exercise
 
     _make_folders(out)
-    scene = load_scene(mechanism)
+    exercise = load_exercise(mechanism)
     with status(f"opening a {mechanism}"):
-        takes = show(scene, load_habits(), count, seed)
+        takes = show(exercise, load_habits(), count, seed)
     motions = {"grasp": [take.grasp for take in takes], "open": [take.open for take in takes]}
     for name, shown in motions.items():
         _write(shown, out / name, file_format)
@@ -60,7 +62,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
         write_json({"mechanism": mechanism, "seed": seed, "count": count, **figures}, json)
     if picture is not None:
         with status("drawing"):
-            _draw(mechanism, scene, takes, picture)
+            _draw(mechanism, exercise, takes, picture)
     _show(f"{count} demonstrations of a {mechanism}, seed {seed}, in {out}", figures)
 
 
@@ -101,12 +103,12 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
     }
 
 
-def _draw(mechanism: str, scene: "Scene", takes: "Sequence[Take]", path: Path) -> None:
+def _draw(mechanism: str, exercise: "Exercise", takes: "Sequence[Take]", path: Path) -> None:
     from kinfeas.evaluation.demonstration_picture import demonstrations_figure
     from kinfeas.evaluation.pictures import png
     from kinfeas.folders import writing
 
-    figure = demonstrations_figure(mechanism, scene, takes)
+    figure = demonstrations_figure(mechanism, exercise, takes)
     with writing(path):
         path.write_bytes(png(figure, dpi=130))
 

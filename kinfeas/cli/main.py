@@ -10,7 +10,18 @@ import typer
 from typer.exceptions import TyperException
 
 from kinfeas import __version__
-from kinfeas.cli import benchmark, ceiling, demo, demonstrate, evaluate, fit, plugins, speed, train
+from kinfeas.cli import (
+    benchmark,
+    ceiling,
+    demo,
+    demonstrate,
+    evaluate,
+    fit,
+    plugins,
+    speed,
+    train,
+    view,
+)
 from kinfeas.errors import KinfeasError
 
 app = typer.Typer(
@@ -26,6 +37,7 @@ app.command("ceiling")(ceiling.ceiling)
 app.command("demonstrate")(demonstrate.demonstrate)
 app.command("fit")(fit.fit)
 app.command("speed")(speed.speed)
+app.command("view")(view.view)
 app.add_typer(plugins.app, name="plugins")
 
 

@@ -15,7 +15,8 @@ from kinfeas import registry
 from kinfeas.demonstrations import Demonstration
 from kinfeas.evaluation.pictures import BASE, DESIRED, EE, FAINT, GOAL, STYLE
 from kinfeas.motion import MotionGenerator
-from kinfeas.scenes.demonstrate import Corners, Scene, Take
+from kinfeas.scenes.demonstrate import Take
+from kinfeas.scenes.exercise import Corners, Exercise
 from kinfeas.spatial import IDENTITY, Array, compose, distance, integrate, make_pose, relative
 
 _DT = 0.1  # s
@@ -33,21 +34,21 @@ _LIMITS = ((-0.68, 0.68), (-1.08, 0.44))  # m
 _BASE_RADIUS = 0.045  # m, as drawn
 
 
-def demonstrations_figure(mechanism: str, scene: Scene, takes: Sequence[Take]) -> Figure:
+def demonstrations_figure(mechanism: str, exercise: Exercise, takes: Sequence[Take]) -> Figure:
     """Return a picture of all takes, and of the shipped motions from starts of their own.
 
     Both are seen in the frame of the handle, with the approach upward.
 
     Args:
         mechanism: Whose shipped models `MECHANISM_grasp` and `MECHANISM_open` are run.
-        scene: Where its joint and its outlines are.
+        exercise: Where its joint and its outlines are.
         takes: What was demonstrated.
     """
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 6.3), layout="constrained")
         shown, learned = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes in (shown, learned):
-            _draw_furniture(axes, scene)
+            _draw_furniture(axes, exercise)
         _draw_takes(shown, takes)
         _draw_motions(learned, mechanism)
         shown.set_title(f"{len(takes)} demonstrations, the {mechanism} in as many places")
@@ -134,17 +135,20 @@ def _starts() -> Array:
     return make_pose(position, Rotation.from_rotvec(turns))
 
 
-def _draw_furniture(axes: Axes, scene: Scene) -> None:
-    handle = scene.handle_pose()
+def _draw_furniture(axes: Axes, exercise: Exercise) -> None:
+    handle = exercise.handle
 
     def outline(poses: Array, **how: Any) -> None:
         axes.add_patch(Polygon(_above(relative(poses, handle)), closed=True, **how))
 
-    outline(_corners(scene.body), facecolor=_SHELF, edgecolor="#c9ced6", lw=1.0, zorder=0.5)
+    outline(_corners(exercise.body), facecolor=_SHELF, edgecolor="#c9ced6", lw=1.0, zorder=0.5)
     for share in (0.25, 0.5, 0.75, 0.0, 1.0):
-        corners = [scene.joint.carry(one, share * scene.opening) for one in _corners(scene.part)]
+        corners = [
+            exercise.joint.carry(one, share * exercise.plan.opening)
+            for one in _corners(exercise.part)
+        ]
         fill = {0.0: 0.4, 1.0: 1.0}.get(share)
-        if fill is not None or scene.joint.kind == "hinge":
+        if fill is not None or exercise.joint.kind == "hinge":
             outline(
                 np.stack(corners), facecolor=(_WOOD, fill or 0.0), lw=0.9, zorder=1.0,
                 edgecolor=(_EDGE, 1.0 if share == 1.0 else 0.35),

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kinfeas import spatial
 from kinfeas.kinematics.ik import IkOptions
@@ -150,7 +149,7 @@ def _joint_xml(robot: Robot, joint: Joint) -> str:
         inner = f'<axis xyz="{_text(joint.axis)}"/>'
         inner += f'<limit lower="{lower}" upper="{upper}" velocity="{arm.velocity}" effort="1000"/>'
     elif joint.moves:
-        origin = spatial.compose(origin, _moved(joint, robot.fixed_joints[joint.name]))
+        origin = joint.pose_at(robot.fixed_joints[joint.name])
     with warnings.catch_warnings():
         # Of many angles for one rotation, in gimbal lock, any will do.
         warnings.simplefilter("ignore", UserWarning)
@@ -160,14 +159,6 @@ def _joint_xml(robot: Robot, joint: Joint) -> str:
         f'<child link="{joint.child}"/><origin xyz="{_text(origin[:3])}" rpy="{_text(rpy)}"/>'
         f"{inner}</joint>\n"
     )
-
-
-def _moved(joint: Joint, position: float) -> Array:
-    """Return the pose to which a joint at `position` moves its child from where it is at 0."""
-    motion = position * np.array(joint.axis)
-    if joint.kind == "prismatic":
-        return spatial.make_pose(motion, Rotation.identity())
-    return spatial.make_pose(np.zeros(3), Rotation.from_rotvec(motion))
 
 
 def _damped_step(jacobian: Array, error: Array, damping: float) -> Array:

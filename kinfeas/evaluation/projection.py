@@ -65,10 +65,11 @@ class Painted:
 
 def draw_solids(axes: Axes, view: View, faces: Iterable[Painted]) -> None:
     """Draw the faces that look toward the viewer, the nearer ones over those behind them."""
-    seen = [(face, normal) for face in faces if (normal := _normal(face)) @ view.toward > 1e-6]
+    seen = [
+        (face, normal) for face in faces if (normal := normal_of(face.corners)) @ view.toward > 1e-6
+    ]
     seen.sort(key=lambda item: _nearness(item[0], view))
-    light = _LIGHT @ np.array([view.right, -view.toward, view.up])
-    colours = [_shade(face.colour, float(normal @ light)) for face, normal in seen]
+    colours = [shade(face.colour, light_on(normal, view)) for face, normal in seen]
     axes.add_collection(
         PolyCollection(
             [view.flat(face.corners) for face, _ in seen],
@@ -99,13 +100,21 @@ def _nearness(face: Painted, view: View) -> float:
     return float(np.max(depth) + np.mean(depth))
 
 
-def _normal(face: Painted) -> Array:
-    a, b, c = face.corners[:3]
+def normal_of(corners: Array) -> Array:
+    """Return the unit vector out of a flat polygon, whose corners are (k, 3), shape (3,)."""
+    a, b, c = corners[:3]
     normal = np.cross(b - a, c - a)
     return normal / max(float(np.linalg.norm(normal)), 1e-12)
 
 
-def _shade(colour: Colour, light: float) -> tuple[float, float, float]:
+def light_on(normal: Array, view: View) -> float:
+    """Return how squarely the light falls on a face, in [-1, 1]; it comes with the viewer."""
+    light = _LIGHT @ np.array([view.right, -view.toward, view.up])
+    return float(normal @ light)
+
+
+def shade(colour: Colour, light: float) -> tuple[float, float, float]:
+    """Return a colour in a light that falls on it as `light_on` says."""
     brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * light)
     red, green, blue = (min(1.0, brightness * part) for part in to_rgb(colour))
     return red, green, blue

@@ -60,7 +60,7 @@ def _parts(robot: Robot) -> tuple[Tree, list[tuple[int, Face]]]:
     for link in robot.urdf.links.values():
         mount = mounts[link.name]
         for shape in link.shapes:
-            for corners in _polygons(shape):
+            for corners in polygons(shape):
                 placed = corners @ mount.rotation.T + mount.offset
                 moves = mount.joint != FIXED and link.name in arm
                 faces.append((mount.joint, Face(placed, moves)))
@@ -94,7 +94,7 @@ def _bodies(tree: Tree, joint_positions: Array) -> tuple[Array, Array]:
     return rotations, positions
 
 
-def _polygons(shape: Shape) -> list[Array]:
+def polygons(shape: Shape) -> list[Array]:
     """Return the faces of a shape in its link's frame, each (k, 3)."""
     if shape.kind == "box":
         corners = _CORNERS * np.array(shape.size)

@@ -4,14 +4,15 @@ import pytest
 from kinfeas import registry
 from kinfeas.evaluation.demonstration_picture import demonstrations_figure, run_motion
 from kinfeas.evaluation.pictures import png
-from kinfeas.scenes.demonstrate import SCENES, demonstrate, load_habits, load_scene
+from kinfeas.scenes.demonstrate import demonstrate, load_habits
+from kinfeas.scenes.exercise import EXERCISES, load_exercise
 from kinfeas.spatial import IDENTITY, distance
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", EXERCISES)
 def test_a_picture_shows_what_was_demonstrated_beside_what_was_learned(name):
-    scene = load_scene(name)
-    figure = demonstrations_figure(name, scene, demonstrate(scene, load_habits(), 2, seed=0))
+    exercise = load_exercise(name)
+    figure = demonstrations_figure(name, exercise, demonstrate(exercise, load_habits(), 2, seed=0))
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[0] == f"2 demonstrations, the {name} in as many places"
     assert png(figure, dpi=30).startswith(b"\x89PNG")

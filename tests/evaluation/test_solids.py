@@ -60,9 +60,9 @@ def test_the_base_carries_everything(robot):
     ],
 )
 def test_faces_look_outward(shape):
-    from kinfeas.evaluation.solids import _polygons
+    from kinfeas.evaluation.solids import polygons
 
-    for corners in _polygons(shape):
+    for corners in polygons(shape):
         # Of the polygon's area, since corners of a sphere's cap meet at the pole.
         normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
         assert normal @ corners.mean(axis=0) >= 0.0

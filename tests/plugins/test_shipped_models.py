@@ -8,7 +8,8 @@ from kinfeas import registry
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.model import read_model, shipped_models
 from kinfeas.plugins.path import tabulate
-from kinfeas.scenes.demonstrate import SCENES, demonstrate, load_habits, load_scene
+from kinfeas.scenes.demonstrate import demonstrate, load_habits
+from kinfeas.scenes.exercise import EXERCISES, load_exercise
 from kinfeas.spatial import compose, distance, integrate, make_pose, planar_pose, relative
 
 N = 16
@@ -28,12 +29,12 @@ def rollout(model, ee_pose, target, dt=0.1):
     raise AssertionError(f"{model} does not arrive")
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=EXERCISES)
 def rolled(request):
     """Name, and grasp and opening in the handle's frame, from random starts in front of it."""
     rng, name = np.random.default_rng(7), request.param
     x, y, yaw = rng.uniform(-2.0, 2.0, (3, N))
-    target = compose(planar_pose(x, y, yaw), load_scene(name).handle_pose())
+    target = compose(planar_pose(x, y, yaw), load_exercise(name).handle)
     away = rng.uniform([-1.0, -0.8, -0.5], [-0.3, 0.8, 0.5], (N, 3))
     start = compose(target, make_pose(away, Rotation.random(N, rng)))
     grasp = rollout(f"{name}_grasp", start, target)
@@ -45,9 +46,9 @@ def test_there_are_four():
     assert shipped_models() == ["door_grasp", "door_open", "drawer_grasp", "drawer_open"]
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", EXERCISES)
 def test_the_documented_commands_make_them(name):
-    takes = demonstrate(load_scene(name), load_habits(), 12, seed=0)
+    takes = demonstrate(load_exercise(name), load_habits(), 12, seed=0)
     for motion in ("grasp", "open"):
         made = fit([getattr(take, motion) for take in takes], "imitation", 8, 0).model
         shipped = read_model(f"{name}_{motion}", "imitation")
@@ -60,8 +61,8 @@ def test_the_documented_commands_make_them(name):
 
 def test_every_grasp_ends_at_the_handle(rolled):
     name, grasp, _ = rolled
-    scene = load_scene(name)
-    held = make_pose(np.zeros(3), Rotation.from_rotvec([scene.handle.gripper_roll, 0.0, 0.0]))
+    exercise = load_exercise(name)
+    held = make_pose(np.zeros(3), Rotation.from_rotvec([exercise.plan.gripper_roll, 0.0, 0.0]))
     metres, radians = distance(grasp[-1], held)
     assert metres.max() < 0.01
     assert np.rad2deg(radians).max() < 6.0
@@ -73,12 +74,12 @@ def test_every_grasp_ends_at_the_handle(rolled):
 
 def test_the_door_is_pulled_along_its_arc():
     rng = np.random.default_rng(1)
-    target = load_scene("door").handle_pose()[np.newaxis]
+    target = load_exercise("door").handle[np.newaxis]
     start = make_pose(
         target[:, :3] + rng.uniform(-0.02, 0.02, 3), Rotation.from_quat(target[:, 3:])
     )
     path = relative(rollout("door_open", start, target), target)[:, 0]
-    hinge = make_pose(np.array(load_scene("door").joint.origin), Rotation.identity())
+    hinge = make_pose(np.array(load_exercise("door").joint.origin), Rotation.identity())
     hinge = relative(hinge, target[0])[:2]
     away = path[:, :2] - hinge
     radius = np.linalg.norm(away, axis=1)
@@ -91,10 +92,10 @@ def test_the_door_is_pulled_along_its_arc():
 
 def test_openings_end_where_they_were_shown_to(rolled):
     name, _, pull = rolled
-    scene = load_scene(name)
-    handle = scene.handle_pose()
-    opened = relative(scene.joint.carry(handle, scene.opening), handle)
-    ends = pull[-1, :, :3] - [0.0, 0.0, scene.rise]
+    exercise = load_exercise(name)
+    handle = exercise.handle
+    opened = relative(exercise.joint.carry(handle, exercise.plan.opening), handle)
+    ends = pull[-1, :, :3] - [0.0, 0.0, exercise.plan.rise]
     assert np.linalg.norm(ends - opened[:3], axis=1).max() < 0.015
 
 

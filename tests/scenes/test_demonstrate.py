@@ -1,24 +1,21 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from kinfeas import strict_yaml
-from kinfeas.errors import KinfeasError
-from kinfeas.scenes.demonstrate import SCENES, demonstrate, load_habits, load_scene
+from kinfeas.scenes.demonstrate import demonstrate, load_habits
+from kinfeas.scenes.exercise import EXERCISES, load_exercise
 from kinfeas.spatial import distance, relative, rotation, wrap, yaw
 
 HABITS = load_habits()
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=EXERCISES)
 def name(request):
     return request.param
 
 
 @pytest.fixture(scope="module")
 def takes(name):
-    return demonstrate(load_scene(name), HABITS, 12, seed=0)
+    return demonstrate(load_exercise(name), HABITS, 12, seed=0)
 
 
 def in_handle(shown, pose="ee_pose"):
@@ -26,8 +23,8 @@ def in_handle(shown, pose="ee_pose"):
 
 
 def test_the_same_seed_gives_the_same_to_the_bit(name, takes):
-    again = demonstrate(load_scene(name), HABITS, 2, seed=0)
-    other = demonstrate(load_scene(name), HABITS, 1, seed=1)
+    again = demonstrate(load_exercise(name), HABITS, 2, seed=0)
+    other = demonstrate(load_exercise(name), HABITS, 1, seed=1)
     for first, second in zip(takes, again, strict=False):
         np.testing.assert_array_equal(first.open.ee_pose, second.open.ee_pose)
         np.testing.assert_array_equal(first.grasp.base_pose, second.grasp.base_pose)
@@ -50,7 +47,7 @@ def test_what_is_recorded(takes):
 def test_the_furniture_is_elsewhere_each_time(name, takes):
     places = np.array([take.grasp.object_pose[0] for take in takes])
     assert np.ptp(places[:, 0]) > 1.0
-    assert np.all(places[:, 2] == load_scene(name).handle.position[2])
+    assert np.all(places[:, 2] == load_exercise(name).handle[2])
     assert np.ptp(yaw(places)) > 3.0
 
 
@@ -62,18 +59,18 @@ def test_the_pull_begins_where_the_reach_ended(takes):
 
 
 def test_reaches_start_in_front_and_scatter_at_the_handle(name, takes):
-    scene = load_scene(name)
+    exercise = load_exercise(name)
     ways = [in_handle(take.grasp) for take in takes]
     starts, ends = (np.array([way[moment, :3] for way in ways]) for moment in (0, -1))
-    np.testing.assert_allclose(starts.mean(axis=0), scene.start, atol=0.015)
+    np.testing.assert_allclose(starts.mean(axis=0), exercise.plan.start, atol=0.015)
     spread = np.sqrt(np.mean(np.sum(ends**2, axis=1)))
     assert HABITS.grasp_scatter / 2.0 < spread < 2.0 * HABITS.grasp_scatter
-    turns = [rotation(way[-1]).as_euler("xyz")[0] - scene.handle.gripper_roll for way in ways]
+    turns = [rotation(way[-1]).as_euler("xyz")[0] - exercise.plan.gripper_roll for way in ways]
     assert np.abs(np.mean(turns)) < np.deg2rad(5.0)
 
 
 def test_the_door_swings_about_its_hinge_into_the_room():
-    takes = demonstrate(load_scene("door"), HABITS, 12, seed=0)
+    takes = demonstrate(load_exercise("door"), HABITS, 12, seed=0)
     paths = [in_handle(take.open)[:, :2] for take in takes]
     circles = np.array([circle(path) for path in paths])
     assert circles[:, 2].mean() == pytest.approx(0.312, abs=0.01)
@@ -87,7 +84,7 @@ def test_the_door_swings_about_its_hinge_into_the_room():
 
 
 def test_the_drawer_comes_straight_out_and_the_hand_rises():
-    ways = [in_handle(take.open) for take in demonstrate(load_scene("drawer"), HABITS, 12, 0)]
+    ways = [in_handle(take.open) for take in demonstrate(load_exercise("drawer"), HABITS, 12, 0)]
     moved = np.mean([way[-1, :3] - way[0, :3] for way in ways], axis=0)
     np.testing.assert_allclose(moved, [-0.24, 0.0, 0.02], atol=0.01)
     assert max(np.ptp(way[:, 1]) for way in ways) < 0.02
@@ -104,19 +101,6 @@ def test_the_base_follows_at_arms_length_and_faces_the_hand(name, takes):
         base = take.open.base_pose
         travels.append(float(distance(base[-1], base[0])[0]))
     assert np.mean(travels) == pytest.approx({"door": 0.44, "drawer": 0.22}[name], abs=0.01)
-
-
-def test_the_handle_is_where_the_task_has_it(name):
-    path = Path(__file__).parents[2] / "kinfeas" / "tasks" / f"{name}.yaml"
-    place = strict_yaml.read(path)["places"]["handle"]
-    handle = load_scene(name).handle
-    assert list(handle.position) == place["position"]
-    assert [0.0, 0.0, handle.heading] == place["rpy"]
-
-
-def test_an_unknown_mechanism_is_named():
-    with pytest.raises(KinfeasError, match=r"unknown mechanism 'dor'.*'door'"):
-        load_scene("dor")
 
 
 def circle(points):

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.scenes.demonstrate import load_habits, load_scene
+from kinfeas.scenes.demonstrate import load_habits
+from kinfeas.scenes.exercise import load_exercise
 from kinfeas.scenes.hand import drift, fine_times, minimum_jerk, pull, reach, samples, scatter
 from kinfeas.scenes.mechanism import AnalyticMechanism
 from kinfeas.spatial import IDENTITY, distance, make_pose, relative, rotation
@@ -86,24 +87,28 @@ def test_a_wall_holds_the_hand_and_feels_its_pull():
 
 @pytest.mark.parametrize("slip", [0.0, 0.15])
 def test_the_hand_turns_with_a_door_but_for_the_slip(slip):
-    scene = load_scene("door")
-    handle, time = scene.handle_pose(), np.linspace(0.0, 3.0, 151)
-    mechanism = AnalyticMechanism(scene.joint, handle)
+    exercise = load_exercise("door")
+    handle, time = exercise.handle, np.linspace(0.0, 3.0, 151)
+    mechanism = AnalyticMechanism(exercise.joint, handle)
     share = minimum_jerk(fine_times(time) / 3.0)
-    wanted = scene.joint.carry(handle, scene.opening * share)[:, :3]
+    wanted = exercise.joint.carry(handle, exercise.plan.opening * share)[:, :3]
     hands, handles = pull(mechanism, handle, wanted, HABITS, slip)
-    assert mechanism.position == pytest.approx(scene.opening, abs=0.02)
+    assert mechanism.position == pytest.approx(exercise.plan.opening, abs=0.02)
     assert distance(hands[-1], hands[0])[1] == pytest.approx((1 - slip) * mechanism.position)
     assert distance(hands, handles)[0].max() < 0.005
 
 
 def test_a_hand_that_misjudges_the_hinge_is_kept_on_its_circle():
-    scene = load_scene("door")
-    handle, time = scene.handle_pose(), np.linspace(0.0, 3.0, 151)
-    origin = (scene.joint.origin[0] + 0.02, scene.joint.origin[1], scene.joint.origin[2])
+    exercise = load_exercise("door")
+    handle, time = exercise.handle, np.linspace(0.0, 3.0, 151)
+    origin = (exercise.joint.origin[0] + 0.02, exercise.joint.origin[1], exercise.joint.origin[2])
     share = minimum_jerk(fine_times(time) / 3.0)
-    wanted = replace(scene.joint, origin=origin).carry(handle, scene.opening * share)[:, :3]
-    hands, handles = pull(AnalyticMechanism(scene.joint, handle), handle, wanted, HABITS, slip=0.0)
-    radius = np.linalg.norm(hands[:, :2] - np.array(scene.joint.origin)[:2], axis=1)
+    wanted = replace(exercise.joint, origin=origin).carry(handle, exercise.plan.opening * share)[
+        :, :3
+    ]
+    hands, handles = pull(
+        AnalyticMechanism(exercise.joint, handle), handle, wanted, HABITS, slip=0.0
+    )
+    radius = np.linalg.norm(hands[:, :2] - np.array(exercise.joint.origin)[:2], axis=1)
     assert np.abs(radius - radius[0]).max() < 0.008
     assert np.abs(relative(hands, handles)[:, :3]).max() < 0.01

@@ -1,0 +1,103 @@
+"""What stands in a scene: furniture and things, each a URDF of primitives, and their handles."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.robots.tree import Joint, Shape, Urdf
+from kinfeas.spatial import Array, compose, make_pose
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """Something with a place.
+
+    Attributes:
+        urdf_path: File that physics engines load.
+        urdf: What that file says: links with their masses and shapes, joints with their limits,
+            friction and damping.
+        pose: World pose of its root link, shape (7,).
+        fixed: Whether the root link stays where it is.
+        joint_positions: Position of each joint that moves by itself, rad or m.
+    """
+
+    urdf_path: Path
+    urdf: Urdf
+    pose: Array
+    fixed: bool
+    joint_positions: dict[str, float]
+
+    @property
+    def mass(self) -> float:
+        """Return what all its links weigh together, kg."""
+        return sum(link.mass for link in self.urdf.links.values())
+
+    def link_poses(self) -> dict[str, Array]:
+        """Return the world pose of each link, shape (7,)."""
+        poses = {self.urdf.root: self.pose}
+        while len(poses) < len(self.urdf.links):
+            for joint in self.urdf.joints.values():
+                if joint.parent in poses and joint.child not in poses:
+                    origin = compose(poses[joint.parent], joint.origin)
+                    poses[joint.child] = compose(origin, _motion(joint, self._position(joint)))
+        return poses
+
+    def shapes(self) -> Iterator[tuple[str, Shape]]:
+        """Yield each shape with the name of its link; its pose is that in the world."""
+        poses = self.link_poses()
+        for link in self.urdf.links.values():
+            for shape in link.shapes:
+                yield link.name, replace(shape, pose=compose(poses[link.name], shape.pose))
+
+    def _position(self, joint: Joint) -> float:
+        if joint.mimic is not None:
+            lead = self._position(self.urdf.joints[joint.mimic.joint])
+            return lead * joint.mimic.multiplier + joint.mimic.offset
+        return self.joint_positions.get(joint.name, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Handle:
+    """Where a gripper takes hold: a frame with x along the approach and z up.
+
+    Attributes:
+        object: Name of the object that it belongs to.
+        link: Its link.
+        pose: The frame in the frame of that link, shape (7,).
+        joint: The nearest joint that moves the link, None if none does.
+    """
+
+    object: str
+    link: str
+    pose: Array
+    joint: str | None
+
+
+def free_joints(urdf: Urdf) -> dict[str, Joint]:
+    """Return the joints that move by themselves, by name."""
+    return {name: joint for name, joint in urdf.joints.items() if joint.moves and not joint.mimic}
+
+
+def rest_positions(urdf: Urdf, given: Mapping[str, float]) -> dict[str, float]:
+    """Return `given` with the position nearest to zero for each other joint that moves."""
+    return {
+        name: given.get(name, float(np.clip(0.0, joint.lower, joint.upper)))
+        for name, joint in free_joints(urdf).items()
+    }
+
+
+def moving_joint(urdf: Urdf, link: str) -> str | None:
+    """Return the nearest joint above `link` that moves, or None."""
+    moving = [joint.name for joint in urdf.path_to(link) if joint.moves]
+    return moving[-1] if moving else None
+
+
+def _motion(joint: Joint, position: float) -> Array:
+    """Return the pose that a joint at `position` takes its child to, shape (7,)."""
+    along = position * np.array(joint.axis)
+    if joint.kind == "prismatic":
+        return make_pose(along, Rotation.identity())
+    return make_pose(np.zeros(3), Rotation.from_rotvec(along))

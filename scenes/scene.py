@@ -1,0 +1,181 @@
+"""Scenes: a room with furniture, read from YAML; objects and handles go by their names."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas import config
+from kinfeas.config import no_such
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.urdf import Urdf, parse_urdf
+from kinfeas.scenes.check import check
+from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
+from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec, Vector
+from kinfeas.spatial import Array, compose, make_pose
+
+T = TypeVar("T")
+
+_FOLDER = Path(__file__).parent
+_SHIPPED = ("room",)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A room and what stands in it.
+
+    Attributes:
+        name: Short name.
+        size: Of the floor along x and y, metres; the origin is its middle.
+        objects: What stands there, by name.
+        handles: Where grippers take hold, by name.
+    """
+
+    name: str
+    size: tuple[float, float]
+    objects: dict[str, SceneObject]
+    handles: dict[str, Handle]
+
+    def handle_pose(self, name: str) -> Array:
+        """Return the world pose of a handle, shape (7,), x along the approach and z up.
+
+        Raises:
+            KinfeasError: If there is no such handle.
+        """
+        handle = _of(self.handles, name, f"scene {self.name}: there is no handle")
+        return compose(self.objects[handle.object].link_poses()[handle.link], handle.pose)
+
+    def with_poses(self, poses: Mapping[str, Array]) -> "Scene":
+        """Return the scene with objects elsewhere, as a task draws it; `check` says if it can be.
+
+        Args:
+            poses: World poses, shape (7,), by the names of objects.
+
+        Raises:
+            KinfeasError: If there is no such object.
+        """
+        moved = {name: replace(self._object(name), pose=pose) for name, pose in poses.items()}
+        return replace(self, objects={**self.objects, **moved})
+
+    def with_joints(self, positions: Mapping[str, Mapping[str, float]]) -> "Scene":
+        """Return the scene with doors and drawers opened.
+
+        Args:
+            positions: Positions in rad or m, by the names of objects and joints.
+
+        Raises:
+            KinfeasError: If there is no such object or joint, or a position is beyond its limits.
+        """
+        moved = {}
+        for name, given in positions.items():
+            found = self._object(name)
+            _check_joints(found.urdf, given, f"scene {self.name}: object {name!r}")
+            moved[name] = replace(found, joint_positions={**found.joint_positions, **given})
+        return replace(self, objects={**self.objects, **moved})
+
+    def check(self) -> None:
+        """Check that no objects overlap and that every handle can be reached.
+
+        Raises:
+            KinfeasError: If they do, or one cannot.
+        """
+        poses = {name: self.handle_pose(name) for name in self.handles}
+        check(f"scene {self.name}", self.size, self.objects, poses)
+
+    def _object(self, name: str) -> SceneObject:
+        return _of(self.objects, name, f"scene {self.name}: there is no object")
+
+
+def read_scene(name_or_path: str, overrides: Sequence[str] = ()) -> Scene:
+    """Return the scene of a YAML file (`my/scene.yaml`) or of a shipped name (`room`).
+
+    Args:
+        name_or_path: What is to be loaded.
+        overrides: Assignments such as `objects.box.position=[2.725, 0.2, 0.635]`.
+
+    Raises:
+        KinfeasError: If there is no such scene, one of its files is broken, objects overlap or a
+            handle cannot be reached.
+    """
+    path = _find(name_or_path)
+    spec = config.load(SceneSpec, path, overrides)
+    urdfs: dict[Path, Urdf] = {}
+    objects = {
+        name: _object(block, path, f"{path}: 'objects.{name}", urdfs)
+        for name, block in spec.objects.items()
+    }
+    handles = {
+        name: _handle(block, objects, f"{path}: 'handles.{name}")
+        for name, block in spec.handles.items()
+    }
+    scene = Scene(spec.name, spec.size, objects, handles)
+    check(str(path), scene.size, objects, {name: scene.handle_pose(name) for name in handles})
+    return scene
+
+
+def _find(name_or_path: str) -> Path:
+    if os.sep in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+        return Path(name_or_path)
+    if name_or_path not in _SHIPPED:
+        known = no_such(name_or_path, _SHIPPED)
+        raise KinfeasError(f"unknown scene {name_or_path!r}{known}, or the path of a YAML file")
+    return _FOLDER / f"{name_or_path}.yaml"
+
+
+def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -> SceneObject:
+    file = _find_urdf(spec.urdf, path.parent, f"{where}.urdf'")
+    if file not in urdfs:
+        urdfs[file] = parse_urdf(file)
+    urdf = urdfs[file]
+    _check_shapes(urdf, file)
+    _check_joints(urdf, spec.joints, f"{where}.joints'")
+    pose = _pose(spec.position, spec.rpy)
+    return SceneObject(file, urdf, pose, spec.fixed, rest_positions(urdf, spec.joints))
+
+
+def _find_urdf(name: Path, beside: Path, where: str) -> Path:
+    for file in (beside / name, _FOLDER / name.name):
+        if file.is_file() and (file.parent == beside or name.name == str(name)):
+            return file
+    shipped = ", ".join(sorted(file.name for file in _FOLDER.glob("*.urdf")))
+    raise KinfeasError(f"{where}: there is no file {str(beside / name)!r}; shipped are {shipped}")
+
+
+def _check_shapes(urdf: Urdf, file: Path) -> None:
+    if not any(link.shapes or link.mesh_collisions for link in urdf.links.values()):
+        raise KinfeasError(f"{file}: has no <collision>, so that nothing would stand there")
+    for link in urdf.links.values():
+        if link.mesh_collisions:
+            allowed = "boxes, cylinders and spheres are allowed in a scene"
+            raise KinfeasError(f"{file}: link {link.name!r} has a collision mesh, only {allowed}")
+
+
+def _check_joints(urdf: Urdf, given: Mapping[str, float], where: str) -> None:
+    joints = free_joints(urdf)
+    for name, position in given.items():
+        joint = _of(joints, name, f"{where}: there is no moving joint")
+        if not joint.lower <= position <= joint.upper:
+            raise KinfeasError(
+                f"{where}: {name} must be in [{joint.lower:g}, {joint.upper:g}], not {position:g}"
+            )
+
+
+def _handle(spec: HandleSpec, objects: Mapping[str, SceneObject], where: str) -> Handle:
+    urdf = _of(objects, spec.object, f"{where}.object': there is no object").urdf
+    _of(urdf.links, spec.link, f"{where}.link': {spec.object!r} has no link")
+    pose = _pose(spec.position, spec.rpy)
+    return Handle(spec.object, spec.link, pose, moving_joint(urdf, spec.link))
+
+
+def _of(known: Mapping[str, T], name: str, complaint: str) -> T:
+    if name not in known:
+        raise KinfeasError(f"{complaint} {name!r}{no_such(name, known)}")
+    return known[name]
+
+
+def _pose(position: Vector, rpy: Vector) -> Array:
+    return make_pose(np.array(position), Rotation.from_euler("xyz", rpy))

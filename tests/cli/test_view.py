@@ -1,0 +1,50 @@
+import json
+
+import pytest
+
+BROKEN = "{name: mine, size: [4, 4], objects: {table: {urdf: tabel.urdf}}}"
+
+
+def test_shows_the_room(kinfeas, tmp_path):
+    done = kinfeas("view", "--json", "room.json")
+    assert done.code == 0
+    assert "drawer_shelf" in done.out
+    facts = json.loads((tmp_path / "room.json").read_text())
+    assert facts["objects"]["door_shelf"]["joint_positions"] == {"hinge": 0.0}
+    assert facts["handles"]["door"]["joint"] == "hinge"
+    assert facts["handles"]["drawer"]["pose"][:3] == pytest.approx([-2.81, 0.015, 0.525])
+
+
+def test_draws_a_user_s_scene(kinfeas, tmp_path):
+    (tmp_path / "mine.yaml").write_text(BROKEN.replace("tabel", "table"))
+    done = kinfeas("view", "--scene", "mine.yaml", "--picture", "mine.png")
+    assert done.code == 0
+    assert "scene mine, 4 x 4 m" in done.out
+    assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scene", "rom"], "unknown scene 'rom' (did you mean 'room'?)"),
+        (["--scene", "none.yaml"], "none.yaml: cannot be read"),
+        (["--set", "objects.boxx.fixed=true"], "objects.boxx.urdf"),
+        (["--set", "objects.box.position=[3, 0, 0.5]"], "'pick_table' and 'box' stand within"),
+        (["--picture", "/nowhere/a.png"], "/nowhere/a.png: cannot be written"),
+    ],
+)
+def test_bad_input_is_one_line(kinfeas, arguments, message):
+    done = kinfeas("view", *arguments)
+    assert done.code == 2
+    assert done.out == ""
+    assert message in done.err
+    assert done.err.startswith("error: ")
+    assert done.err.count("\n") == 1
+
+
+def test_a_missing_urdf_is_one_line(kinfeas, tmp_path):
+    (tmp_path / "mine.yaml").write_text(BROKEN)
+    done = kinfeas("view", "--scene", "mine.yaml")
+    assert done.code == 2
+    assert "there is no file" in done.err
+    assert done.err.count("\n") == 1

@@ -1,0 +1,119 @@
+"""The shipped furniture moves freely, and PyBullet, an independent judge, reads what is written."""
+
+import numpy as np
+import pybullet
+import pytest
+
+from kinfeas.robots.urdf import parse_urdf
+from kinfeas.scenes import scene as scenes
+from kinfeas.scenes.objects import SceneObject, rest_positions
+from kinfeas.scenes.solids import Solids
+from kinfeas.spatial import IDENTITY, distance, planar_pose, relative, rotation
+
+URDFS = sorted(scenes._FOLDER.glob("*.urdf"))
+MOVING = [("shelf_with_door", "hinge", 1.92), ("shelf_with_drawer", "slide", 0.35)]
+PLAY = 3e-3  # m, that stays between what moves and what does not
+
+
+def loaded(path, **positions):
+    urdf = parse_urdf(path)
+    return SceneObject(path, urdf, IDENTITY, True, rest_positions(urdf, positions))
+
+
+def parts(name, **positions):
+    """Return the shapes of the body and those of what moves."""
+    shapes = list(loaded(scenes._FOLDER / f"{name}.urdf", **positions).shapes())
+    return [s for link, s in shapes if link == "body"], [s for link, s in shapes if link != "body"]
+
+
+@pytest.mark.parametrize(("name", "joint", "upper"), MOVING)
+def test_doors_and_drawers_open_all_the_way_without_touching_their_body(name, joint, upper):
+    for position in np.linspace(0.0, upper, 60):
+        body, moved = parts(name, **{joint: position})
+        assert not Solids(body, -PLAY).touches(Solids(moved)), position
+
+
+@pytest.mark.parametrize(("name", "joint", "upper"), MOVING)
+def test_they_stand_close_within_their_body(name, joint, upper):
+    # Pushed aside, they touch: the test above sees what it looks for.
+    body, moved = parts(name)
+    poses = np.stack([shape.pose for shape in moved])
+    pushed = Solids(moved)
+    for aside in ([0.0, 0.01, 0.0], [0.0, -0.01, 0.0], [0.0, 0.0, 0.01], [0.0, 0.0, -0.01]):
+        pushed.place(rotation(poses).as_matrix(), poses[:, :3] + aside)
+        assert pushed.touches(Solids(body))
+
+
+def test_the_method_s_numbers():
+    door, drawer = (parse_urdf(scenes._FOLDER / f"{name}.urdf") for name, _, _ in MOVING)
+    assert door.joints["hinge"].upper > np.deg2rad(96.0)
+    assert drawer.joints["slide"].upper == 0.35
+    assert sorted(door.links["door"].shapes[0].size) == [0.016, 0.31, 0.31]
+    assert door.links["door"].mass + door.links["handle"].mass == pytest.approx(0.8)
+    assert drawer.links["drawer"].mass + drawer.links["handle"].mass == pytest.approx(0.4)
+    assert door.links["handle"].shapes[0].size == (0.005, 0.115)
+    assert drawer.links["handle"].shapes[0].size == (0.04, 0.13, 0.02)
+
+
+@pytest.fixture(scope="module")
+def bullet():
+    client = pybullet.connect(pybullet.DIRECT)
+    yield client
+    pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("path", URDFS, ids=lambda path: path.stem)
+def test_pybullet_reads_the_same_masses_joints_and_places(bullet, path):
+    positions = {name: 0.2 for name in parse_urdf(path).joints if name in ("hinge", "slide")}
+    one = loaded(path, **positions)
+    body = pybullet.loadURDF(str(path), physicsClientId=bullet)
+    links = {one.urdf.root: -1}
+    for number in range(pybullet.getNumJoints(body, bullet)):
+        info = pybullet.getJointInfo(body, number, bullet)
+        links[info[12].decode()] = number
+        joint = one.urdf.joints[info[1].decode()]
+        if joint.moves:
+            assert (info[8], info[9]) == pytest.approx((joint.lower, joint.upper))
+            assert (info[6], info[7]) == pytest.approx((joint.damping, joint.friction))
+            pybullet.resetJointState(body, number, one.joint_positions[joint.name], 0.0, bullet)
+    assert set(links) == set(one.urdf.links)
+    poses = one.link_poses()
+    for name, number in links.items():
+        dynamics = pybullet.getDynamicsInfo(body, number, bullet)
+        assert dynamics[0] == pytest.approx(one.urdf.links[name].mass)
+        assert min(dynamics[2]) > 0.0
+        assert len(pybullet.getCollisionShapeData(body, number, bullet)) == len(
+            one.urdf.links[name].shapes
+        )
+        if number >= 0:
+            state = pybullet.getLinkState(body, number, True, True, bullet)
+            seen = np.array([*state[4], *state[5]])
+            metres, radians = distance(seen, poses[name])
+            assert metres < 1e-6
+            assert radians < 1e-6
+
+
+@pytest.mark.parametrize("path", URDFS, ids=lambda path: path.stem)
+def test_inertia_is_that_of_a_body(path):
+    text = path.read_text()
+    assert text.count("<visual>") == text.count("<collision>") > 0
+    assert text.count("<inertial>") == text.count("<link ")
+
+
+@pytest.mark.parametrize("path", URDFS, ids=lambda path: path.stem)
+def test_every_link_is_of_one_piece(path):
+    for link in parse_urdf(path).links.values():
+        joined, rest = [link.shapes[0]], list(link.shapes[1:])
+        while rest:
+            near = [one for one in rest if Solids([one], -1e-5).touches(Solids(joined, -1e-5))]
+            assert near, f"{link.name}: {rest}"
+            joined, rest = joined + near, [one for one in rest if one not in near]
+
+
+def test_link_poses_follow_the_root():
+    path = scenes._FOLDER / "shelf_with_door.urdf"
+    one = loaded(path, hinge=0.7)
+    pose = planar_pose(np.array(1.0), np.array(2.0), np.array(0.5))
+    moved = SceneObject(path, one.urdf, pose, True, one.joint_positions)
+    for name, at in one.link_poses().items():
+        np.testing.assert_allclose(relative(moved.link_poses()[name], pose), at, atol=1e-12)
