@@ -20,7 +20,7 @@ class LearnerConfig:
         learning_rate: Of actor and critics.
         schedule: Whether the learning rate stays, or falls linearly to 0 over the run.
         batch_size: Transitions in a gradient step.
-        gradient_steps: Gradient steps for each step of all environments.
+        gradient_steps: Gradient steps for each action of all environments.
         discount: Worth of a reward one step later.
         smoothing: Share tau that the target networks take over in a gradient step.
         buffer_size: Transitions kept for replay.
@@ -80,6 +80,9 @@ class TrainConfig:
         task_parameters: Keyword parameters of the task.
         seed: Of everything random.
         environments: Episodes side by side.
+        hold: Control periods for which an action holds while learning: chance that lasts finds more
+            of what a base can do, and the learner looks as many times farther ahead. In an
+            evaluation and on a robot each period has an action of its own.
         world: Where they happen.
         learner: What learns from them.
         schedule: For how long.
@@ -90,6 +93,7 @@ class TrainConfig:
     task_parameters: dict[str, object] = field(default_factory=dict)
     seed: Annotated[int, Interval(low=0)] = 0
     environments: Count = 256
+    hold: Count = 1
     world: WorldConfig = field(default_factory=WorldConfig)
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

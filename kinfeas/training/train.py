@@ -103,7 +103,8 @@ class _Run:
         self.config, self.out = config, out
         robot = registry.load_robot(config.robot)
         task = load_task(config.task, config.task_parameters)
-        self.env = WorldVecEnv(World(robot, task, config.world, config.seed), config.environments)
+        world = World(robot, task, config.world, config.seed)
+        self.env = WorldVecEnv(world, config.environments, config.hold)
         judged = replace(config.world, max_failures=99, adapters=(), ik=IkOptions())
         self.judge = World(robot, task, judged, config.seed + EVALUATION_SEED)
         self.learner = make_learner(config.learner, self.env, config.seed)
@@ -190,7 +191,7 @@ class _Run:
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = seen
-        progress.steps += self.config.environments
+        progress.steps += self.config.environments * self.config.hold
         progress.success = float(np.mean(progress.recent)) if progress.recent else float("nan")
 
     def _share(self) -> float:

@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from kinfeas import observation
 from kinfeas.envs.world import Transition, World
+from kinfeas.loop import Rows
 
 StepResult = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -20,21 +21,21 @@ StepResult = tuple[
 class WorldVecEnv(VecEnv):
     """n episodes that restart by themselves; observations are scaled to about unit range.
 
-    The attribute `transition` holds what the last step came to, before any restart.
+    An action holds for a few control periods, and earns their mean. An episode that ends within
+    them is over with the action; the one after it begins at once.
     """
 
-    transition: Transition
     render_mode = None
 
-    def __init__(self, world: World, num_envs: int) -> None:
-        """Put `num_envs` episodes at a time into `world`."""
+    def __init__(self, world: World, num_envs: int, hold: int = 1) -> None:
+        """Put `num_envs` episodes at a time into `world`; an action holds for `hold` periods."""
         size = (world.observation_size,)
         super().__init__(
             num_envs,
             spaces.Box(-np.inf, np.inf, size, np.float32),
             spaces.Box(-1.0, 1.0, (world.action_size,), np.float32),
         )
-        self.world = world
+        self.world, self.hold = world, hold
         self.scale = observation.scale(len(world.robot.arm)).astype(np.float32)
         self.next_episode = 0
         self._worker = ThreadPoolExecutor(1)
@@ -56,21 +57,30 @@ class WorldVecEnv(VecEnv):
         return coming.result()
 
     def _advance(self, actions: NDArray[np.float64]) -> StepResult:
-        self.transition = transition = self.world.step(actions)
-        seen, done = transition.observation, transition.done
-        ended = np.flatnonzero(done)
+        earned = np.zeros(self.num_envs)
+        over = np.zeros(self.num_envs, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        final = self._scaled(seen[ended])
-        for place, row in enumerate(ended):
+        for _ in range(self.hold):
+            transition = self.world.step(actions)
+            earned += np.where(over, 0.0, transition.reward)
+            self._note_ends(infos, transition, np.flatnonzero(transition.done & ~over))
+            over |= transition.done
+            ended = np.flatnonzero(transition.done)
+            if ended.size:
+                self.world.start(self._fresh(ended.size), ended)
+        seen = self._scaled(self.world.loop.observation)
+        return seen, (earned / self.hold).astype(np.float32), over, infos
+
+    def _note_ends(self, infos: list[dict[str, Any]], transition: Transition, rows: Rows) -> None:
+        """Write what became of the episodes in `rows`, as Stable-Baselines3 looks for it."""
+        final = self._scaled(transition.observation[rows])
+        for place, row in enumerate(rows):
             infos[row] = {
                 "terminal_observation": final[place],
                 "TimeLimit.truncated": bool(transition.truncated[row]),
                 "is_success": bool(transition.reached[row] and self.world.failures[row] == 0),
                 "failures": int(self.world.failures[row]),
             }
-        if ended.size:
-            seen = self.world.start(self._fresh(ended.size), ended)
-        return self._scaled(seen), transition.reward.astype(np.float32), done, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that the episodes go on from, by name; a step under way ends first."""

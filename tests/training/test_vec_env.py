@@ -148,3 +148,32 @@ def test_the_environments_are_one(robot):
         env.set_attr("world", None)
     with pytest.raises(NotImplementedError):
         env.env_method("reset")
+
+
+def test_an_action_holds_and_earns_the_mean(robot):
+    """As many steps of the world with the same action, until an episode ends within them."""
+    n, hold = 4, 3
+    env = WorldVecEnv(World(robot, registry.build("kinfeas.tasks", "ggr", {}), NOISY, 4), n, hold)
+    beside = make(robot, n).world
+    env.reset()
+    beside.start(range(n))
+    rng, ended, following = np.random.default_rng(0), 0, n
+    for _ in range(20):
+        action = actions(env, rng)
+        seen, rewards, dones, infos = env.step(action)
+        earned, over = np.zeros(n), np.zeros(n, dtype=bool)
+        for _ in range(hold):
+            expected = beside.step(action.astype(np.float64))
+            earned += np.where(over, 0.0, expected.reward)
+            for row in np.flatnonzero(expected.done):
+                assert over[row] or np.array_equal(
+                    infos[row]["terminal_observation"], scaled(expected.observation[row], env.scale)
+                )
+                beside.start([following], np.array([row]))
+                following += 1
+            over |= expected.done
+        np.testing.assert_array_equal(dones, over)
+        np.testing.assert_array_equal(rewards, (earned / hold).astype(np.float32))
+        np.testing.assert_array_equal(seen, scaled(beside.loop.observation, env.scale))
+        ended += int(over.sum())
+    assert ended > 0
