@@ -17,10 +17,14 @@ class RobotState:
     Attributes:
         base_pose: World pose of the base frame, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
+        base_twist: World twist of the base, shape (n, 6), m/s and rad/s, where it is measured.
+        joint_velocities: Of the arm joints, shape (n, j), per second, where they are measured.
     """
 
     base_pose: Array
     joint_positions: Array
+    base_twist: Array | None = None
+    joint_velocities: Array | None = None
 
 
 class Backend(Protocol):

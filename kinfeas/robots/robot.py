@@ -10,12 +10,12 @@ import numpy as np
 from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.positions import fixed_positions, free_leader
-from kinfeas.robots.spec import Drive, Leeway, RobotSpec
+from kinfeas.robots.spec import Drive, Gripper, Leeway, RobotSpec
 from kinfeas.robots.tree import Joint, Urdf
 from kinfeas.robots.urdf import parse_urdf
 from kinfeas.spatial import Array
 
-__all__ = ["ArmJoint", "Base", "Leeway", "Robot", "read_robot"]
+__all__ = ["ArmJoint", "Base", "Gripper", "Leeway", "Robot", "read_robot"]
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,8 @@ class Robot:
         goal_heights: Lowest and highest EE goal in metres, for `ggr` and `ggr_restricted`.
         leeway: How far a pose may be missed and still count as feasible; None for not at all.
         ignored_collisions: Pairs of links that may touch, besides those next to each other.
+        gripper: How the gripper closes; None if it does not.
+        counterbalanced: Arm joints whose share of the arm's weight springs carry, not motors.
     """
 
     name: str
@@ -92,6 +94,8 @@ class Robot:
     goal_heights: dict[str, tuple[float, float]]
     leeway: Leeway | None
     ignored_collisions: frozenset[frozenset[str]]
+    gripper: Gripper | None
+    counterbalanced: frozenset[str]
 
 
 def read_robot(path: Path) -> Robot:
@@ -126,6 +130,8 @@ def read_robot(path: Path) -> Robot:
         goal_heights=spec.goal_heights,
         leeway=spec.leeway,
         ignored_collisions=_pairs(spec, urdf, source),
+        gripper=_gripper(spec, urdf, source),
+        counterbalanced=_counterbalanced(spec, source),
     )
 
 
@@ -207,6 +213,37 @@ def _pairs(spec: RobotSpec, urdf: Urdf, source: str) -> frozenset[frozenset[str]
         if pair[0] == pair[1]:
             raise KinfeasError(f"{where}: must hold pairs of two links, not {pair[0]!r} twice")
     return frozenset(map(frozenset, spec.ignored_collisions))
+
+
+def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> Gripper | None:
+    if spec.gripper is None:
+        return None
+    where = f"{source}: 'gripper.fingers'"
+    for name in spec.gripper.fingers:
+        if name not in urdf.joints:
+            raise KinfeasError(
+                f"{where}: there is no such joint{config.no_such(name, urdf.joints)}"
+            )
+        joint = urdf.joints[name]
+        if not joint.moves or name in spec.arm:
+            raise KinfeasError(f"{where}: {name!r} must be a moving joint that is not of the arm")
+        for position in (spec.gripper.closed, spec.gripper.open):
+            if not joint.lower <= position <= joint.upper:
+                allowed = f"{joint.lower:g} to {joint.upper:g}"
+                raise KinfeasError(
+                    f"{source}: 'gripper': {position:g} is beyond the limits of {name}, {allowed}"
+                )
+    return spec.gripper
+
+
+def _counterbalanced(spec: RobotSpec, source: str) -> frozenset[str]:
+    for name in spec.counterbalanced:
+        if name not in spec.arm:
+            known = ", ".join(spec.arm)
+            raise KinfeasError(
+                f"{source}: 'counterbalanced': {name!r} is no joint of 'arm', which are {known}"
+            )
+    return frozenset(spec.counterbalanced)
 
 
 def _check_link(links: Collection[str], name: str, where: str) -> None:

@@ -53,6 +53,30 @@ class Leeway:
 
 
 @dataclass(frozen=True)
+class Gripper:
+    """How the gripper closes; other joints of its fingers follow them as the URDF says.
+
+    Attributes:
+        fingers: Joints that carry one finger each.
+        closed: Their position when closed, rad or m.
+        open: Their position when open, rad or m.
+        effort: Largest torque or force of each, N m or N.
+    """
+
+    fingers: tuple[str, str]
+    closed: float
+    open: float
+    effort: Positive
+
+    def __post_init__(self) -> None:
+        """Check that there are two fingers, and that they move."""
+        if self.fingers[0] == self.fingers[1]:
+            raise ValueError("'fingers' must name two joints")
+        if self.closed == self.open:
+            raise ValueError("'closed' and 'open' must differ")
+
+
+@dataclass(frozen=True)
 class RobotSpec:
     """The whole file; `urdf` is relative to it, and `robot.Robot` says what the rest means."""
 
@@ -68,6 +92,8 @@ class RobotSpec:
     fixed_joints: dict[str, float] = field(default_factory=dict)
     leeway: Leeway | None = None
     ignored_collisions: tuple[tuple[str, str], ...] = ()
+    gripper: Gripper | None = None
+    counterbalanced: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check what needs no look into the URDF."""

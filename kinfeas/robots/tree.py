@@ -4,8 +4,11 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from kinfeas.errors import KinfeasError
-from kinfeas.spatial import Array
+from kinfeas.spatial import Array, compose, make_pose
 
 ShapeKind = Literal["box", "cylinder", "sphere"]
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
@@ -95,6 +98,13 @@ class Joint:
         """Whether the joint has a position."""
         return self.kind != "fixed"
 
+    def pose_at(self, position: float) -> Array:
+        """Return the pose of the child in the parent's frame at `position`, shape (7,)."""
+        motion = position * np.array(self.axis)
+        if self.kind == "prismatic":
+            return compose(self.origin, make_pose(motion, Rotation.identity()))
+        return compose(self.origin, make_pose(np.zeros(3), Rotation.from_rotvec(motion)))
+
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
@@ -120,6 +130,11 @@ class Urdf:
             path.append(above[link])
             link = above[link].parent
         return tuple(reversed(path))
+
+    def below(self, joint: str) -> frozenset[str]:
+        """Return the links that the joint of this name carries."""
+        parents = {one.child: one.parent for one in self.joints.values()}
+        return frozenset(_below([self.joints[joint].child], parents))
 
 
 def find_root(links: Collection[str], joints: Iterable[Joint], source: str) -> str:

@@ -333,3 +333,60 @@ def solid(shape: Shape, pose: Array) -> fcl.CollisionObject:
     kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
     placement = fcl.Transform(rotation(pose).as_matrix(), pose[:3])
     return fcl.CollisionObject(kinds[shape.kind](*shape.size), placement)
+
+
+GRIPPER = {"fingers": ["wave", "grip"], "closed": 0.5, "open": 0.9, "effort": 5.0}
+
+
+def test_reads_gripper_and_springs(tmp_path):
+    spec = crane() | {"gripper": GRIPPER, "counterbalanced": ["swing"]}
+    robot = read_robot(write(tmp_path, spec))
+    assert robot.gripper is not None
+    assert robot.gripper.fingers == ("wave", "grip")
+    assert (robot.gripper.closed, robot.gripper.open, robot.gripper.effort) == (0.5, 0.9, 5.0)
+    assert robot.counterbalanced == {"swing"}
+
+
+@pytest.mark.parametrize("robot", SHIPPED.values(), ids=SHIPPED)
+def test_every_robot_has_a_gripper(robot):
+    assert robot.gripper is not None
+    for finger in robot.gripper.fingers:
+        assert finger in robot.fixed_joints
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fingers": ["wave", "wavy"]}, "'gripper.fingers': there is no such joint"),
+        ({"fingers": ["wave", "swing"]}, "'swing' must be a moving joint that is not of the arm"),
+        ({"fingers": ["wave", "wave"]}, "'fingers' must name two joints"),
+        ({"open": 1.5}, "1.5 is beyond the limits of wave, 0.5 to 1"),
+        ({"open": 0.5}, "'closed' and 'open' must differ"),
+        ({"effort": 0.0}, "effort"),
+    ],
+)
+def test_refuses_a_gripper_that_cannot_be(tmp_path, change, message):
+    spec = crane() | {"gripper": GRIPPER | change}
+    with pytest.raises(KinfeasError, match=message):
+        read_robot(write(tmp_path, spec))
+
+
+def test_refuses_springs_at_other_joints(tmp_path):
+    spec = crane() | {"counterbalanced": ["wave"]}
+    with pytest.raises(KinfeasError, match="'counterbalanced': 'wave' is no joint of 'arm'"):
+        read_robot(write(tmp_path, spec))
+
+
+def test_a_joint_takes_its_child_along():
+    joint = SHIPPED["hsr"].urdf.joints["arm_lift_joint"]
+    np.testing.assert_allclose(joint.pose_at(0.2), [0.0, 0.0, 0.54, 0.0, 0.0, 0.0, 1.0])
+    joint = SHIPPED["pr2"].urdf.joints["r_shoulder_pan_joint"]
+    turned = joint.pose_at(np.pi / 2.0)
+    np.testing.assert_allclose(turned[:3], joint.origin[:3])
+    np.testing.assert_allclose(turned[3:], [0.0, 0.0, 0.5**0.5, 0.5**0.5])
+
+
+def test_a_joint_carries_all_links_below_it():
+    urdf = SHIPPED["pr2"].urdf
+    below = urdf.below("r_gripper_l_finger_joint")
+    assert below == {"r_gripper_l_finger_link", "r_gripper_l_finger_tip_link"}

@@ -1,0 +1,1 @@
+"""The PyBullet world: robots, furniture and what holds between them, with physics."""

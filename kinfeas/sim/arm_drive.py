@@ -1,0 +1,112 @@
+"""The motors of the arm: positions, along cubics that end at rest, with the joints' limits."""
+
+import numpy as np
+
+from kinfeas.sim.moving_joints import Follower, arm_followers
+from kinfeas.sim.robot_body import RobotBody
+from kinfeas.spatial import Array, wrap
+
+
+def cubic(
+    position: Array, velocity: Array, change: Array, duration: Array, time: Array
+) -> tuple[Array, Array]:
+    """Return positions and velocities along cubics that end at rest, and stay there.
+
+    Args:
+        position: Where they begin, shape (j,), rad or m.
+        velocity: How fast they begin, shape (j,).
+        change: How far they lead, shape (j,).
+        duration: Seconds that they last, shape (j,).
+        time: Moments since the beginning in seconds, shape (t,).
+
+    Returns:
+        Two arrays of shape (t, j).
+    """
+    s = np.minimum(time[:, np.newaxis] / duration, 1.0)
+    rest = 1.0 - s
+    way = position + velocity * duration * s * rest * rest + change * s * s * (3.0 - 2.0 * s)
+    speed = velocity * rest * (1.0 - 3.0 * s) + 6.0 * change / duration * s * rest
+    return way, speed
+
+
+class ArmDrive:
+    """Leads the arm's joints, and those that follow them, to where they are sent.
+
+    As a joint trajectory controller does: each command begins a new cubic where the last one has
+    come to. Motors pull the joints along it with the URDF's effort and velocity, springs carry
+    what the robot's YAML file says they do.
+    """
+
+    def __init__(self, body: RobotBody) -> None:
+        """Connect to the arm of a robot, which `reset` must follow."""
+        robot = body.robot
+        joints = [robot.urdf.joints[joint.name] for joint in robot.arm]
+        self._body, self._horizon = body, body.physics.config.arm_horizon
+        self._speed = np.array([joint.velocity for joint in robot.arm])
+        self._continuous = np.array([joint.continuous for joint in robot.arm])
+        self._efforts = [joint.effort for joint in joints]
+        self._names = [joint.name for joint in joints]
+        self._followers = arm_followers(robot)
+        order = list(body.joints)
+        sprung = [name for name in self._names if name in robot.counterbalanced]
+        self._sprung = [(body.joints[name], order.index(name)) for name in sprung]
+        self._zeros = [0.0] * len(order)
+        self._at = self._velocity = np.zeros(len(joints))
+        self._way: Array = np.empty((0, len(joints)))
+
+    def reset(self, joint_positions: Array) -> None:
+        """Begin at rest at joint positions, shape (j,)."""
+        self._at, self._velocity = joint_positions.copy(), np.zeros(len(joint_positions))
+
+    def aim(self, targets: Array, steps: int) -> None:
+        """Set out for joint positions, shape (j,), on a way for `steps` physics steps."""
+        change = targets - self._at
+        change = np.where(self._continuous, wrap(change), change)
+        # From rest, a cubic is at its fastest 1.5 times as fast as on average.
+        duration = np.maximum(self._horizon, 1.5 * np.abs(change) / self._speed)
+        time: Array = self._body.physics.step_time * np.arange(1.0, steps + 1.0)
+        self._way, speed = cubic(self._at, self._velocity, change, duration, time)
+        self._at, self._velocity = self._way[-1], speed[-1]
+        self._load = self._weight()
+
+    def drive(self, step: int) -> None:
+        """Command the motors for physics step number `step` since `aim`."""
+        positions = self._way[step].tolist()
+        motors = zip(self._body.arm, positions, self._efforts, self._speed.tolist(), strict=True)
+        for joint, position, effort, speed in motors:
+            self._motor(joint, position, effort, speed)
+        where = dict(zip(self._names, positions, strict=True))
+        for one in self._followers:
+            self._follow(one, where[one.leader])
+        if self._sprung:
+            client = self._body.physics.client
+            joints = [joint for joint, _ in self._sprung]
+            client.setJointMotorControlArray(
+                self._body.body, joints, client.TORQUE_CONTROL, forces=self._load
+            )
+
+    def _follow(self, follower: Follower, leader: float) -> None:
+        joint = self._body.robot.urdf.joints[follower.name]
+        position = follower.multiplier * leader + follower.offset
+        self._motor(self._body.joints[follower.name], position, joint.effort, joint.velocity)
+
+    def _motor(self, joint: int, position: float, effort: float, speed: float) -> None:
+        client = self._body.physics.client
+        client.setJointMotorControl2(
+            self._body.body,
+            joint,
+            client.POSITION_CONTROL,
+            targetPosition=position,
+            positionGain=1.0,
+            force=effort,
+            maxVelocity=speed,
+        )
+
+    def _weight(self) -> list[float]:
+        """Return what the springs have to carry now, N m or N."""
+        if not self._sprung:
+            return []
+        load = self._body.physics.client.calculateInverseDynamics(
+            self._body.body, self._body.positions(), self._zeros, self._zeros
+        )
+        return [load[number] for _, number in self._sprung]

@@ -1,0 +1,99 @@
+"""The objects of a scene as bodies of the PyBullet world."""
+
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.tree import Joint
+from kinfeas.scenes.objects import free_joints
+from kinfeas.scenes.scene import Scene
+from kinfeas.schema import no_such
+from kinfeas.sim.physics import Physics
+from kinfeas.spatial import Array
+
+
+class Furniture:
+    """What stands in a room; doors and drawers move with friction and damping.
+
+    Attributes:
+        scene: Where everything stands at the next reset.
+        bodies: PyBullet's numbers of the objects, by name.
+    """
+
+    def __init__(self, physics: Physics, scene: Scene) -> None:
+        """Put all objects of a scene into the world."""
+        self._physics, self.scene = physics, scene
+        self.bodies = {
+            name: physics.load(one.urdf_path, fixed=one.fixed)
+            for name, one in scene.objects.items()
+        }
+        self._joints = {name: physics.joints(body) for name, body in self.bodies.items()}
+        self._links = {name: physics.links(body) for name, body in self.bodies.items()}
+        self.retime()
+        self.place()
+
+    def furnish(self, scene: Scene) -> None:
+        """Set where everything stands from the next reset on.
+
+        Raises:
+            KinfeasError: If the scene holds other objects than the world.
+        """
+        if scene.objects.keys() != self.bodies.keys():
+            known, given = ", ".join(sorted(self.bodies)), ", ".join(sorted(scene.objects))
+            raise KinfeasError(f"the scene must hold the world's objects {known}, not {given}")
+        self.scene = scene
+
+    def retime(self) -> None:
+        """Follow a change of the physics step, for which PyBullet keeps impulses, not forces."""
+        for name, one in self.scene.objects.items():
+            for joint in free_joints(one.urdf).values():
+                self._rub(name, joint)
+
+    def place(self) -> None:
+        """Put everything where the scene says, at rest."""
+        for name, one in self.scene.objects.items():
+            self._physics.place(self.bodies[name], one.pose)
+            for joint, position in one.joint_positions.items():
+                self._physics.client.resetJointState(
+                    self.bodies[name], self._joints[name][joint], position, 0.0
+                )
+
+    def link(self, name: str, link: str) -> tuple[int, int]:
+        """Return PyBullet's numbers of an object and of one of its links.
+
+        Raises:
+            KinfeasError: If there is no such object or link.
+        """
+        links = self._of(name, self._links)
+        if link not in links:
+            raise KinfeasError(f"object {name!r} has no link {link!r}{no_such(link, links)}")
+        return self.bodies[name], links[link]
+
+    def link_pose(self, name: str, link: str) -> Array:
+        """Return the world pose of a link of an object, shape (7,)."""
+        return self._physics.link_pose(*self.link(name, link))
+
+    def joint_position(self, name: str, joint: str) -> float:
+        """Return how far a joint of an object is open, rad or m.
+
+        Raises:
+            KinfeasError: If there is no such object or joint.
+        """
+        joints = self._of(name, self._joints)
+        if joint not in joints:
+            raise KinfeasError(f"object {name!r} has no joint {joint!r}{no_such(joint, joints)}")
+        position: float = self._physics.client.getJointState(self.bodies[name], joints[joint])[0]
+        return position
+
+    def _of(self, name: str, known: dict[str, dict[str, int]]) -> dict[str, int]:
+        if name not in known:
+            raise KinfeasError(f"there is no object {name!r}{no_such(name, known)}")
+        return known[name]
+
+    def _rub(self, name: str, joint: Joint) -> None:
+        """Let a joint brake: a motor that wants to stand still and is as strong as its friction."""
+        client = self._physics.client
+        client.setJointMotorControl2(
+            self.bodies[name],
+            self._joints[name][joint.name],
+            client.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=joint.friction,
+        )

@@ -1,0 +1,184 @@
+"""A PyBullet world of its own: connection, time step, and the state that a reset returns to."""
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from kinfeas.config import Interval
+from kinfeas.errors import KinfeasError
+from kinfeas.sim.silence import silence
+from kinfeas.spatial import IDENTITY, Array, compose, relative
+
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+
+ROOT = -1
+"""PyBullet's index of a body's root link."""
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """Numbers of the PyBullet world.
+
+    Attributes:
+        rate: Physics steps per second, about: a control period holds a whole number of them, so
+            that 50 Hz makes 5 steps of 4 ms and the 0.1 s of the analytic world 24 of 1/240 s.
+        gravity: m/s^2.
+        iterations: Of the constraint solver in a step.
+        drive_reserve: How much stronger the base's motors are than its acceleration takes, to bear
+            the swings of the arm and what it pulls.
+        arm_horizon: Seconds in which the arm reaches a target, to stand still there.
+        finger_friction: Coefficient at the fingers.
+        finger_softness: How near the fingers must be to something to touch it with the soft pads
+            that the URDFs lack, m.
+        grasp_limit: Force at which a held object slips out of the hand, N.
+    """
+
+    rate: Positive = 240.0
+    gravity: Annotated[float, Interval(low=0.0)] = 9.81
+    iterations: Annotated[int, Interval(low=1)] = 50
+    drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
+    arm_horizon: Positive = 0.1
+    finger_friction: Annotated[float, Interval(low=0.0)] = 1.0
+    finger_softness: Annotated[float, Interval(low=0.0)] = 0.003
+    grasp_limit: Positive = 80.0
+
+
+class Physics:
+    """One world; others in the same process know nothing of it.
+
+    Attributes:
+        config: Its numbers.
+        client: PyBullet's functions, bound to this world.
+        floor: Number of the body that is the floor.
+        step_time: Duration of a physics step in seconds.
+    """
+
+    def __init__(self, config: PhysicsConfig, *, gui: bool = False) -> None:
+        """Make a world that holds nothing but its floor.
+
+        Args:
+            config: Its numbers.
+            gui: Whether to show it in a window.
+
+        Raises:
+            KinfeasError: If PyBullet is not installed.
+        """
+        self.config, self.client = config, _connect(gui)
+        self.client.setGravity(0.0, 0.0, -config.gravity)
+        # Pairs in an order of their own, not in that of their history: a reset forgets everything.
+        self.client.setPhysicsEngineParameter(
+            numSolverIterations=config.iterations, deterministicOverlappingPairs=1
+        )
+        plane = self.client.createCollisionShape(self.client.GEOM_PLANE)
+        self.floor: int = self.client.createMultiBody(0.0, plane)
+        self.step_time = 0.0
+        self._kept: int | None = None
+
+    def load(self, urdf: Path, *, fixed: bool) -> int:
+        """Return the number of a new body at the origin.
+
+        Args:
+            urdf: A file that `parse_urdf` has checked.
+            fixed: Whether its root link stays where it is put.
+        """
+        client = self.client
+        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
+        body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
+        return body
+
+    def load_text(self, urdf: str, folder: Path) -> int:
+        """Return the number of a new body with a fixed root.
+
+        Args:
+            urdf: Content of a URDF file.
+            folder: Where its meshes lie.
+        """
+        self.client.setAdditionalSearchPath(str(folder))
+        with tempfile.TemporaryDirectory() as temporary:
+            path = Path(temporary) / "body.urdf"
+            path.write_text(urdf, encoding="utf-8")
+            return self.load(path, fixed=True)
+
+    def links(self, body: int) -> dict[str, int]:
+        """Return the indices of a body's links by name."""
+        root, _ = self.client.getBodyInfo(body)
+        infos = (self.client.getJointInfo(body, i) for i in range(self.client.getNumJoints(body)))
+        return {root.decode(): ROOT, **{info[12].decode(): info[0] for info in infos}}
+
+    def joints(self, body: int) -> dict[str, int]:
+        """Return the indices of a body's moving joints by name, in order."""
+        infos = (self.client.getJointInfo(body, i) for i in range(self.client.getNumJoints(body)))
+        fixed = self.client.JOINT_FIXED
+        return {info[1].decode(): info[0] for info in infos if info[2] != fixed}
+
+    def link_pose(self, body: int, link: int) -> Array:
+        """Return the world pose of a link's frame, shape (7,)."""
+        if link == ROOT:
+            return compose(self.mass_pose(body, ROOT), relative(IDENTITY, self._mass_in_root(body)))
+        state = self.client.getLinkState(body, link, computeForwardKinematics=True)
+        return np.concatenate(state[4:6])
+
+    def mass_pose(self, body: int, link: int) -> Array:
+        """Return the world pose of the frame in which a link's inertia is given, shape (7,)."""
+        if link == ROOT:
+            return np.concatenate(self.client.getBasePositionAndOrientation(body))
+        state = self.client.getLinkState(body, link, computeForwardKinematics=True)
+        return np.concatenate(state[0:2])
+
+    def place(self, body: int, pose: Array) -> None:
+        """Put the root link of a body at rest at a world pose, shape (7,)."""
+        # PyBullet means the frame of the inertia.
+        mass_pose = compose(pose, self._mass_in_root(body))
+        self.client.resetBasePositionAndOrientation(body, mass_pose[:3], mass_pose[3:])
+        self.client.resetBaseVelocity(body, [0.0] * 3, [0.0] * 3)
+
+    def divide(self, dt: float) -> int:
+        """Return how many physics steps a control period has, and set their duration.
+
+        Raises:
+            KinfeasError: If `dt` is not above 0 and finite.
+        """
+        if not 0.0 < dt < math.inf:
+            raise KinfeasError(f"the control period must be above 0 s and finite, not {dt:g}")
+        steps = max(round(dt * self.config.rate), 1)
+        if dt / steps != self.step_time:
+            self.step_time = dt / steps
+            self.client.setTimeStep(self.step_time)
+        return steps
+
+    def advance(self) -> None:
+        """Let a physics step pass."""
+        self.client.stepSimulation()
+
+    def keep(self) -> None:
+        """Remember the whole world for `rewind`; no body may be added after that."""
+        self._kept = self.client.saveState()
+
+    def rewind(self) -> None:
+        """Return to what `keep` remembered, contacts and all."""
+        self.client.restoreState(self._kept)
+
+    def close(self) -> None:
+        """End the world; it may be called twice."""
+        if self.client.isConnected():
+            self.client.disconnect()
+
+    def _mass_in_root(self, body: int) -> Array:
+        return np.concatenate(self.client.getDynamicsInfo(body, ROOT)[3:5])
+
+
+def _connect(gui: bool) -> Any:
+    try:
+        with silence():
+            import pybullet
+            from pybullet_utils.bullet_client import BulletClient
+    except ImportError as error:
+        raise KinfeasError(
+            "the PyBullet world needs Python 3.11: there is no PyBullet for later versions"
+        ) from error
+    with silence():
+        return BulletClient(pybullet.GUI if gui else pybullet.DIRECT)

@@ -1,0 +1,96 @@
+"""A robot as a body of the PyBullet world: where its joints are and what they measure."""
+
+import numpy as np
+
+from kinfeas.backend import RobotState
+from kinfeas.robots.robot import Robot
+from kinfeas.sim.moving_joints import arm_followers, moving_joints
+from kinfeas.sim.physics import Physics
+from kinfeas.sim.robot_urdf import PLANAR_JOINTS, physics_urdf
+from kinfeas.spatial import Array, planar_pose, yaw
+
+
+class RobotBody:
+    """A robot that stands on planar joints.
+
+    Attributes:
+        physics: World that it is in.
+        robot: What is known of it.
+        body: PyBullet's number of it.
+        joints: Indices of the joints that move, by name, in PyBullet's order.
+        links: Indices of all links, by name.
+        base: Indices of the planar joints x, y and yaw.
+        arm: Indices of the arm's joints.
+        arm_links: Indices of the links that the arm's joints carry.
+        mass: All of it, kg.
+        yaw_inertia: About the base's vertical axis, in the configuration `home`, kg m^2.
+    """
+
+    def __init__(self, physics: Physics, robot: Robot) -> None:
+        """Put a robot into the world, at the origin and in the configuration `home`."""
+        self.physics, self.robot = physics, robot
+        self.body = physics.load_text(physics_urdf(robot), robot.urdf_path.parent)
+        self.joints, self.links = physics.joints(self.body), physics.links(self.body)
+        self.base = [self.joints[name] for name in PLANAR_JOINTS]
+        self.arm = [self.joints[joint.name] for joint in robot.arm]
+        self._order = list(self.joints.values())
+        self._rest = {
+            self.joints[name]: robot.fixed_joints[name]
+            for name in moving_joints(robot)
+            if name in robot.fixed_joints
+        }
+        self._followers = arm_followers(robot)
+        above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
+        self.arm_links = frozenset(self.links[name] for name in above)
+        self._pass_through_the_floor()
+        home = robot.home["home"]
+        self.reset(planar_pose(np.zeros(()), np.zeros(()), np.zeros(())), home)
+        client = physics.client
+        masses = (client.getDynamicsInfo(self.body, link)[0] for link in self.links.values())
+        self.mass = float(sum(masses))
+        inertia = client.calculateMassMatrix(self.body, self.positions())
+        self.yaw_inertia = float(inertia[2][2])
+
+    def reset(self, base_pose: Array, joint_positions: Array) -> None:
+        """Put the robot at rest somewhere: pose of shape (7,), arm joints of shape (j,)."""
+        planar = (*base_pose[:2].tolist(), float(yaw(base_pose)))
+        arm = dict(zip((joint.name for joint in self.robot.arm), joint_positions, strict=True))
+        follow = {
+            self.joints[one.name]: one.multiplier * arm[one.leader] + one.offset
+            for one in self._followers
+        }
+        positions = dict(zip(self.base, planar, strict=True)) | self._rest | follow
+        positions |= dict(zip(self.arm, joint_positions.tolist(), strict=True))
+        for index, position in positions.items():
+            self.physics.client.resetJointState(self.body, index, position, 0.0)
+
+    def positions(self) -> list[float]:
+        """Return the positions of all joints that move, in PyBullet's order."""
+        return [state[0] for state in self.physics.client.getJointStates(self.body, self._order)]
+
+    def planar(self) -> tuple[float, float, float]:
+        """Return x, y and yaw of the base, metres and radians; the yaw is not wrapped."""
+        x, y, heading = self.physics.client.getJointStates(self.body, self.base)
+        return x[0], y[0], heading[0]
+
+    def state(self) -> RobotState:
+        """Return what was measured, as a batch of one."""
+        states = self.physics.client.getJointStates(self.body, [*self.base, *self.arm])
+        position = np.array([[state[0] for state in states]])
+        velocity = np.array([[state[1] for state in states]])
+        twist = np.zeros((1, 6))
+        twist[:, [0, 1, 5]] = velocity[:, :3]
+        return RobotState(
+            base_pose=planar_pose(*position[:, :3].T),
+            joint_positions=position[:, 3:],
+            base_twist=twist,
+            joint_velocities=velocity[:, 3:],
+        )
+
+    def _pass_through_the_floor(self) -> None:
+        """Leave contacts of the base with the floor out: planar joints bear it already."""
+        for link in self.links.values():
+            if link not in self.arm_links:
+                self.physics.client.setCollisionFilterPair(
+                    self.body, self.physics.floor, link, -1, 0
+                )

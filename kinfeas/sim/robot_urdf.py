@@ -1,0 +1,76 @@
+"""The URDF that PyBullet gets: the robot's own, on planar joints and without idle ones."""
+
+import warnings
+from typing import Any
+from xml.etree import ElementTree
+
+from kinfeas.robots.elements import read_xml
+from kinfeas.robots.robot import Robot
+from kinfeas.sim.moving_joints import moving_joints
+from kinfeas.spatial import Array, rotation
+
+PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
+"""What the base stands on: it slides along the world's x and y, then turns."""
+
+_WORLD, _CARRIERS = "planar_world_link", ("planar_x_link", "planar_y_link")
+_AXES = ("1 0 0", "0 1 0", "0 0 1")
+
+
+def physics_urdf(robot: Robot) -> str:
+    """Return the robot's URDF with three planar joints below its root.
+
+    Joints that do not move here are fixed where the robot holds them, which is also how a brake
+    holds them, and none is left that follows another: PyBullet knows no such thing.
+    """
+    xml = read_xml(robot.urdf_path, "robot").xml
+    moving = moving_joints(robot)
+    for element in xml.findall("joint"):
+        name = element.get("name")
+        for mimic in element.findall("mimic"):
+            element.remove(mimic)
+        if robot.urdf.joints[name].moves and name not in moving:
+            _fix(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
+    for element in reversed(_planar_base(robot.urdf.root)):
+        xml.insert(0, element)
+    return ElementTree.tostring(xml, encoding="unicode")
+
+
+def _fix(joint: Any, origin: Array) -> None:
+    joint.set("type", "fixed")
+    for element in joint.findall("origin"):
+        joint.remove(element)
+    with warnings.catch_warnings():
+        # Of many angles for one rotation, in gimbal lock, any will do.
+        warnings.simplefilter("ignore", UserWarning)
+        rpy = rotation(origin).as_euler("xyz")
+    ElementTree.SubElement(joint, "origin", xyz=_text(origin[:3]), rpy=_text(rpy))
+
+
+def _planar_base(root: str) -> list[ElementTree.Element]:
+    """Return the links and joints on which the link `root` moves over the floor."""
+    elements = [_frame(name) for name in (_WORLD, *_CARRIERS)]
+    parents, children = (_WORLD, *_CARRIERS), (*_CARRIERS, root)
+    for name, axis, parent, child in zip(PLANAR_JOINTS, _AXES, parents, children, strict=True):
+        joint = ElementTree.Element("joint", name=name)
+        joint.set("type", "continuous" if name == PLANAR_JOINTS[-1] else "prismatic")
+        ElementTree.SubElement(joint, "parent", link=parent)
+        ElementTree.SubElement(joint, "child", link=child)
+        ElementTree.SubElement(joint, "axis", xyz=axis)
+        # An upper limit below the lower one is PyBullet's word for none.
+        ElementTree.SubElement(joint, "limit", lower="0", upper="-1", effort="0", velocity="0")
+        elements.append(joint)
+    return elements
+
+
+def _frame(name: str) -> ElementTree.Element:
+    """Return a link that is a mere frame and weighs 1 g, since PyBullet takes none for 1 kg."""
+    link = ElementTree.Element("link", name=name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", value="0.001")
+    moment = {"ixx": "1e-6", "iyy": "1e-6", "izz": "1e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
+    ElementTree.SubElement(inertial, "inertia", moment)
+    return link
+
+
+def _text(numbers: Array) -> str:
+    return " ".join(repr(number) for number in numbers.tolist())

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinfeas import registry
+from kinfeas.sim.arm_drive import cubic
+from kinfeas.sim.backend import PyBulletBackend
+from tests.sim.conftest import twist
+
+NUMBER = st.floats(-2.0, 2.0)
+
+
+@given(NUMBER, NUMBER, NUMBER, st.floats(0.05, 2.0))
+def test_a_cubic_begins_as_it_should_and_ends_at_rest(position, velocity, change, duration):
+    time = np.array([0.0, 1e-7, duration, 2.0 * duration])
+    at = [np.array([value]) for value in (position, velocity, change, duration)]
+    way, speed = cubic(*at, time)
+    assert way[0, 0] == position
+    assert speed[0, 0] == velocity
+    assert (way[1, 0] - way[0, 0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
+    np.testing.assert_allclose(way[2:, 0], position + change, atol=1e-9)
+    np.testing.assert_allclose(speed[2:, 0], 0.0, atol=1e-9)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_cubic_stays_below_the_speed_it_was_made_for(start, share):
+    change = np.array([share])
+    _, speed = cubic(
+        np.zeros(1), np.array([start]), change, 1.5 * np.maximum(change, 0.1), np.linspace(0, 2, 99)
+    )
+    assert np.abs(speed).max() <= 1.0 + 1e-9
+
+
+def test_a_target_is_reached_in_a_tenth_of_a_second(world, begin):
+    robot = world.body.robot
+    target = robot.home["home"] + 0.005 * np.array([joint.velocity for joint in robot.arm])
+    begin()
+    state = world.step(twist(), target[np.newaxis], 0.1)
+    np.testing.assert_allclose(state.joint_positions[0], target, atol=1e-3)
+
+
+def test_joints_keep_their_speed_limits(world, begin):
+    robot = world.body.robot
+    limit = np.array([joint.velocity for joint in robot.arm])
+    rng = np.random.default_rng(0)
+    lower = np.array([max(joint.lower, -1.5) for joint in robot.arm])
+    upper = np.array([min(joint.upper, 1.5) for joint in robot.arm])
+    begin(x=1.0)
+    for _ in range(6):
+        target = rng.uniform(lower, upper)[np.newaxis]
+        for _ in range(12):
+            speed = world.step(twist(), target, 0.02).joint_velocities[0]
+            assert np.all(np.abs(speed) <= limit * 1.05)
+
+
+def test_a_continuous_joint_takes_the_shorter_way():
+    robot = registry.load_robot("pr2")
+    world, home = PyBulletBackend(robot), robot.home["home"].copy()
+    home[-1] = 3.0
+    base = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    world.reset(base, home[np.newaxis])
+    home[-1] = -3.0
+    for _ in range(50):
+        state = world.step(twist(), home[np.newaxis], 0.02)
+    world.close()
+    assert state.joint_positions[0, -1] == pytest.approx(2.0 * np.pi - 3.0, abs=1e-4)
+
+
+def test_without_its_springs_the_pr2_could_not_carry_its_arm():
+    robot = registry.load_robot("pr2")
+    world = PyBulletBackend(robot)
+    joints = np.array([[0.0, 0.0, 0.0, -0.2, 0.0, -0.2, 0.0]])
+    world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), joints)
+    body, zeros = world.body, [0.0] * len(world.body.joints)
+    load = world.physics.client.calculateInverseDynamics(body.body, body.positions(), zeros, zeros)
+    shoulder = list(body.joints).index("r_shoulder_lift_joint")
+    assert abs(load[shoulder]) > robot.urdf.joints["r_shoulder_lift_joint"].effort
+    for _ in range(50):
+        state = world.step(twist(), joints, 0.02)
+    world.close()
+    np.testing.assert_allclose(state.joint_positions, joints, atol=1e-3)

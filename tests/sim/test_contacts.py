@@ -1,0 +1,25 @@
+import numpy as np
+
+from kinfeas.sim.contacts import Contacts
+from tests.sim.conftest import stay, twist
+
+
+def test_a_robot_alone_touches_nothing(world, begin):
+    begin()
+    stay(world, 5)
+    assert world.contacts() == Contacts(base=0, arm=0)
+
+
+def test_a_base_that_runs_backwards_into_a_wall_touches_it(world, begin):
+    begin(x=-2.3)
+    stay(world, 150, twist(-0.2))
+    wall = world.furniture.bodies["wall"]
+    assert world.contacts().base > 0
+    assert world.contacts([wall]) == Contacts(base=0, arm=0)
+
+
+def test_an_arm_that_reaches_into_a_wall_touches_it(world, begin, between_fingers):
+    pose = np.array([*between_fingers[:2], 0.0, 0.0, 0.0, 0.0, 1.0])
+    begin(wall=pose)
+    stay(world, 2)
+    assert world.contacts().arm > 0

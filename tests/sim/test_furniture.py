@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from kinfeas.errors import KinfeasError
+from kinfeas.scenes.scene import read_scene
+from kinfeas.sim.backend import PyBulletBackend
+from tests.sim.conftest import stay
+
+
+def push(world, force, ticks):
+    """Push the drawer with a force in N, step by step, and return how far it is open."""
+    body, link = world.furniture.link("chest", "drawer")
+    home = world.body.robot.home["home"][np.newaxis]
+    frame = world.physics.client.LINK_FRAME
+    for _ in range(ticks):
+        world.physics.client.applyExternalForce(body, link, [force, 0, 0], [0, 0, 0], frame)
+        world.step(np.zeros((1, 6)), home, 1 / 240)
+    return world.furniture.joint_position("chest", "slide")
+
+
+def test_everything_stands_where_the_scene_says(world, begin, scene):
+    begin()
+    for name, one in scene.objects.items():
+        pose = world.furniture.link_pose(name, one.urdf.root)
+        np.testing.assert_allclose(pose, one.pose, atol=1e-9)
+
+
+def test_a_drawer_moves_when_it_is_pulled_harder_than_its_friction(world, begin):
+    begin()
+    assert push(world, 2.0, 60) == pytest.approx(0.0, abs=1e-4)
+    assert push(world, 10.0, 60) > 0.05
+
+
+def test_a_drawer_may_be_open_from_the_beginning(world, begin, scene):
+    world.furniture.furnish(scene.with_joints({"chest": {"slide": 0.3}}))
+    home = world.body.robot.home["home"][np.newaxis]
+    world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
+    stay(world, 5)
+    assert world.furniture.joint_position("chest", "slide") == pytest.approx(0.3, abs=1e-4)
+
+
+def test_what_is_loose_falls(world, begin):
+    begin(bar=np.array([3.0, 3.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
+    stay(world, 40)
+    assert 0.015 <= world.furniture.link_pose("bar", "bar")[2] <= 0.06
+
+
+def test_names_what_there_is(world, begin):
+    begin()
+    with pytest.raises(KinfeasError, match="there is no object 'tabel'"):
+        world.furniture.link("tabel", "top")
+    with pytest.raises(KinfeasError, match="object 'bar' has no link 'handle'"):
+        world.furniture.link("bar", "handle")
+    with pytest.raises(KinfeasError, match="object 'chest' has no joint 'hinge'"):
+        world.furniture.joint_position("chest", "hinge")
+    with pytest.raises(KinfeasError, match="the scene must hold the world's objects"):
+        world.furniture.furnish(read_scene("room"))
+
+
+def test_the_shipped_room_stands_still(robot):
+    room = read_scene("room")
+    world = PyBulletBackend(robot, room)
+    home = robot.home["home"][np.newaxis]
+    world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
+    stay(world, 25)
+    box = world.furniture.link_pose("box", room.objects["box"].urdf.root)
+    world.close()
+    np.testing.assert_allclose(box, room.objects["box"].pose, atol=2e-3)

@@ -1,0 +1,52 @@
+import sys
+
+import numpy as np
+import pytest
+
+from kinfeas.errors import KinfeasError
+from kinfeas.sim.physics import Physics, PhysicsConfig
+
+
+@pytest.fixture
+def physics():
+    world = Physics(PhysicsConfig())
+    yield world
+    world.close()
+
+
+@pytest.mark.parametrize(("dt", "steps"), [(0.02, 5), (0.1, 24), (1 / 240, 1), (0.001, 1)])
+def test_a_control_period_holds_a_whole_number_of_steps(physics, dt, steps):
+    assert physics.divide(dt) == steps
+    assert physics.step_time == dt / steps
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.02, float("nan"), float("inf")])
+def test_refuses_other_periods(physics, dt):
+    with pytest.raises(KinfeasError, match="the control period must be above 0 s and finite"):
+        physics.divide(dt)
+
+
+def test_can_be_closed_twice():
+    physics = Physics(PhysicsConfig())
+    physics.close()
+    physics.close()
+
+
+def test_what_is_placed_is_there_although_its_mass_is_elsewhere(physics, scene):
+    body = physics.load(scene.objects["wall"].urdf_path, fixed=True)
+    pose = np.array([1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5])
+    physics.place(body, pose)
+    np.testing.assert_allclose(physics.link_pose(body, -1), pose, atol=1e-12)
+    assert np.abs(physics.mass_pose(body, -1)[:3] - pose[:3]).max() > 0.1
+
+
+def test_says_so_where_there_is_no_pybullet(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(KinfeasError, match=r"the PyBullet world needs Python 3\.11"):
+        Physics(PhysicsConfig())
+
+
+def test_starts_without_a_word(capfd):
+    Physics(PhysicsConfig()).close()
+    captured = capfd.readouterr()
+    assert (captured.out, captured.err) == ("", "")
