@@ -60,14 +60,15 @@ def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
 
     The EE moves by 1 cm and 0.01 rad, the base under it by up to 2 cm, all in random directions.
     Steps that no configuration follows are left out; a robot with leeway, whose joints are too few
-    to follow any step exactly, gets the pose that it comes to.
+    to follow any step exactly, gets the pose that it comes to, unless that is where it is.
     """
     solver, poses, seeds, found = IkSolver(robot), [], [], 0
     while found < count:
         seed = _free_configurations(solver, count, rng)
         solution = solver.solve(_one_step(forward(solver.chain, seed), rng), seed)
-        poses.append(forward(solver.chain, solution.joint_positions[solution.feasible]))
-        seeds.append(seed[solution.feasible])
+        moved = solution.feasible & np.any(solution.joint_positions != seed, axis=1)
+        poses.append(forward(solver.chain, solution.joint_positions[moved]))
+        seeds.append(seed[moved])
         found += len(seeds[-1])
     return Targets(np.concatenate(poses)[:count], np.concatenate(seeds)[:count])
 
