@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.spatial import Array
+
+Grip = Literal["close", "open"]
+"""What a gripper does."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,20 @@ class Stochastic(Protocol):
 
     def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
         """Begin new episodes with one seed each, shape (m,), in the m `rows`."""
+        ...
+
+
+@runtime_checkable
+class Gripping(Protocol):
+    """A backend or adapter whose robots have grippers."""
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Begin to close or to open the grippers of robots.
+
+        Args:
+            grip: What they do.
+            rows: Indices of the m robots.
+        """
         ...
 
 

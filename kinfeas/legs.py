@@ -3,12 +3,14 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
+from kinfeas.backend import Grip
+from kinfeas.config import Interval
 from kinfeas.motion import Demonstrated, MotionGenerator, State
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
@@ -21,6 +23,9 @@ Moves = tuple[Array, list[State]]
 GOAL_METRES, GOAL_RADIANS = 0.025, float(np.deg2rad(12.0))
 """How near to the end of a leg, on a feasible step, is there."""
 
+SETTLED_METRES, SETTLE_SECONDS = 0.005, 5.0
+"""How near a gripper comes to the end of a leg before it acts, and how long it may take."""
+
 _STATES, _ROWS = "motion", ("desired", "leg", "waiting", "seeds", "targets")
 
 
@@ -32,11 +37,29 @@ class LegMotion:
         generator: Moves the frame; legs may share one.
         frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
         wait: Seconds that the EE stands still after its arrival.
+        grip: What the gripper does then.
     """
 
     generator: MotionGenerator
     frame: Frame = "ee"
     wait: float = 0.0
+    grip: Grip | None = None
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a robot with inertia carries motions out.
+
+    Attributes:
+        slow_down: How many times longer than planned they last; waits do not.
+        head_start: Seconds that the EE stands still at first, while the base moves already.
+        settle: Motion seconds for which a leg that ends with a grip goes on after the arrival, to
+            bring the EE within `SETTLED_METRES` of the end.
+    """
+
+    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
+    head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    settle: Annotated[float, Interval(low=0.0)] = 0.0
 
 
 def tool_pose(robot: Robot) -> Array:
@@ -54,23 +77,31 @@ class Course:
     Attributes:
         desired: Desired world pose of the EE, shape (n, 7).
         leg: Number of the leg that each row is at, shape (n,).
-        waiting: Control periods for which it still stands still, shape (n,).
+        waiting: Control periods until it begins the next leg, shape (n,): first those in which
+            the motion settles, then those in which it stands still. Below zero, periods until it
+            begins the first one.
     """
 
-    def __init__(self, legs: Sequence[LegMotion], robot: Robot, dt: float) -> None:
+    def __init__(
+        self, legs: Sequence[LegMotion], robot: Robot, dt: float, pace: Pace | None = None
+    ) -> None:
         """Set out the legs; `start` must follow before anything else.
 
         Args:
             legs: At least one.
             robot: Whose tool tip `tip` legs move.
             dt: Control period in seconds.
+            pace: Head start and settling; none by default.
         """
+        pace = pace or Pace()
         distinct = {id(leg.generator): leg.generator for leg in legs}
         order = list(distinct)
         self.legs, self.generators = tuple(legs), list(distinct.values())
         self._which = np.array([order.index(id(leg.generator)) for leg in legs])
-        # Rounding must not make 2 s of 0.1 s 21 periods.
-        self._periods = np.array([math.ceil(leg.wait / dt - 1e-6) for leg in legs], dtype=np.intp)
+        self._head_start = _periods(pace.head_start, dt)
+        settle = _periods(pace.settle * pace.slow_down, dt)
+        self._periods = np.array([_periods(leg.wait, dt) for leg in legs], dtype=np.intp)
+        self._settle = np.array([settle if leg.grip else 0 for leg in legs], dtype=np.intp)
         tool = tool_pose(robot)
         self._tips = any(leg.frame == "tip" for leg in legs)
         self._tool = np.stack([tool if leg.frame == "tip" else spatial.IDENTITY for leg in legs])
@@ -101,7 +132,7 @@ class Course:
         """
         none = np.zeros(len(rngs), dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        fresh = (ee_pose, none, none, seeds, target_poses)
+        fresh = (ee_pose, none, none - self._head_start, seeds, target_poses)
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
@@ -122,6 +153,13 @@ class Course:
         return self.leg == len(self.legs) - 1
 
     @property
+    def stands(self) -> NDArray[np.bool_]:
+        """Whether each row's desired pose stands still now, shape (n,)."""
+        settled = self.waiting <= self._periods[self.leg]
+        stands: NDArray[np.bool_] = (self.waiting != 0) & settled
+        return stands
+
+    @property
     def demonstrated_base(self) -> Array:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
         unknown = np.broadcast_to(np.nan, (len(self.leg), 7))
@@ -138,7 +176,7 @@ class Course:
     def ahead(self, dt: float) -> Moves:
         """Return where the desired EE poses will be in `dt` seconds; nothing moves yet."""
         frame = self._to_frame(self.desired)
-        stands = self.waiting > 0
+        stands = self.stands
         if len(self.generators) == 1 and not stands.any():
             twist, state = self.generators[0].twist(self._states[0], frame, dt)
             return self._to_ee(spatial.integrate(frame, twist, dt)), [state]
@@ -154,22 +192,34 @@ class Course:
         """Go where `ahead` looked."""
         self.desired, self._states = moves
 
-    def advance(self, arrived: NDArray[np.bool_]) -> None:
-        """End a control period: wait, or begin the next leg.
+    def advance(
+        self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.bool_]:
+        """End a control period: settle, wait, or begin the next leg.
 
         Args:
             arrived: Whether the EE is at the end of its leg, shape (n,).
+            settled: Whether it is as near as a grip needs it, shape (n,); not by default.
+
+        Returns:
+            Whether the motion of a leg that is not the last has just come to its end, shape (n,).
         """
-        if len(self.legs) == 1:
-            return
-        left = np.maximum(self.waiting - 1, 0)
+        if len(self.legs) == 1 and not self._head_start:
+            return np.zeros(len(self.leg), dtype=np.bool_)
+        left = self.waiting - np.sign(self.waiting)
         ends = arrived & (self.waiting == 0) & ~self.last
-        left[ends] = self._periods[self.leg[ends]]
+        stand = self._periods[self.leg]
+        moved = ends | (self.waiting > stand)
+        left = np.where(ends, stand + self._settle[self.leg], left)
+        if settled is not None:
+            left = np.where(settled, np.minimum(left, stand), left)
         goes_on = ((self.waiting > 0) | ends) & (left == 0)
         self.waiting = left
         if goes_on.any():
             self.leg = self.leg + goes_on
             self._begin(np.flatnonzero(goes_on))
+        stops: NDArray[np.bool_] = moved & (left <= stand)
+        return stops
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that the motions go on from, by name."""
@@ -230,6 +280,11 @@ class Course:
     def _to_ee(self, frame: Array) -> Array:
         """Return the EE poses that put the moved frames at `frame`, shape (n, 7)."""
         return spatial.compose(frame, self._ee_in_tool[self.leg]) if self._tips else frame
+
+
+def _periods(seconds: float, dt: float) -> int:
+    # Rounding must not make 2 s of 0.1 s 21 periods.
+    return math.ceil(seconds / dt - 1e-6)
 
 
 def _of_rows(state: State, rows: Rows) -> State:

@@ -8,12 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
-from kinfeas.backend import Backend, Resumable, RobotState, Stochastic
+from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
 from kinfeas.drive import base_twist
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS, Course, LegMotion, Rows
+from kinfeas.legs import (
+    GOAL_METRES,
+    GOAL_RADIANS,
+    SETTLED_METRES,
+    Course,
+    LegMotion,
+    Pace,
+    Rows,
+)
 from kinfeas.observation import HORIZON, observe
 from kinfeas.policy import Situation
 from kinfeas.spatial import Array
@@ -58,6 +66,7 @@ class Loop:
         legs: Sequence[LegMotion],
         backend: Backend,
         dt: float = HORIZON,
+        pace: Pace | None = None,
     ) -> None:
         """Connect the parts; `start` must follow before anything else.
 
@@ -66,10 +75,13 @@ class Loop:
             legs: Motions that every EE makes one after the other, at least one.
             backend: Moves the robots.
             dt: Control period in seconds.
+            pace: How the motions are carried out; as they are planned by default.
         """
+        pace = pace or Pace()
         self.solver, self.backend, self.dt = solver, backend, dt
         self.robot = solver.robot
-        self.course = Course(legs, self.robot, dt)
+        self.course = Course(legs, self.robot, dt, pace)
+        self._motion_time = dt / pace.slow_down
         self._velocity = np.array([joint.velocity for joint in self.robot.arm])
         self._continuous = np.array([joint.continuous for joint in self.robot.arm])
 
@@ -103,7 +115,8 @@ class Loop:
         """
         # What was looked ahead for is not computed again.
         course = self.course
-        course.move(self._ahead if self.dt == HORIZON else course.ahead(self.dt))
+        time = self._motion_time
+        course.move(self._ahead if time == HORIZON else course.ahead(time))
         command = base_twist(self.robot.base, self.state.base_pose, action, self.dt)
         commanded = spatial.integrate(self.state.base_pose, command, self.dt)
         before = self.state.joint_positions
@@ -123,7 +136,8 @@ class Loop:
             finished=arrived & course.last,
             jumped=self._jumped(before, arm.joint_positions),
         )
-        course.advance(arrived)
+        stops = course.advance(arrived, arrived & (goal_distance <= SETTLED_METRES))
+        self._grip(step.leg, stops | step.finished)
         self._look_ahead()
         return step
 
@@ -169,6 +183,15 @@ class Loop:
         self.state = state
         self._ee_in_base = forward(self.solver.chain, state.joint_positions)
         self.ee_pose = spatial.compose(state.base_pose, self._ee_in_base)
+
+    def _grip(self, leg: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
+        """Let the grippers do what the legs say that have just come to their end."""
+        if not (isinstance(self.backend, Gripping) and stops.any()):
+            return
+        for number, one in enumerate(self.course.legs):
+            rows = np.flatnonzero(stops & (leg == number))
+            if one.grip is not None and rows.size:
+                self.backend.grip(one.grip, rows)
 
     def _look_ahead(self) -> None:
         """Find where the motions lead from here, and what a policy sees of that."""

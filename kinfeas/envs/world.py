@@ -13,6 +13,7 @@ from kinfeas.config import Interval
 from kinfeas.drive import action_size
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.legs import Pace
 from kinfeas.loop import Loop, Rows, Step
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
@@ -86,18 +87,29 @@ class World:
     Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k).
     """
 
-    def __init__(self, robot: Robot, task: Task, config: WorldConfig, seed: int) -> None:
-        """Build the analytic world.
+    def __init__(  # noqa: PLR0913, PLR0917 - robot, task and what they are put into
+        self,
+        robot: Robot,
+        task: Task,
+        config: WorldConfig,
+        seed: int,
+        backend: Backend | None = None,
+        pace: Pace | None = None,
+    ) -> None:
+        """Build a world.
 
         Args:
             robot: Who moves.
             task: Draws episodes.
             config: Everything else.
             seed: Of all episodes.
+            backend: What the adapters are wrapped around; the analytic world by default.
+            pace: How the EE motions are carried out; as they are planned by default.
         """
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
-        self.loop = Loop(self.solver, build_legs(task.legs), _backend(config), config.dt)
+        wrapped = _backend(config, backend)
+        self.loop = Loop(self.solver, build_legs(task.legs), wrapped, config.dt, pace)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 
@@ -168,8 +180,9 @@ class World:
         return self.loop.observation
 
 
-def _backend(config: WorldConfig) -> Backend:
-    backend = registry.build("kinfeas.backends", "analytic", {})
+def _backend(config: WorldConfig, backend: Backend | None) -> Backend:
+    if backend is None:
+        backend = registry.build("kinfeas.backends", "analytic", {})
     for adapter in config.adapters:
         backend = registry.build(
             "kinfeas.adapters", adapter.name, {"backend": backend, **adapter.parameters}

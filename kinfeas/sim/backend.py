@@ -1,11 +1,9 @@
 """The PyBullet world as a backend of the loop: one robot, with inertia, motors and contacts."""
 
-from collections.abc import Collection
-
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import RobotState
+from kinfeas.backend import Grip, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
@@ -58,7 +56,24 @@ class PyBulletBackend:
         self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
         self.gripper = GripperDrive(self.body) if robot.gripper else None
         self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
+        self._handled: tuple[int, int] | None = None
+        self._rigid, self._reaches = True, False
         self.physics.keep()
+
+    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
+        """Set what the gripper takes hold of when it closes; it is open at each reset from now on.
+
+        Args:
+            name: Name of an object of the scene.
+            link: Its link.
+            rigid: Whether the link cannot turn in the hand either.
+
+        Raises:
+            KinfeasError: If there is no scene, object, link or gripper.
+        """
+        if self.furniture is None or self.gripper is None:
+            raise KinfeasError("nothing can be handled without a scene and a gripper")
+        self._handled, self._rigid = self.furniture.link(name, link), rigid
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
@@ -82,9 +97,26 @@ class PyBulletBackend:
         self.body.reset(base_pose[0], joint_positions[0])
         self._base.reset()
         self._arm.reset(joint_positions[0])
+        self._reaches = False
         if self.gripper is not None:
             self.gripper.reset()
+            if self._handled is not None:
+                self.gripper.open()
         return self.body.state()
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Begin to close or open the gripper; closing, it holds what both of its fingers touch.
+
+        Only what `handle` has set is held.
+        """
+        if self.gripper is None or self.grasp is None or not rows.size:
+            return
+        self._reaches = grip == "close"
+        if self._reaches:
+            self.gripper.close()
+        else:
+            self.grasp.release()
+            self.gripper.open()
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive base, arm and gripper for `dt` seconds; shapes as in `Backend`.
@@ -104,11 +136,14 @@ class PyBulletBackend:
             self.physics.advance()
         if self.grasp is not None:
             self.grasp.update()
+            if self._reaches and self._handled is not None and self.grasp.held is None:
+                # Once held, what slips out is lost.
+                self._reaches = not self.grasp.hold(*self._handled, rigid=self._rigid)
         return self.body.state()
 
-    def contacts(self, handled: Collection[int] = ()) -> Contacts:
-        """Return what the robot touches now, but for the bodies of the numbers `handled`."""
-        return contacts(self.body, handled)
+    def contacts(self) -> Contacts:
+        """Return what the robot touches now, but for the link that it handles."""
+        return contacts(self.body, () if self._handled is None else (self._handled,))
 
     def close(self) -> None:
         """End the world; it may be called twice."""

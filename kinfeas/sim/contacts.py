@@ -19,8 +19,8 @@ class Contacts:
     arm: int
 
 
-def contacts(body: RobotBody, handled: Collection[int] = ()) -> Contacts:
-    """Return what the robot touches, but for the bodies of the numbers `handled`.
+def contacts(body: RobotBody, handled: Collection[tuple[int, int]] = ()) -> Contacts:
+    """Return what the robot touches, but for the `handled` links: numbers of body and link.
 
     The robot's own links, and the floor below its base, do not count.
     """
@@ -28,7 +28,7 @@ def contacts(body: RobotBody, handled: Collection[int] = ()) -> Contacts:
     touching = {
         (point[3], point[2], point[4])
         for point in points
-        if point[8] <= 0.0 and point[2] != body.body and point[2] not in handled
+        if point[8] <= 0.0 and point[2] != body.body and (point[2], point[4]) not in handled
     }
     arm = sum(link in body.arm_links for link, _, _ in touching)
     return Contacts(base=len(touching) - arm, arm=arm)

@@ -82,6 +82,18 @@ class Furniture:
         position: float = self._physics.client.getJointState(self.bodies[name], joints[joint])[0]
         return position
 
+    def stands(self, name: str, on: str) -> bool:
+        """Return whether an object rests on another one and on nothing else.
+
+        Raises:
+            KinfeasError: If there is no such object.
+        """
+        client = self._physics.client
+        body, below = (self._of(one, self._numbers) for one in (name, on))
+        speed = np.linalg.norm(client.getBaseVelocity(body)[0])
+        touched = {point[2] for point in client.getContactPoints(bodyA=body) if point[8] <= 0.0}
+        return bool(speed <= _REST) and touched == {below}
+
     def _of(self, name: str, known: dict[str, dict[str, int]]) -> dict[str, int]:
         if name not in known:
             raise KinfeasError(f"there is no object {name!r}{no_such(name, known)}")

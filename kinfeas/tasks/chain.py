@@ -14,6 +14,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
+from kinfeas.tasks.scene import TaskScene
 from kinfeas.tasks.task import Leg, NotNegative
 
 Drawn = float | tuple[float, float]
@@ -84,12 +85,14 @@ class ChainTask:
         legs: The motions, at least one.
         places: What they lead to, by name.
         start: Where the base begins.
+        scene: What happens to objects, in worlds that have them.
     """
 
     name: str
     legs: tuple[ChainLeg, ...]
     places: dict[str, Place]
     start: BaseStart = field(default_factory=BaseStart)
+    scene: TaskScene | None = None
 
     def __post_init__(self) -> None:
         """Check that the legs lead to places that there are."""
@@ -99,6 +102,13 @@ class ChainTask:
             if leg.place not in self.places:
                 known = no_such(leg.place, self.places)
                 raise ValueError(f"'legs.{number}.place': unknown place {leg.place!r}{known}")
+        reached = {leg.place for leg in self.legs}
+        for name, move in self.scene.moves.items() if self.scene else ():
+            if move.place not in reached:
+                known = no_such(move.place, reached)
+                raise ValueError(
+                    f"'scene.moves.{name}.place': no leg leads to {move.place!r}{known}"
+                )
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
@@ -108,6 +118,20 @@ class ChainTask:
         bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
         heading = bearing + rng.uniform(-self.start.heading, self.start.heading)
         return Start(planar_pose(x, y, heading), random_arm(solver, rng), targets)
+
+    def object_poses(self, targets: Array) -> dict[str, Array]:
+        """Return where the objects stand that an episode moves, shape (7,), by their names.
+
+        Args:
+            targets: What the legs of the episode lead to, shape (legs, 7).
+        """
+        if self.scene is None:
+            return {}
+        places = {
+            leg.place: _shifted(target, _minus(leg.offset))
+            for leg, target in zip(self.legs, targets, strict=True)
+        }
+        return {name: move.carry(places[move.place]) for name, move in self.scene.moves.items()}
 
 
 def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> ChainTask:
@@ -156,6 +180,11 @@ def _changed(data: Mapping[str, object], changes: Mapping[str, object]) -> dict[
 
 def _draw(number: Drawn, rng: np.random.Generator) -> float:
     return float(rng.uniform(*number)) if isinstance(number, tuple) else number
+
+
+def _minus(offset: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = offset
+    return -x, -y, -z
 
 
 def _shifted(place: Array, offset: tuple[float, float, float]) -> Array:

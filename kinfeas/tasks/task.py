@@ -7,6 +7,7 @@ from typing import Annotated, Protocol
 import numpy as np
 
 from kinfeas import registry
+from kinfeas.backend import Grip
 from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.legs import Frame, LegMotion
@@ -37,11 +38,13 @@ class Leg:
         frame: Whether that is the EE frame or the tool tip in the common gripper convention, whose
             x is the approach and whose y the finger axis.
         wait: Seconds that the EE stands still after its arrival, while the base may move.
+        grip: What the gripper does then, in worlds that have one.
     """
 
     motion: MotionSpec = field(default_factory=MotionSpec)
     frame: Frame = "ee"
     wait: NotNegative = 0.0
+    grip: Grip | None = None
 
 
 class Task(Protocol):
@@ -84,5 +87,5 @@ def build_legs(legs: Sequence[Leg]) -> tuple[LegMotion, ...]:
                 "kinfeas.motion_generators", leg.motion.generator, leg.motion.parameters
             )
         )
-        built.append(LegMotion(generator, leg.frame, leg.wait))
+        built.append(LegMotion(generator, leg.frame, leg.wait, leg.grip))
     return tuple(built)
