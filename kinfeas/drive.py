@@ -66,7 +66,8 @@ def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> A
     if base.drive == "omnidirectional":
         forward, left = _clip_speed(forward, left, base)
         return np.stack([forward, left, np.zeros_like(left)], axis=1) / base.max_velocity
-    bearing = np.where(forward >= 0.0, np.arctan2(left, forward), np.arctan2(-left, -forward))
+    # Of the absolute value, since a velocity of -0 would point behind.
+    bearing = np.arctan2(np.where(forward >= 0.0, left, -left), np.abs(forward))
     turn = np.clip(bearing / dt, -base.max_rotation, base.max_rotation)
     along = forward * np.cos(turn * dt) + left * np.sin(turn * dt)
     action = np.stack([along / base.max_velocity, turn / base.max_rotation], axis=1)

@@ -82,6 +82,7 @@ class Loop:
         self.robot = solver.robot
         self.course = Course(legs, self.robot, dt, pace)
         self._motion_time = dt / pace.slow_down
+        self._sent: Array = np.empty((0, len(self.robot.arm)))
         self._velocity = np.array([joint.velocity for joint in self.robot.arm])
         self._continuous = np.array([joint.continuous for joint in self.robot.arm])
 
@@ -102,6 +103,11 @@ class Loop:
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.course.start(ee, start.target_poses, rngs, rows)
         self._measured(state)
+        joints = state.joint_positions.copy()
+        if rows is not None:
+            others = np.setdiff1d(np.arange(len(joints)), rows)
+            joints[others] = self._sent[others]
+        self._sent = joints
         self._look_ahead()
 
     def step(self, action: Array) -> Step:
@@ -119,10 +125,11 @@ class Loop:
         course.move(self._ahead if time == HORIZON else course.ahead(time))
         command = base_twist(self.robot.base, self.state.base_pose, action, self.dt)
         commanded = spatial.integrate(self.state.base_pose, command, self.dt)
-        before = self.state.joint_positions
+        before = self._sent
         target = spatial.relative(course.desired, commanded)
         arm = self.solver.solve(target, before, self._velocity * self.dt)
-        self._measured(self.backend.step(command, arm.joint_positions, self.dt))
+        self._sent = arm.joint_positions
+        self._measured(self.backend.step(command, self._sent, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         step = Step(
@@ -159,6 +166,7 @@ class Loop:
             raise KinfeasError(f"{type(self.backend).__name__} cannot go on from a saved run")
         self.course.restore(snapshot)
         self._measured(self.backend.restore(snapshot))
+        self._sent = self.state.joint_positions
         self._look_ahead()
 
     @property

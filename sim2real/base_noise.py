@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Resumable, RobotState, Stochastic
+from kinfeas.backend import Backend, Grip, Gripping, Resumable, RobotState, Stochastic
 from kinfeas.errors import KinfeasError
 from kinfeas.spatial import Array
 
@@ -62,6 +62,11 @@ class BaseNoise:
         disturbed[:, :2] += noise[:, :2] * self.linear
         disturbed[:, 5] += noise[:, 2] * self.angular
         return self.backend.step(disturbed, joint_targets, dt)
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Pass on to a backend that has grippers."""
+        if isinstance(self.backend, Gripping):
+            self.backend.grip(grip, rows)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return how far the draws have come, beside the state of the wrapped backend."""

@@ -146,3 +146,10 @@ def test_rows_do_not_depend_on_the_batch(base):
         np.testing.assert_array_equal(
             action_toward(base, poses[row], velocity[row], DT), toward[row]
         )
+
+
+def test_a_velocity_of_zero_turns_nowhere():
+    pose = headings(*np.linspace(-np.pi, np.pi, 9))
+    for zero in (0.0, -0.0):
+        action = action_toward(DIFFERENTIAL, pose, np.full((9, 2), zero), DT)
+        np.testing.assert_array_equal(action, np.zeros((9, 2)))

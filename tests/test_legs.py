@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas import spatial
-from kinfeas.legs import Course, LegMotion, tool_pose
+from kinfeas.legs import Course, LegMotion, Pace, tool_pose
 from kinfeas.observation import HORIZON
 from kinfeas.plugins.linear import Linear
 
@@ -223,3 +223,50 @@ def test_legs_may_share_a_generator(robot):
     legs = [LegMotion(linear), replace(LegMotion(linear), frame="tip")]
     assert len(Course(legs, robot, HORIZON).generators) == 1
     assert len(Course(chain(), robot, HORIZON).generators) == 2
+
+
+def test_a_head_start_delays_the_first_leg_and_no_other(robot):
+    legs = [LegMotion(Linear(), wait=0.2), LegMotion(Linear())]
+    course = Course(legs, robot, HORIZON, Pace(head_start=0.5))
+    targets = np.repeat(poses(2, 1)[:, np.newaxis], 2, axis=1)
+    course.start(poses(2), targets, rngs(range(2)))
+    seen = follow(course, 8, lambda i: np.array([i == 6, False]))
+    assert np.all(seen[:5] == poses(2))
+    assert np.all(np.any(seen[5] != seen[4], axis=1))
+    assert course.waiting.tolist() == [1, 0]
+    follow(course, 1, lambda _: np.array([False, False]))
+    assert course.leg.tolist() == [1, 0]
+
+
+def test_a_head_start_is_for_each_episode_alone(robot):
+    course = Course([LegMotion(Linear())], robot, HORIZON, Pace(head_start=0.3))
+    targets = poses(2, 1)[:, np.newaxis]
+    course.start(poses(2), targets, rngs(range(2)))
+    follow(course, 3)
+    course.start(poses(2)[:1], targets[:1], rngs([0]), np.array([0]))
+    before = course.desired
+    (after,) = follow(course, 1)
+    assert np.all(after[0] == before[0])
+    assert np.any(after[1] != before[1])
+
+
+@pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
+def test_a_leg_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
+    legs = [LegMotion(Linear(), wait=0.3, grip="close"), LegMotion(Linear(), grip="open")]
+    course = Course(legs, robot, HORIZON, Pace(slow_down=2.0, settle=0.2))
+    course.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    stops, moves = [], []
+    for i in range(7):
+        before = course.desired
+        course.move(course.ahead(HORIZON))
+        moves.append(bool(np.any(course.desired != before)))
+        stops.append(bool(course.advance(everyone(course), np.array([i >= settled_at]))[0]))
+    assert stops == [i == stops_at for i in range(7)]
+    assert moves[: stops_at + 4] == ([True] * (stops_at + 1) + [False] * 3)[: len(moves)]
+
+
+def test_a_leg_without_a_grip_does_not_settle(robot):
+    course = Course([LegMotion(Linear(), wait=0.3)] * 2, robot, HORIZON, Pace(settle=1.0))
+    course.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    assert course.advance(everyone(course)).all()
+    assert course.stands.all()

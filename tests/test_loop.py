@@ -8,7 +8,7 @@ from kinfeas.backend import RobotState
 from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.kinematics.forward import forward
-from kinfeas.legs import LegMotion
+from kinfeas.legs import LegMotion, Pace
 from kinfeas.loop import Loop
 from kinfeas.observation import HORIZON, observe
 from kinfeas.plugins.linear import Linear
@@ -399,3 +399,54 @@ def test_policies_see_no_demonstrated_base_where_there_is_none(solver):
     loop = make_loop(solver, 3)
     assert np.isnan(loop.situation.demonstrated_base).all()
     assert loop.situation.demonstrated_base.shape == (3, 7)
+
+
+class Hands(Recorder):
+    """Writes down what the grippers are told, with the number of steps until then."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.grips: list[tuple] = []
+
+    def grip(self, grip, rows):
+        self.grips.append((grip, rows.tolist(), len(self.steps)))
+
+
+def test_grippers_act_where_legs_end(solver):
+    hands, start = Hands(), starts(solver.robot, 2)
+    targets = targets_at(make_loop(solver, 2), -0.01, -0.01)
+    legs = [LegMotion(Linear(), wait=0.2, grip="close"), LegMotion(Linear(), grip="open")]
+    loop = Loop(solver, legs, hands)
+    loop.start(Start(start.base_pose, start.joint_positions, targets), rngs(2))
+    for _ in range(4):
+        loop.step(still(loop))
+    assert hands.grips[:2] == [("close", [0, 1], 1), ("open", [0, 1], 4)]
+
+
+def test_slowed_down_motions_are_seen_as_they_are_planned(solver):
+    loops = []
+    for pace in (Pace(), Pace(slow_down=2.0)):
+        loop = Loop(solver, [LegMotion(Linear())], AnalyticBackend(), pace=pace)
+        loop.start(starts(solver.robot, 3), rngs(3))
+        loops.append(loop)
+    plain, slow = loops
+    np.testing.assert_array_equal(slow.observation, plain.observation)
+    start = plain.desired
+    for loop, steps in ((plain, 5), (slow, 10)):
+        for _ in range(steps):
+            loop.step(still(loop))
+    ways = [spatial.distance(start, loop.desired)[0] for loop in loops]
+    np.testing.assert_allclose(ways[1], ways[0], rtol=0.02)
+
+
+def test_ik_goes_on_from_where_the_arm_was_sent(solver):
+    """An arm that lags behind is no reason to look for another configuration."""
+    recorder = Recorder()
+    loop = make_loop(solver, 1, recorder)
+    expected = make_loop(solver, 1, Recorder())
+    for _ in range(5):
+        loop.step(still(loop))
+        expected.step(still(expected))
+        loop.state = RobotState(loop.state.base_pose, loop.state.joint_positions - 0.05)
+    sent, same = (one.backend.steps[-1][1] for one in (loop, expected))
+    np.testing.assert_array_equal(sent, same)

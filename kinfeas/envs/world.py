@@ -87,7 +87,7 @@ class World:
     Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k).
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917 - robot, task and what they are put into
+    def __init__(
         self,
         robot: Robot,
         task: Task,

@@ -133,6 +133,8 @@ class PyBulletBackend:
             self._arm.drive(step)
             if self.gripper is not None:
                 self.gripper.drive()
+            if self.grasp is not None:
+                self.grasp.drive()
             self.physics.advance()
         if self.grasp is not None:
             self.grasp.update()
@@ -145,6 +147,11 @@ class PyBulletBackend:
         """Return what the robot touches now, but for the link that it handles."""
         return contacts(self.body, () if self._handled is None else (self._handled,))
 
+    def free(self) -> bool:
+        """Return whether the robot touches nothing where it is."""
+        self.physics.client.performCollisionDetection()
+        return self.contacts() == Contacts(base=0, arm=0)
+
     def close(self) -> None:
         """End the world; it may be called twice."""
         self.physics.close()
@@ -154,7 +161,7 @@ class PyBulletBackend:
         before = self.physics.step_time
         steps = self.physics.divide(dt)
         if self.physics.step_time != before:
-            for part in (self.furniture, self.gripper, self.grasp):
+            for part in (self.furniture, self.gripper):
                 if part is not None:
                     part.retime()
         return steps

@@ -1,5 +1,10 @@
 """The objects of a scene as bodies of the PyBullet world."""
 
+from collections.abc import Mapping
+from typing import TypeVar
+
+import numpy as np
+
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.tree import Joint
 from kinfeas.scenes.objects import free_joints
@@ -7,6 +12,11 @@ from kinfeas.scenes.scene import Scene
 from kinfeas.schema import no_such
 from kinfeas.sim.physics import Physics
 from kinfeas.spatial import Array
+
+T = TypeVar("T")
+
+_REST = 0.05  # m/s, below which something stands
+_TOUCH = 1e-3  # m, between things that touch
 
 
 class Furniture:
@@ -83,18 +93,18 @@ class Furniture:
         return position
 
     def stands(self, name: str, on: str) -> bool:
-        """Return whether an object rests on another one and on nothing else.
+        """Return whether an object rests on another one.
 
         Raises:
             KinfeasError: If there is no such object.
         """
         client = self._physics.client
-        body, below = (self._of(one, self._numbers) for one in (name, on))
-        speed = np.linalg.norm(client.getBaseVelocity(body)[0])
-        touched = {point[2] for point in client.getContactPoints(bodyA=body) if point[8] <= 0.0}
-        return bool(speed <= _REST) and touched == {below}
+        body, below = (self._of(one, self.bodies) for one in (name, on))
+        speed = float(np.linalg.norm(client.getBaseVelocity(body)[0]))
+        points = client.getContactPoints(bodyA=body, bodyB=below)
+        return speed <= _REST and any(point[8] <= _TOUCH for point in points)
 
-    def _of(self, name: str, known: dict[str, dict[str, int]]) -> dict[str, int]:
+    def _of(self, name: str, known: Mapping[str, T]) -> T:
         if name not in known:
             raise KinfeasError(f"there is no object {name!r}{no_such(name, known)}")
         return known[name]

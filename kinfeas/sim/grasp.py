@@ -3,31 +3,36 @@
 import numpy as np
 
 from kinfeas.errors import KinfeasError
+from kinfeas.legs import tool_pose
 from kinfeas.sim.gripper import GripperDrive
 from kinfeas.sim.robot_body import RobotBody
-from kinfeas.spatial import IDENTITY, Array, compose, relative
+from kinfeas.spatial import Array, compose, rotation
 
-_STIFFER = 10.0  # times the limit is what the constraint may exert, so that it is seen to exceed it
+_PAD = 0.03  # m, how far from the tip the fingers hold what cannot turn
+_CENTRE = np.zeros((1, 3))
+# In the plane of the pads, whose normal is the finger axis.
+_PADS = _PAD * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 
 
 class Grasp:
     """Holds one link of one body at a time.
 
     It stands for the friction of soft fingers, which a simulation of boxes lacks: it forms only
-    where both fingers touch, and it breaks above a force.
+    where both fingers touch, and it breaks above a force. It gives way like fingers and arm of a
+    real robot: the simulated motors do not, and a rigid grasp between them and a door that is shut
+    would have to bear any force.
 
     Attributes:
         held: Numbers of body and link in the hand; None for nothing.
-        force: What the grasp exerted in the last control period, N.
+        force: What the grasp exerted in the last physics step, N.
     """
 
     def __init__(self, body: RobotBody, gripper: GripperDrive) -> None:
         """Make a hand that holds nothing."""
-        self._body, self._gripper = body, gripper
-        self._link = body.links[body.robot.ee_frame]
-        self._tip = np.concatenate([body.robot.tool_tip, IDENTITY[3:]])
-        self._limit = body.physics.config.grasp_limit
-        self._constraint: int | None = None
+        self._physics, self._gripper = body.physics, gripper
+        self._hand = (body.body, body.links[body.robot.ee_frame])
+        self._tip = tool_pose(body.robot)
+        self._ends: list[tuple[tuple[int, int], Array]] = []
         self.held: tuple[int, int] | None = None
         self.force = 0.0
 
@@ -46,43 +51,45 @@ class Grasp:
             raise KinfeasError("the gripper holds something already, release it first")
         if self._gripper.touching(body, link) != {0, 1}:
             return False
-        physics, client = self._body.physics, self._body.physics.client
-        # PyBullet gives frames of constraints in those of the links' inertia.
-        tip = compose(physics.link_pose(self._body.body, self._link), self._tip)
-        parent = relative(tip, physics.mass_pose(self._body.body, self._link))
-        child = relative(tip, physics.mass_pose(body, link))
-        kind = client.JOINT_FIXED if rigid else client.JOINT_POINT2POINT
-        constraint = client.createConstraint(
-            self._body.body, self._link, body, link, kind, [0.0] * 3, *_frames(parent, child)
-        )
-        self._constraint, self.held = constraint, (body, link)
-        self.retime()
+        self.held = (body, link)
+        tip = compose(self._physics.link_pose(*self._hand), self._tip)
+        points = tip[:3] + rotation(tip).apply(_PADS if rigid else _CENTRE)
+        self._ends = [(end, self._within(end, points)) for end in (self._hand, self.held)]
         # Fingers that squeeze on, one a little more than the other, would pull at the grasp.
         self._gripper.relax()
         return True
 
-    def retime(self) -> None:
-        """Follow a change of the physics step, for which PyBullet keeps impulses, not forces."""
-        if self._constraint is not None:
-            self._body.physics.client.changeConstraint(
-                self._constraint, maxForce=_STIFFER * self._limit
-            )
+    def drive(self) -> None:
+        """Pull hand and link together for one physics step."""
+        if self.held is None:
+            return
+        config, client = self._physics.config, self._physics.client
+        (hand, hand_speed), (link, link_speed) = (self._motion(*end) for end in self._ends)
+        share = 1.0 / len(hand)
+        forces = config.grasp_stiffness * share * (hand - link)
+        forces += config.grasp_damping * share * (hand_speed - link_speed)
+        self.force = float(np.linalg.norm(forces.sum(axis=0)))
+        for point_in_hand, point, force in zip(hand, link, forces, strict=True):
+            for end, at, pull in ((self._hand, point_in_hand, -force), (self.held, point, force)):
+                client.applyExternalForce(*end, pull.tolist(), at.tolist(), client.WORLD_FRAME)
 
     def update(self) -> None:
-        """Measure the force after a control period and let go if it is above the limit."""
-        if self._constraint is None:
-            return
-        forces = self._body.physics.client.getConstraintState(self._constraint)
-        self.force = float(np.linalg.norm(forces[:3]))
-        if self.force > self._limit:
+        """Let go if the force is above the limit at the end of a control period."""
+        if self.force > self._physics.config.grasp_limit:
             self.release()
 
     def release(self) -> None:
         """Let go of what is held, if anything is."""
-        if self._constraint is not None:
-            self._body.physics.client.removeConstraint(self._constraint)
-        self._constraint, self.held, self.force = None, None, 0.0
+        self._ends, self.held, self.force = [], None, 0.0
 
+    def _within(self, end: tuple[int, int], points: Array) -> Array:
+        """Return world points (k, 3) in the frame of a link's inertia."""
+        pose = self._physics.mass_pose(*end)
+        return rotation(pose).inv().apply(points - pose[:3])
 
-def _frames(parent: Array, child: Array) -> tuple[list[float], ...]:
-    return parent[:3].tolist(), child[:3].tolist(), parent[3:].tolist(), child[3:].tolist()
+    def _motion(self, end: tuple[int, int], points: Array) -> tuple[Array, Array]:
+        """Return where points (k, 3) of a link are in the world now, and how fast they move."""
+        pose = self._physics.mass_pose(*end)
+        linear, angular = self._physics.velocity(*end)
+        lever = rotation(pose).apply(points)
+        return pose[:3] + lever, linear + np.cross(angular, lever)

@@ -1,6 +1,8 @@
 """A PyBullet world of its own: connection, time step, and the state that a reset returns to."""
 
 import math
+import os
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +36,8 @@ class PhysicsConfig:
         finger_friction: Coefficient at the fingers.
         finger_softness: How near the fingers must be to something to touch it with the soft pads
             that the URDFs lack, m.
+        grasp_stiffness: With which the hand holds, N/m: that of the fingers and the arm together.
+        grasp_damping: The same, N s/m.
         grasp_limit: Force at which a held object slips out of the hand, N.
     """
 
@@ -44,6 +48,8 @@ class PhysicsConfig:
     arm_horizon: Positive = 0.1
     finger_friction: Annotated[float, Interval(low=0.0)] = 1.0
     finger_softness: Annotated[float, Interval(low=0.0)] = 0.003
+    grasp_stiffness: Positive = 3000.0
+    grasp_damping: Annotated[float, Interval(low=0.0)] = 30.0
     grasp_limit: Positive = 80.0
 
 
@@ -129,6 +135,15 @@ class Physics:
         state = self.client.getLinkState(body, link, computeForwardKinematics=True)
         return np.concatenate(state[0:2])
 
+    def velocity(self, body: int, link: int) -> tuple[Array, Array]:
+        """Return how a link's inertia moves: m/s and rad/s, shapes (3,) and (3,)."""
+        if link == ROOT:
+            linear, angular = self.client.getBaseVelocity(body)
+        else:
+            state = self.client.getLinkState(body, link, computeLinkVelocity=True)
+            linear, angular = state[6:8]
+        return np.array(linear), np.array(angular)
+
     def place(self, body: int, pose: Array) -> None:
         """Put the root link of a body at rest at a world pose, shape (7,)."""
         # PyBullet means the frame of the inertia.
@@ -180,5 +195,8 @@ def _connect(gui: bool) -> Any:
         raise KinfeasError(
             "the PyBullet world needs Python 3.11: there is no PyBullet for later versions"
         ) from error
+    # PyBullet ends the process where there is no screen.
+    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise KinfeasError("a window needs a screen, and DISPLAY names none")
     with silence():
         return BulletClient(pybullet.GUI if gui else pybullet.DIRECT)

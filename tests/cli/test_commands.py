@@ -70,6 +70,37 @@ def test_evaluate_is_used_wrongly(arguments):
     assert kinfeas("evaluate", *arguments).exit_code == 2
 
 
+def test_evaluate_with_physics(tmp_path):
+    pytest.importorskip("pybullet")
+    path = tmp_path / "out.json"
+    options = ["--world", "pybullet", "--episodes", "1", "--robot", "hsr", "--task", "drawer"]
+    options += ["--head-start", "0.2", "--slow-down", "1.5", "--without-objects"]
+    short = ["--set", "world.max_seconds=0.5", "--json", str(path)]
+    result = kinfeas("evaluate", "--policy", "follow_ee", *options, *short)
+    assert "collisions of the base" in result.output
+    figures = json.loads(path.read_text())
+    assert (figures["head_start"], figures["slow_down"]) == (0.2, 1.5)
+    assert figures["objects"] is False
+    assert figures["task_success"] is None
+
+
+def test_a_window_needs_a_screen(monkeypatch):
+    pytest.importorskip("pybullet")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(KinfeasError, match="a window needs a screen"):
+        kinfeas(
+            "evaluate", "--policy", "follow_ee", "--world", "pybullet", "--gui", "--episodes", "1"
+        )
+
+
+@pytest.mark.parametrize(
+    "option", [["--head-start", "3"], ["--slow-down", "2"], ["--without-objects"], ["--gui"]]
+)
+def test_the_analytic_world_has_no_such_options(option):
+    with pytest.raises(KinfeasError, match=f"{option[0]} needs --world pybullet"):
+        kinfeas("evaluate", "--policy", "follow_ee", *option)
+
+
 TASK = """
 name: fetch
 places: {cup: {position: [1.5, [-1, 1], 0.8]}}

@@ -160,7 +160,7 @@ def test_the_time_limit_is_that_of_a_leg(robot):
     # The first row ends each leg, wait and all, on the last step allowed, the second one none.
     for i in range(80):
         ends = np.array([i in (34, 79), False])
-        world.loop.course.advance = lambda _, ends=ends: real(ends)
+        world.loop.course.advance = lambda *_, ends=ends: real(ends)
         transition = world.step(idle(world, 2))
         assert not transition.truncated[0]
         assert transition.truncated[1] == (i >= 39)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinfeas.sim.contacts import Contacts
+from kinfeas.sim.contacts import Contacts, contacts
 from tests.sim.conftest import stay, twist
 
 
@@ -13,9 +13,9 @@ def test_a_robot_alone_touches_nothing(world, begin):
 def test_a_base_that_runs_backwards_into_a_wall_touches_it(world, begin):
     begin(x=-2.3)
     stay(world, 150, twist(-0.2))
-    wall = world.furniture.bodies["wall"]
+    wall = world.furniture.link("wall", "wall")
     assert world.contacts().base > 0
-    assert world.contacts([wall]) == Contacts(base=0, arm=0)
+    assert contacts(world.body, [wall]) == Contacts(base=0, arm=0)
 
 
 def test_an_arm_that_reaches_into_a_wall_touches_it(world, begin, between_fingers):

@@ -4,6 +4,7 @@ from scipy.stats import kstest
 
 from kinfeas import registry
 from kinfeas.backend import RobotState, Stochastic
+from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.base_noise import BaseNoise
 
@@ -172,3 +173,16 @@ def test_deviations_are_finite_and_not_negative(name, value):
 def test_a_deviation_that_is_no_number_is_one_sentence():
     with pytest.raises(KinfeasError, match="base_noise"):
         registry.build("kinfeas.adapters", "base_noise", {"backend": Recorder(), "linear": "much"})
+
+
+def test_passes_grips_on_to_whoever_has_grippers():
+    class Hands(AnalyticBackend):
+        told = None
+
+        def grip(self, grip, rows):
+            self.told = grip, rows.tolist()
+
+    hands = Hands()
+    BaseNoise(hands).grip("close", np.array([1]))
+    assert hands.told == ("close", [1])
+    BaseNoise(AnalyticBackend()).grip("open", np.array([0]))

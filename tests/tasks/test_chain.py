@@ -151,3 +151,43 @@ def test_wrong_files_are_one_sentence(tmp_path, text, message):
 def test_wrong_parameters_are_one_sentence(name):
     with pytest.raises(KinfeasError, match="unknown key 'colour'"):
         build(name, colour="red")
+
+
+def test_objects_stand_where_the_places_are(exact_solver):
+    task = build("pick_place")
+    for i in range(20):
+        targets = task.sample(exact_solver, np.random.default_rng((1, i))).target_poses
+        poses = task.object_poses(targets)
+        assert poses.keys() == {"box", "place_table"}
+        # The gripper's tip comes to rest within the box, and above the table.
+        np.testing.assert_allclose(poses["box"][1:3], targets[1, 1:3] + [0.0, 0.025], atol=1e-9)
+        assert 0.0 < poses["box"][0] - targets[1, 0] < 0.075
+        way = targets[3, :3] - poses["place_table"][:3]
+        assert np.all(np.abs(way[:2]) < 0.375)
+        assert poses["place_table"][2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_tasks_without_a_scene_move_nothing(tmp_path, exact_solver):
+    path = write(tmp_path, "{name: a, places: {cup: {position: [1, 0, 1]}}, legs: [{place: cup}]}")
+    task = read_chain(path)
+    targets = task.sample(exact_solver, np.random.default_rng(0)).target_poses
+    assert task.object_poses(targets) == {}
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        ("{name: room}", "'scene.done' is missing"),
+        ("{name: room, done: {object: box}}", "one of 'on' and 'joint'"),
+        ("{name: room, done: {object: box, on: a, joint: b}}", "one of 'on' and 'joint'"),
+        (
+            "{name: room, done: {object: box, on: a}, moves: {box: {place: tea}}}",
+            "no leg leads to 'tea'; known are cup",
+        ),
+    ],
+)
+def test_wrong_scenes_are_one_sentence(tmp_path, scene, message):
+    text = "name: a\nplaces: {cup: {position: [1, 0, 1]}, tea: {position: [0, 1, 1]}}\n"
+    path = write(tmp_path, f"{text}legs: [{{place: cup}}]\nscene: {scene}\n")
+    with pytest.raises(KinfeasError, match=message):
+        read_chain(path)

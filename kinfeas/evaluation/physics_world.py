@@ -1,0 +1,189 @@
+"""One policy in the PyBullet world: settings, episodes and what is recorded of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas import config
+from kinfeas.config import Interval
+from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
+from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.kinematics.ik import IkOptions
+from kinfeas.legs import SETTLE_SECONDS, Pace
+from kinfeas.loop import Rows
+from kinfeas.metrics import EpisodeRecords
+from kinfeas.policy import Policy
+from kinfeas.recipes import default_recipe
+from kinfeas.robots.robot import Robot
+from kinfeas.sim.backend import PyBulletBackend
+from kinfeas.sim.contacts import Contacts
+from kinfeas.sim.physics import PhysicsConfig
+from kinfeas.sim.stage import Stage, task_scene
+from kinfeas.tasks.task import Task
+
+_AFTERWARDS = 2.0  # s, in which what was put down comes to rest
+
+
+@dataclass(frozen=True)
+class PhysicsSettings:
+    """What can be set of the PyBullet world beside robot and task.
+
+    Attributes:
+        dt: Control period, seconds.
+        slow_down: How many times longer than planned the EE motions last.
+        head_start: Seconds that the EE stands still at first, while the base moves already.
+        objects: Whether the task's scene is there, or a floor and nothing else.
+        max_failures: Kinematic failures in one episode beyond which it ends.
+        max_seconds: Of motion time in one leg, after which an episode is truncated.
+        adapters: Wrapped around the PyBullet world, the first one innermost.
+        ik: How hard IK searches.
+        physics: Numbers of the world.
+    """
+
+    dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.02
+    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
+    head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    objects: bool = True
+    max_failures: Annotated[int, Interval(low=0)] = 99
+    max_seconds: Annotated[float, Interval(low=0.0, open_low=True)] = 150.0
+    adapters: tuple[AdapterSpec, ...] = ()
+    ik: IkOptions = field(default_factory=IkOptions)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+
+    @property
+    def world(self) -> WorldConfig:
+        """What the loop's world is made of."""
+        steps = round(self.max_seconds * self.slow_down / self.dt)
+        return WorldConfig(self.dt, self.max_failures, max(steps, 1), self.adapters, ik=self.ik)
+
+    @property
+    def pace(self) -> Pace:
+        """How EE motions are carried out."""
+        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS)
+
+
+@dataclass(frozen=True)
+class PhysicsTrial:
+    """What a policy is put to.
+
+    Attributes:
+        robot: Who moves.
+        task: Draws the episodes.
+        episodes: How many, at least 1: numbers 0 to `episodes` - 1 of the seed.
+        seed: Of all episodes.
+        settings: Everything else.
+    """
+
+    robot: Robot
+    task: Task
+    episodes: int = 50
+    seed: int = 1
+    settings: PhysicsSettings = field(default_factory=PhysicsSettings)
+
+
+@dataclass(frozen=True)
+class PhysicsRecords(EpisodeRecords):
+    """What happened in n episodes with physics.
+
+    Attributes:
+        done: Whether the objects ended as the task wants them, shape (n,); whether the goal was
+            reached where the task wants nothing of objects, or there are none.
+        base_collisions: How often the base ran into the scene, shape (n,).
+        arm_collisions: How often the arm did, shape (n,).
+    """
+
+    done: NDArray[np.bool_]
+    base_collisions: NDArray[np.intp]
+    arm_collisions: NDArray[np.intp]
+
+
+class PhysicsWorld:
+    """A task in the PyBullet world, one episode after the other.
+
+    Attributes:
+        stage: The task and what stands around.
+        world: The loop and its ends of episodes.
+    """
+
+    def __init__(self, trial: PhysicsTrial, *, gui: bool = False) -> None:
+        """Build the world of a trial, and show it in a window if `gui`.
+
+        Raises:
+            KinfeasError: If PyBullet is not installed, or the task's scene is broken.
+        """
+        settings = trial.settings
+        scene = task_scene(trial.task) if settings.objects else None
+        backend = PyBulletBackend(trial.robot, scene, gui=gui, physics=settings.physics)
+        self.stage = Stage(trial.task, backend)
+        self.world = World(
+            trial.robot, self.stage, settings.world, trial.seed, backend, settings.pace
+        )
+
+    def run(self, policy: Policy, episode: int) -> PhysicsRecords:
+        """Return what happens in one episode."""
+        meter = _Meter(self.stage.backend)
+        records = run_episodes(self.world, policy, 1, watch=meter, first=episode)
+        self._wait()
+        done = self.stage.done()
+        return PhysicsRecords(
+            **columns(records),
+            done=records.reached if done is None else np.array([done]),
+            base_collisions=np.array([meter.base]),
+            arm_collisions=np.array([meter.arm]),
+        )
+
+    def close(self) -> None:
+        """End the world; it may be called twice."""
+        self.stage.backend.close()
+
+    def _wait(self) -> None:
+        """Stand still, while what was put down comes to rest."""
+        loop = self.world.loop
+        joints = loop.state.joint_positions
+        for _ in range(round(_AFTERWARDS / loop.dt)):
+            self.stage.backend.step(np.zeros((1, 6)), joints, loop.dt)
+
+
+class _Meter:
+    """Counts how often base and arm begin to touch something."""
+
+    def __init__(self, backend: PyBulletBackend) -> None:
+        self.base = self.arm = 0
+        self._backend, self._before = backend, Contacts(0, 0)
+
+    def __call__(self, _: World, transition: Transition, rows: Rows, episodes: Rows) -> None:
+        now = self._backend.contacts()
+        self.base += now.base > 0 and not self._before.base
+        self.arm += now.arm > 0 and not self._before.arm
+        self._before = now
+
+
+@dataclass(frozen=True)
+class PhysicsEvaluationConfig:
+    """What can be set of an evaluation with physics beside what it evaluates.
+
+    Attributes:
+        task: Keyword parameters of the task.
+        world: Where the episodes happen.
+    """
+
+    task: dict[str, object] = field(default_factory=dict)
+    world: PhysicsSettings = field(default_factory=PhysicsSettings)
+
+
+def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvaluationConfig:
+    """Return what suits a robot, with assignments such as `world.slow_down=1`.
+
+    Raises:
+        KinfeasError: If one of them is not allowed.
+    """
+    path = default_recipe("physics", robot.name)
+    return config.load(PhysicsEvaluationConfig, path, overrides)
+
+
+def columns(records: EpisodeRecords) -> dict[str, NDArray[Any]]:
+    """Return what was recorded of n episodes by the names of the fields, each of shape (n,)."""
+    return {entry.name: getattr(records, entry.name) for entry in fields(records)}

@@ -1,0 +1,93 @@
+"""The stage of a task: its episodes, with the furniture where each of them wants it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.sim.backend import PyBulletBackend
+from kinfeas.spatial import Array
+from kinfeas.start import Start
+from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.task import Leg, Task
+
+_DRAWS = 1000
+
+
+class Stage:
+    """A task whose episodes set the PyBullet world up when they are drawn.
+
+    It takes the task's place, and draws until the robot touches nothing where it begins.
+
+    Attributes:
+        task: Draws the episodes.
+        scene: What stands there, before an episode moves it; None for a floor and nothing else.
+        backend: The world.
+    """
+
+    def __init__(self, task: Task, backend: PyBulletBackend) -> None:
+        """Connect a task to a world that was built with the task's scene, or without any.
+
+        Raises:
+            KinfeasError: If the task handles what is not there.
+        """
+        self.task, self.backend = task, backend
+        self.scene = backend.furniture.scene if backend.furniture else None
+        self._known = task.scene if isinstance(task, ChainTask) and self.scene else None
+        if self._known and (handled := self._known.handled) and backend.gripper:
+            backend.handle(handled.object, handled.link, rigid=not handled.turns)
+
+    @property
+    def name(self) -> str:
+        """Name of the task."""
+        return self.task.name
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """Legs of the task."""
+        return self.task.legs
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode, and put robot and furniture where it begins.
+
+        Raises:
+            KinfeasError: If no draw is free of collisions.
+        """
+        for _ in range(_DRAWS):
+            start = self.task.sample(solver, rng)
+            if self.scene is not None and self.backend.furniture is not None:
+                self.backend.furniture.furnish(self.scene.with_poses(self._moved(start)))
+            self.backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
+            if self.backend.free():
+                return start
+        raise KinfeasError(
+            f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
+        )
+
+    def done(self) -> bool | None:
+        """Return whether the objects are now as the task wants them; None if it wants nothing."""
+        furniture = self.backend.furniture
+        if self._known is None or furniture is None:
+            return None
+        done = self._known.done
+        if done.joint is not None:
+            return furniture.joint_position(done.object, done.joint) > done.beyond
+        return furniture.stands(done.object, str(done.on))
+
+    def _moved(self, start: Start) -> Mapping[str, Array]:
+        if not isinstance(self.task, ChainTask):
+            return {}
+        return self.task.object_poses(start.target_poses)
+
+
+def task_scene(task: Task) -> Scene | None:
+    """Return the scene that a task happens in; None for a floor and nothing else.
+
+    Raises:
+        KinfeasError: If there is no such scene, or it is broken.
+    """
+    if isinstance(task, ChainTask) and task.scene is not None:
+        return read_scene(task.scene.name)
+    return None

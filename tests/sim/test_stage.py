@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+
+from kinfeas import registry, spatial
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.scenes.collision import SceneCollision, robot_touches
+from kinfeas.tasks.loading import load_task
+
+pytest.importorskip("pybullet")
+
+from kinfeas.sim.backend import PyBulletBackend
+from kinfeas.sim.stage import Stage, task_scene
+
+
+def build(name):
+    task = load_task(name)
+    backend = PyBulletBackend(registry.load_robot("tiago"), task_scene(task))
+    return Stage(task, backend)
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return IkSolver(registry.load_robot("tiago"))
+
+
+@pytest.fixture(scope="module", params=["pick_place", "door", "drawer"])
+def stage(request):
+    made = build(request.param)
+    yield made
+    made.backend.close()
+
+
+def begin(stage, solver, seed):
+    start = stage.sample(solver, np.random.default_rng(seed))
+    stage.backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
+    return start
+
+
+def test_takes_the_place_of_its_task(stage):
+    assert stage.name == stage.task.name
+    assert stage.legs == stage.task.legs
+
+
+def test_episodes_begin_free_of_collisions_with_nothing_done(stage, solver):
+    for seed in range(5):
+        start = begin(stage, solver, seed)
+        there = SceneCollision(stage.backend.furniture.scene)
+        assert not robot_touches(there, solver.robot, start.base_pose, start.joint_positions)
+        assert stage.backend.free()
+        assert stage.done() is False
+
+
+def test_equal_seeds_draw_equal_episodes(stage, solver):
+    one, other = (stage.sample(solver, np.random.default_rng(3)) for _ in range(2))
+    for key, value in vars(one).items():
+        np.testing.assert_array_equal(value, vars(other)[key])
+
+
+def test_moves_what_the_episode_moves(stage, solver):
+    start = begin(stage, solver, 4)
+    for name, pose in stage.task.object_poses(start.target_poses).items():
+        link = stage.scene.objects[name].urdf.root
+        measured = stage.backend.furniture.link_pose(name, link)
+        assert spatial.distance(measured, pose)[0] <= 1e-6
+
+
+def test_the_task_is_done_when_the_world_says_so(stage, solver):
+    begin(stage, solver, 5)
+    done, backend = stage.task.scene.done, stage.backend
+    if done.joint is None:
+        table = backend.furniture.link_pose("place_table", "table")
+        on_top = spatial.compose(table, np.array([0.0, 0.0, 0.64, 0.0, 0.0, 0.0, 1.0]))
+        backend.physics.place(backend.furniture.bodies["box"], on_top)
+    else:
+        number = backend.physics.joints(backend.furniture.bodies[done.object])[done.joint]
+        backend.physics.client.resetJointState(
+            backend.furniture.bodies[done.object], number, 1.1 * done.beyond
+        )
+    home = backend.body.state().joint_positions
+    for _ in range(50):
+        backend.step(np.zeros((1, 6)), home, 0.02)
+    assert stage.done() is True
+
+
+def test_a_hand_in_the_air_holds_nothing(stage, solver):
+    begin(stage, solver, 6)
+    stage.backend.grip("close", np.array([0]))
+    home = stage.backend.body.state().joint_positions
+    for _ in range(10):
+        stage.backend.step(np.zeros((1, 6)), home, 0.02)
+    assert stage.backend.grasp.held is None
+
+
+def test_the_arm_does_not_begin_within_the_floor(solver):
+    stage = Stage(load_task("ggr"), PyBulletBackend(solver.robot))
+    for seed in range(20):
+        start = begin(stage, solver, seed)
+        before = stage.backend.body.state().joint_positions
+        for _ in range(10):
+            after = stage.backend.step(np.zeros((1, 6)), start.joint_positions[np.newaxis], 0.02)
+        np.testing.assert_allclose(after.joint_positions, before, atol=5e-3)
+    stage.backend.close()
+
+
+def test_without_a_scene_there_is_nothing_to_do(solver):
+    assert task_scene(load_task("ggr")) is None
+    backend = PyBulletBackend(solver.robot)
+    stage = Stage(load_task("door"), backend)
+    begin(stage, solver, 0)
+    assert stage.done() is None
+    with pytest.raises(KinfeasError, match="nothing can be handled without a scene"):
+        backend.handle("box", "box")
+    backend.close()
