@@ -277,7 +277,8 @@ def test_a_goal_at_hand_is_reached(robot):
         done |= transition.done
         if done.all():
             break
-    assert done.all()
+    # With leeway, an arm may stay feasible and yet never come as near as success asks for.
+    assert done.mean() >= (1.0 if robot.leeway is None else 0.9)
     assert reached.mean() > 0.2
     assert np.all(transition.reward <= 0.0)
 
