@@ -1,17 +1,14 @@
 """The `gaussian_mixture` motion: a clock runs through a learned path, and the hand follows."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from kinfeas.motion import State
-from kinfeas.plugins.limits import positive, slowed
-from kinfeas.plugins.model import read_model
-from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.learned import Learned
+from kinfeas.plugins.limits import slowed
 from kinfeas.spatial import Array, compose, twist_between
 
 
-class GaussianMixture:
+class GaussianMixture(Learned):
     """A time-indexed mixture of hand and base poses, in the frame of the handled object.
 
     Gaussian mixture regression turns time into a reference pose, which the hand follows as fast
@@ -34,34 +31,7 @@ class GaussianMixture:
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
-        self._max_velocity = positive("max_velocity", max_velocity)
-        self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
-        learned = read_model(model, "gaussian_mixture")
-        self._path, self._duration = tabulate(learned), learned.duration
-
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
-        """Return the state of n motions.
-
-        Args:
-            ee_pose: World pose of the driven frame, shape (n, 7); not used.
-            target_pose: World pose of the handled object, shape (n, 7).
-            rngs: Not used.
-        """
-        target = np.array(target_pose, dtype=np.float64)
-        return {"object_pose": target, "time": np.zeros(len(target))}
-
-    def goal_pose(self, state: State) -> Array:
-        """Return the world poses at which the motions end, shape (n, 7)."""
-        return compose(state["object_pose"], self._path.knots[-1])
-
-    def base_pose(self, state: State) -> Array:
-        """Return where the base was demonstrated to be now, shape (n, 7), in the world.
-
-        Not-a-number if the model was fitted from demonstrations without a base.
-        """
-        return self._path.base_at(state["time"] / self._duration, state["object_pose"])
+        super().__init__("gaussian_mixture", model, max_velocity, max_angular_velocity)
 
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
@@ -72,8 +42,8 @@ class GaussianMixture:
             dt: Duration of the step in seconds.
         """
         target = state["object_pose"]
-        time = np.minimum(state["time"] + dt, self._duration)
-        reference = compose(target, self._path.at(time / self._duration))
+        phase = np.minimum(state["phase"] + dt / self._duration, 1.0)
+        reference = compose(target, self._path.at(phase))
         wanted = twist_between(ee_pose, reference, dt)
         share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
-        return wanted * share[:, np.newaxis], {"object_pose": target, "time": time}
+        return wanted * share[:, np.newaxis], {"object_pose": target, "phase": phase}

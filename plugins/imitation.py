@@ -1,17 +1,14 @@
 """The `imitation` motion: a demonstrated path, followed from wherever the hand starts."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from kinfeas.motion import State
+from kinfeas.plugins.learned import Learned
 from kinfeas.plugins.limits import norm, positive, slowed
-from kinfeas.plugins.model import read_model
-from kinfeas.plugins.path import tabulate
 from kinfeas.spatial import Array, compose, twist_between
 
 
-class Imitation:
+class Imitation(Learned):
     """Phase dynamic system on R^3 x S^3, in the frame of the handled object.
 
     The hand is drawn to the point of the learned path that the phase s in [0, 1] stands for, and
@@ -43,37 +40,10 @@ class Imitation:
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
+        super().__init__("imitation", model, max_velocity, max_angular_velocity)
         self._gain = positive("gain", gain)
         self._position_scale = positive("position_scale", position_scale)
         self._rotation_scale = positive("rotation_scale", rotation_scale)
-        self._max_velocity = positive("max_velocity", max_velocity)
-        self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
-        learned = read_model(model, "imitation")
-        self._path, self._duration = tabulate(learned), learned.duration
-
-    def start(
-        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
-    ) -> State:
-        """Return the state of n motions.
-
-        Args:
-            ee_pose: World pose of the driven frame, shape (n, 7); not used.
-            target_pose: World pose of the handled object, shape (n, 7).
-            rngs: Not used.
-        """
-        target = np.array(target_pose, dtype=np.float64)
-        return {"object_pose": target, "phase": np.zeros(len(target))}
-
-    def goal_pose(self, state: State) -> Array:
-        """Return the world poses at which the motions end, shape (n, 7)."""
-        return compose(state["object_pose"], self._path.knots[-1])
-
-    def base_pose(self, state: State) -> Array:
-        """Return where the base was demonstrated to be now, shape (n, 7), in the world.
-
-        Not-a-number if the model was fitted from demonstrations without a base.
-        """
-        return self._path.base_at(state["phase"], state["object_pose"])
 
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
