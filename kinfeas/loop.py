@@ -9,19 +9,12 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
+from kinfeas.course import Course, Rows
 from kinfeas.drive import base_twist
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import (
-    GOAL_METRES,
-    GOAL_RADIANS,
-    SETTLED_METRES,
-    Course,
-    LegMotion,
-    Pace,
-    Rows,
-)
+from kinfeas.legs import GOAL_METRES, GOAL_RADIANS, SETTLED_METRES, LegMotion, Pace
 from kinfeas.observation import HORIZON, observe
 from kinfeas.policy import Situation
 from kinfeas.spatial import Array

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
+from kinfeas.course import Course
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS, Course
+from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.observation import HORIZON
 from kinfeas.spatial import Array
 from kinfeas.tasks.task import Task, build_legs

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from kinfeas import spatial
-from kinfeas.legs import Course, LegMotion, Pace, tool_pose
+from kinfeas.course import Course
+from kinfeas.legs import LegMotion, Pace, tool_pose
 from kinfeas.observation import HORIZON
 from kinfeas.plugins.linear import Linear
 

@@ -1,0 +1,259 @@
+"""The course of n EEs: motions one after the other, each row at its own leg."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas import spatial
+from kinfeas.legs import LegMotion, Pace, tool_pose
+from kinfeas.motion import Demonstrated, MotionGenerator, State
+from kinfeas.robots.robot import Robot
+from kinfeas.spatial import Array
+
+Rows = NDArray[np.intp]
+Moves = tuple[Array, list[State]]
+"""Desired EE poses, shape (n, 7), and the state of each generator there."""
+
+_STATES, _ROWS = "motion", ("desired", "leg", "waiting", "seeds", "targets")
+
+
+class Course:
+    """The desired motion of n EEs through the same legs.
+
+    No row depends on the others: a leg is begun with randomness that its row's seed and the leg's
+    number determine. Arrays are replaced, never written into, since others may hold them.
+
+    Attributes:
+        desired: Desired world pose of the EE, shape (n, 7).
+        leg: Number of the leg that each row is at, shape (n,).
+        waiting: Control periods until it begins the next leg, shape (n,): first those in which
+            the motion settles, then those in which it stands still. Below zero, periods until it
+            begins the first one.
+    """
+
+    def __init__(
+        self, legs: Sequence[LegMotion], robot: Robot, dt: float, pace: Pace | None = None
+    ) -> None:
+        """Set out the legs; `start` must follow before anything else.
+
+        Args:
+            legs: At least one.
+            robot: Whose tool tip `tip` legs move.
+            dt: Control period in seconds.
+            pace: Head start and settling; none by default.
+        """
+        pace = pace or Pace()
+        distinct = {id(leg.generator): leg.generator for leg in legs}
+        order = list(distinct)
+        self.legs, self.generators = tuple(legs), list(distinct.values())
+        self._which = np.array([order.index(id(leg.generator)) for leg in legs])
+        self._head_start = _periods(pace.head_start, dt)
+        settle = _periods(pace.settle * pace.slow_down, dt)
+        self._periods = np.array([_periods(leg.wait, dt) for leg in legs], dtype=np.intp)
+        self._settle = np.array([settle if leg.grip else 0 for leg in legs], dtype=np.intp)
+        tool = tool_pose(robot)
+        self._tips = any(leg.frame == "tip" for leg in legs)
+        self._tool = np.stack([tool if leg.frame == "tip" else spatial.IDENTITY for leg in legs])
+        self._ee_in_tool = spatial.relative(
+            np.broadcast_to(spatial.IDENTITY, (len(legs), 7)), self._tool
+        )
+        self._demonstrated = any(isinstance(one, Demonstrated) for one in self.generators)
+        self.desired: Array = np.empty((0, 7))
+        self.leg = self.waiting = np.empty(0, dtype=np.intp)
+        self._seeds = np.empty(0, dtype=np.uint64)
+        self._targets: Array = np.empty((0, len(legs), 7))
+        self._states: list[State] = []
+
+    def start(
+        self,
+        ee_pose: Array,
+        target_poses: Array,
+        rngs: Sequence[np.random.Generator],
+        rows: Rows | None = None,
+    ) -> None:
+        """Begin the first leg.
+
+        Args:
+            ee_pose: World pose of the EE in m rows, shape (m, 7).
+            target_poses: What their legs head for, shape (m, legs, 7).
+            rngs: One source of randomness for each of them.
+            rows: Which of the n rows begin anew; all of them by default, which also sets n.
+        """
+        none = np.zeros(len(rngs), dtype=np.intp)
+        seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
+        fresh = (ee_pose, none, none - self._head_start, seeds, target_poses)
+        if rows is None:
+            self._put(fresh)
+            self._states = [{} for _ in self.generators]
+            rows = np.arange(len(rngs))
+        else:
+            held = zip(self._held(), fresh, strict=True)
+            self._put(tuple(_with_rows(old, rows, new) for old, new in held))
+        self._begin(rows)
+
+    @property
+    def goal(self) -> Array:
+        """World pose of the EE at the end of each row's leg, shape (n, 7)."""
+        return self._to_ee(self._ask(lambda generator, state: generator.goal_pose(state)))
+
+    @property
+    def last(self) -> NDArray[np.bool_]:
+        """Whether each row is at its last leg, shape (n,)."""
+        return self.leg == len(self.legs) - 1
+
+    @property
+    def stands(self) -> NDArray[np.bool_]:
+        """Whether each row's desired pose stands still now, shape (n,)."""
+        settled = self.waiting <= self._periods[self.leg]
+        stands: NDArray[np.bool_] = (self.waiting != 0) & settled
+        return stands
+
+    @property
+    def demonstrated_base(self) -> Array:
+        """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
+        unknown = np.broadcast_to(np.nan, (len(self.leg), 7))
+        if not self._demonstrated:
+            return unknown
+
+        def base_pose(generator: MotionGenerator, state: State) -> Array:
+            if isinstance(generator, Demonstrated):
+                return generator.base_pose(state)
+            return unknown[: len(next(iter(state.values())))]
+
+        return self._ask(base_pose)
+
+    def ahead(self, dt: float) -> Moves:
+        """Return where the desired EE poses will be in `dt` seconds; nothing moves yet."""
+        frame = self._to_frame(self.desired)
+        stands = self.stands
+        if len(self.generators) == 1 and not stands.any():
+            twist, state = self.generators[0].twist(self._states[0], frame, dt)
+            return self._to_ee(spatial.integrate(frame, twist, dt)), [state]
+        twist, states = np.zeros((len(frame), 6)), list(self._states)
+        for number, generator, rows in self._groups(~stands):
+            state = _of_rows(states[number], rows)
+            twist[rows], after = generator.twist(state, frame[rows], dt)
+            states[number] = _merged(states[number], rows, after, len(frame))
+        moved = self._to_ee(spatial.integrate(frame, twist, dt))
+        return np.where(stands[:, np.newaxis], self.desired, moved), states
+
+    def move(self, moves: Moves) -> None:
+        """Go where `ahead` looked."""
+        self.desired, self._states = moves
+
+    def advance(
+        self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.bool_]:
+        """End a control period: settle, wait, or begin the next leg.
+
+        Args:
+            arrived: Whether the EE is at the end of its leg, shape (n,).
+            settled: Whether it is as near as a grip needs it, shape (n,); not by default.
+
+        Returns:
+            Whether the motion of a leg that is not the last has just come to its end, shape (n,).
+        """
+        if len(self.legs) == 1 and not self._head_start:
+            return np.zeros(len(self.leg), dtype=np.bool_)
+        left = self.waiting - np.sign(self.waiting)
+        ends = arrived & (self.waiting == 0) & ~self.last
+        stand = self._periods[self.leg]
+        moved = ends | (self.waiting > stand)
+        left = np.where(ends, stand + self._settle[self.leg], left)
+        if settled is not None:
+            left = np.where(settled, np.minimum(left, stand), left)
+        goes_on = ((self.waiting > 0) | ends) & (left == 0)
+        self.waiting = left
+        if goes_on.any():
+            self.leg = self.leg + goes_on
+            self._begin(np.flatnonzero(goes_on))
+        stops: NDArray[np.bool_] = moved & (left <= stand)
+        return stops
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return everything that the motions go on from, by name."""
+        states = {
+            f"{_STATES}.{number}.{key}": values
+            for number, state in enumerate(self._states)
+            for key, values in state.items()
+        }
+        return dict(zip(_ROWS, self._held(), strict=True)) | states
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what `snapshot` returned."""
+        self._put(tuple(snapshot[key].copy() for key in _ROWS))
+        self._states = [{} for _ in self.generators]
+        for name, values in snapshot.items():
+            kind, _, rest = name.partition(".")
+            if kind == _STATES:
+                number, _, key = rest.partition(".")
+                self._states[int(number)][key] = values.copy()
+
+    def _held(self) -> tuple[NDArray[Any], ...]:
+        return self.desired, self.leg, self.waiting, self._seeds, self._targets
+
+    def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
+        self.desired, self.leg, self.waiting, self._seeds, self._targets = arrays
+
+    def _begin(self, rows: Rows) -> None:
+        """Start the motion of the leg that each of `rows` is at, from its desired pose."""
+        begins = np.zeros(len(self.leg), dtype=np.bool_)
+        begins[rows] = True
+        frame = self._to_frame(self.desired)
+        for number, generator, group in self._groups(begins):
+            legs = self.leg[group]
+            keys = zip(self._seeds[group].tolist(), legs.tolist(), strict=True)
+            rngs = [np.random.default_rng(key) for key in keys]
+            state = generator.start(frame[group], self._targets[group, legs], rngs)
+            self._states[number] = _merged(self._states[number], group, state, len(frame))
+
+    def _ask(self, question: Callable[[MotionGenerator, State], Array]) -> Array:
+        """Return what each row's generator answers, shape (n, 7)."""
+        if len(self.generators) == 1:
+            return question(self.generators[0], self._states[0])
+        answers = np.empty((len(self.leg), 7))
+        for number, generator, rows in self._groups(np.ones(len(self.leg), dtype=np.bool_)):
+            answers[rows] = question(generator, _of_rows(self._states[number], rows))
+        return answers
+
+    def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, MotionGenerator, Rows]]:
+        """Return each generator with its number and those of the `chosen` rows it moves now."""
+        which = np.where(chosen, self._which[self.leg], -1)
+        groups = [(i, one, np.flatnonzero(which == i)) for i, one in enumerate(self.generators)]
+        return [group for group in groups if group[2].size]
+
+    def _to_frame(self, ee_pose: Array) -> Array:
+        """Return the pose of the frame that each row's leg moves, shape (n, 7)."""
+        return spatial.compose(ee_pose, self._tool[self.leg]) if self._tips else ee_pose
+
+    def _to_ee(self, frame: Array) -> Array:
+        """Return the EE poses that put the moved frames at `frame`, shape (n, 7)."""
+        return spatial.compose(frame, self._ee_in_tool[self.leg]) if self._tips else frame
+
+
+def _periods(seconds: float, dt: float) -> int:
+    # Rounding must not make 2 s of 0.1 s 21 periods.
+    return math.ceil(seconds / dt - 1e-6)
+
+
+def _of_rows(state: State, rows: Rows) -> State:
+    return {key: values[rows] for key, values in state.items()}
+
+
+def _merged(state: State, rows: Rows, values: State, n: int) -> State:
+    """Return the state of n rows with `values` put into `rows`; a state that is empty has none."""
+    if len(rows) == n:
+        return values
+    return {
+        key: _with_rows(state.get(key, np.zeros((n, *new.shape[1:]), new.dtype)), rows, new)
+        for key, new in values.items()
+    }
+
+
+def _with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
+    changed = array.copy()
+    changed[rows] = values
+    return changed
