@@ -22,12 +22,14 @@ class RobotState:
         joint_positions: Arm joints, shape (n, j), radians or metres.
         base_twist: World twist of the base, shape (n, 6), m/s and rad/s, where it is measured.
         joint_velocities: Of the arm joints, shape (n, j), per second, where they are measured.
+        age: Seconds since the oldest part of it was measured, shape (n,), where that is known.
     """
 
     base_pose: Array
     joint_positions: Array
     base_twist: Array | None = None
     joint_velocities: Array | None = None
+    age: Array | None = None
 
 
 class Backend(Protocol):
@@ -84,6 +86,23 @@ class Gripping(Protocol):
             grip: What they do.
             rows: Indices of the m robots.
         """
+        ...
+
+
+@runtime_checkable
+class Live(Protocol):
+    """A backend whose robot moves by a clock of its own: a real one, or a process that plays one.
+
+    It cannot be put anywhere: `reset` leaves the robot where it is and returns its state. `step`
+    sends the command, waits for the end of the control period and returns the newest measurement.
+    """
+
+    def read(self) -> RobotState:
+        """Return the newest measurement, with its age."""
+        ...
+
+    def stop(self) -> None:
+        """Command the base to zero and the arm to stay; it may be called at any time, and twice."""
         ...
 
 
