@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, make_pose, rotation, wrap
+from kinfeas.spread import spread
 
 CONE = 0.7
 """Radians by which the EE may lie off its preferred bearing where the ellipses hold."""
@@ -104,15 +104,15 @@ class _Targets:
 
     def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
         robot = solver.robot
-        spread = qmc.Halton(6, rng=0).random(count)
+        share = spread(count, 6)
         low, high = robot.goal_heights["ggr"]
         ee = forward(solver.chain, spread_configurations(robot, 4096))
         reach = float(np.hypot(ee[:, 0], ee[:, 1]).max())
-        self.height = low - 0.2 + spread[:, 0] * (high - low + 0.4)
-        self.pitch = np.pi * (spread[:, 1] - 0.5)
-        self.bearing = bearing + cone * (2.0 * spread[:, 2] - 1.0)
-        distance = reach * spread[:, 3]
-        azimuth, roll = 2.0 * np.pi * spread[:, 4], 2.0 * np.pi * spread[:, 5]
+        self.height = low - 0.2 + share[:, 0] * (high - low + 0.4)
+        self.pitch = np.pi * (share[:, 1] - 0.5)
+        self.bearing = bearing + cone * (2.0 * share[:, 2] - 1.0)
+        distance = reach * share[:, 3]
+        azimuth, roll = 2.0 * np.pi * share[:, 4], 2.0 * np.pi * share[:, 5]
         x, y = distance * np.cos(self.bearing), distance * np.sin(self.bearing)
         angles = np.stack([azimuth, -self.pitch, roll], axis=1)
         turn = Rotation.from_euler("ZYX", angles) * Rotation.from_quat(robot.gripper_rotation)

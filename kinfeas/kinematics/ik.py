@@ -5,7 +5,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from kinfeas.config import Interval
 from kinfeas.kinematics.chain import Chain, build_chain
@@ -15,6 +14,7 @@ from kinfeas.kinematics.search import Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, rotation
+from kinfeas.spread import spread
 
 ROTATION_WEIGHT = 0.4
 """Metres that one radian of error is worth in the search, where no leeway says otherwise."""
@@ -73,7 +73,7 @@ class IkSolver:
 
     def __init__(self, robot: Robot, options: IkOptions | None = None) -> None:
         """Prepare the solver for `robot`."""
-        options = options or IkOptions()
+        self.options = options = options or IkOptions()
         self.robot = robot
         self.chain = build_chain(robot)
         self.collision = build_collision_model(robot)
@@ -135,12 +135,13 @@ def _make_problem(
 
 
 def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
-    """Return `count` configurations that cover the joint limits evenly, shape (count, v)."""
+    """Return `count` configurations that cover the joint limits evenly, shape (count, v).
+
+    Each seed has others, as long as they are fewer than 65536.
+    """
     lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
     upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
-    spread = qmc.scale(qmc.Halton(len(robot.arm), rng=seed).random(count), lower, upper)
-    # In C order, for kernels are compiled anew for every memory layout.
-    return np.ascontiguousarray(spread)
+    return lower + (upper - lower) * spread(count, len(robot.arm), seed * 65536)
 
 
 def _reach(chain: Chain, lower: Array, upper: Array) -> Array:
