@@ -6,20 +6,21 @@ demonstrations of one motion.
 
 import csv
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
 from kinfeas.folders import writing
 from kinfeas.spatial import Array
 
 _AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSES = ("ee_pose", "base_pose", "object_pose")
-_OPTIONAL = "base_pose"
+_BASE = "base_pose"
 _NOT_UNIT = 1e-3  # how far the norm of a recorded quaternion may be from 1
 
 
@@ -55,10 +56,14 @@ def read_demonstrations(folder: Path) -> list[Demonstration]:
     return [read_demonstration(path) for path in paths]
 
 
-def read_demonstration(path: Path) -> Demonstration:
+def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demonstration:
     """Return the demonstration that a CSV or NPZ file holds, its quaternions made unit.
 
-    Columns that are not in `columns`, and all of the base, may be there or not.
+    Columns that are not in `columns` may be there or not.
+
+    Args:
+        path: The file.
+        optional: Which of the poses may be missing from it; they are all NaN then.
 
     Raises:
         KinfeasError: If the file cannot be read, lacks a column, has fewer than two samples or
@@ -68,7 +73,7 @@ def read_demonstration(path: Path) -> Demonstration:
     if reader is None:
         raise KinfeasError(f"{path}: must be a .csv or .npz file")
     try:
-        return reader(path)
+        return reader(path, optional)
     except OSError as error:
         raise KinfeasError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error, zipfile.BadZipFile, EOFError) as error:
@@ -82,7 +87,7 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
         KinfeasError: If the suffix is another one or the file cannot be written.
     """
     known = not np.isnan(demonstration.base_pose).all()
-    poses = [pose for pose in _POSES if known or pose != _OPTIONAL]
+    poses = [pose for pose in _POSES if known or pose != _BASE]
     arrays = {name: getattr(demonstration, name) for name in ("time", *poses)}
     with writing(path):
         if path.suffix == ".npz":
@@ -101,46 +106,27 @@ def columns(poses: Iterable[str] = _POSES) -> list[str]:
     return ["time", *(f"{pose.removesuffix('_pose')}_{axis}" for pose in poses for axis in _AXES)]
 
 
-def _read_csv(path: Path) -> Demonstration:
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file, strict=True)
-        header = [name.strip() for name in next(rows, [])]
-        without = set(header).isdisjoint(columns([_OPTIONAL])[1:])
-        poses = [pose for pose in _POSES if not (without and pose == _OPTIONAL)]
-        wanted = columns(poses)
-        for name in wanted:
-            if header.count(name) != 1:
-                problem = "repeated" if name in header else "missing"
-                raise KinfeasError(f"{path}, line 1: column {name!r} is {problem}")
-        lines, samples = [], []
-        for row in filter(None, rows):
-            lines.append(rows.line_num)
-            samples.append(_numbers(row, header, wanted, f"{path}, line {rows.line_num}"))
-    table = np.array(samples, dtype=np.float64).reshape(-1, len(wanted))
-    split = np.split(table[:, 1:], len(poses), axis=1)
-    values = {"time": table[:, 0], **dict(zip(poses, split, strict=True))}
-    return _checked(values, str(path), lambda name, i: f"{path}, line {lines[i]}, {name}")
+def _read_csv(path: Path, optional: Collection[str]) -> Demonstration:
+    poses: list[str] = []
+
+    def choose(header: Sequence[str]) -> list[str]:
+        poses.extend(
+            pose
+            for pose in _POSES
+            if pose not in optional or not set(header).isdisjoint(columns([pose])[1:])
+        )
+        return columns(poses)
+
+    table = read_csv(path, choose)
+    split = np.split(table.values[:, 1:], len(poses), axis=1)
+    values = {"time": table.values[:, 0], **dict(zip(poses, split, strict=True))}
+    return _checked(values, str(path), table.place)
 
 
-def _numbers(
-    row: Sequence[str], header: Sequence[str], wanted: Sequence[str], place: str
-) -> list[float]:
-    if len(row) != len(header):
-        raise KinfeasError(f"{place}: has {len(row)} entries for {len(header)} columns")
-    entries = dict(zip(header, row, strict=True))
-    numbers = []
-    for name in wanted:
-        try:
-            numbers.append(float(entries[name]))
-        except ValueError as error:
-            raise KinfeasError(f"{place}, {name}: {entries[name]!r} is not a number") from error
-    return numbers
-
-
-def _read_npz(path: Path) -> Demonstration:
+def _read_npz(path: Path, optional: Collection[str]) -> Demonstration:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            names = [name for name in ("time", *_POSES) if name != _OPTIONAL or name in archive]
+            names = [name for name in ("time", *_POSES) if name not in optional or name in archive]
             missing = [name for name in names if name not in archive]
             values = {name: archive[name] for name in names if name in archive}
     except (ValueError, TypeError) as error:
@@ -174,7 +160,8 @@ def _checked(
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
         _refuse(np.abs(norm - 1.0) > _NOT_UNIT, name, "has no unit quaternion (xyzw)", place)
         pose[:, 3:] /= norm[:, np.newaxis]
-    return Demonstration(time, **{_OPTIONAL: np.full((len(time), 7), np.nan), **arrays})
+    unknown = np.full((len(time), 7), np.nan)
+    return Demonstration(time, **{name: arrays.get(name, unknown) for name in _POSES})
 
 
 def _refuse(
@@ -184,4 +171,7 @@ def _refuse(
         raise KinfeasError(f"{place(name, int(np.argmax(bad)))}: {problem}")
 
 
-_READERS: dict[str, Callable[[Path], Demonstration]] = {".csv": _read_csv, ".npz": _read_npz}
+_READERS: dict[str, Callable[[Path, Collection[str]], Demonstration]] = {
+    ".csv": _read_csv,
+    ".npz": _read_npz,
+}

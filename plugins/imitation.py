@@ -1,22 +1,16 @@
 """The `imitation` motion: a demonstrated path, followed from wherever the hand starts."""
 
-import numpy as np
-
 from kinfeas.motion import State
 from kinfeas.plugins.learned import Learned
-from kinfeas.plugins.limits import norm, positive, slowed
-from kinfeas.spatial import Array, compose, twist_between
+from kinfeas.plugins.phase import PhaseControl
+from kinfeas.spatial import Array
 
 
 class Imitation(Learned):
     """Phase dynamic system on R^3 x S^3, in the frame of the handled object.
 
-    The hand is drawn to the point of the learned path that the phase s in [0, 1] stands for, and
-    the phase goes on only as the hand is near that point: `s' = psi / T` with `psi =
-    exp(-|e_p|^2 / a^2 - |e_r|^2 / b^2)` of the errors in position and orientation. The twist is
-    what the phase demands less `gain` times the errors. Where it would exceed a limit, hand and
-    phase slow down together. So the hand first comes to the beginning of the path, then moves as
-    was demonstrated, from any start, and ends at the learned end exactly.
+    The hand first comes to the beginning of the learned path, then moves as was demonstrated, from
+    any start, and ends at the learned end exactly; `PhaseControl` says how.
 
     Args:
         model: Name of a shipped model, or path of a file that `kinfeas fit` wrote.
@@ -41,9 +35,15 @@ class Imitation(Learned):
         max_angular_velocity: float = 0.1,
     ) -> None:
         super().__init__("imitation", model, max_velocity, max_angular_velocity)
-        self._gain = positive("gain", gain)
-        self._position_scale = positive("position_scale", position_scale)
-        self._rotation_scale = positive("rotation_scale", rotation_scale)
+        self._control = PhaseControl(
+            path=self._path,
+            duration=self._duration,
+            gain=gain,
+            position_scale=position_scale,
+            rotation_scale=rotation_scale,
+            max_velocity=max_velocity,
+            max_angular_velocity=max_angular_velocity,
+        )
 
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
@@ -53,21 +53,6 @@ class Imitation(Learned):
             ee_pose: World pose that the motion has come to, shape (n, 7).
             dt: Duration of the step in seconds.
         """
-        target, phase = state["object_pose"], state["phase"]
-        here = compose(target, self._path.at(phase))
-        error = twist_between(here, ee_pose, 1.0)
-        advance = np.minimum(self._nearness(error) * dt / self._duration, 1.0 - phase)
-        there = compose(target, self._path.at(phase + advance))
-        # A step longer than 1 / gain would shoot past the path.
-        wanted = twist_between(here, there, dt) - min(self._gain, 1.0 / dt) * error
-        share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
-        after = {"object_pose": target, "phase": phase + share * advance}
-        return wanted * share[:, np.newaxis], after
-
-    def _nearness(self, error: Array) -> Array:
-        """Return psi in [0, 1], shape (n, 6) -> (n,): how near the hand is to its path."""
-        metres, radians = norm(error[:, :3]), norm(error[:, 3:])
-        nearness: Array = np.exp(
-            -((metres / self._position_scale) ** 2) - (radians / self._rotation_scale) ** 2
-        )
-        return nearness
+        target = state["object_pose"]
+        twist, phase = self._control.step(target, state["phase"], ee_pose, dt)
+        return twist, {"object_pose": target, "phase": phase}

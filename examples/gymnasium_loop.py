@@ -1,0 +1,48 @@
+"""Step the environment by hand, alone and many side by side."""
+
+import argparse
+
+import gymnasium
+import numpy as np
+
+import kinfeas.envs  # noqa: F401  registers the environment
+from kinfeas.observation import FIELDS
+
+
+def main() -> None:
+    """Let random actions fail."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=100)
+    parser.add_argument("--robot", default="tiago")
+    given = parser.parse_args()
+
+    env = gymnasium.make("kinfeas/BaseMotion-v0", robot=given.robot, task="ggr")
+    names = ", ".join(f"{name} {size}" for name, size in FIELDS)
+    print(f"observation {env.observation_space.shape}: {names}, the rest joint positions")
+    print(f"action {env.action_space.shape}: base velocities as shares of their limits")
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    earned = 0.0
+    for _ in range(given.steps):
+        _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        earned += reward
+        if terminated or truncated:
+            print(f"episode over after {info['failures']} failures")
+            env.reset()
+    print(f"{given.steps} steps, reward {earned:.1f}")
+    env.close()
+
+    many = gymnasium.make_vec(
+        "kinfeas/BaseMotion-v0",
+        num_envs=64,
+        vectorization_mode="vector_entry_point",
+        robot=given.robot,
+    )
+    many.reset(seed=0)
+    rewards = [many.step(np.zeros(many.action_space.shape))[1] for _ in range(given.steps // 10)]
+    print(f"64 robots that stand still: reward {np.mean(rewards):.3f} a step")
+    many.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""Use the batched inverse kinematics alone: solve, check, and ask what can be reached at all."""
+
+import argparse
+import time
+
+import numpy as np
+
+from kinfeas import registry, spatial
+from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.tasks.loading import load_task
+
+
+def main() -> None:
+    """Solve random poses, then measure the ceiling of random goals."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robot", default="hsr", help="a name, or the path of a robot's YAML")
+    parser.add_argument("--poses", type=int, default=1000)
+    parser.add_argument("--goals", type=int, default=20)
+    given = parser.parse_args()
+
+    robot = registry.load_robot(given.robot)
+    solver = IkSolver(robot)
+    joints = spread_configurations(robot, given.poses)
+    joints = joints[~self_collides(solver.collision, joints)]
+    poses, seeds = forward(solver.chain, joints), joints[::-1].copy()
+    solver.solve(poses[:1], seeds[:1])  # compiles, or loads what was compiled before
+    began = time.perf_counter()
+    solution = solver.solve(poses, seeds)
+    seconds = time.perf_counter() - began
+    print(f"{robot.name}: {np.mean(solution.feasible):.3f} of {len(poses)} poses have a solution")
+    print(f"{1e6 * seconds / len(poses):.1f} us a pose, from a seed anywhere")
+
+    found = solution.feasible
+    reached = forward(solver.chain, solution.joint_positions[found])
+    metres, radians = spatial.distance(reached, poses[found])
+    print(
+        f"off by {1000 * metres.max():.3f} mm and {np.rad2deg(radians.max()):.3f} degrees at most"
+    )
+
+    ceiling = measure_ceiling(robot, load_task("ggr"), given.goals, seed=1)
+    print(
+        f"{ceiling.share.value:.2f} of {given.goals} random goals are reached from some base pose"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Train a base policy, set it beside two baselines, and show that a run is a folder."""
+
+import argparse
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from kinfeas import registry
+from kinfeas.config import load
+from kinfeas.evaluation.evaluate import Trial, evaluate
+from kinfeas.evaluation.policies import load_policy
+from kinfeas.recipes import default_recipe
+from kinfeas.tasks.loading import load_task
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.train import train
+
+
+def main() -> None:
+    """Train for some steps, which 200,000 make worth while, and evaluate."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--episodes", type=int, default=4)
+    parser.add_argument("--out", type=Path, default=None, help="folder of the run; else temporary")
+    given = parser.parse_args()
+
+    config = load(TrainConfig, default_recipe("train", "pr2"))
+    few = replace(config.learner, random_steps=min(3000, given.steps // 2))
+    schedule = replace(
+        config.schedule, steps=given.steps, minutes=None, evaluations=1, evaluation_episodes=4
+    )
+    config = replace(config, environments=64, learner=few, schedule=schedule)
+    with tempfile.TemporaryDirectory() as folder:
+        out = given.out or Path(folder) / "run"
+        progress = train(config, out)
+        print(f"{progress.steps} steps in {progress.seconds:.1f} s")
+        print("the run holds", ", ".join(sorted(path.name for path in out.iterdir())))
+        robot = registry.load_robot(config.robot)
+        trial = Trial(robot, load_task(config.task), given.episodes)
+        for name in (str(out), "follow_ee", "follow_ee_feedback"):
+            figures = evaluate(trial, load_policy(name, robot))
+            failures = figures["mean_failures"]
+            print(f"{name}: success {figures['success']:.2f}, {failures:.1f} failures an episode")
+
+
+if __name__ == "__main__":
+    main()
