@@ -101,6 +101,16 @@ def write_network(network: Network, folder: Path, robot: Robot, extra: dict[str,
     (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
 
+def policy_folder(folder: Path) -> Path:
+    """Return where the policy of a training run (its best checkpoint) or of one checkpoint lies.
+
+    Args:
+        folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
+    """
+    best = find_folder(folder / "checkpoints" / "best")
+    return best if best.is_dir() else find_folder(folder)
+
+
 def read_network(folder: Path, robot: Robot) -> Network:
     """Return the network of a training run (its best checkpoint) or of one checkpoint.
 
@@ -111,8 +121,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
     Raises:
         KinfeasError: If there is no policy, or a broken one, or one for another robot.
     """
-    best = find_folder(folder / "checkpoints" / "best")
-    place = best if best.is_dir() else find_folder(folder)
+    place = policy_folder(folder)
     try:
         about = json.loads((place / _ABOUT).read_text(encoding="utf-8"))
         tensors = load_file(place / _WEIGHTS)

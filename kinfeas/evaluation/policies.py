@@ -12,6 +12,7 @@ from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.policy_file import read_policy_file
 
 BASELINES: dict[str, Callable[[Robot], Policy]] = {
     "follow_ee": lambda robot: FollowEe(robot.base),
@@ -27,7 +28,7 @@ QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 
 
 def load_policy(name: str, robot: Robot) -> Policy:
-    """Return a baseline by its name or a trained policy by its run or checkpoint folder.
+    """Return a baseline by its name, or a trained policy by its folder or its ONNX file.
 
     `pretrained` is the policy that comes with the package for `robot`.
 
@@ -41,6 +42,8 @@ def load_policy(name: str, robot: Robot) -> Policy:
     if not Path(name).exists():
         raise KinfeasError(
             f"unknown policy {name!r}{no_such(name, [*BASELINES, pretrained.NAME])}, "
-            "or the folder of a training run"
+            "or the folder of a training run, or the ONNX file of an export"
         )
+    if Path(name).is_file():
+        return read_policy_file(Path(name), robot)
     return policy.read_network(Path(name), robot)

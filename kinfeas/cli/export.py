@@ -1,0 +1,166 @@
+"""`kinfeas export`: a trained policy as one file, and a look at such a file."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, share, status, write_json
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.robots.robot import Robot
+    from kinfeas.sim2real.policy_about import About
+    from kinfeas.sim2real.policy_file import PolicyFile
+
+
+def export(
+    policy: Annotated[
+        str | None,
+        typer.Argument(
+            help="Folder of a training run or of one checkpoint, or pretrained.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="ONNX file to write, such as pr2.onnx.", show_default=False),
+    ] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option("--check", help="Write nothing: verify this ONNX file.", show_default=False),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            help="Robot by name (pr2, tiago, hsr) or path of its YAML; what is not for it is "
+            "refused.",
+            show_default="the one that the run was trained for; with pretrained pr2",
+        ),
+    ] = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Write a policy as one ONNX file that describes itself, or verify such a file.
+
+    The file acts as the training policy does, to 1e-5, or is not written. It runs wherever
+    onnxruntime does, and [bold]--policy[/] takes it.
+    """
+    if (check is None) == (policy is None) or (check is None) != (out is not None):
+        raise KinfeasError("give a policy and --out FILE to export, or --check FILE to verify one")
+    if check is not None:
+        _check(check, options.read_robot(robot) if robot else None, json)
+    elif policy is not None and out is not None:
+        _export(policy, robot, out, json)
+
+
+def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
+    from kinfeas.sim2real.policy_file import read_policy_file
+
+    found = read_policy_file(path, robot)
+    if json is not None:
+        write_json(_facts(found, path), json)
+    compared = f"those of {robot.name} here" if robot else "not compared, for want of --robot"
+    _show(f"policy file {path}: in order", found, [["its kinematics", compared]])
+
+
+def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> None:
+    from kinfeas import pretrained
+    from kinfeas.sim2real.export import export as run
+
+    if policy == pretrained.NAME:
+        known = options.read_robot(robot or "pr2")
+        folder = pretrained.find(known.name)
+    else:
+        folder = Path(policy)
+        known = options.read_robot(robot or _trained_with(folder))
+    with status("exporting"):
+        found, off = run(folder, known, out)
+    if json is not None:
+        write_json({**_facts(found, out), "parity": off}, json)
+    size = ["size", f"{out.stat().st_size:,} bytes"]
+    _show(f"exported: {out}", found, [size, ["off the training policy, at most", f"{off:.1e}"]])
+
+
+def _trained_with(folder: Path) -> str:
+    """Return the robot of a run, by name or path as its configuration has it."""
+    from json import loads
+
+    from kinfeas.policy import policy_folder
+
+    path = policy_folder(folder) / "policy.json"
+    try:
+        about = loads(path.read_text(encoding="utf-8"))
+        return str(about.get("config", about)["robot"])
+    except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
+        raise KinfeasError(
+            f"{folder}: not a training run or checkpoint: {path} is missing or broken"
+        ) from error
+
+
+def _facts(policy: "PolicyFile", path: Path) -> dict[str, object]:
+    from kinfeas.config import to_mapping
+
+    return {"file": path.name, "bytes": path.stat().st_size, **to_mapping(policy.about)}
+
+
+def _show(title: str, policy: "PolicyFile", first: list[list[str]]) -> None:
+    about = policy.about
+    robot, control = about.robot, about.control
+    period = "not known" if control.period is None else f"{control.period:g} s"
+    rows = [
+        *first,
+        ["written by", f"kinfeas {about.version}"],
+        ["robot", f"{robot.name}, {robot.drive}"],
+        ["kinematics", f"{robot.kinematics[:23]}..."],
+        ["EE frame", robot.ee_frame],
+        ["base frame", robot.base_frame],
+        ["control period in training", period],
+        ["planned motion that it sees", f"{control.horizon:g} s"],
+        *_training(about),
+        ["golden pairs answered", str(len(about.golden.action))],
+    ]
+    _print(title, ["", "value"], rows)
+    _print("observation", [" number", "field", "frame", "unit"], _observed(about))
+    numbers = enumerate(about.action)
+    actions = [[str(i), one.name, f"{one.limit:g} {one.unit}"] for i, one in numbers]
+    _print("action, in [-1, 1]", [" number", "field", "1 means"], actions)
+
+
+def _observed(about: "About") -> list[list[str]]:
+    first, rows = 0, []
+    for field in about.observation:
+        last = first + field.size - 1
+        numbers = str(first) if first == last else f"{first}-{last}"
+        rows.append([numbers, field.name, field.frame, field.unit])
+        first += field.size
+    return rows
+
+
+def _print(title: str, columns: list[str], rows: list[list[str]]) -> None:
+    """Print a table whose words come from a file: none of them is markup or moves the cursor."""
+    from rich.markup import escape
+
+    def plain(word: str) -> str:
+        return escape("".join(letter if letter.isprintable() else "?" for letter in word))
+
+    print_table(escape(title), columns, [[plain(word) for word in row] for row in rows])
+
+
+def _training(about: "About") -> list[list[str]]:
+    """Return rows on how a policy was trained and how well it does, as far as that is known."""
+    config, steps = about.training.get("config"), about.training.get("steps")
+    rows = []
+    if isinstance(config, dict):
+        rows.append(["trained for the task", str(config.get("task"))])
+    if isinstance(steps, int):
+        rows.append(["steps of training", f"{steps:,}"])
+    figures = {"evaluation": about.success.get("evaluation")}
+    benchmark = about.success.get("benchmark")
+    figures |= benchmark if isinstance(benchmark, dict) else {}
+    for name, found in figures.items():
+        if isinstance(found, dict) and isinstance(found.get("success"), float):
+            text = f"{share(found['success'])} of {found.get('episodes')} episodes"
+            rows.append([f"success, {name}", text])
+    return rows
