@@ -1,0 +1,123 @@
+"""What has arrived from a robot: the newest of each part, with its age by our own clock."""
+
+import threading
+import time
+
+import numpy as np
+
+from kinfeas.backend import RobotState
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.drive_limits import from_drive
+from kinfeas.sim2real.link import BaseReading, JointReading, Readings
+from kinfeas.spatial import Array, planar_pose, wrap
+
+BACKWARDS = 0.1
+"""Seconds that a stamp may lie before the last one: messages may overtake each other."""
+
+
+class Inbox:
+    """Merges measurements that arrive from other threads, in any order and in parts.
+
+    Ages count from the arrival on the monotonic clock, so that no setting of a clock, here or on
+    the robot, makes old data look new. What lies before the last stamp of the same part is not
+    taken, and if it lies far before, the robot's clock was set back and `fault` says so.
+
+    Attributes:
+        fault: What makes the measurements useless from now on; None while there is no such thing.
+    """
+
+    def __init__(self, robot: Robot, names: dict[str, str]) -> None:
+        """Begin empty.
+
+        Args:
+            robot: Whose arm joints are looked for.
+            names: The robot's name of each arm joint.
+        """
+        self.fault: str | None = None
+        self._robot = robot
+        self._names = [names[joint.name] for joint in robot.arm]
+        self._continuous = np.array([joint.continuous for joint in robot.arm])
+        self._changed = threading.Condition()
+        self._base: tuple[BaseReading, float] | None = None
+        self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, arrival
+        self._stamps: dict[str, float] = {}
+
+    def readings(self) -> Readings:
+        """Return what a transport hands measurements to."""
+        return Readings(self._take_base, self._take_joints)
+
+    def forget(self) -> None:
+        """Begin empty again."""
+        with self._changed:
+            self._base, self._joints, self._stamps, self.fault = None, {}, {}, None
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether everything has arrived, after `seconds` at most."""
+        with self._changed:
+            return self._changed.wait_for(self._complete, seconds)
+
+    def lacks(self) -> tuple[bool, list[str]]:
+        """Return whether the base's pose never came, and the names of the joints that did not."""
+        with self._changed:
+            return self._base is None, [name for name in self._names if name not in self._joints]
+
+    def heard(self) -> dict[str, float]:
+        """Return the newest positions of all joints, also those that are not of the arm."""
+        with self._changed:
+            return {name: values[0] for name, values in self._joints.items()}
+
+    def raw(self) -> Array:
+        """Return the arm's positions as the robot counts them, without wrapping, shape (j,)."""
+        with self._changed:
+            return np.array([self._joints[name][0] for name in self._names])
+
+    def state(self) -> RobotState:
+        """Return the newest measurement of everything, as a batch of one; all must have come."""
+        with self._changed:
+            assert self._base is not None
+            (base, since), joints = self._base, [self._joints[name] for name in self._names]
+        position, velocity, arrival = np.array(joints).T
+        pose = planar_pose(*np.array([[base.x], [base.y], [base.yaw]]))
+        twist = None
+        if base.velocity is not None:
+            twist = from_drive(self._robot.base, pose[0], base.velocity, 0.0)[np.newaxis]
+        oldest = min(since, float(arrival.min()))
+        return RobotState(
+            base_pose=pose,
+            joint_positions=np.where(self._continuous, wrap(position), position)[np.newaxis],
+            base_twist=twist,
+            joint_velocities=velocity[np.newaxis] if np.isfinite(velocity).all() else None,
+            age=np.array([time.monotonic() - oldest]),
+        )
+
+    def _complete(self) -> bool:
+        return self._base is not None and all(name in self._joints for name in self._names)
+
+    def _take_base(self, reading: BaseReading) -> None:
+        with self._changed:
+            if self._later("the base", reading.stamp):
+                self._base = reading, time.monotonic() - reading.age
+                self._changed.notify_all()
+
+    def _take_joints(self, reading: JointReading) -> None:
+        now = time.monotonic()
+        with self._changed:
+            for name, position in reading.positions.items():
+                if self._later(name, reading.stamp):
+                    velocity = reading.velocities.get(name, np.nan)
+                    self._joints[name] = position, velocity, now
+            self._changed.notify_all()
+
+    def _later(self, part: str, stamp: float | None) -> bool:
+        """Return whether a stamp is none or not before the last one of this part."""
+        if stamp is None:
+            return True
+        before = self._stamps.get(part, stamp)
+        if stamp >= before:
+            self._stamps[part] = stamp
+        elif before - stamp > BACKWARDS and self.fault is None:
+            self.fault = (
+                f"the stamps of {part} went back by {before - stamp:.2f} s: was the robot's clock "
+                "set, or do two robots report?"
+            )
+        return stamp >= before

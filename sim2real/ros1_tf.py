@@ -1,0 +1,61 @@
+"""The pose of one frame in another from TF messages, without tf2."""
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from kinfeas.sim2real.link import BaseReading
+from kinfeas.spatial import IDENTITY, Array, compose
+
+_DEEP = 32  # frames; more of them go round in a circle
+
+
+class TfTree:
+    """The newest transform of each frame to its parent."""
+
+    def __init__(self, world: str, base: str) -> None:
+        """Begin empty; wanted is the pose of the frame `base` in the frame `world`."""
+        self._world, self._base = _plain(world), _plain(base)
+        self._edges: dict[str, tuple[str, Array, float, float]] = {}  # parent, pose, stamp, arrival
+
+    def take(self, message: Any, *, static: bool = False) -> None:
+        """Take a tf2_msgs/TFMessage; `static` transforms never grow old."""
+        arrival = math.inf if static else time.monotonic()
+        for one in message.transforms:
+            child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
+            p, q = one.transform.translation, one.transform.rotation
+            pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+            self._edges[child] = parent, pose, one.header.stamp.to_sec(), arrival
+
+    def reading(self) -> BaseReading | None:
+        """Return where the base is, as old as the oldest transform on the way; None if unknown."""
+        edges, frame = dict(self._edges), self._base
+        pose, oldest, stamp = IDENTITY, math.inf, None
+        for _ in range(_DEEP):
+            if frame == self._world:
+                age = max(0.0, time.monotonic() - oldest)
+                x, y, heading = planar(pose)
+                return BaseReading(x, y, heading, stamp=stamp or None, age=age)
+            if frame not in edges:
+                return None
+            frame, above, when, arrival = edges[frame]
+            stamp = when if stamp is None else stamp
+            pose, oldest = compose(above, pose), min(oldest, arrival)
+        return None
+
+
+def planar(pose: Array) -> tuple[float, float, float]:
+    """Return x, y and heading of a pose, shape (7,), without its height and tilt.
+
+    All three are NaN where its quaternion is not of unit length.
+    """
+    x, y, _, qx, qy, qz, qw = pose.tolist()
+    if not abs(math.hypot(qx, qy, qz, qw) - 1.0) < 0.01:
+        return math.nan, math.nan, math.nan
+    return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+
+
+def _plain(frame: str) -> str:
+    return frame.lstrip("/")

@@ -1,0 +1,158 @@
+"""A ROS master, a simulated robot, someone who listens and who deploys, each in its own process."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xmlrpc.client import ServerProxy
+
+import numpy as np
+
+PATIENCE = 180.0
+"""Seconds that a busy machine may take to start a process and to compile its kernels."""
+
+_COMMAND = "from kinfeas.cli.main import main; main()"
+_LISTEN = """
+import os, sys, time
+from kinfeas.sim2real.ros1_node import ros, start_node, subscriber
+def said(mark, twist):
+    numbers = time.monotonic(), twist.linear.x, twist.linear.y, twist.angular.z
+    os.write(1, f"{mark} {' '.join(map(str, numbers))}\\n".encode())  # whole lines, from threads
+start_node("listener")
+base, odometry = ros("geometry_msgs.msg").Twist, ros("nav_msgs.msg").Odometry
+heard = [subscriber(sys.argv[1], base, lambda message: said("command", message)),
+         subscriber(sys.argv[2], odometry, lambda message: said("moves", message.twist.twist))]
+print("listens", flush=True)
+while True:
+    time.sleep(1.0)
+"""
+
+
+class Process:
+    """A Python process with what it says in a file."""
+
+    def __init__(self, code: str, arguments: list[str], out: Path, env: dict[str, str]) -> None:
+        self.out = out
+        with out.open("w") as file:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", code, *arguments],
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=env,
+            )
+
+    def said(self) -> str:
+        return self.out.read_text()
+
+    def wait_for(self, text: str) -> None:
+        wait(lambda: text in self.said() or self.process.poll() is not None)
+        assert text in self.said(), self.said()
+
+    def end(self) -> int:
+        return self.process.wait(PATIENCE)
+
+    def kill(self) -> float:
+        """Kill it and return when."""
+        now = time.monotonic()
+        self.process.kill()
+        self.process.wait()
+        return now
+
+
+class Bus:
+    """Everything that is on one ROS master; processes are started when they are asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        self.uri = f"http://127.0.0.1:{port}"
+        home = {"ROS_HOME": str(folder / "ros"), "ROS_LOG_DIR": str(folder / "ros/log")}
+        self.env = os.environ | home | {"ROS_MASTER_URI": self.uri, "ROS_IP": "127.0.0.1"}
+        self.started: list[Process] = []
+        self.dead, self._robot = False, None
+        self._log = (folder / "roscore.log").open("w")
+        self._core = subprocess.Popen(
+            ["roscore", "-p", str(port)], stdout=self._log, stderr=self._log, env=self.env
+        )
+        wait(self._answers)
+        self.listener = self.run(_LISTEN, "/base_controller/command", "/base_odometry/odom")
+
+    def run(self, code: str, *arguments: str) -> Process:
+        out = self.folder / f"{len(self.started)}.txt"
+        self.started.append(Process(code, list(arguments), out, self.env))
+        return self.started[-1]
+
+    def robot(self) -> Process:
+        """Return a simulated robot that listens: the one there is, if it still lives."""
+        if self._robot is None or self._robot.process.poll() is not None:
+            self._robot = self.run(_COMMAND, "simulate", "--robot", "pr2", "--seconds", "200")
+        self._robot.wait_for("listens")
+        return self._robot
+
+    def deploy(self, *arguments: str) -> Process:
+        given = ["deploy", "pretrained", "--robot", "pr2", "--backend", "ros1", *arguments]
+        return self.run(_COMMAND, *given, "--set", "backend.patience=30")
+
+    def heard(self, mark: str) -> np.ndarray:
+        """Return what the listener heard so far: rows of time, x, y and turning."""
+        lines = self.listener.said().splitlines(keepends=True)
+        rows = [line.split()[1:] for line in lines if line.startswith(mark) and line[-1] == "\n"]
+        return np.array(rows, dtype=float).reshape(-1, 4)
+
+    def wait_for_motion(self, since: float) -> None:
+        """Wait until the base is commanded, and seen, to move for a while after `since`."""
+
+        def moves() -> bool:
+            seen = (self.heard(mark) for mark in ("command", "moves"))
+            fast = (
+                rows[(rows[:, 0] > since) & (np.abs(rows[:, 1:]).max(1) > 0.02)] for rows in seen
+            )
+            return all(len(rows) > 15 for rows in fast)
+
+        wait(moves)
+
+    def seconds_to_zero(self, since: float, mark: str = "command", small: float = 0.0) -> float:
+        """Return how long after `since` the base was told, or seen, to move for the last time."""
+        time.sleep(1.0)
+        rows = self.heard(mark)
+        still = np.abs(rows[:, 1:]).max(axis=1) <= small
+        assert still[-1], rows[-5:]
+        moving = rows[~still, 0]
+        first = rows[rows[:, 0] > moving.max(initial=0.0), 0].min()
+        return first - since
+
+    def kill_master(self) -> float:
+        """Kill the master, as a crash would, and return when."""
+        _, _, pid = ServerProxy(self.uri).getPid("/test")
+        self.dead, now = True, time.monotonic()
+        os.kill(pid, signal.SIGKILL)
+        return now
+
+    def close(self) -> None:
+        for one in self.started:
+            one.kill()
+        self._core.send_signal(signal.SIGINT)
+        try:
+            self._core.wait(15.0)
+        except subprocess.TimeoutExpired:
+            self._core.kill()
+        self._log.close()
+
+    def _answers(self) -> bool:
+        try:
+            return ServerProxy(self.uri).getPid("/test")[0] == 1
+        except OSError:
+            return False
+
+
+def wait(condition) -> None:
+    """Wait until something holds; fail after `PATIENCE`."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)

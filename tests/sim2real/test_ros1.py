@@ -1,0 +1,234 @@
+import importlib.util
+import re
+import shutil
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from kinfeas import registry, spatial
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.record import read_record
+from kinfeas.sim2real import ros1_node
+from kinfeas.sim2real.link import Hosted
+from kinfeas.sim2real.ros1 import Ros1Backend
+from kinfeas.sim2real.ros1_names import read_topics
+from kinfeas.sim2real.watchdog import Watched
+from tests.sim2real.ros1_bus import Bus
+
+LIMIT = 0.3
+"""Seconds within which the base must be commanded to zero, whatever happens."""
+
+
+SILENT = """
+import os
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+backend = registry.build(
+    "kinfeas.backends", "ros1", {"robot": registry.load_robot("pr2"), "patience": 0.3}
+)
+here = os.environ["ROS_MASTER_URI"]
+for uri in ("http://127.0.0.1:9", here):
+    os.environ["ROS_MASTER_URI"] = uri
+    try:
+        backend.reset(None, None)
+    except KinfeasError as error:
+        print(error)
+backend.close()
+"""
+
+
+def ros_is_there() -> bool:
+    """Return whether what the test needs of ROS 1 is installed."""
+    path = list(sys.path)
+    try:
+        for name in ("rospy", "nav_msgs.msg", "tf2_msgs.msg", "trajectory_msgs.msg"):
+            ros1_node.ros(name)
+    except KinfeasError:
+        return False
+    finally:
+        sys.path[:] = path
+    return shutil.which("roscore") is not None
+
+
+needs_ros = pytest.mark.skipif(
+    not ros_is_there(),
+    reason="ROS 1 is not installed: apt install python3-rospy python3-roslaunch python3-nav-msgs "
+    "python3-sensor-msgs python3-trajectory-msgs python3-tf2-msgs",
+)
+needs_physics = pytest.mark.skipif(
+    importlib.util.find_spec("pybullet") is None, reason="PyBullet is not installed"
+)
+
+
+def test_is_found_by_its_name_and_connects_nothing_before_its_reset():
+    robot = registry.load_robot("pr2")
+    backend = registry.build("kinfeas.backends", "ros1", {"robot": robot, "topics": "pr2"})
+    assert isinstance(backend, Ros1Backend)
+    assert isinstance(backend, Watched)
+    assert isinstance(Ros1Backend, Hosted)
+    assert backend.stop_call().arguments == {"topic": "/base_controller/command"}
+    backend.stop()
+    backend.close()
+
+
+@pytest.fixture(scope="module")
+def messages():
+    """The conversions, for which ROS has to be installed."""
+    from kinfeas.sim2real import ros1_messages
+
+    return ros1_messages
+
+
+@needs_ros
+class TestMessages:
+    def test_pr2s_gripper_needs_no_package(self, messages):
+        gripper = read_topics(registry.load_robot("pr2")).gripper
+        kind = messages.gripper_type(gripper)
+        assert kind._md5sum == "680acaff79486f017132a7f198d40f08"
+        assert messages.gripper_command(gripper, "open").position == gripper.open
+        assert messages.gripper_command(gripper, "close").max_effort == 100.0
+
+    def test_a_gripper_is_understood_at_the_other_end(self, messages, robot):
+        gripper = read_topics(robot).gripper
+        for grip in ("open", "close"):
+            assert messages.from_gripper(gripper, messages.gripper_command(gripper, grip)) == grip
+
+    def test_a_target_is_understood_at_the_other_end(self, messages):
+        way = messages.path(messages.trajectory({"a": 0.5, "b": -1.0}, 0.25))
+        assert way.joints == ("a", "b")
+        np.testing.assert_array_equal(way.times, [0.25])
+        np.testing.assert_array_equal(way.positions, [[0.5, -1.0]])
+
+    def test_a_broken_way_is_none(self, messages):
+        empty = messages.trajectory({"a": 0.5}, 0.25)
+        empty.points = []
+        short = messages.trajectory({"a": 0.5, "b": 1.0}, 0.25)
+        short.points[0].positions = [1.0]
+        twice = messages.trajectory({"a": 0.5}, 0.25)
+        twice.points = twice.points * 2
+        unreal = messages.trajectory({"a": np.nan}, 0.25)
+        for message in (empty, short, twice, unreal):
+            assert messages.path(message) is None
+
+    def test_joint_states_may_lack_velocities_but_not_positions(self, messages):
+        state = ros1_node.ros("sensor_msgs.msg").JointState
+        reading = messages.from_joint_state(state(name=["a", "b"], position=[1.0, 2.0]))
+        assert reading.positions == {"a": 1.0, "b": 2.0}
+        assert reading.velocities == {}
+        assert reading.stamp is None
+        assert messages.from_joint_state(state(name=["a", "b"], effort=[1.0, 2.0])) is None
+
+
+@pytest.fixture(scope="module")
+def buses(tmp_path_factory):
+    """A function that returns a bus whose master lives."""
+    made = []
+
+    def living():
+        if not made or made[-1].dead:
+            made.append(Bus(tmp_path_factory.mktemp("bus")))
+        return made[-1]
+
+    yield living
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def bus(buses):
+    return buses()
+
+
+@needs_ros
+def test_what_is_missing_is_said_at_once(bus):
+    one = bus.run(SILENT)
+    assert one.end() == 0, one.said()
+    nothing, silent = one.said().splitlines()
+    assert nothing.startswith("there is no ROS master at http://127.0.0.1:9 ")
+    assert silent.startswith("no pose of the base came from /base_odometry/odom within 0.3 s; is")
+
+
+@needs_ros
+@needs_physics
+def test_reaches_a_goal_over_the_link(bus, tmp_path):
+    robot, record = bus.robot(), tmp_path / "record.csv"
+    pr2 = registry.load_robot("pr2")
+    ee = forward(IkSolver(pr2).chain, pr2.home["home"][np.newaxis])[0]
+    # Where the robot of an earlier test has left the EE, the goal is farther away.
+    goal = [f"{value:.4f}" for value in ee[:3] + np.array([0.1, -0.1, 0.05])]
+    settings = "--set", "generator.gain=1.0", "--set", "slow_down=1", "--seconds", "60"
+    deployment = bus.deploy("--goal", *goal, *settings, "--record", str(record))
+    assert deployment.end() == 0, deployment.said() + robot.said()
+    run = read_record(record)
+    assert np.nanmax(run.age) < 0.2
+    assert np.abs(run.base_twist).max() > 0.01
+    np.testing.assert_allclose(run.joint_positions[-1], run.joint_targets[-1], atol=0.05)
+    reached = forward(IkSolver(pr2).chain, run.joint_positions[-1:])
+    place = spatial.compose(run.base_pose[-1:], reached)
+    assert np.linalg.norm(place[0, :3] - run.goal[-1, :3]) <= 0.03
+    assert np.all(bus.heard("command")[-1, 1:] == 0.0)
+
+
+def far(bus, record):
+    """Return a deployment that has set the base going, on a way of minutes."""
+    begin = time.monotonic()
+    deployment = bus.deploy("--goal", "9", "9", "0.8", "--record", str(record))
+    bus.wait_for_motion(begin)
+    return deployment
+
+
+@needs_ros
+@needs_physics
+def test_the_base_stops_when_the_deployment_is_killed(bus, tmp_path):
+    bus.robot()
+    killed = far(bus, tmp_path / "record.csv").kill()
+    assert bus.seconds_to_zero(killed) <= LIMIT
+    assert bus.seconds_to_zero(killed, "moves", 0.01) <= 2.0 * LIMIT
+    assert len(read_record(tmp_path / "record.csv").time) > 10
+
+
+@needs_ros
+@needs_physics
+def test_the_base_stops_when_the_deployment_stalls(bus, tmp_path):
+    bus.robot()
+    deployment = far(bus, tmp_path / "record.csv")
+    stalled = time.monotonic()
+    deployment.process.send_signal(signal.SIGSTOP)
+    assert bus.seconds_to_zero(stalled) <= LIMIT
+    deployment.process.send_signal(signal.SIGCONT)
+    assert deployment.end() == 3
+    assert bus.seconds_to_zero(stalled) <= LIMIT
+    assert read_record(tmp_path / "record.csv").event[-1]
+
+
+@needs_ros
+@needs_physics
+def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path):
+    robot = bus.robot()
+    deployment = far(bus, tmp_path / "record.csv")
+    killed = robot.kill()
+    assert bus.seconds_to_zero(killed) <= LIMIT
+    assert deployment.end() == 3
+    old = r"measurement (is )?0\.2. s old, at most 0\.2 s is allowed"
+    assert re.search(old, deployment.said())
+    assert re.search(old, read_record(tmp_path / "record.csv").event[-1])
+
+
+@needs_ros
+@needs_physics
+def test_the_base_is_commanded_to_zero_when_the_master_dies(bus, tmp_path):
+    robot = bus.robot()
+    deployment = far(bus, tmp_path / "record.csv")
+    killed = bus.kill_master()
+    assert bus.seconds_to_zero(killed) <= LIMIT
+    assert deployment.end() == 3
+    died = f"the ROS master at {bus.uri} died"
+    assert died in deployment.said()
+    assert died in read_record(tmp_path / "record.csv").event[-1]
+    assert robot.end() == 2
+    assert died in robot.said()

@@ -1,0 +1,75 @@
+import pytest
+import yaml
+
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+from kinfeas.sim2real.ros1_names import read_topics
+
+PR2 = """
+base: {command: /cmd, odometry: /odom}
+joints:
+  measured: /joint_states
+  controllers:
+  - {command: /arm, joints: [%s]}
+"""
+
+
+def test_every_shipped_robot_has_its_names(robot):
+    topics = read_topics(robot)
+    assert topics.base.frame == robot.base.frame
+    assert topics.base.measured_by == "odometry"
+    assert topics.gripper is not None
+    assert topics.gripper.open > topics.gripper.closed
+    for topic in (topics.base.command, topics.base.odometry, topics.joints.measured):
+        assert topic.startswith("/")
+    joints = [name for one in topics.joints.controllers for name in one.joints]
+    assert joints == [joint.name for joint in robot.arm]
+
+
+def test_tiagos_torso_has_a_controller_of_its_own():
+    controllers = read_topics(registry.load_robot("tiago")).joints.controllers
+    assert [one.command for one in controllers] == [
+        "/torso_controller/command",
+        "/arm_controller/command",
+    ]
+    assert controllers[0].joints == ("torso_lift_joint",)
+
+
+def test_ones_own_file(tmp_path):
+    robot = registry.load_robot("pr2")
+    path = tmp_path / "mine.yaml"
+    path.write_text(PR2 % ", ".join(joint.name for joint in robot.arm))
+    topics = read_topics(robot, str(path))
+    assert (topics.base.command, topics.gripper) == ("/cmd", None)
+
+
+def test_joints_may_have_other_names(tmp_path):
+    robot = registry.load_robot("hsr")
+    arm = [joint.name for joint in robot.arm]
+    data = yaml.safe_load(PR2 % ", ".join(["lift", *arm[1:]]))
+    data["joints"]["names"] = {"arm_lift_joint": "lift"}
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(data))
+    assert read_topics(robot, str(path)).joints.controllers[0].joints[0] == "lift"
+
+
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        (lambda arm: arm[:-1], "see r_wrist_roll_joint"),
+        (lambda arm: [*arm, "head_pan_joint"], "see head_pan_joint"),
+        (lambda arm: [*arm, arm[0]], "see r_shoulder_pan_joint"),
+    ],
+)
+def test_controllers_share_the_arm_among_them(tmp_path, joints, said):
+    robot = registry.load_robot("pr2")
+    path = tmp_path / "mine.yaml"
+    path.write_text(PR2 % ", ".join(joints([joint.name for joint in robot.arm])))
+    with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers' must hold.*{said}"):
+        read_topics(robot, str(path))
+
+
+def test_an_unknown_name_lists_what_there_is():
+    robot = registry.load_robot("pr2")
+    with pytest.raises(KinfeasError, match=r"unknown topics 'pr3'.*known are hsr, pr2, tiago"):
+        read_topics(robot, "pr3")
