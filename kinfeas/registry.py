@@ -6,12 +6,14 @@ Everything is looked up lazily and one name at a time, so that a broken plugin d
 import inspect
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import Blaming
 from kinfeas.robots.robot import Robot, read_robot
 from kinfeas.schema import no_such
 
@@ -24,34 +26,53 @@ GROUPS = {
 }
 """The entry-point groups, and what one entry of each is called."""
 
-# What a module's own code raises while it is imported. A list rather than `Exception`, so that
-# the machine's troubles (MemoryError, SystemError) keep their traceback.
-_IMPORT_FAILURES = (
-    ImportError,
-    SyntaxError,
-    AttributeError,
-    NameError,
-    TypeError,
-    ValueError,
-    LookupError,
-    ArithmeticError,
-    AssertionError,
-    OSError,
-    RuntimeError,
-)
+_REGISTERED: list[EntryPoint] = []
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """One entry of a group and the distribution that it comes from."""
+    """One entry of a group and the distribution that it comes from.
+
+    Attributes:
+        group: One of `GROUPS`.
+        name: Name of the entry.
+        distribution: Who offers it.
+        version: Of the distribution.
+        target: The class or function, as `module:name`.
+    """
 
     group: str
     name: str
     distribution: str
     version: str
+    target: str = field(default="", compare=False)
 
     def __str__(self) -> str:
         return f"{GROUPS[self.group]} {self.name!r} ({self.distribution} {self.version})"
+
+
+def register(group: str, name: str, factory: type | FunctionType) -> None:
+    """Offer a class or function of this process by name, beside what is installed.
+
+    For scripts and notebooks; processes that are started later do not know of it. A second call
+    with the same name replaces the first one.
+
+    Args:
+        group: One of `GROUPS`.
+        name: Name to find it by.
+        factory: What an entry point would name: it must stand at the top of its module.
+
+    Raises:
+        KinfeasError: If there is no such group, an installed distribution offers that name, or
+            `factory` is not at the top of a module.
+    """
+    if any(entry.name == name and entry not in _REGISTERED for entry in _entries(group)):
+        raise KinfeasError(f"{GROUPS[group]} {name!r} is installed already; choose another name")
+    if "." in factory.__qualname__:
+        raise KinfeasError(f"{factory.__qualname__} must stand at the top of its module")
+    target = f"{factory.__module__}:{factory.__qualname__}"
+    _REGISTERED[:] = [entry for entry in _REGISTERED if (entry.group, entry.name) != (group, name)]
+    _REGISTERED.append(EntryPoint(name, target, group))
 
 
 def plugins(group: str) -> list[Plugin]:
@@ -63,6 +84,11 @@ def plugins(group: str) -> list[Plugin]:
 def names(group: str) -> list[str]:
     """Return the sorted names of a group."""
     return sorted({entry.name for entry in _entries(group)})
+
+
+def check_unique(group: str, name: str) -> None:
+    """Raise if `name` is unknown in a group or claimed twice, as `load` does."""
+    _find(group, name)
 
 
 def load(group: str, name: str) -> Any:
@@ -86,16 +112,17 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         KinfeasError: As `load`; also if a parameter is unknown, missing or refused.
     """
     entry = _find(group, name)
-    factory = _import(entry)
+    factory, subject = _import(entry), _plugin(entry)
     if not callable(factory):
         kind = type(factory).__name__
-        raise KinfeasError(f"{_plugin(entry)} must be a class or a function, not {kind}")
-    try:
-        _check_names(inspect.signature(factory), parameters)
-        return factory(**parameters)
-    # A value of a wrong type shows as TypeError in a constructor that only calculates with it.
-    except (ValueError, TypeError) as error:
-        raise KinfeasError(f"{_plugin(entry)}: {error}") from error
+        raise KinfeasError(f"{subject} must be a class or a function, not {kind}")
+    with Blaming(f"{subject} fails:", _package(entry)):
+        try:
+            _check_names(inspect.signature(factory), parameters)
+            return factory(**parameters)
+        # A value of a wrong type shows as TypeError in a constructor that only calculates with it.
+        except (ValueError, TypeError) as error:
+            raise KinfeasError(f"{subject}: {error}") from error
 
 
 def load_robot(name_or_path: str) -> Robot:
@@ -117,7 +144,8 @@ def load_robot(name_or_path: str) -> Robot:
 def _entries(group: str) -> list[EntryPoint]:
     if group not in GROUPS:
         raise KinfeasError(f"unknown plugin group {group!r}{no_such(group, GROUPS)}")
-    return list(entry_points(group=group))
+    own = [entry for entry in _REGISTERED if entry.group == group]
+    return [*entry_points(group=group), *own]
 
 
 def _find(group: str, name: str) -> EntryPoint:
@@ -134,15 +162,18 @@ def _find(group: str, name: str) -> EntryPoint:
 
 def _plugin(entry: EntryPoint) -> Plugin:
     distribution, version = (entry.dist.name, entry.dist.version) if entry.dist else ("?", "?")
-    return Plugin(entry.group, entry.name, distribution, version)
+    return Plugin(entry.group, entry.name, distribution, version, entry.value)
 
 
 def _import(entry: EntryPoint) -> Any:
-    try:
+    # Whatever an outside module does on import is its own affair.
+    with Blaming(f"{_plugin(entry)} cannot be loaded:", _package(entry)):
         return entry.load()
-    except _IMPORT_FAILURES as error:
-        cause = f"{type(error).__name__}: {error}"
-        raise KinfeasError(f"{_plugin(entry)} cannot be loaded: {cause}") from error
+
+
+def _package(entry: EntryPoint) -> str:
+    """Return the top-level package of an entry's code."""
+    return entry.value.partition(":")[0].partition(".")[0].strip()
 
 
 def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:

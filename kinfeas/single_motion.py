@@ -94,7 +94,8 @@ class RowByRow:
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
         """Return the world twist, shape (n, 6), and the next state."""
         steps = [
-            self.single.twist(_row(state, i), pose.copy(), dt) for i, pose in enumerate(ee_pose)
+            self._pair(self.single.twist(_row(state, i), pose.copy(), dt))
+            for i, pose in enumerate(ee_pose)
         ]
         if not steps:
             return np.zeros((0, 6)), dict(state)
@@ -102,13 +103,25 @@ class RowByRow:
             "twist", [after for _, after in steps]
         )
 
+    def _pair(self, answer: Any) -> tuple[Array, Mapping[str, ArrayLike]]:
+        """Return what a single motion's `twist` answers, in arrays of the right shape."""
+        where = f"{type(self).__name__}.twist"
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise KinfeasError(f"{where} must return a pair: the twist and the next state")
+        twist = np.asarray(answer[0])
+        if twist.shape != (6,) or twist.dtype.kind not in "biuf":
+            raise KinfeasError(
+                f"{where} must return a twist of shape (6,), m/s and rad/s, not {twist.shape}"
+            )
+        return twist, answer[1]
+
     def _stacked(self, method: str, states: list[Mapping[str, ArrayLike]]) -> State:
         """Return the states of single motions as one of n."""
         if not states:
             return {}
-        rows = [{k: np.asarray(v, dtype=np.float64) for k, v in state.items()} for state in states]
-        shapes = {k: v.shape for k, v in rows[0].items()}
         where = f"{type(self).__name__}.{method}"
+        rows = [_numbers(state, where) for state in states]
+        shapes = {k: v.shape for k, v in rows[0].items()}
         if not shapes:
             raise KinfeasError(f"{where} returned an empty state; it must hold at least the goal")
         for row in rows:
@@ -123,3 +136,19 @@ class RowByRow:
 def _row(state: State, i: int) -> dict[str, Any]:
     """Return a copy of the state of motion `i`."""
     return {k: v[i].copy() for k, v in state.items()}
+
+
+def _numbers(state: object, where: str) -> State:
+    """Return the state of one motion in arrays of its own."""
+    if not isinstance(state, Mapping):
+        kind = type(state).__name__
+        raise KinfeasError(f"{where} must return a state that is a dict of numbers, not a {kind}")
+    rows: State = {}
+    for key, value in state.items():
+        try:
+            rows[key] = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise KinfeasError(
+                f"{where} must return a state of numbers and arrays, and {key!r} is neither"
+            ) from error
+    return rows

@@ -1,28 +1,150 @@
-"""`kinfeas plugins`: what is installed."""
+"""`kinfeas plugins`: what is installed, whether it is sound, and a start for one of your own."""
+
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from kinfeas.cli import options
+from kinfeas.cli import options, plugin_check, plugin_new
 from kinfeas.cli.output import print_table, write_json
 
-app = typer.Typer(no_args_is_help=True, help="Show the plugins that are installed.")
+if TYPE_CHECKING:
+    from kinfeas.registry import Plugin
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Robots, tasks, motion generators, adapters and backends: show, check and begin them.",
+)
+app.command("check")(plugin_check.check)
+app.command("new")(plugin_new.new)
 
 
 @app.command("list")
 def list_plugins(json: options.JsonPath = None) -> None:
-    """List robots, tasks, motion generators, adapters and backends, and where they come from."""
+    """List what is installed and where it comes from; what is broken is shown with its error."""
+    from kinfeas.cli.plugin_facts import summary
     from kinfeas.registry import GROUPS, plugins
 
-    found = [plugin for group in GROUPS for plugin in plugins(group)]
+    found = [(plugin, *summary(plugin)) for group in GROUPS for plugin in plugins(group)]
     if json is not None:
-        write_json([vars(plugin) for plugin in found], json)
+        entries = [
+            {**vars(plugin), "kind": GROUPS[plugin.group], "description": text, "error": error}
+            for plugin, text, error in found
+        ]
+        write_json(entries, json)
     rows = [
-        [GROUPS[plugin.group], plugin.name, f"{plugin.distribution} {plugin.version}"]
-        for plugin in found
+        [GROUPS[plugin.group], plugin.name, _origin(plugin), error_or(text, error)]
+        for plugin, text, error in found
     ]
-    print_table("plugins", ["kind", "name", "distribution"], rows)
+    print_table("plugins", ["kind", "name", "from", "what it is"], rows)
 
 
-@app.callback()
-def _group() -> None:
-    """Keep `list` a command of its own, though it is the only one yet."""
+def error_or(text: str, error: str | None) -> str:
+    """Return a plugin's description, or in red what is wrong with it."""
+    from rich.markup import escape
+
+    return escape(text) if error is None else f"[red]broken: {escape(error)}[/]"
+
+
+@app.command("info")
+def info(name: options.PluginName, json: options.JsonPath = None) -> None:
+    """Show a plugin's parameters with units and defaults, a robot's joints, or a task's legs."""
+    from kinfeas.cli.plugin_facts import facts, find
+
+    found = [facts(plugin) for plugin in find(name)]
+    if json is not None:
+        write_json(found, json)
+    for one in found:
+        _show(one)
+
+
+def _show(known: dict[str, Any]) -> None:
+    origin = f"{known['distribution']} {known['version']}"
+    typer.echo(f"{known['kind']} {known['name']}, from {origin}, {known['target']}\n")
+    typer.echo(f"{known['text']}\n" if known["text"] else "It has no docstring.\n")
+    if "robot" in known:
+        _show_robot(known["robot"])
+    if "parameters" in known:
+        _show_parameters(known["parameters"])
+    if "legs" in known:
+        _show_legs(known["legs"])
+
+
+def _show_parameters(parameters: list[dict[str, Any]]) -> None:
+    from rich.markup import escape
+
+    if not parameters:
+        typer.echo("It has no parameters.")
+        return
+    rows = [
+        [
+            one["name"],
+            escape(one["type"]),
+            one["unit"],
+            "must be given" if one["default"] is None else escape(one["default"]),
+            escape(one["description"]),
+        ]
+        for one in parameters
+    ]
+    print_table("parameters", ["name", "type", "unit", "default", "what it is"], rows)
+
+
+def _show_legs(legs: list[dict[str, Any]]) -> None:
+    rows = [
+        [
+            str(number),
+            leg["motion"],
+            " ".join(f"{key}={value}" for key, value in leg["parameters"].items()),
+            leg["frame"],
+            leg["place"] or "drawn at random",
+            f"{leg['wait_s']:g} s",
+            leg["grip"] or "",
+        ]
+        for number, leg in enumerate(legs, start=1)
+    ]
+    columns = [" leg", "motion", "its parameters", "frame", "leads to", " wait", "gripper"]
+    print_table("legs", columns, rows)
+
+
+def _show_robot(robot: dict[str, Any]) -> None:
+    rows = [
+        [
+            joint["name"],
+            "no limit" if joint["lower"] is None else f"{joint['lower']:.3g}",
+            "no limit" if joint["upper"] is None else f"{joint['upper']:.3g}",
+            joint["unit"],
+            f"{joint['velocity']:.3g} {joint['unit']}/s",
+        ]
+        for joint in robot["arm"]
+    ]
+    print_table("arm", ["joint", " lower", " upper", "unit", " velocity"], rows)
+    base = robot["base"]
+    heights = (f"{name} {low:g} to {high:g} m" for name, (low, high) in _heights(robot))
+    leeway = robot["leeway"]
+    facts = [
+        ["drive", base["drive"]],
+        ["base velocity", f"{base['max_velocity']:g} m/s, {base['max_rotation']:g} rad/s"],
+        [
+            "base acceleration",
+            f"{base['max_acceleration']:g} m/s^2, {base['max_rotation_acceleration']:g} rad/s^2",
+        ],
+        ["base frame", base["frame"]],
+        ["EE frame", robot["ee_frame"]],
+        ["tool tip in it", f"{', '.join(f'{value:g}' for value in robot['tool_tip_m'])} m"],
+        ["goal heights", ", ".join(heights)],
+        [
+            "leeway on the way",
+            "none" if leeway is None else f"{leeway['position']:g} m, {leeway['rotation']:g} rad",
+        ],
+        ["gripper", ", ".join(robot["gripper"] or ["none"])],
+        ["configurations", ", ".join(robot["configurations"])],
+        ["URDF", robot["urdf"]],
+    ]
+    print_table(f"robot {robot['name']}", ["", ""], facts)
+
+
+def _heights(robot: dict[str, Any]) -> list[tuple[str, tuple[float, float]]]:
+    return [(name, (low, high)) for name, (low, high) in robot["goal_heights_m"].items()]
+
+
+def _origin(plugin: "Plugin") -> str:
+    return f"{plugin.distribution} {plugin.version}"

@@ -1,0 +1,145 @@
+"""`kinfeas plugins check`: whether a motion generator keeps its contract."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinfeas.cli import completion, options
+from kinfeas.cli.output import check_json_path, print_table, progress, status, write_json
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.motion_trial import Trial
+    from kinfeas.testing import Finding
+
+_GROUP = "kinfeas.motion_generators"
+
+
+@dataclass(frozen=True)
+class _Settings:
+    parameters: dict[str, object] = field(default_factory=dict)
+
+
+def check(  # noqa: PLR0913, PLR0917 - each option is an argument
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a motion generator.",
+            autocompletion=completion.plugins("motion_generators"),
+        ),
+    ],
+    overrides: options.Overrides = None,
+    duration: Annotated[
+        float, typer.Option("--duration", min=0.1, help="Seconds in which a motion must arrive.")
+    ] = 120.0,
+    dt: Annotated[float, typer.Option("--dt", min=0.001, help="Seconds of a step.")] = 0.1,
+    max_velocity: Annotated[
+        float, typer.Option("--max-velocity", min=0.0, help="Speed that it must keep to, m/s.")
+    ] = 0.1,
+    max_angular_velocity: Annotated[
+        float,
+        typer.Option("--max-angular-velocity", min=0.0, help="The same of the turning, rad/s."),
+    ] = 0.1,
+    seed: options.Seed = 0,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture", help="Draw sample motions into this PNG.", callback=check_json_path
+        ),
+    ] = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Put a motion generator to the conformance test that the built-in ones pass.
+
+    Settings: the generator's own parameters, such as [bold]gain=0.2[/]. It ends with exit code 2
+    if a rule is broken.
+    """
+    from kinfeas.motion_trial import Trial
+
+    parameters = _parameters(overrides or [])
+    trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
+    findings = _examine(name, parameters, trial)
+    if json is not None:
+        write_json(_plain(name, parameters, findings), json)
+    _show(name, findings)
+    if picture is not None:
+        _draw(name, parameters, trial, picture)
+    _judge(name, findings)
+
+
+def _parameters(overrides: list[str]) -> dict[str, object]:
+    from kinfeas.config import from_mapping
+
+    under = [f"parameters.{text}" for text in overrides]
+    return from_mapping(_Settings, {}, "settings", under).parameters
+
+
+def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["Finding"]:
+    from kinfeas import registry
+    from kinfeas.testing import examine
+
+    generator = registry.build(_GROUP, name, parameters)
+    with progress(f"checking {name}", trial.steps) as advance:
+        return examine(generator, trial, name, lambda: advance(1.0))
+
+
+def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) -> None:
+    from kinfeas import registry
+    from kinfeas.evaluation.motion_picture import motion_figure
+    from kinfeas.evaluation.pictures import png
+    from kinfeas.folders import writing
+    from kinfeas.motion_checks import CheckedMotion
+    from kinfeas.motion_trial import sample_motions
+
+    motion = CheckedMotion(registry.build(_GROUP, name, parameters), name)
+    with status("drawing"):
+        figure = motion_figure(name, sample_motions(motion, trial), trial)
+        with writing(path):
+            path.write_bytes(png(figure, dpi=110))
+
+
+def _plain(
+    name: str, parameters: dict[str, object], findings: list["Finding"]
+) -> dict[str, object]:
+    from kinfeas.testing import RULES
+
+    rules = [
+        {"rule": one.rule, "text": RULES[one.rule], "result": _result(one), "broken": one.broken}
+        for one in findings
+    ]
+    passed = all(one.kept for one in findings)
+    return {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
+
+
+def _result(one: "Finding") -> str:
+    if one.broken is not None:
+        return "broken"
+    return "kept" if one.checked else "not checked"
+
+
+def _show(name: str, findings: list["Finding"]) -> None:
+    from rich.markup import escape
+
+    from kinfeas.testing import RULES
+
+    colours = {"kept": "green", "broken": "red", "not checked": "yellow"}
+    rows = [
+        [RULES[one.rule], f"[{colours[_result(one)]}]{_result(one)}[/]", escape(one.broken or "")]
+        for one in findings
+    ]
+    print_table(f"motion generator {name}", ["rule", "", "how"], rows)
+
+
+def _judge(name: str, findings: list["Finding"]) -> None:
+    """Say that all is well.
+
+    Raises:
+        KinfeasError: If a rule is broken.
+    """
+    broken = [one.broken for one in findings if one.broken is not None]
+    if broken:
+        count = f"{len(broken)} of {len(findings)} rules broken"
+        raise KinfeasError(f"{count}: {broken[0]}")
+    typer.echo(f"motion generator {name} passes: all {len(findings)} rules are kept")

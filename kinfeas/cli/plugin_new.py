@@ -1,0 +1,37 @@
+"""`kinfeas plugins new`: a small distribution to begin with."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Kind(StrEnum):
+    """What a distribution may offer."""
+
+    MOTION_GENERATOR = "motion_generator"
+    ROBOT = "robot"
+    TASK = "task"
+    ADAPTER = "adapter"
+    BACKEND = "backend"
+
+
+def new(
+    name: Annotated[str, typer.Argument(help="What it will be called, such as my_motion.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder to write it into.", show_default="./kinfeas-NAME"),
+    ] = None,
+    kind: Annotated[Kind, typer.Option("--kind", help="What it offers.")] = Kind.MOTION_GENERATOR,
+) -> None:
+    """Write a complete distribution: an entry point, a working example, its test and a README.
+
+    [bold]pip install DIR[/] and [bold]pytest DIR[/] work at once; then change what it does.
+    """
+    from kinfeas.templates import write_distribution
+
+    folder = out or Path(f"kinfeas-{name.replace('_', '-')}")
+    for path in write_distribution(kind, name, folder):
+        typer.echo(str(path))
+    typer.echo(f"install it: pip install -e {folder}\ntest it: pytest {folder}")

@@ -1,0 +1,160 @@
+"""A motion generator whose every answer is looked at: nothing malformed gets into a loop."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.foreign import USUAL, Blaming
+from kinfeas.motion import Demonstrated, MotionGenerator, State
+from kinfeas.spatial import Array
+
+_UNIT_LENGTH = 1e-6
+
+
+class ConformanceError(KinfeasError):
+    """A motion generator breaks its contract; the sentence names it and what it broke.
+
+    Attributes:
+        rule: Short name of what it broke, one of `testing.RULES`.
+    """
+
+    def __init__(self, message: str, rule: str = "form") -> None:
+        super().__init__(message)
+        self.rule = rule
+
+
+class CheckedMotion:
+    """A motion generator that passes on another one's answers if they have the right form.
+
+    Shapes, types and finite numbers are checked at each call, unit quaternions when a motion
+    begins. What the generator's own code raises becomes an error that names it and the line.
+
+    Args:
+        generator: Who answers.
+        name: What to call it in errors; the name of its class by default.
+
+    Attributes:
+        demonstrated: Whether the base was demonstrated, too.
+
+    Raises:
+        ConformanceError: From every method, if the answer is malformed.
+    """
+
+    def __init__(self, generator: MotionGenerator, name: str = "") -> None:
+        kind = type(generator)
+        self.generator = generator
+        self.demonstrated = isinstance(generator, Demonstrated)
+        self.subject = f"motion generator {name or kind.__name__}"
+        package = kind.__module__.partition(".")[0]
+        self._start, self._goal_pose, self._twist, self._base_pose = (
+            Blaming(f"{self.subject} fails in {method}:", package)
+            for method in ("start", "goal_pose", "twist", "base_pose")
+        )
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions, shapes (n, 7), (n, 7), n; there is at least one."""
+        with self._start:
+            state = self.generator.start(ee_pose, target_pose, rngs)
+        self._require_state("start", state, len(ee_pose))
+        if not state and len(ee_pose):
+            raise self.error("must return a state from start that holds at least the goal")
+        self._require_unit(self.goal_pose(state))
+        return state
+
+    def goal_pose(self, state: State) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        try:
+            goal = self.generator.goal_pose(state)
+        except USUAL as error:
+            self._goal_pose.blame(error)
+            raise
+        n = _count(state)
+        if type(goal) is not np.ndarray or goal.shape != (n, 7):
+            self._require_form("goal_pose", goal, (n, 7))
+        return goal
+
+    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
+        try:
+            answer = self.generator.twist(state, ee_pose, dt)
+        except USUAL as error:
+            self._twist.blame(error)
+            raise
+        if not _plausible(answer, len(ee_pose)):
+            self._require_step(answer, len(ee_pose))
+        return answer
+
+    def base_pose(self, state: State) -> Array:
+        """Return where the base was demonstrated to be, shape (n, 7); NaN where it was not."""
+        n = _count(state)
+        if not (self.demonstrated and isinstance(self.generator, Demonstrated)):
+            return np.full((n, 7), np.nan)
+        with self._base_pose:
+            pose = self.generator.base_pose(state)
+        self._require_form("base_pose", pose, (n, 7))
+        return pose
+
+    def error(self, broken: str, rule: str = "form") -> ConformanceError:
+        """Return an error with the sentence `broken`, which has the generator as its subject."""
+        return ConformanceError(f"{self.subject} {broken}", rule)
+
+    def _require_step(self, answer: Any, n: int) -> None:
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise self.error("must return a pair from twist: the twist and the next state")
+        self._require_form("twist", answer[0], (n, 6))
+        self._require_finite("twist", answer[0])
+        self._require_state("twist", answer[1], n)
+
+    def _require_state(self, method: str, state: State, n: int) -> None:
+        rule = f"must return a state from {method} that is a dict of numeric arrays"
+        if not isinstance(state, dict):
+            raise self.error(f"{rule}, not a {type(state).__name__}")
+        for key, value in state.items():
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+                raise self.error(f"{rule}, and {key!r} is not")
+            if not value.ndim or len(value) != n:
+                raise self.error(f"{rule} of leading axis {n}, and {key!r} has shape {value.shape}")
+
+    def _require_form(self, method: str, value: Array, shape: tuple[int, ...]) -> None:
+        numeric = isinstance(value, np.ndarray) and value.dtype.kind in "biuf"
+        if not numeric or value.shape != shape:
+            got = getattr(value, "shape", type(value).__name__)
+            raise self.error(f"must return an array of shape {shape} from {method}, not {got}")
+
+    def _require_finite(self, method: str, value: Array) -> None:
+        if not np.isfinite(value).all():
+            raise self.error(f"returns numbers from {method} that are not finite")
+
+    def _require_unit(self, goal: Array) -> None:
+        self._require_finite("goal_pose", goal)
+        off = np.abs(np.linalg.norm(goal[:, 3:], axis=-1) - 1.0).max(initial=0.0)
+        if not off < _UNIT_LENGTH:
+            raise self.error(
+                "returns a goal_pose whose quaternion is not of unit length", "quaternions"
+            )
+
+
+def _plausible(answer: Any, n: int) -> bool:
+    """Return whether an answer of `twist` is surely sound; at each step, so as cheap as can be."""
+    if type(answer) is not tuple or len(answer) != 2:
+        return False
+    twist, after = answer
+    if type(twist) is not np.ndarray or twist.shape != (n, 6) or twist.dtype != np.float64:
+        return False
+    # One product looks at all numbers at once; what overflows is looked at again.
+    if not math.isfinite(np.vdot(twist, twist)) or type(after) is not dict:
+        return False
+    for value in after.values():
+        if type(value) is not np.ndarray or value.shape[:1] != (n,):
+            return False
+    return True
+
+
+def _count(state: State) -> int:
+    """Return how many motions a state is of."""
+    return len(next(iter(state.values()), ()))

@@ -1,0 +1,1 @@
+"""A motion generator and a task from outside."""

@@ -1,0 +1,57 @@
+"""The motion `swirl`: to the target, and around it on the way."""
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.spatial import twist_between
+
+
+class Swirl:
+    """To the target on a spiral about the vertical through it.
+
+    Args:
+        gain: Speed per distance to the goal, 1/s.
+        swirl: Speed around the goal per speed toward it, at least 0.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
+
+    Raises:
+        KinfeasError: If the gain is not positive.
+    """
+
+    def __init__(
+        self,
+        *,
+        gain: float = 0.3,
+        swirl: float = 0.5,
+        max_velocity: float = 0.1,
+        max_angular_velocity: float = 0.1,
+    ) -> None:
+        if gain <= 0.0:
+            raise KinfeasError(f"gain must be positive, not {gain:g}")
+        self.gain, self.swirl = gain, swirl
+        self.max_velocity, self.max_angular_velocity = max_velocity, max_angular_velocity
+
+    def start(self, ee_pose, target_pose, rngs):
+        """Return the state of n motions to `target_pose`, shape (n, 7)."""
+        return {"goal": target_pose.copy()}
+
+    def goal_pose(self, state):
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        return state["goal"].copy()
+
+    def twist(self, state, ee_pose, dt):
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
+        way = twist_between(ee_pose, state["goal"], 1.0)
+        toward, turn = way[:, :3], way[:, 3:]
+        around = self.swirl * np.stack([-toward[:, 1], toward[:, 0], 0.0 * toward[:, 2]], axis=1)
+        gain = min(self.gain, 0.5 / dt)
+        linear = _shortened(gain * (toward + around), self.max_velocity)
+        angular = _shortened(gain * turn, self.max_angular_velocity)
+        return np.concatenate([linear, angular], axis=1), dict(state)
+
+
+def _shortened(vectors, longest):
+    """Return vectors, shape (n, 3), none of them longer than `longest`."""
+    length = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
+    return vectors * np.minimum(1.0, longest / np.maximum(length, 1e-12))
