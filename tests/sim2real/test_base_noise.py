@@ -4,9 +4,11 @@ from scipy.stats import kstest
 
 from kinfeas import registry
 from kinfeas.backend import RobotState, Stochastic
-from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.base_noise import BaseNoise
+from kinfeas.sim2real.draws import Range
+
+PR2 = registry.load_robot("pr2")
 
 
 class Recorder:
@@ -35,11 +37,17 @@ def seeds(*values):
 def draws(given, steps, **deviations):
     """Return the noise of episodes with these seeds, shape (steps, n, 6)."""
     recorder = Recorder()
-    noise = BaseNoise(recorder, **deviations)
-    noise.seed(given, np.arange(len(given)))
+    noise = BaseNoise(recorder, PR2, **deviations)
+    begin(noise, given)
     for _ in range(steps):
         noise.step(np.zeros((len(given), 6)), np.zeros((len(given), 1)), 0.1)
     return np.stack(recorder.twists)
+
+
+def begin(noise, given):
+    n = len(given)
+    noise.seed(given, np.arange(n))
+    noise.reset(np.zeros((n, 7)), np.zeros((n, 1)))
 
 
 def many(steps=2000, n=50):
@@ -87,14 +95,14 @@ def test_deviations_scale_the_planar_velocity_and_the_turning():
 
 
 def test_defaults_are_the_methods():
-    noise = BaseNoise(Recorder())
-    assert (noise.linear, noise.angular) == (0.015, 0.015)
+    ranges = BaseNoise(Recorder(), PR2).ranges
+    assert ranges == {"linear": Range(0.015, 0.015), "angular": Range(0.015, 0.015)}
 
 
 def test_is_added_to_the_command_and_leaves_the_rest_alone():
     recorder = Recorder()
-    noise = BaseNoise(recorder)
-    noise.seed(seeds(5), np.array([0]))
+    noise = BaseNoise(recorder, PR2)
+    begin(noise, seeds(5))
     twist, targets = np.arange(6.0)[np.newaxis], np.ones((1, 7))
     noise.step(twist, targets, 0.1)
     np.testing.assert_array_equal(twist, [np.arange(6.0)])
@@ -112,11 +120,12 @@ def test_a_row_does_not_depend_on_the_batch():
 
 def test_a_new_episode_begins_its_draws_anew():
     recorder = Recorder()
-    noise = BaseNoise(recorder)
-    noise.seed(seeds(1, 2, 3), np.arange(3))
+    noise = BaseNoise(recorder, PR2)
+    begin(noise, seeds(1, 2, 3))
     for _ in range(4):
         noise.step(np.zeros((3, 6)), np.zeros((3, 1)), 0.1)
     noise.seed(seeds(9), np.array([1]))
+    noise.reset(np.zeros((3, 7)), np.zeros((3, 1)), np.array([1]))
     for _ in range(4):
         noise.step(np.zeros((3, 6)), np.zeros((3, 1)), 0.1)
     found, expected = np.stack(recorder.twists), draws(seeds(1, 9, 3), 8)
@@ -133,9 +142,9 @@ def test_same_seed_same_draws_and_other_seed_others():
 
 def test_the_batch_may_grow_and_shrink():
     recorder = Recorder()
-    noise = BaseNoise(recorder)
+    noise = BaseNoise(recorder, PR2)
     for n in (2, 5, 1, 3):
-        noise.seed(np.arange(n, dtype=np.uint64), np.arange(n))
+        begin(noise, np.arange(n, dtype=np.uint64))
         noise.step(np.zeros((n, 6)), np.zeros((n, 1)), 0.1)
         np.testing.assert_array_equal(
             recorder.twists[-1], draws(np.arange(n, dtype=np.uint64), 1)[0]
@@ -144,20 +153,20 @@ def test_the_batch_may_grow_and_shrink():
 
 def test_wrapped_twice_draws_twice():
     recorder = Recorder()
-    noise = BaseNoise(BaseNoise(recorder, linear=1.0), linear=1.0)
+    noise = BaseNoise(BaseNoise(recorder, PR2, linear=1.0), PR2, linear=1.0)
     given = np.random.default_rng(0).integers(2**64, size=4000, dtype=np.uint64)
-    noise.seed(given, np.arange(4000))
+    begin(noise, given)
     noise.step(np.zeros((4000, 6)), np.zeros((4000, 1)), 0.1)
     assert recorder.twists[0][:, 0].std() == pytest.approx(np.sqrt(2.0), rel=0.05)
 
 
 def test_passes_on_the_rest():
     recorder = Recorder()
-    noise = BaseNoise(recorder)
+    noise = BaseNoise(recorder, PR2)
     assert isinstance(noise, Stochastic)
-    base, joints, rows = np.zeros((2, 7)), np.zeros((2, 6)), np.array([1, 4])
-    assert noise.reset(base, joints, rows).base_pose is base
-    assert recorder.last_reset == (base, joints, rows)
+    base, joints = np.zeros((2, 7)), np.zeros((2, 6))
+    assert noise.reset(base, joints).base_pose is base
+    assert recorder.last_reset == (base, joints, None)
     noise.close()
     noise.close()
     assert recorder.closed == 2
@@ -166,23 +175,24 @@ def test_passes_on_the_rest():
 @pytest.mark.parametrize("name", ["linear", "angular"])
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
 def test_deviations_are_finite_and_not_negative(name, value):
-    with pytest.raises(KinfeasError, match=f"{name} is .*, must be finite and at least 0"):
-        registry.build("kinfeas.adapters", "base_noise", {"backend": Recorder(), name: value})
+    with pytest.raises(KinfeasError, match=f"{name} is .*, must be a finite number >= 0"):
+        registry.build(
+            "kinfeas.adapters", "base_noise", {"backend": Recorder(), "robot": PR2, name: value}
+        )
 
 
 def test_a_deviation_that_is_no_number_is_one_sentence():
     with pytest.raises(KinfeasError, match="base_noise"):
-        registry.build("kinfeas.adapters", "base_noise", {"backend": Recorder(), "linear": "much"})
+        registry.build(
+            "kinfeas.adapters",
+            "base_noise",
+            {"backend": Recorder(), "robot": PR2, "linear": "much"},
+        )
 
 
-def test_passes_grips_on_to_whoever_has_grippers():
-    class Hands(AnalyticBackend):
-        told = None
-
-        def grip(self, grip, rows):
-            self.told = grip, rows.tolist()
-
-    hands = Hands()
-    BaseNoise(hands).grip("close", np.array([1]))
-    assert hands.told == ("close", [1])
-    BaseNoise(AnalyticBackend()).grip("open", np.array([0]))
+def test_the_draws_stay_what_they_were():
+    expected = [
+        [0.02047488446185842, -0.005947859628807266, 6.747789239746878e-05],
+        [-0.0035069849951385483, 0.0006755159432595721, 0.010429582057997535],
+    ]
+    np.testing.assert_array_equal(draws(seeds(7), 2)[:, 0, [0, 1, 5]], expected)

@@ -1,0 +1,274 @@
+"""`kinfeas deploy`: drive a robot, or what plays one, by a trained policy."""
+
+import sys
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from kinfeas.cli import completion, options
+from kinfeas.cli.output import print_table, status, write_json
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.record import About
+    from kinfeas.robots.robot import Robot
+    from kinfeas.sim2real.deploy_config import DeployConfig
+    from kinfeas.sim2real.deployment import Outcome, Setup
+    from kinfeas.tasks.task import Task
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+
+
+_WORLD = "pybullet"
+"""The backend that holds a task's furniture, too."""
+
+
+class _Wishes(NamedTuple):
+    """What was said of the run."""
+
+    policy: str
+    robot: str
+    backend: str
+    sim2real: str | None
+    dt: float
+    seconds: float
+    seed: int
+    real_time: bool
+
+
+class _Goal(NamedTuple):
+    """What was said of where the EE shall go."""
+
+    task: str | None
+    generator: str | None
+    goal: Three | None
+    rpy: Three | None
+    quaternion: Four | None
+
+
+def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
+    policy: Annotated[
+        str,
+        typer.Argument(
+            help="ONNX file of kinfeas export, folder of a training run, or pretrained."
+        ),
+    ],
+    robot: options.RobotName = "pr2",
+    backend: Annotated[
+        str,
+        typer.Option(
+            "--backend",
+            help="What moves it: analytic, pybullet, ros1, or a plugin.",
+            autocompletion=completion.plugins("backends"),
+        ),
+    ] = "pybullet",
+    goal: Annotated[
+        Three | None,
+        typer.Option("--goal", metavar="X Y Z", help="Where the EE shall go in the world, metres."),
+    ] = None,
+    rpy: Annotated[
+        Three | None,
+        typer.Option(
+            "--rpy",
+            metavar="R P Y",
+            help="How it is turned there: roll, pitch and yaw about the world's axes, radians; by "
+            "default as it is at the start.",
+        ),
+    ] = None,
+    quaternion: Annotated[
+        Four | None,
+        typer.Option("--quaternion", metavar="X Y Z W", help="The same as a quaternion."),
+    ] = None,
+    generator: Annotated[
+        str | None,
+        typer.Option(
+            "--generator",
+            help="Motion generator to the goal, by name.",
+            show_default="linear",
+            autocompletion=completion.plugins("motion_generators"),
+        ),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option("--task", help=options.TASK_HELP, autocompletion=completion.plugins("tasks")),
+    ] = None,
+    rate: Annotated[
+        float, typer.Option("--rate", min=1.0, max=1000.0, help="Control periods a second.")
+    ] = 50.0,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=0.0, help="How long the run may last.")
+    ] = 300.0,
+    seed: options.Seed = 0,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FILE.csv",
+            help="New file that the run is written to.",
+            show_default="runs/deploy/DATE-ROBOT-TASK.csv",
+        ),
+    ] = None,
+    sim2real: Annotated[
+        str | None,
+        typer.Option(
+            "--sim2real", help="Adapters around the backend: ideal, paper, pr2_like, harsh, a file."
+        ),
+    ] = None,
+    guards: Annotated[
+        Path | None, typer.Option("--guards", metavar="FILE", help="YAML of what the guards allow.")
+    ] = None,
+    real_time: Annotated[
+        bool,
+        typer.Option(
+            "--real-time/--as-fast-as-possible",
+            help="Whether a simulated world waits for the clock.",
+        ),
+    ] = True,
+    overrides: options.Overrides = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Drive a robot to a goal or through a task, behind guards, and record the run.
+
+    Settings: [bold]guards.KEY[/], slow_down, head_start, ik, and the parameters
+    [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/].
+
+    Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
+    4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM. In each case the base was commanded
+    to zero.
+    """
+    from kinfeas.record import Recorder
+    from kinfeas.sim2real.runtime import deploy as run
+
+    wishes = _Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
+    goal_wishes = _Goal(task, generator, goal, rpy, quaternion)
+    with status("getting ready"):
+        known = options.read_robot(robot)
+        config = _settings(known, guards, overrides or [])
+        setup = _setup(wishes, known, config, _task(goal_wishes, config))
+        about = _about(wishes, setup)
+        recorder = Recorder(record or _record_path(about), about)
+    with recorder:
+        outcome = run(setup, recorder)
+    if json is not None:
+        write_json({**asdict(outcome), "record": str(recorder.path)}, json)
+    _show(outcome, about, recorder.path)
+    if outcome.code:
+        sys.stderr.write(f"stopped: {outcome.reason}\n")
+    if outcome.unstopped:
+        sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
+    raise typer.Exit(int(outcome.code))
+
+
+def _settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
+    """Return the settings for a robot, with the user's guards."""
+    from kinfeas import config, strict_yaml
+    from kinfeas.recipes import default_recipe
+    from kinfeas.sim2real.deploy_config import DeployConfig
+    from kinfeas.sim2real.guard_config import Guards
+
+    path = default_recipe("deploy", robot.name)
+    data = strict_yaml.read(path)
+    if guards is not None:
+        data["guards"] = config.to_mapping(config.load(Guards, guards))
+    return config.from_mapping(DeployConfig, data, str(path), overrides)
+
+
+def _task(wanted: _Goal, config: "DeployConfig") -> "Task":
+    """Return the task that was named, or that of a single goal."""
+    from kinfeas.sim2real.goal_task import make_goal_task
+    from kinfeas.tasks.task import MotionSpec
+
+    if wanted.task is not None:
+        for name in ("goal", "rpy", "quaternion", "generator"):
+            if getattr(wanted, name) is not None:
+                raise KinfeasError(f"--{name} and --task exclude each other")
+        return options.read_task(wanted.task, config.task)
+    if wanted.goal is None:
+        raise KinfeasError("say where to go: --goal X Y Z, or --task NAME or FILE")
+    if wanted.rpy is not None and wanted.quaternion is not None:
+        raise KinfeasError("--rpy and --quaternion exclude each other")
+    return make_goal_task(
+        wanted.goal,
+        wanted.quaternion or wanted.rpy,
+        MotionSpec(wanted.generator or "linear", config.generator),
+    )
+
+
+def _setup(wishes: _Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
+    """Return what the run is made of, once each part has computed something."""
+    from kinfeas.adapters import read_sim2real, wrap
+    from kinfeas.evaluation.policies import load_policy
+    from kinfeas.kinematics.ik import IkSolver
+    from kinfeas.sim2real.deploy_config import build_backend
+    from kinfeas.sim2real.deployment import Setup
+    from kinfeas.sim2real.warm_up import warm_up
+
+    config.guards.check_rate(wishes.dt)
+    adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real else ()
+    policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
+    warm_up(solver, policy, task, wishes.dt)
+    if wishes.backend == _WORLD:
+        from kinfeas.sim.stage import Stage, task_scene
+
+        raw = build_backend(_WORLD, config.backend, robot=robot, scene=task_scene(task))
+        task = Stage(task, raw)
+    else:
+        raw = build_backend(wishes.backend, config.backend, robot=robot)
+    return Setup(
+        solver=solver,
+        policy=policy,
+        task=task,
+        raw=raw,
+        backend=wrap(raw, adapters, robot),
+        dt=wishes.dt,
+        seconds=wishes.seconds,
+        seed=wishes.seed,
+        pace=config.pace,
+        guards=config.guards,
+        real_time=wishes.real_time,
+    )
+
+
+def _about(wishes: _Wishes, setup: "Setup") -> "About":
+    from kinfeas.record import About
+
+    return About(
+        robot=wishes.robot,
+        task=setup.task.name,
+        policy=wishes.policy,
+        backend=wishes.backend,
+        dt=wishes.dt,
+        joints=tuple(joint.name for joint in setup.solver.robot.arm),
+        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+    )
+
+
+def _record_path(about: "About") -> Path:
+    """Return where a run is recorded if the user does not say it."""
+    from kinfeas.folders import writing
+
+    folder = Path("runs/deploy")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
+    return folder / f"{date}-{Path(about.robot).stem}-{about.task}.csv"
+
+
+def _show(outcome: "Outcome", about: "About", record: Path) -> None:
+    timing = outcome.timing
+    rows = [
+        ["ended", outcome.reason],
+        ["duration", f"{outcome.seconds:.1f} s"],
+        ["control periods without an IK solution", f"{outcome.failures}"],
+        ["control period, median", f"{1000.0 * timing.p50:.1f} ms"],
+        ["exceeded by one in a hundred", f"{1000.0 * timing.p99:.1f} ms"],
+        ["longest", f"{1000.0 * timing.longest:.1f} ms"],
+        ["missed deadlines", f"{timing.misses} of {timing.periods}"],
+        ["record", str(record)],
+    ]
+    title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
+    print_table(title, ["", ""], rows)

@@ -1,0 +1,59 @@
+"""What can be set of a deployment, and the backend that it runs on."""
+
+import inspect
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from kinfeas import registry
+from kinfeas.backend import Backend
+from kinfeas.config import Interval
+from kinfeas.kinematics.ik import IkOptions
+from kinfeas.legs import SETTLE_SECONDS, Pace
+from kinfeas.sim2real.guard_config import Guards
+
+
+@dataclass(frozen=True)
+class DeployConfig:
+    """What can be set of a deployment beside policy, robot, backend and goal.
+
+    Attributes:
+        slow_down: How many times longer than planned the EE motions last.
+        head_start: Seconds that the EE stands still at first, while the base moves already.
+        guards: When it is stopped.
+        generator: Keyword parameters of the motion generator of a goal.
+        task: Keyword parameters of the task.
+        backend: Keyword parameters of the backend, beside those that every robot gives it.
+        ik: How hard IK searches.
+    """
+
+    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
+    head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    guards: Guards = field(default_factory=Guards)
+    generator: dict[str, object] = field(default_factory=dict)
+    task: dict[str, object] = field(default_factory=dict)
+    backend: dict[str, object] = field(default_factory=dict)
+    ik: IkOptions = field(default_factory=IkOptions)
+
+    @property
+    def pace(self) -> Pace:
+        """How EE motions are carried out."""
+        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS)
+
+
+def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:
+    """Return the backend of an entry point.
+
+    Args:
+        name: Entry point in the group kinfeas.backends.
+        parameters: What the user says of it.
+        offered: What is known besides, such as `robot`; the backend is given what it asks for by
+            the names of its parameters.
+
+    Raises:
+        KinfeasError: If there is no such backend, or it refuses a parameter.
+    """
+    factory = registry.load("kinfeas.backends", name)
+    known = inspect.signature(factory).parameters if callable(factory) else {}
+    given = {key: value for key, value in offered.items() if key in known}
+    backend: Backend = registry.build("kinfeas.backends", name, {**given, **parameters})
+    return backend

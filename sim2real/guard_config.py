@@ -1,0 +1,69 @@
+"""What the guards allow, as YAML says it."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from kinfeas.config import Interval
+from kinfeas.errors import KinfeasError
+
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+Share = Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+
+
+@dataclass(frozen=True)
+class Guards:
+    """When a run is stopped, and what commands are brought down to.
+
+    Attributes:
+        max_age: Seconds that a measurement, and so a command made of it, may be old.
+        max_stall: Seconds that a control period may take.
+        clock_jump: Seconds by which the system's clock may be set during a control period, and by
+            which a measurement may come from the future.
+        max_distance: Metres that the base may be away from its start.
+        max_tilt: Radians that the base may lean.
+        pose_jump: Metres by which the measured base may jump, beyond what it can have driven.
+        heading_jump: The same in radians.
+        joint_tolerance: Radians or metres that a measured joint may be beyond its limits.
+        speed: Of the base, m/s; the robot's own limit, which is never exceeded, where null.
+        rotation: The same, rad/s.
+        acceleration: The same, m/s^2.
+        rotation_acceleration: The same, rad/s^2.
+        joint_speed: Share of its velocity limit that an arm joint may be commanded to use.
+        joint_jump: Radians or metres beyond which an arm joint is not sent to a target that
+            jumped: the arm stays. Smaller jumps are slowed down to what the arm can follow.
+        infeasible_steps: Control periods in a row without an IK solution, or with an arm that
+            stays because of such a jump, after which the run is stopped.
+        watchdog: Seconds without a sign of life after which another process stops the base; null
+            for none.
+    """
+
+    max_age: Positive = 0.2
+    max_stall: Positive = 0.2
+    clock_jump: Positive = 0.1
+    max_distance: Positive = 20.0
+    max_tilt: Positive = 0.15
+    pose_jump: Positive = 0.3
+    heading_jump: Positive = 0.5
+    joint_tolerance: Positive = 0.1
+    speed: Positive | None = None
+    rotation: Positive | None = None
+    acceleration: Positive | None = None
+    rotation_acceleration: Positive | None = None
+    joint_speed: Share = 1.0
+    joint_jump: Positive = 2.0
+    infeasible_steps: Annotated[int, Interval(low=1)] = 50
+    watchdog: Positive | None = 0.2
+
+    def check_rate(self, dt: float) -> None:
+        """Do nothing if control periods of `dt` seconds leave the guards quiet.
+
+        Raises:
+            KinfeasError: If they would set one off.
+        """
+        for name in ("max_age", "max_stall", "watchdog"):
+            seconds = getattr(self, name)
+            if seconds is not None and seconds < 1.5 * dt:
+                raise KinfeasError(
+                    f"guards.{name} of {seconds:g} s needs a rate of at least "
+                    f"{1.5 / seconds:g} Hz, not {1.0 / dt:g} Hz"
+                )

@@ -1,0 +1,36 @@
+"""Joint targets kept within the arm's limits."""
+
+import numpy as np
+
+from kinfeas.backend import Backend
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.adapter import Adapter
+from kinfeas.sim2real.draws import Number
+from kinfeas.spatial import Array
+
+
+class JointLimitClamp(Adapter):
+    """Moves joint targets that are beyond the soft limits, or too near to them, back to there."""
+
+    def __init__(self, backend: Backend, robot: Robot, *, margin: Number = 0.0) -> None:
+        """Wrap a backend.
+
+        Args:
+            backend: What carries out the commands within the limits.
+            robot: Whom it moves.
+            margin: Distance kept from the limits, rad or m; at most half of a joint's range.
+
+        Raises:
+            ValueError: If it is negative, not finite or leaves nothing of a joint's range.
+        """
+        super().__init__(backend, robot, {"margin": margin})
+        self._lower = np.array([joint.lower for joint in robot.arm])
+        self._upper = np.array([joint.upper for joint in robot.arm])
+        half = float((self._upper - self._lower).min()) / 2.0
+        if self.ranges["margin"].high > half:
+            raise ValueError(f"margin is {margin}, at most {half:.4g} is half a joint's range")
+
+    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+        """Return the twist, and the joint targets within the limits."""
+        margin = self.number("margin")
+        return twist, np.clip(targets, self._lower + margin, self._upper - margin)

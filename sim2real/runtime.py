@@ -1,0 +1,161 @@
+"""A run on a robot: the loop, a policy and a clock, behind guards, written down step by step."""
+
+import signal
+import sys
+from contextlib import closing, nullcontext, suppress
+
+import numpy as np
+
+from kinfeas.adapters import paced
+from kinfeas.backend import Live
+from kinfeas.drive import action_size
+from kinfeas.errors import KinfeasError
+from kinfeas.loop import Loop
+from kinfeas.record import REACHED, Moment, Recorder
+from kinfeas.sim2real.deployment import Code, Outcome, Setup
+from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.goal_task import begin
+from kinfeas.sim2real.guards import Guarded, check_action
+from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.signals import Signals
+from kinfeas.sim2real.timed import Timed
+from kinfeas.sim2real.watchdog import Watchdog, Watched
+from kinfeas.spatial import IDENTITY, Array
+from kinfeas.tasks.task import build_legs
+
+__all__ = ["Code", "Outcome", "Setup", "deploy"]
+
+
+def deploy(setup: Setup, recorder: Recorder) -> Outcome:
+    """Return how a run ended; whatever happens in it, the base is commanded to zero at its end.
+
+    Raises:
+        KinfeasError: If it cannot begin.
+    """
+    setup.guards.check_rate(setup.dt)
+    run = _Run(setup, recorder)
+    with Signals() as signals, closing(run.guarded):
+        run.connect()
+        with run.watch() as watchdog:
+            run.start()
+            return run.drive(watchdog, signals)
+
+
+class _Run:
+    """One run, from its first measurement to its last command."""
+
+    def __init__(self, setup: Setup, recorder: Recorder) -> None:
+        self.setup, self.recorder = setup, recorder
+        self.robot, backend = setup.solver.robot, setup.backend
+        self.live = setup.raw if isinstance(setup.raw, Live) else None
+        self.metronome = Metronome(setup.dt, now=setup.clocks.steady)
+        self.waits = setup.real_time and self.live is None
+        if self.waits:
+            backend = Timed(backend, self.metronome)
+        self.guarded = Guarded(
+            backend, self.robot, setup.guards, live=self.live, clocks=setup.clocks
+        )
+        pace = paced(setup.backend, setup.pace)
+        self.loop = Loop(setup.solver, build_legs(setup.task.legs), self.guarded, setup.dt, pace)
+        self.steps = self.failures = 0
+        self.began = 0.0
+
+    def connect(self) -> None:
+        """Wait for the first measurement of a robot that moves by its own clock."""
+        if self.live is not None:
+            home = self.robot.home["home"]
+            self.guarded.reset(IDENTITY[np.newaxis], home[np.newaxis])
+
+    def watch(self) -> Watchdog | nullcontext[None]:
+        """Return what stops the base should this process die or hang, if anything does."""
+        raw, seconds = self.setup.raw, self.setup.guards.watchdog
+        if seconds is not None and isinstance(raw, Watched):
+            return Watchdog(raw.stop_call(), seconds)
+        return nullcontext()
+
+    def start(self) -> None:
+        """Put the robot where the run begins, or begin it where it stands."""
+        rng = np.random.default_rng((self.setup.seed, 0))
+        now = None if self.live is None else self.live.read()
+        start = begin(self.setup.task, self.setup.solver, rng, now)
+        self.loop.start(start, [rng])
+        self.began = self.setup.clocks.steady()
+        self.note("start")
+
+    def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
+        """Go on until something ends it, and command the base to zero."""
+        reason = "stopped by an error"
+        try:
+            code, reason = self.go(watchdog, signals)
+        except (KinfeasError, OSError) as error:
+            code, reason = Code.FAULT, str(error)
+        finally:
+            self.guarded.stop()
+            if watchdog is not None and self.guarded.unstopped:
+                watchdog.abandon()
+            raised = sys.exception()
+            with suppress(KinfeasError):
+                self.note(reason if raised is None else f"{type(raised).__name__}: {raised}")
+        return Outcome(
+            code,
+            " ".join(reason.split()),
+            self.guarded.unstopped,
+            self.steps * self.setup.dt,
+            self.failures,
+            self.metronome.timing(),
+        )
+
+    def go(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
+        """Take one step after the other; return how and why the last one was the last."""
+        setup, loop, size = self.setup, self.loop, action_size(self.robot.base)
+        while self.steps * setup.dt < setup.seconds:
+            if signals.caught is signal.SIGINT:
+                return Code.INTERRUPTED, "interrupted by Ctrl-C"
+            if signals.caught is signal.SIGTERM:
+                return Code.TERMINATED, "ended by SIGTERM"
+            if watchdog is not None and not watchdog.beat():
+                raise Fault("the watchdog has stopped the base, or has died")
+            goal = loop.goal[0]
+            step = loop.step(check_action(setup.policy.act(loop.situation), size))
+            if not self.waits:
+                self.metronome.tick()
+            feasible, leg = bool(step.feasible[0]), int(step.leg[0])
+            self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
+            after = int(loop.course.leg[0])
+            event = f"leg {after + 1} begins" if after > leg else ""
+            self.note(event, goal, leg, feasible=feasible)
+            self.guarded.judge(feasible=feasible)
+            if step.finished[0]:
+                return Code.REACHED, REACHED
+        return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
+
+    def note(
+        self,
+        event: str,
+        goal: Array | None = None,
+        leg: int | None = None,
+        *,
+        feasible: bool = True,
+    ) -> None:
+        """Write down where the robot is and what it was commanded.
+
+        Goal and leg are those of the step that has ended, if they have changed with it.
+        """
+        loop, guarded, state = self.loop, self.guarded, self.guarded.state
+        took = self.setup.clocks.steady() - self.began
+        keeps_time = self.waits or self.live is not None
+        self.recorder.write(
+            Moment(
+                time=took if keeps_time else self.steps * self.setup.dt,
+                age=float("nan") if state.age is None else float(np.max(state.age)),
+                base_pose=state.base_pose[0],
+                joint_positions=state.joint_positions[0],
+                desired=loop.desired[0],
+                goal=loop.goal[0] if goal is None else goal,
+                base_twist=guarded.base_twist[0],
+                joint_targets=guarded.joint_targets[0],
+                feasible=feasible,
+                leg=int(loop.course.leg[0]) if leg is None else leg,
+                event=event,
+            )
+        )

@@ -1,0 +1,33 @@
+"""Slower EE motions, for a base with much inertia."""
+
+from dataclasses import replace
+
+from kinfeas.backend import Backend
+from kinfeas.config import Interval
+from kinfeas.legs import Pace
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.adapter import Adapter
+
+
+class SlowDown(Adapter):
+    """Lets EE motions last longer than planned; waits do not."""
+
+    def __init__(self, backend: Backend, robot: Robot, *, factor: float = 2.0) -> None:
+        """Wrap a backend.
+
+        Args:
+            backend: Gets all commands as they are.
+            robot: Whom it moves.
+            factor: How many times longer, at least 1; multiplied with any other. No range: motion
+                generators advance all episodes by the same time.
+
+        Raises:
+            ValueError: If it is below 1, not finite or a range.
+        """
+        super().__init__(backend, robot, {"factor": factor}, Interval(low=1.0))
+        if self.ranges["factor"].low < self.ranges["factor"].high:
+            raise ValueError(f"factor is {factor!r}, must be one number for all episodes")
+
+    def pace(self, pace: Pace) -> Pace:
+        """Return the slower pace."""
+        return replace(pace, slow_down=pace.slow_down * self.ranges["factor"].low)

@@ -1,0 +1,44 @@
+"""A simulated world that keeps to the clock on the wall."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.backend import Backend, Grip, Gripping, RobotState, Stochastic
+from kinfeas.sim2real.metronome import Metronome
+from kinfeas.spatial import Array
+
+
+class Timed:
+    """A backend whose control periods take as long as they say."""
+
+    def __init__(self, backend: Backend, metronome: Metronome) -> None:
+        """Wrap a backend that has no clock of its own."""
+        self.backend, self.metronome = backend, metronome
+
+    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
+        """Pass on to a backend that draws random numbers."""
+        if isinstance(self.backend, Stochastic):
+            self.backend.seed(seeds, rows)
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Pass on to a backend that has grippers."""
+        if isinstance(self.backend, Gripping):
+            self.backend.grip(grip, rows)
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Pass on and set the metronome going; shapes as in `Backend`."""
+        state = self.backend.reset(base_pose, joint_positions, rows)
+        self.metronome.wait()
+        return state
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Pass on and wait for the end of the control period; shapes as in `Backend`."""
+        state = self.backend.step(base_twist, joint_targets, dt)
+        self.metronome.wait()
+        return state
+
+    def close(self) -> None:
+        """Close the wrapped backend."""
+        self.backend.close()

@@ -1,0 +1,30 @@
+"""A short run in the analytic world, so that nothing is compiled once a robot moves."""
+
+import numpy as np
+
+from kinfeas import registry, spatial
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.loop import Loop
+from kinfeas.policy import Policy
+from kinfeas.sim2real.guard_config import Guards
+from kinfeas.sim2real.guards import Guarded
+from kinfeas.start import Start
+from kinfeas.tasks.task import Task, build_legs
+
+_STEPS = 5
+_PATIENT = Guards(max_age=1e6, max_stall=1e6, clock_jump=1e6)
+_AWAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to what the legs lead to
+
+
+def warm_up(solver: IkSolver, policy: Policy, task: Task, dt: float) -> None:
+    """Let all parts of a run compute something once, but for the robot."""
+    robot, rng = solver.robot, np.random.default_rng(0)
+    joints = robot.home["home"][np.newaxis]
+    target = forward(solver.chain, joints) + _AWAY
+    start = Start(spatial.IDENTITY[np.newaxis], joints, np.stack([target] * len(task.legs), axis=1))
+    backend = Guarded(registry.build("kinfeas.backends", "analytic", {}), robot, _PATIENT)
+    loop = Loop(solver, build_legs(task.legs), backend, dt)
+    loop.start(start, [rng])
+    for _ in range(_STEPS):
+        loop.step(policy.act(loop.situation))

@@ -1,0 +1,171 @@
+"""A second process that stops the base once the run no longer says that it is alive.
+
+It is told so by heartbeats through a pipe. They cease when the run stalls, and the pipe closes when
+it dies, however that happens. The process imports next to nothing but what the
+backend names to stop its robot.
+"""
+
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from typing import Protocol, runtime_checkable
+
+from kinfeas.errors import KinfeasError
+
+AGAIN, TIMES = 0.05, 10
+"""Seconds between repeated stops, for a message may be lost, and how many follow a death."""
+
+_BEAT, _END, _READY, _FIRED = b".", b"q", b"r", b"f"
+_PATIENCE, _FAREWELL = 20.0, 2.0  # s, for the process to connect to the robot, and to end
+
+
+@dataclass(frozen=True)
+class StopCall:
+    """How another process stops the base.
+
+    Attributes:
+        path: Function `module:function`. It is called once at the start, so that it can connect
+            to the robot, and returns a function without arguments that commands the base to zero
+            at once.
+        arguments: Keyword arguments of the first call, as JSON can hold them.
+    """
+
+    path: str
+    arguments: dict[str, object] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Watched(Protocol):
+    """A backend whose robot moves on when this process dies, and can be stopped from another."""
+
+    def stop_call(self) -> StopCall:
+        """Return what the watchdog calls."""
+        ...
+
+
+class Watchdog:
+    """The process, as the run sees it; to be used as a context."""
+
+    def __init__(self, stop: StopCall, seconds: float) -> None:
+        """Start the process and wait until it is ready to stop the base.
+
+        Args:
+            stop: What it calls.
+            seconds: Without a heartbeat, after which the base is stopped.
+
+        Raises:
+            KinfeasError: If the process does not become ready.
+        """
+        order = json.dumps({"stop": asdict(stop), "seconds": seconds})
+        # A session of its own, for Ctrl-C goes to all processes of the terminal's group.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "kinfeas.sim2real.watchdog", order],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._in, self._out = self._process.stdin, self._process.stdout
+        os.set_blocking(self._in.fileno(), False)
+        if not select.select([self._out], [], [], _PATIENCE)[0] or self._out.read(1) != _READY:
+            self._process.kill()
+            self.close()
+            raise KinfeasError(f"the watchdog could not connect to the robot by {stop.path!r}")
+
+    def __enter__(self) -> "Watchdog":
+        """Return the watchdog."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def beat(self) -> bool:
+        """Say that the run is alive; return whether the watchdog lives and has not stopped it."""
+        if self._in.closed:
+            return False
+        try:
+            self._in.write(_BEAT)
+        except OSError:
+            return False
+        return not select.select([self._out], [], [], 0.0)[0]
+
+    def abandon(self) -> None:
+        """Die, as far as the process can tell: it stops the base, several times, and ends."""
+        self._in.close()
+
+    def close(self) -> None:
+        """End the process, which then stops nothing; it may be called twice."""
+        if self._process.returncode is not None:
+            return
+        if not self._in.closed:
+            with suppress(OSError):
+                self._in.write(_END)
+        try:
+            self._process.wait(_FAREWELL)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._in.close()
+        self._out.close()
+
+
+def main(order: str) -> None:
+    """Watch over standard input, as an order in JSON says."""
+    given, answers = json.loads(order), os.dup(1)
+    os.dup2(2, 1)  # what libraries print must not be read as answers
+    try:
+        stop = _connect(StopCall(**given["stop"]))
+    except (KinfeasError, ImportError, AttributeError, OSError) as error:
+        sys.exit(f"watchdog: {error}")
+    os.write(answers, _READY)
+    if _watch(stop, given["seconds"], answers):
+        for _ in range(TIMES):
+            stop()
+            time.sleep(AGAIN)
+
+
+def _connect(call: StopCall) -> Callable[[], None]:
+    module, _, name = call.path.partition(":")
+    stop: Callable[[], None] = getattr(import_module(module), name)(**call.arguments)
+    return stop
+
+
+def _watch(stop: Callable[[], None], seconds: float, answers: int) -> bool:
+    """Stop the base whenever no heartbeat comes; return whether the run died."""
+    fired = False
+    while True:
+        # Once fired it stays so: a run that comes back has to end, and must not drive on.
+        if not select.select([0], [], [], AGAIN if fired else seconds)[0]:
+            stop()
+            if not fired:
+                _say(f"no sign of life from the run for {seconds:g} s")
+                os.write(answers, _FIRED)
+            fired = True
+            continue
+        heard = os.read(0, 4096)
+        if _END in heard:
+            return False
+        if not heard:
+            stop()
+            _say("the run died")
+            return True
+        if fired:
+            stop()
+
+
+def _say(reason: str) -> None:
+    sys.stderr.write(f"watchdog: {reason}: base commanded to zero\n")
+    sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,80 @@
+"""Backends that tests of adapters wrap."""
+
+import numpy as np
+import pytest
+
+from kinfeas import registry
+from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.spatial import planar_pose
+
+
+class Recorder(AnalyticBackend):
+    """The analytic world, which keeps what gets through to it."""
+
+    def __init__(self):
+        super().__init__()
+        self.twists, self.targets, self.closed = [], [], 0
+
+    def step(self, base_twist, joint_targets, dt):
+        self.twists.append(base_twist.copy())
+        self.targets.append(joint_targets.copy())
+        return super().step(base_twist, joint_targets, dt)
+
+    def close(self):
+        self.closed += 1
+
+
+class Rig:
+    """An adapter around a recorder, driven step by step."""
+
+    def __init__(self, adapter, robot, n=1, first_seed=0, start=None, **parameters):
+        self.recorder, self.robot = Recorder(), robot
+        self.adapter = adapter(self.recorder, robot, **parameters)
+        self.n, self.j = n, len(robot.arm)
+        self.joints = np.zeros((n, self.j)) if start is None else start
+        self.adapter.seed(np.arange(first_seed, first_seed + n, dtype=np.uint64), np.arange(n))
+        base = planar_pose(np.zeros(n), np.zeros(n), np.zeros(n))
+        self.first = self.adapter.reset(base, self.joints)
+
+    def run(self, twists, dt=0.1, targets=None):
+        """Return what is seen after each of the twists, (steps, n, 6) or (steps, 6)."""
+        seen = []
+        for i, twist in enumerate(twists):
+            given = self.joints if targets is None else targets[i]
+            twist = np.broadcast_to(twist, (self.n, 6))
+            seen.append(self.adapter.step(twist, np.broadcast_to(given, (self.n, self.j)), dt))
+        return seen
+
+    @property
+    def passed(self):
+        """Twists that got through, shape (steps, n, 6)."""
+        return np.stack(self.recorder.twists)
+
+    @property
+    def sent(self):
+        """Joint targets that got through, shape (steps, n, j)."""
+        return np.stack(self.recorder.targets)
+
+
+@pytest.fixture(scope="session")
+def pr2():
+    """A robot with continuous joints."""
+    return registry.load_robot("pr2")
+
+
+@pytest.fixture(scope="session")
+def rig(pr2):
+    """Return a function that puts an adapter around a recorder."""
+    return lambda adapter, **arguments: Rig(adapter, pr2, **arguments)
+
+
+@pytest.fixture(scope="session")
+def drive():
+    """Return a function that draws commands for the base, shape (steps, n, 6)."""
+
+    def drawn(steps, n=1, seed=0):
+        twists = np.zeros((steps, n, 6))
+        twists[..., [0, 1, 5]] = np.random.default_rng(seed).normal(scale=0.2, size=(steps, n, 3))
+        return twists
+
+    return drawn

@@ -1,0 +1,55 @@
+"""Exported policies, and what can be done to their files."""
+
+import json
+
+import onnx
+
+from kinfeas.evaluation.speed import random_network
+from kinfeas.policy import write_network
+from kinfeas.sim2real import policy_about
+from kinfeas.sim2real.export import export
+
+TRAINED = {
+    "config": {"robot": "pr2", "task": "ggr", "world": {"dt": 0.1}},
+    "steps": 1000,
+    "evaluation": {"episodes": 256, "success": 0.9},
+    "benchmark": {"door": {"episodes": 500, "success": 0.8}},
+}
+"""What a run's `policy.json` tells of its training."""
+
+
+def write_run(robot, folder, hidden=8, extra=None):
+    """Write an untrained policy as a training run does and return it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    network = random_network(robot, hidden)
+    write_network(network, folder, robot, TRAINED if extra is None else extra)
+    return network
+
+
+def write_policy_file(robot, folder, hidden=8):
+    """Export an untrained policy; return the training policy and the path of the file."""
+    network = write_run(robot, folder / "run", hidden)
+    export(folder / "run", robot, folder / "policy.onnx")
+    return network, folder / "policy.onnx"
+
+
+def change(path, edit, sign=True):
+    """Let `edit` change the ONNX model in a file, whose digest fits again if it is to be signed."""
+    model = onnx.load(path)
+    edit(model)
+    if sign:
+        set_entry(model, "digest", json.loads(policy_about.digest(model.SerializeToString())))
+    path.write_bytes(model.SerializeToString())
+
+
+def set_entry(model, key, value):
+    """Set an entry of a model's metadata."""
+    for entry in model.metadata_props:
+        if entry.key == f"kinfeas.{key}":
+            entry.value = json.dumps(value)
+
+
+def get_entry(model, key):
+    """Return an entry of a model's metadata."""
+    (text,) = (one.value for one in model.metadata_props if one.key == f"kinfeas.{key}")
+    return json.loads(text)

@@ -1,0 +1,272 @@
+import os
+import signal
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas import policy, pretrained, registry, spatial
+from kinfeas.backend import RobotState
+from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.record import REACHED, About, Recorder, read_record
+from kinfeas.sim2real.goal_task import make_goal_task
+from kinfeas.sim2real.guard_config import Guards
+from kinfeas.sim2real.guards import Clocks
+from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.runtime import Code, Setup, deploy
+from kinfeas.sim2real.warm_up import warm_up
+from kinfeas.sim2real.watchdog import StopCall
+from kinfeas.tasks.chain import read_chain
+from kinfeas.tasks.task import MotionSpec
+
+DT = 0.02
+QUICK = MotionSpec("linear", {"gain": 1.0})
+STAND_IN = """
+import time
+
+
+def connect(path):
+    def stop():
+        with open(path, "a") as file:
+            file.write(f"{time.monotonic()}\\n")
+
+    return stop
+"""
+
+
+class LiveRobot:
+    """A robot with a clock of its own, in this process; a test may break it after some steps."""
+
+    def __init__(self, robot, trouble=None, after=10):
+        self.world, self.robot = AnalyticBackend(), robot
+        self.world.reset(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
+        self.metronome = Metronome(DT)
+        self.trouble, self.after = trouble, after
+        self.measured, self.commands, self.closed = time.monotonic(), [], 0
+
+    @property
+    def broken(self):
+        return len(self.commands) > self.after
+
+    def reset(self, base_pose, joint_positions, rows=None):
+        return self.read()
+
+    def step(self, base_twist, joint_targets, dt):
+        self.commands.append((time.monotonic(), base_twist.copy()))
+        self.world.step(base_twist, joint_targets, dt)
+        self.metronome.wait()
+        if self.broken and self.trouble in {KeyError, ConnectionError}:
+            raise self.trouble("the bus is gone")
+        return self.read()
+
+    def read(self):
+        state, now = self.world.state, time.monotonic()
+        if not (self.broken and self.trouble == "silence"):
+            self.measured = now
+        if self.broken and self.trouble == "nan":
+            state = RobotState(state.base_pose * np.nan, state.joint_positions)
+        return replace(state, age=np.array([now - self.measured]))
+
+    def stop(self):
+        self.commands.append((time.monotonic(), np.zeros((1, 6))))
+
+    def close(self):
+        self.closed += 1
+
+    def stopped_after(self, moment):
+        """Return the seconds from a moment to the first command from which on the base stands."""
+        moving = [i for i, (_, twist) in enumerate(self.commands) if twist.any()]
+        return self.commands[moving[-1] + 1][0] - moment
+
+
+class WatchedRobot(LiveRobot):
+    """The same, which another process can stop."""
+
+    path = ""
+
+    def stop_call(self):
+        return StopCall("stand_in:connect", {"path": self.path})
+
+
+class Drive:
+    """A policy of full speed ahead, which does something else at one of its steps."""
+
+    def __init__(self, at=10**9, do=lambda: None, action=(1.0, 0.0, 0.0)):
+        self.at, self.do, self.action, self.steps = at, do, np.array([action]), 0
+
+    def act(self, situation):
+        self.steps += 1
+        if self.steps == self.at:
+            self.do()
+        return self.action
+
+
+@pytest.fixture(scope="module")
+def pr2():
+    return IkSolver(registry.load_robot("pr2"))
+
+
+@pytest.fixture(scope="module")
+def trained(pr2):
+    return policy.read_network(pretrained.find("pr2"), pr2.robot)
+
+
+def goal(*position):
+    return make_goal_task(position, None, QUICK)
+
+
+@pytest.fixture
+def run(tmp_path, pr2):
+    """Return a function that runs and returns outcome and record."""
+    warm_up(pr2, Drive(), goal(1.0, 0.0, 0.8), DT)
+
+    def start(backend, driver, task=None, **changes):
+        settings = {"dt": DT, "seconds": 2.0, **changes}
+        setup = Setup(pr2, driver, task or goal(3.0, 0.0, 0.8), backend, backend, **settings)
+        joints = tuple(joint.name for joint in pr2.robot.arm)
+        about = About("pr2", setup.task.name, "?", "?", DT, joints, "now")
+        with Recorder(tmp_path / "run.csv", about) as recorder:
+            outcome = deploy(setup, recorder)
+        return outcome, read_record(tmp_path / "run.csv")
+
+    return start
+
+
+def test_drives_to_the_goal_and_stops_there(run, trained):
+    outcome, record = run(
+        AnalyticBackend(), trained, goal(0.9, 0.1, 0.8), seconds=100.0, real_time=False
+    )
+    assert (outcome.code, outcome.reason) == (Code.REACHED, REACHED)
+    assert record.event[0] == "start"
+    assert record.event[-1] == REACHED
+    assert not record.base_twist[-1].any()
+    assert record.base_twist.any()
+    assert record.time[-1] == pytest.approx(outcome.seconds)
+    np.testing.assert_allclose(record.goal[:, :3], np.tile([0.9, 0.1, 0.8], (len(record.goal), 1)))
+
+
+def test_equal_seeds_make_equal_runs(run, trained, tmp_path):
+    texts = []
+    for _ in range(2):
+        run(AnalyticBackend(), trained, seconds=0.5, real_time=False, seed=3)
+        texts.append((tmp_path / "run.csv").read_text())
+        (tmp_path / "run.csv").unlink()
+    assert texts[0] == texts[1]
+
+
+def test_goes_through_a_chain_of_sub_goals(run, trained, tmp_path):
+    (tmp_path / "two.yaml").write_text(
+        "{name: two, start: {square: 0.0, heading: 0.0}, places: {a: {position: [0.9, 0, 0.8]}, "
+        "b: {position: [0.9, 0.1, 0.8]}}, "
+        "legs: [{place: a, wait: 0.1, motion: {parameters: {gain: 1}}}, "
+        "{place: b, motion: {parameters: {gain: 1}}}]}"
+    )
+    task = read_chain(tmp_path / "two.yaml")
+    outcome, record = run(AnalyticBackend(), trained, task, seconds=200.0, real_time=False)
+    assert outcome.code is Code.REACHED
+    change = record.event.index("leg 2 begins")
+    assert record.leg[change] == 0
+    assert record.leg[change + 1] == 1
+    np.testing.assert_allclose(record.goal[change, :3], [0.9, 0.0, 0.8])
+    np.testing.assert_allclose(record.goal[change + 1, :3], [0.9, 0.1, 0.8])
+
+
+def test_time_that_is_over_ends_a_run_that_kept_its_rate(run):
+    robot = LiveRobot(registry.load_robot("pr2"))
+    outcome, record = run(robot, Drive(), seconds=0.4)
+    assert outcome.code is Code.TIME_OVER
+    assert outcome.timing.p50 == pytest.approx(DT, abs=0.01)
+    assert len(record.time) == 20 + 2
+    assert robot.closed
+
+
+@pytest.mark.parametrize(("trouble", "reason"), [
+    ("silence", "the newest measurement is 0.2"),
+    ("nan", "the measured base pose is not finite"),
+    (ConnectionError, "the bus is gone"),
+])  # fmt: skip
+def test_a_robot_in_trouble_is_stopped_in_time(run, trouble, reason):
+    robot = LiveRobot(registry.load_robot("pr2"), trouble)
+    outcome, record = run(robot, Drive())
+    assert outcome.code is Code.FAULT
+    assert outcome.reason.startswith(reason)
+    assert robot.stopped_after(robot.commands[robot.after][0]) < 0.3
+    assert record.event[-1] == outcome.reason
+    assert not record.base_twist[-1].any()
+
+
+def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, tmp_path):
+    robot = LiveRobot(registry.load_robot("pr2"), KeyError)
+    with pytest.raises(KeyError):
+        run(robot, Drive())
+    assert robot.stopped_after(robot.commands[robot.after][0]) < 0.3
+    assert read_record(tmp_path / "run.csv").event[-1] == "KeyError: 'the bus is gone'"
+
+
+def test_a_stall_is_ended_by_the_watchdog_and_then_by_the_guards(run, tmp_path, monkeypatch):
+    (tmp_path / "stand_in.py").write_text(STAND_IN)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    robot = WatchedRobot(registry.load_robot("pr2"))
+    robot.path = str(tmp_path / "stops")
+    outcome, record = run(robot, Drive(at=10, do=lambda: time.sleep(0.5)))
+    assert outcome.code is Code.FAULT
+    assert outcome.reason.startswith("the command is made of a measurement 0.5")
+    first = float((tmp_path / "stops").read_text().split()[0])
+    last_command = [at for at, twist in robot.commands if twist.any()][-1]
+    assert first - last_command < 0.3
+    assert record.event[-1] == outcome.reason
+
+
+def test_a_clock_that_is_set_stops_the_base(run):
+    ahead = [0.0]
+    clocks = Clocks(time.monotonic, lambda: time.time() + ahead[0])
+    robot = LiveRobot(registry.load_robot("pr2"))
+    driver = Drive(at=10, do=lambda: ahead.__setitem__(0, 60.0))
+    outcome, _ = run(robot, driver, clocks=clocks)
+    assert (outcome.code, outcome.reason) == (Code.FAULT, "the system's clock was set by +60.00 s")
+    assert not robot.commands[-1][1].any()
+
+
+@pytest.mark.parametrize(("number", "code"), [
+    (signal.SIGINT, Code.INTERRUPTED),
+    (signal.SIGTERM, Code.TERMINATED),
+])  # fmt: skip
+def test_signals_end_a_run_cleanly(run, number, code):
+    before = signal.getsignal(number)
+    robot = LiveRobot(registry.load_robot("pr2"))
+    outcome, record = run(robot, Drive(at=5, do=lambda: os.kill(os.getpid(), number)))
+    assert outcome.code is code
+    assert not robot.commands[-1][1].any()
+    assert record.event[-1] == outcome.reason
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize(("action", "reason"), [
+    ((np.nan, 0.0, 0.0), "the policy's action is not finite"),
+    ((0.0, 0.0), "the policy's action has the shape"),
+])  # fmt: skip
+def test_a_policy_that_fails_stops_the_base(run, action, reason):
+    outcome, _ = run(LiveRobot(registry.load_robot("pr2")), Drive(action=action))
+    assert outcome.code is Code.FAULT
+    assert outcome.reason.startswith(reason)
+
+
+def test_an_arm_that_cannot_follow_stops_the_base(run):
+    guards = Guards(infeasible_steps=20)
+    outcome, record = run(
+        AnalyticBackend(), Drive(), goal(-9.0, 0.0, 0.8), seconds=60.0, real_time=False,
+        guards=guards,
+    )  # fmt: skip
+    assert outcome.code is Code.FAULT
+    assert outcome.reason.endswith(", for more than 20 steps in a row")
+    assert record.event[-1] == outcome.reason
+
+
+def test_a_run_that_cannot_begin_is_an_error(run):
+    robot = LiveRobot(registry.load_robot("pr2"), "nan", after=-1)
+    with pytest.raises(KinfeasError, match="not finite"):
+        run(robot, Drive())
+    assert robot.closed

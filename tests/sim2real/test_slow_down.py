@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from kinfeas.adapters import AdapterSpec, paced, wrap
+from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.legs import Pace
+from kinfeas.tasks.ggr import ggr
+
+SLOW = AdapterSpec("slow_down", {"factor": 2.0})
+
+
+def test_factors_multiply(pr2):
+    backend = wrap(AnalyticBackend(), [SLOW, AdapterSpec("base_noise"), SLOW], pr2)
+    assert paced(backend, Pace(slow_down=1.5)) == Pace(slow_down=6.0)
+
+
+def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
+    slow = World(pr2, ggr(), WorldConfig(max_steps=20, adapters=(SLOW,)), seed=0)
+    plain = World(pr2, ggr(), WorldConfig(max_steps=20), seed=0)
+    for world in (slow, plain):
+        world.start([0])
+    ways = []
+    for world, steps in ((slow, 40), (plain, 20)):
+        begin = world.loop.desired[:, :3]
+        for step in range(steps):
+            done = world.step(np.zeros((1, 3))).truncated[0]
+            assert done == (step == steps - 1)
+        ways.append(np.linalg.norm(world.loop.desired[:, :3] - begin))
+    assert ways[0] == pytest.approx(ways[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(("factor", "message"), [(0.5, ">= 1"), ([1.0, 2.0], "one number for all")])
+def test_it_slows_down_by_one_number(pr2, factor, message):
+    with pytest.raises(KinfeasError, match=message):
+        wrap(AnalyticBackend(), [AdapterSpec("slow_down", {"factor": factor})], pr2)
