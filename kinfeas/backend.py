@@ -23,6 +23,8 @@ class RobotState:
         base_twist: World twist of the base, shape (n, 6), m/s and rad/s, where it is measured.
         joint_velocities: Of the arm joints, shape (n, j), per second, where they are measured.
         age: Seconds since the oldest part of it was measured, shape (n,), where that is known.
+        ee_in_base: EE pose in the base frame, shape (n, 7), where it is not what the joints say.
+        truth: What really is, where a sensor errs and a simulator knows.
     """
 
     base_pose: Array
@@ -30,6 +32,8 @@ class RobotState:
     base_twist: Array | None = None
     joint_velocities: Array | None = None
     age: Array | None = None
+    ee_in_base: Array | None = None
+    truth: "RobotState | None" = None
 
 
 class Backend(Protocol):

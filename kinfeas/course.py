@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.legs import LegMotion, Pace, tool_pose
-from kinfeas.motion import Demonstrated, MotionGenerator, State
+from kinfeas.motion import State
+from kinfeas.motion_checks import CheckedMotion
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
@@ -46,11 +47,11 @@ class Course:
             pace: Head start and settling; none by default.
         """
         pace = pace or Pace()
-        distinct = {id(leg.generator): leg.generator for leg in legs}
+        distinct = {id(leg.generator): CheckedMotion(leg.generator, leg.name) for leg in legs}
         order = list(distinct)
         self.legs, self.generators = tuple(legs), list(distinct.values())
         self._which = np.array([order.index(id(leg.generator)) for leg in legs])
-        self._head_start = _periods(pace.head_start, dt)
+        self._dt, self._head_start, self._spread = dt, pace.head_start, pace.spread
         settle = _periods(pace.settle * pace.slow_down, dt)
         self._periods = np.array([_periods(leg.wait, dt) for leg in legs], dtype=np.intp)
         self._settle = np.array([settle if leg.grip else 0 for leg in legs], dtype=np.intp)
@@ -60,12 +61,13 @@ class Course:
         self._ee_in_tool = spatial.relative(
             np.broadcast_to(spatial.IDENTITY, (len(legs), 7)), self._tool
         )
-        self._demonstrated = any(isinstance(one, Demonstrated) for one in self.generators)
+        self._demonstrated = any(one.demonstrated for one in self.generators)
         self.desired: Array = np.empty((0, 7))
         self.leg = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
         self._targets: Array = np.empty((0, len(legs), 7))
         self._states: list[State] = []
+        self._goal: Array | None = None  # until something moves
 
     def start(
         self,
@@ -84,7 +86,7 @@ class Course:
         """
         none = np.zeros(len(rngs), dtype=np.intp)
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
-        fresh = (ee_pose, none, none - self._head_start, seeds, target_poses)
+        fresh = (ee_pose, none, none - self._head_starts(rngs), seeds, target_poses)
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
@@ -97,7 +99,10 @@ class Course:
     @property
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's leg, shape (n, 7)."""
-        return self._to_ee(self._ask(lambda generator, state: generator.goal_pose(state)))
+        if self._goal is None:
+            asked = self._ask(lambda generator, state: generator.goal_pose(state))
+            self._goal = self._to_ee(asked)
+        return self._goal
 
     @property
     def last(self) -> NDArray[np.bool_]:
@@ -114,16 +119,9 @@ class Course:
     @property
     def demonstrated_base(self) -> Array:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
-        unknown = np.broadcast_to(np.nan, (len(self.leg), 7))
         if not self._demonstrated:
-            return unknown
-
-        def base_pose(generator: MotionGenerator, state: State) -> Array:
-            if isinstance(generator, Demonstrated):
-                return generator.base_pose(state)
-            return unknown[: len(next(iter(state.values())))]
-
-        return self._ask(base_pose)
+            return np.broadcast_to(np.nan, (len(self.leg), 7))
+        return self._ask(lambda generator, state: generator.base_pose(state))
 
     def ahead(self, dt: float) -> Moves:
         """Return where the desired EE poses will be in `dt` seconds; nothing moves yet."""
@@ -140,9 +138,18 @@ class Course:
         moved = self._to_ee(spatial.integrate(frame, twist, dt))
         return np.where(stands[:, np.newaxis], self.desired, moved), states
 
-    def move(self, moves: Moves) -> None:
-        """Go where `ahead` looked."""
-        self.desired, self._states = moves
+    def move(self, moves: Moves, held: NDArray[np.bool_] | None = None) -> None:
+        """Go where `ahead` looked, but for the rows that are `held`, shape (n,)."""
+        desired, states = moves
+        if held is not None and held.any():
+            rows = np.flatnonzero(held)
+            desired = _with_rows(desired, rows, self.desired[rows])
+            pairs = zip(states, self._states, strict=True)
+            states = [
+                {key: _with_rows(new, rows, old[key][rows]) for key, new in state.items()}
+                for state, old in pairs
+            ]
+        self.desired, self._states, self._goal = desired, states, None
 
     def advance(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
@@ -156,7 +163,7 @@ class Course:
         Returns:
             Whether the motion of a leg that is not the last has just come to its end, shape (n,).
         """
-        if len(self.legs) == 1 and not self._head_start:
+        if len(self.legs) == 1 and not self._head_start + self._spread:
             return np.zeros(len(self.leg), dtype=np.bool_)
         left = self.waiting - np.sign(self.waiting)
         ends = arrived & (self.waiting == 0) & ~self.last
@@ -185,7 +192,7 @@ class Course:
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
-        self._states = [{} for _ in self.generators]
+        self._states, self._goal = [{} for _ in self.generators], None
         for name, values in snapshot.items():
             kind, _, rest = name.partition(".")
             if kind == _STATES:
@@ -198,6 +205,12 @@ class Course:
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
         self.desired, self.leg, self.waiting, self._seeds, self._targets = arrays
 
+    def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
+        """Return the control periods before each row's first leg; nothing is drawn in vain."""
+        drawn = [self._spread * rng.random() if self._spread else 0.0 for rng in rngs]
+        each = [_periods(self._head_start + more, self._dt) for more in drawn]
+        return np.array(each, dtype=np.intp)
+
     def _begin(self, rows: Rows) -> None:
         """Start the motion of the leg that each of `rows` is at, from its desired pose."""
         begins = np.zeros(len(self.leg), dtype=np.bool_)
@@ -209,8 +222,9 @@ class Course:
             rngs = [np.random.default_rng(key) for key in keys]
             state = generator.start(frame[group], self._targets[group, legs], rngs)
             self._states[number] = _merged(self._states[number], group, state, len(frame))
+        self._goal = None
 
-    def _ask(self, question: Callable[[MotionGenerator, State], Array]) -> Array:
+    def _ask(self, question: Callable[[CheckedMotion, State], Array]) -> Array:
         """Return what each row's generator answers, shape (n, 7)."""
         if len(self.generators) == 1:
             return question(self.generators[0], self._states[0])
@@ -219,7 +233,7 @@ class Course:
             answers[rows] = question(generator, _of_rows(self._states[number], rows))
         return answers
 
-    def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, MotionGenerator, Rows]]:
+    def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, CheckedMotion, Rows]]:
         """Return each generator with its number and those of the `chosen` rows it moves now."""
         which = np.where(chosen, self._which[self.leg], -1)
         groups = [(i, one, np.flatnonzero(which == i)) for i, one in enumerate(self.generators)]

@@ -1,7 +1,7 @@
 """What a course is made of: legs, how near to their ends is there, and the pace of a robot."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,6 +20,10 @@ GOAL_METRES, GOAL_RADIANS = 0.025, float(np.deg2rad(12.0))
 SETTLED_METRES, SETTLE_SECONDS = 0.005, 5.0
 """How near a gripper comes to the end of a leg before it acts, and how long it may take."""
 
+SWING_SECONDS, PATIENCE_SECONDS = 0.15, 8.0
+"""From how far away at its greatest speed an arm swings to another configuration, rather than lags
+behind a motion, and how long that may take."""
+
 
 @dataclass(frozen=True)
 class LegMotion:
@@ -30,12 +34,14 @@ class LegMotion:
         frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
         wait: Seconds that the EE stands still after its arrival.
         grip: What the gripper does then.
+        name: What errors call the generator; its class by default.
     """
 
     generator: MotionGenerator
     frame: Frame = "ee"
     wait: float = 0.0
     grip: Grip | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -47,11 +53,25 @@ class Pace:
         head_start: Seconds that the EE stands still at first, while the base moves already.
         settle: Motion seconds for which a leg that ends with a grip goes on after the arrival, to
             bring the EE within `SETTLED_METRES` of the end.
+        spread: Seconds by which the head start is longer at most, drawn for each episode.
+        patience: Seconds for which motion and base stand still at most, while the arm swings to
+            another configuration that is further away than `SWING_SECONDS`.
     """
 
     slow_down: Annotated[float, Interval(low=1.0)] = 1.0
     head_start: Annotated[float, Interval(low=0.0)] = 0.0
     settle: Annotated[float, Interval(low=0.0)] = 0.0
+    spread: Annotated[float, Interval(low=0.0)] = 0.0
+    patience: Annotated[float, Interval(low=0.0)] = 0.0
+
+
+@runtime_checkable
+class Pacing(Protocol):
+    """An adapter that leaves commands alone and changes how motions are carried out."""
+
+    def pace(self, pace: Pace) -> Pace:
+        """Return the pace that `pace` becomes."""
+        ...
 
 
 def tool_pose(robot: Robot) -> Array:

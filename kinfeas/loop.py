@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 from kinfeas import spatial
 from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
 from kinfeas.course import Course, Rows
-from kinfeas.drive import base_twist
+from kinfeas.drive import action_size, base_twist
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS, SETTLED_METRES, LegMotion, Pace
+from kinfeas.legs import (
+    GOAL_METRES,
+    GOAL_RADIANS,
+    SETTLED_METRES,
+    SWING_SECONDS,
+    LegMotion,
+    Pace,
+)
 from kinfeas.observation import HORIZON, observe
 from kinfeas.policy import Situation
 from kinfeas.spatial import Array
@@ -31,7 +38,8 @@ class Step:
         feasible: Whether IK found the desired pose.
         position_error: Metres that the IK solution, or its closest attempt, leaves.
         rotation_error: The same in radians.
-        deviation: Distance of the achieved EE from the desired position, metres.
+        deviation: Distance of the achieved EE from the desired position, metres; the true one
+            where the backend knows it.
         leg: Number of the leg that the step was a part of.
         goal_distance: Distance of the achieved EE from the end of that leg, metres.
         goal_angle: The same in radians.
@@ -51,7 +59,12 @@ class Step:
 
 
 class Loop:
-    """n robots, each carrying its own EE motion."""
+    """n robots, each carrying its own EE motion.
+
+    Attributes:
+        sent: Arm joints that were last commanded, shape (n, j).
+        periods: Control periods since each row was started, shape (n,).
+    """
 
     def __init__(
         self,
@@ -70,12 +83,15 @@ class Loop:
             dt: Control period in seconds.
             pace: How the motions are carried out; as they are planned by default.
         """
-        pace = pace or Pace()
+        self.pace = pace = pace or Pace()
         self.solver, self.backend, self.dt = solver, backend, dt
         self.robot = solver.robot
         self.course = Course(legs, self.robot, dt, pace)
         self._motion_time = dt / pace.slow_down
-        self._sent: Array = np.empty((0, len(self.robot.arm)))
+        self._patience = round(pace.patience / dt)
+        self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self.sent: Array = np.empty((0, len(self.robot.arm)))
         self._velocity = np.array([joint.velocity for joint in self.robot.arm])
         self._continuous = np.array([joint.continuous for joint in self.robot.arm])
 
@@ -99,8 +115,12 @@ class Loop:
         joints = state.joint_positions.copy()
         if rows is not None:
             others = np.setdiff1d(np.arange(len(joints)), rows)
-            joints[others] = self._sent[others]
-        self._sent = joints
+            joints[others] = self.sent[others]
+        self.sent = joints
+        if rows is None:
+            self.periods, self._stood = np.zeros((2, len(joints)), dtype=np.intp)
+        else:
+            self.periods[rows] = self._stood[rows] = 0
         self._look_ahead()
 
     def step(self, action: Array) -> Step:
@@ -115,21 +135,24 @@ class Loop:
         # What was looked ahead for is not computed again.
         course = self.course
         time = self._motion_time
-        course.move(self._ahead if time == HORIZON else course.ahead(time))
+        held = self._hold() if self._patience else None
+        course.move(self._ahead if time == HORIZON else course.ahead(time), held)
+        if held is not None:
+            action = np.where(held[:, np.newaxis], 0.0, action)
         command = base_twist(self.robot.base, self.state.base_pose, action, self.dt)
         commanded = spatial.integrate(self.state.base_pose, command, self.dt)
-        before = self._sent
+        before = self.sent
         target = spatial.relative(course.desired, commanded)
         arm = self.solver.solve(target, before, self._velocity * self.dt)
-        self._sent = arm.joint_positions
-        self._measured(self.backend.step(command, self._sent, self.dt))
+        self.sent = arm.joint_positions
+        self._measured(self.backend.step(command, self.sent, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         step = Step(
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=np.linalg.norm(self.ee_pose[:, :3] - course.desired[:, :3], axis=1),
+            deviation=np.linalg.norm(self._true_ee()[:, :3] - course.desired[:, :3], axis=1),
             leg=course.leg,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
@@ -138,6 +161,7 @@ class Loop:
         )
         stops = course.advance(arrived, arrived & (goal_distance <= SETTLED_METRES))
         self._grip(step.leg, stops | step.finished)
+        self.periods += 1
         self._look_ahead()
         return step
 
@@ -151,7 +175,8 @@ class Loop:
             raise KinfeasError(
                 f"{type(self.backend).__name__} cannot be saved in the midst of a run"
             )
-        return {**self.backend.snapshot(), **self.course.snapshot()}
+        counted = {"sent": self.sent, "periods": self.periods.copy(), "stood": self._stood.copy()}
+        return {**self.backend.snapshot(), **self.course.snapshot(), **counted}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""
@@ -159,8 +184,14 @@ class Loop:
             raise KinfeasError(f"{type(self.backend).__name__} cannot go on from a saved run")
         self.course.restore(snapshot)
         self._measured(self.backend.restore(snapshot))
-        self._sent = self.state.joint_positions
+        self.sent, self.periods = snapshot["sent"].copy(), snapshot["periods"].copy()
+        self._stood = snapshot["stood"].copy()
         self._look_ahead()
+
+    @property
+    def action_size(self) -> int:
+        """How many numbers command the base."""
+        return action_size(self.robot.base)
 
     @property
     def desired(self) -> Array:
@@ -182,8 +213,20 @@ class Loop:
     def _measured(self, state: RobotState) -> None:
         """Take in what the backend measured."""
         self.state = state
-        self._ee_in_base = forward(self.solver.chain, state.joint_positions)
+        self._ee_in_base = self._ee_of(state)
         self.ee_pose = spatial.compose(state.base_pose, self._ee_in_base)
+
+    def _ee_of(self, state: RobotState) -> Array:
+        if state.ee_in_base is not None:
+            return state.ee_in_base
+        return forward(self.solver.chain, state.joint_positions)
+
+    def _true_ee(self) -> Array:
+        """Return where the EE really is, as far as the backend knows, shape (n, 7)."""
+        truth = self.state.truth
+        if truth is None:
+            return self.ee_pose
+        return spatial.compose(truth.base_pose, self._ee_of(truth))
 
     def _grip(self, leg: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Let the grippers do what the legs say that have just come to their end."""
@@ -202,8 +245,24 @@ class Loop:
         base, joints = self.state.base_pose, self.state.joint_positions
         self.observation = observe(base, self._ee_in_base, self.planned, self.goal, joints)
 
+    def _hold(self) -> NDArray[np.bool_]:
+        """Return which rows stand still in this period, shape (n,): their arms swing.
+
+        Policies know arms that are where they were sent. Until an arm is there, they would see the
+        EE far from where it should be, and let the base run after it.
+        """
+        way = np.abs(self._way(self.state.joint_positions, self.sent))
+        swings = np.any(way > self._velocity * SWING_SECONDS, axis=1)
+        self._stood = np.where(swings, self._stood + 1, 0)
+        held: NDArray[np.bool_] = swings & (self._stood <= self._patience)
+        return held
+
     def _jumped(self, before: Array, after: Array) -> NDArray[np.bool_]:
-        move = np.where(self._continuous, spatial.wrap(after - before), after - before)
+        move = self._way(before, after)
         # Rounding must not turn a motion at the very limit into a jump.
         jumped: NDArray[np.bool_] = np.any(np.abs(move) > self._velocity * self.dt * 1.001, axis=1)
         return jumped
+
+    def _way(self, before: Array, after: Array) -> Array:
+        """Return how far joints go between two configurations, shape (n, j), radians or metres."""
+        return np.where(self._continuous, spatial.wrap(after - before), after - before)

@@ -1,6 +1,9 @@
 """Fixtures and settings that all tests share."""
 
 import os
+import sys
+import tomllib
+from pathlib import Path
 
 # Before anything imports them: one thread a library, and no display.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -33,3 +36,29 @@ def solver(robot):
 def exact_solver(robot):
     """Its solver without leeway."""
     return IkSolver(robot, IkOptions(leeway=False))
+
+
+@pytest.fixture
+def offer(tmp_path, monkeypatch):
+    """A function that makes the distribution of a folder known, as an installation would."""
+
+    def make(folder: Path) -> None:
+        project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+        name, version = project["name"], project["version"]
+        site = tmp_path / "site" / name
+        info = site / f"{name.replace('-', '_')}-{version}.dist-info"
+        info.mkdir(parents=True)
+        metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+        (info / "METADATA").write_text(metadata)
+        lines = []
+        for group, entries in project["entry-points"].items():
+            lines += [f"[{group}]", *(f"{key} = {value}" for key, value in entries.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines))
+        for place in (site, folder):
+            monkeypatch.syspath_prepend(str(place))
+
+    before = set(sys.modules)
+    yield make
+    for fresh in set(sys.modules) - before:
+        if fresh.startswith("kinfeas_"):
+            del sys.modules[fresh]

@@ -271,3 +271,15 @@ def test_a_leg_without_a_grip_does_not_settle(robot):
     course.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
     assert course.advance(everyone(course)).all()
     assert course.stands.all()
+
+
+def test_rows_that_are_held_stay_where_they_are(robot):
+    course, held = begin(robot), np.array([True, False] * 3)
+    for leg in range(4):
+        before, moves = course.desired, course.ahead(HORIZON)
+        course.move(moves, held)
+        np.testing.assert_array_equal(course.desired, np.where(held[:, None], before, moves[0]))
+        np.testing.assert_array_equal(course.ahead(HORIZON)[0][held], moves[0][held])
+        course.advance(everyone(course))
+        if leg == 1:
+            follow(course, 3)

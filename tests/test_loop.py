@@ -450,3 +450,41 @@ def test_ik_goes_on_from_where_the_arm_was_sent(solver):
         loop.state = RobotState(loop.state.base_pose, loop.state.joint_positions - 0.05)
     sent, same = (one.backend.steps[-1][1] for one in (loop, expected))
     np.testing.assert_array_equal(sent, same)
+
+
+class Swinging(Recorder):
+    """The first arm is on its way to another configuration, until it is said to be there."""
+
+    there = False
+
+    @property
+    def state(self):
+        joints = self.joints.copy()
+        if not self.there:
+            joints[0, 1] += 1.0
+        return RobotState(self.base.copy(), joints)
+
+
+def test_base_and_motion_stand_still_while_an_arm_swings(solver):
+    backend = Swinging()
+    loop = Loop(solver, [LegMotion(Linear())], backend, pace=Pace(patience=0.5))
+    loop.start(starts(solver.robot, 2), rngs(2))
+    loop.sent = backend.joints.copy()
+    moves = []
+    for period in range(10):
+        backend.there = period == 7
+        before = loop.desired
+        loop.step(np.ones((2, action_size(solver.robot.base))))
+        twist = backend.steps[-1][0]
+        moves.append(np.any(loop.desired != before, axis=1).tolist())
+        assert np.any(twist != 0.0, axis=1).tolist() == moves[-1]
+    held, free = [False, True], [True, True]
+    # For half a second, and later again, since it was there in between.
+    assert moves == [held] * 5 + [free] * 4 + [held]
+
+
+def test_nobody_waits_for_an_arm_by_default(solver):
+    loop = make_loop(solver, 2, Swinging())
+    before = loop.desired
+    loop.step(still(loop))
+    assert np.all(np.any(loop.desired != before, axis=1))

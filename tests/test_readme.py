@@ -41,7 +41,7 @@ def test_there_are_commands():
 def test_every_command_parses(line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, *arguments = shlex.split(line)
-    if arguments == ["--help"]:
+    if arguments[0].startswith("--"):
         return
     command, name = typer.main.get_command(app), ""
     context = None

@@ -165,3 +165,66 @@ def test_load_robot_reads_the_file_that_an_outside_plugin_names(sound):
     assert message(registry.load_robot, "text") == (
         "robot 'text' must return the Path of its YAML, not 'my_robot.yaml'"
     )
+
+
+OWN_ERRORS = """
+    class LicenceError(Exception):
+        pass
+
+    class Costly:
+        def __init__(self):
+            raise LicenceError("expired")
+
+    def forgetful():
+        return {}["key"]
+"""
+
+
+def test_whatever_a_plugin_raises_names_it(install):
+    entries = ["costly = costly_module:Costly", "forgetful = costly_module:forgetful"]
+    install("costly", "costly_module", OWN_ERRORS, {MOTIONS: entries})
+    text = message(registry.build, MOTIONS, "costly", {})
+    assert text == (
+        "motion generator 'costly' (costly 1.2) fails: LicenceError: expired "
+        "(costly_module.py, line 7)"
+    )
+    assert "'forgetful' (costly 1.2) fails: KeyError: 'key'" in message(
+        registry.build, MOTIONS, "forgetful", {}
+    )
+    with pytest.raises(KinfeasError, match="unknown motion generator 'cosly'"):
+        registry.check_unique(MOTIONS, "cosly")
+
+
+class Hop:
+    """A class of this process."""
+
+    def __init__(self, *, height=0.1):
+        self.height = height
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register(MOTIONS, "hop", Hop)
+
+
+def test_what_a_script_registers_is_found_like_the_rest(registered):
+    assert "hop" in registry.names(MOTIONS)
+    assert registry.build(MOTIONS, "hop", {"height": 0.3}).height == 0.3
+    assert "unknown parameter 'hight'" in message(registry.build, MOTIONS, "hop", {"hight": 1})
+
+
+def test_registering_again_replaces(registered):
+    registry.register(MOTIONS, "hop", Hop)
+    assert registry.names(MOTIONS).count("hop") == 1
+    assert registry.load(MOTIONS, "hop") is Hop
+
+
+def test_registering_takes_no_name_from_anyone(registered):
+    assert "is installed already" in message(registry.register, MOTIONS, "linear", Hop)
+
+    class Inner:
+        pass
+
+    assert "at the top of its module" in message(registry.register, MOTIONS, "inner", Inner)
+    assert "unknown plugin group" in message(registry.register, "kinfeas.hops", "hop", Hop)

@@ -168,3 +168,39 @@ def test_only_classes_can_be_batched():
 def test_as_many_rngs_as_motions():
     with pytest.raises(ValueError, match="zip"):
         Batched().start(poses(2, 0), poses(2, 1), rngs(1))
+
+
+class NoPair(Approach):
+    def twist(self, state, ee_pose, dt):
+        return super().twist(state, ee_pose, dt)[0]
+
+
+class ShortTwist(Approach):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist[:3], state
+
+
+class WordInState(Approach):
+    def start(self, ee_pose, target_pose, rng):
+        return {**super().start(ee_pose, target_pose, rng), "way": "up"}
+
+
+class NoState(Approach):
+    def start(self, ee_pose, target_pose, rng):
+        return target_pose
+
+
+@pytest.mark.parametrize(
+    ("single", "sentence"),
+    [
+        (NoPair, r"NoPair.twist must return a pair: the twist and the next state"),
+        (ShortTwist, r"ShortTwist.twist must return a twist of shape \(6,\).*not \(3,\)"),
+        (WordInState, r"WordInState.start must return .* and 'way' is neither"),
+        (NoState, r"NoState.start must return a state that is a dict of numbers, not a ndarray"),
+    ],
+)
+def test_what_a_single_motion_answers_is_checked(single, sentence):
+    generator = batched(single)()
+    with pytest.raises(KinfeasError, match=sentence):
+        generator.twist(generator.start(poses(2, 0), poses(2, 1), rngs(2)), poses(2, 0), 0.1)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from kinfeas.errors import KinfeasError
+from kinfeas.motion_trial import Trial
 from kinfeas.spatial import twist_between
-from kinfeas.testing import ConformanceError, check_motion_generator
+from kinfeas.testing import RULES, ConformanceError, check_motion_generator, examine
 
 
 class Good:
@@ -274,3 +275,39 @@ def test_targets_can_be_given():
 def test_targets_of_a_wrong_shape_are_refused(shape):
     with pytest.raises(KinfeasError, match="target_poses must have shape"):
         check_motion_generator(Good(), target_poses=np.zeros(shape))
+
+
+def test_examine_tells_all_rules_of_a_good_generator():
+    steps = []
+    findings = examine(Good(), Trial(duration=30.0, dt=0.1), on_step=lambda: steps.append(1))
+    assert len(steps) == 300
+    assert [one.rule for one in findings] == list(RULES)
+    assert all(one.checked for one in findings)
+    assert [one.rule for one in findings if one.broken] in ([], ["arrival"])
+    assert all(one.kept for one in examine(Good()))
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_examine_finds_what_the_test_raises(bad):
+    broken = [one.broken for one in examine(bad(), name="mine") if one.broken]
+    with pytest.raises(ConformanceError) as caught:
+        check_motion_generator(bad())
+    assert str(caught.value).replace(bad.__name__, "mine") in broken
+
+
+def test_examine_goes_on_after_a_light_fault_and_stops_at_a_grave_one():
+    by_rule = {one.rule: one for one in examine(TooFast())}
+    assert by_rule["velocity"].broken
+    assert by_rule["arrival"].kept
+    by_rule = {one.rule: one for one in examine(TwistOfWrongShape())}
+    assert by_rule["form"].broken
+    assert not by_rule["arrival"].checked
+
+
+def test_examine_tells_what_the_generators_own_code_raises():
+    class Raises(Good):
+        def twist(self, state, ee_pose, dt):
+            return state["gaol"]
+
+    form = examine(Raises())[0]
+    assert form.broken.startswith("motion generator Raises fails in twist: KeyError: 'gaol'")

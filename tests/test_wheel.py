@@ -90,6 +90,7 @@ def test_wheel_holds_the_data_beside_the_code(wheel):
         *(ROOT / "kinfeas" / "robots").glob("*.yaml"),
         *(ROOT / "kinfeas" / "robots").glob("*.urdf"),
         *(ROOT / "kinfeas" / "tasks").glob("*.yaml"),
+        *(ROOT / "kinfeas" / "templates").rglob("*.txt"),
         *(ROOT / "configs").rglob("*.yaml"),
         *(ROOT / "kinfeas" / "pretrained").glob("*/policy.*"),
         *(ROOT / "plugins" / "models").glob("*.yaml"),

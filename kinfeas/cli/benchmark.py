@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.evaluate import WorldName
 from kinfeas.cli.output import print_table, progress, status, write_json
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
     from kinfeas.evaluation.benchmark_study import StudyConfig
     from kinfeas.evaluation.benchmark_table import Cell
 
+_RECIPES = {
+    (WorldName.ANALYTIC, False): "benchmark/study",
+    (WorldName.ANALYTIC, True): "benchmark/quick",
+    (WorldName.PYBULLET, False): "benchmark/physics",
+    (WorldName.PYBULLET, True): "benchmark/physics_quick",
+}
+
 
 def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
@@ -27,15 +35,26 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--config",
             help="Study by name or YAML file.",
-            show_default="benchmark/study, with --quick benchmark/quick",
+            show_default="benchmark/study, with --world pybullet benchmark/physics, "
+            "with --quick benchmark/quick or benchmark/physics_quick",
         ),
     ] = None,
     out: Annotated[
         Path, typer.Option("--out", help="Folder of the results; a stopped study goes on there.")
     ] = Path("runs/benchmark"),
+    world: Annotated[
+        WorldName,
+        typer.Option("--world", help="Without physics, or with it and the same without beside it."),
+    ] = WorldName.ANALYTIC,
     quick: Annotated[
         bool, typer.Option("--quick", help="The small version: a few minutes on two cores.")
     ] = False,
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            "--episodes", min=1, help="Of each policy on each task.", show_default="the study's"
+        ),
+    ] = None,
     runs: Annotated[
         list[Path] | None,
         typer.Option("--runs", help="Take these training runs, or those below, and train none."),
@@ -60,11 +79,17 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     Settings: every key of the study, such as [bold]episodes=100[/] or [bold]seeds=[0,1][/].
     After a change of the program choose another [bold]--out[/]: figures are told apart by robot,
     task, policy, episodes and settings, and not by the code.
+    With physics they are kept in parts of 20 episodes, which more [bold]--episodes[/] take up.
     """
     from kinfeas.evaluation.benchmark import check_out, write_pictures, write_tables
 
-    study, taken = _read(config, quick, policy, runs or [], overrides or [])
+    name = config or _RECIPES[world, quick]
+    said = [] if episodes is None else [f"episodes={episodes}"]
+    study, taken = _read(name, policy, runs or [], [*said, *(overrides or [])])
+    _check_world(study, name, world)
     plans = _plans(study, out, taken)
+    if publish is not None and world is WorldName.PYBULLET:
+        raise KinfeasError("--publish is for studies of the analytic world")
     if publish is not None and not (taken or plans):
         raise KinfeasError("--publish needs policies that were trained, by the study or by --runs")
     check_out(out)
@@ -78,7 +103,11 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     with status("drawing"):
         pictures = write_pictures(findings, out)
     write_tables(findings, [_command()], pictures, out)
-    policies = _publish(findings, [out / "pretrained", *([publish] if publish else [])])
+    policies = (
+        []
+        if findings.physics
+        else _publish(findings, [out / "pretrained", *([publish] if publish else [])])
+    )
     if json is not None:
         _write_json(findings, json)
     _show(findings)
@@ -87,8 +116,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _read(
-    name: str | None,
-    quick: bool,
+    name: str,
     policy: str | None,
     folders: Sequence[Path],
     overrides: Sequence[str],
@@ -100,9 +128,16 @@ def _read(
     if policy not in (None, "pretrained") or (policy and folders):
         raise KinfeasError("--policy can be pretrained only, and not beside --runs")
     said = ["policies=pretrained"] if policy else []
-    study = read_study(name or f"benchmark/{'quick' if quick else 'study'}", [*said, *overrides])
+    study = read_study(name, [*said, *overrides])
     runs = find_runs(folders)
     return (restricted(study, {run.robot for run in runs}) if runs else study), runs
+
+
+def _check_world(study: "StudyConfig", name: str, world: WorldName) -> None:
+    if world is WorldName.PYBULLET and study.physics is None:
+        raise KinfeasError(f"{name}: has no 'physics', which --world pybullet needs")
+    if world is WorldName.ANALYTIC and study.physics is not None:
+        raise KinfeasError(f"{name}: has 'physics', which needs --world pybullet")
 
 
 def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
@@ -141,9 +176,11 @@ def _compute(
 ) -> "Findings":
     from kinfeas.evaluation.benchmark import Findings, plan_jobs
     from kinfeas.evaluation.benchmark_cells import run_jobs
+    from kinfeas.evaluation.benchmark_physics import PART
 
     jobs = plan_jobs(study, runs)
-    with progress(f"{len(jobs)} cells", len(jobs)) as advance:
+    kind = "cells" if study.physics is None else f"cells and parts of up to {PART} episodes"
+    with progress(f"{len(jobs)} {kind}", len(jobs)) as advance:
         results = run_jobs(jobs, folder, processes, lambda _: advance(1.0))
     return Findings(study, runs, jobs, results)
 
@@ -162,7 +199,7 @@ def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
 def _write_json(findings: "Findings", path: Path) -> None:
     from kinfeas.evaluation.benchmark_table import to_json
 
-    write_json(to_json(findings.cells), path)
+    write_json(to_json(findings.physics or findings.cells), path)
 
 
 def _command() -> str:
@@ -172,13 +209,13 @@ def _command() -> str:
 def _show(findings: "Findings") -> None:
     from kinfeas.evaluation.benchmark_text import groups, label, title
 
-    cells = findings.cells
+    cells: Sequence[Cell] = findings.physics or findings.cells
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     rows = []
     for group in groups(cells):
-        own = [cell for cell in cells if (cell.robot, cell.variant) == group]
-        for policy in dict.fromkeys(cell.policy for cell in own):
-            by_task = {cell.task: cell for cell in own if cell.policy == policy}
+        own = [cell for cell in cells if cell.group == group]
+        for row in dict.fromkeys(cell.row for cell in own):
+            by_task = {cell.task: cell for cell in own if cell.row == row}
             entries = [_entry(by_task.get(task)) for task in tasks]
             rows.append([title(*group), label(next(iter(by_task.values()))), *entries])
         ceilings = {cell.task: f"{100 * cell.ceiling:.1f}" for cell in own}

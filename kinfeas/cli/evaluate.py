@@ -1,16 +1,25 @@
 """`kinfeas evaluate`: how well a policy does."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, progress, share, write_json
+from kinfeas.cli.output import check_json_path, print_table, progress, share, write_json
+from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
+    from kinfeas.evaluation.sim2real import Specs
+
+    OnDone = Callable[[int], None]
+    Run = Callable[[Specs, OnDone | None], Summary]
+    """Evaluates within adapters; the second argument takes the numbers of ended episodes."""
 
 _EPISODES = {"analytic": 500, "pybullet": 50}
 
@@ -61,6 +70,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         bool, typer.Option("--without-objects", help="pybullet: an empty floor, no furniture.")
     ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
+    sim2real: options.Sim2RealName = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture",
+            help="Draw what --sim2real costs, and success against latency, noise and head start, "
+            "into this PNG; takes fifteen evaluations more.",
+            callback=check_json_path,
+        ),
+    ] = None,
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -70,7 +89,12 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Settings: [bold]world.KEY[/] (dt, max_failures, max_steps, adapters, ik; with physics dt,
     max_failures, max_seconds, adapters, ik, physics) and [bold]task.KEY[/], the task's own
     parameters, such as [bold]task.orientation=so3[/].
+    With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
+    each of them costs alone.
     """
+    if picture is not None and sim2real is None:
+        raise KinfeasError("--picture needs --sim2real")
+    adapters = _adapters(sim2real, robot) if sim2real else ()
     said = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
     given = [name for name, value in said.items() if value is not None]
@@ -78,16 +102,35 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if world is WorldName.ANALYTIC:
         if given:
             raise KinfeasError(f"{given[0]} needs --world pybullet")
-        summary = _analytic((policy, robot, task), count, seed, processes, overrides)
+        run = _analytic((policy, robot, task), count, seed, processes, overrides)
     else:
         wishes = {"head_start": head_start, "slow_down": slow_down}
         wishes["objects"] = False if without_objects else None
         assignments = [f"world.{key}={value}" for key, value in wishes.items() if value is not None]
         assignments += overrides or []
-        summary = _physics((policy, robot, task), count, seed, processes, assignments, gui=gui)
+        run = _physics((policy, robot, task), count, seed, processes, assignments, gui=gui)
+    if sim2real is None:
+        with progress(f"{count} episodes", count) as advance:
+            summary = run((), advance)
+        if json is not None:
+            write_json(summary, json)
+        _show(summary)
+        return
+    summary, held, show = weigh(lambda some: run(some, None), sim2real, adapters, picture)
     if json is not None:
-        write_json(summary, json)
+        write_json({**summary, **held}, json)
     _show(summary)
+    show()
+
+
+def _adapters(sim2real: str, robot: str) -> "Specs":
+    """Return the adapters of a list, after a check that they can be built."""
+    from kinfeas.adapters import wrap
+    from kinfeas.registry import build
+
+    adapters = options.read_adapters(sim2real)
+    wrap(build("kinfeas.backends", "analytic", {}), adapters, options.read_robot(robot))
+    return adapters
 
 
 def _analytic(
@@ -96,9 +139,9 @@ def _analytic(
     seed: int,
     processes: int,
     overrides: list[str] | None,
-) -> "Summary":
+) -> "Run":
     from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, trial_ceiling
-    from kinfeas.evaluation.evaluate import evaluate as run
+    from kinfeas.evaluation.evaluate import evaluate as judge
     from kinfeas.evaluation.policies import load_policy
 
     policy, robot, task = names
@@ -108,8 +151,13 @@ def _analytic(
     driver = load_policy(policy, known)
     with progress("ceiling") as advance:
         ceiling = trial_ceiling(trial, advance)
-    with progress(f"{episodes} episodes", episodes) as advance:
-        return run(trial, driver, policy, ceiling, processes, advance)
+
+    def run(adapters: "Specs", on_done: "OnDone | None") -> "Summary":
+        world = replace(trial.world, adapters=(*trial.world.adapters, *adapters))
+        within = replace(trial, world=world)
+        return judge(within, driver, policy, ceiling, processes, on_done)
+
+    return run
 
 
 def _physics(
@@ -120,7 +168,7 @@ def _physics(
     overrides: list[str],
     *,
     gui: bool,
-) -> "Summary":
+) -> "Run":
     from kinfeas.evaluation.evaluate import Trial, trial_ceiling
     from kinfeas.evaluation.physics import evaluate_physics
     from kinfeas.evaluation.physics_world import PhysicsTrial, physics_config
@@ -134,8 +182,13 @@ def _physics(
     with progress("ceiling") as advance:
         drawn = Trial(known, trial.task, episodes, seed, config.world.world)
         ceiling = trial_ceiling(drawn, advance)
-    with progress(f"{episodes} episodes", episodes) as advance:
-        return evaluate_physics(trial, driver, policy, ceiling, processes, advance, gui=gui)
+
+    def run(adapters: "Specs", on_done: "OnDone | None") -> "Summary":
+        settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
+        within = replace(trial, settings=settings)
+        return evaluate_physics(within, driver, policy, ceiling, processes, on_done, gui=gui)
+
+    return run
 
 
 def _show(summary: "Summary") -> None:

@@ -15,9 +15,12 @@ from kinfeas.cli import (
     ceiling,
     demo,
     demonstrate,
+    deploy,
     evaluate,
+    export,
     fit,
     plugins,
+    simulate,
     speed,
     train,
     view,
@@ -25,7 +28,6 @@ from kinfeas.cli import (
 from kinfeas.errors import KinfeasError
 
 app = typer.Typer(
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -35,7 +37,10 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("benchmark")(benchmark.benchmark)
 app.command("ceiling")(ceiling.ceiling)
 app.command("demonstrate")(demonstrate.demonstrate)
+app.command("deploy")(deploy.deploy)
 app.command("fit")(fit.fit)
+app.command("export")(export.export)
+app.command("simulate")(simulate.simulate)
 app.command("speed")(speed.speed)
 app.command("view")(view.view)
 app.add_typer(plugins.app, name="plugins")

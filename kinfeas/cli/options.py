@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from kinfeas.cli import completion
 from kinfeas.cli.output import check_json_path
 
 if TYPE_CHECKING:
+    from kinfeas.adapters import AdapterSpec
     from kinfeas.robots.robot import Robot
     from kinfeas.tasks.task import Task
 
@@ -16,16 +18,27 @@ T = TypeVar("T")
 TASK_HELP = "Task by name (ggr, ggr_restricted, pick_place, door, drawer) or path of its YAML."
 
 RobotName = Annotated[
-    str, typer.Option("--robot", help="Robot by name (pr2, tiago, hsr) or path of its YAML.")
+    str,
+    typer.Option(
+        "--robot",
+        help="Robot by name (pr2, tiago, hsr) or path of its YAML.",
+        autocompletion=completion.plugins("robots"),
+    ),
 ]
-TaskName = Annotated[str, typer.Option("--task", help=TASK_HELP)]
+TaskName = Annotated[
+    str, typer.Option("--task", help=TASK_HELP, autocompletion=completion.plugins("tasks"))
+]
 PolicyName = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="Folder of a training run, pretrained, or a baseline: follow_ee, follow_ee_feedback, "
-        "demonstrated_base, geometric_modulation or whole_body_qp.",
+        help="Folder of a training run, file of an export, pretrained, or a baseline: follow_ee, "
+        "follow_ee_feedback, demonstrated_base, geometric_modulation or whole_body_qp.",
+        autocompletion=completion.policies,
     ),
+]
+PluginName = Annotated[
+    str, typer.Argument(help="Name of a plugin.", autocompletion=completion.every_plugin)
 ]
 Episodes = Annotated[int, typer.Option("--episodes", min=1, help="Number of episodes.")]
 Seed = Annotated[
@@ -40,6 +53,13 @@ Processes = Annotated[
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override one setting; may be repeated."),
+]
+Sim2RealName = Annotated[
+    str | None,
+    typer.Option(
+        "--sim2real",
+        help="What stands between policy and robot: ideal, paper, pr2_like, harsh, or a YAML file.",
+    ),
 ]
 JsonPath = Annotated[
     Path | None,
@@ -61,6 +81,13 @@ def read_robot(name: str) -> "Robot":
     from kinfeas.registry import load_robot
 
     return load_robot(name)
+
+
+def read_adapters(name: str) -> "tuple[AdapterSpec, ...]":
+    """Return the adapters that `--sim2real` names."""
+    from kinfeas.adapters import read_sim2real
+
+    return read_sim2real(name).adapters
 
 
 def read_task(name: str, parameters: dict[str, object]) -> "Task":

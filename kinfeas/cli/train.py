@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinfeas.cli import options
+from kinfeas.cli import completion, options
+from kinfeas.cli.evaluate import WorldName
 from kinfeas.cli.output import print_table, share, write_json
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
@@ -31,7 +32,9 @@ Minutes = Annotated[
 ]
 OutFolder = Annotated[
     Path | None,
-    typer.Option("--out", help="Folder of the run.", show_default="runs/ROBOT-TASK-SEED"),
+    typer.Option(
+        "--out", help="Folder of the run.", show_default="runs/ROBOT-TASK-SEED, with -pybullet"
+    ),
 ]
 
 
@@ -42,6 +45,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
             "--robot",
             help="Robot by name (pr2, tiago, hsr) or path of its YAML.",
             show_default=_RECIPE.format("pr2"),
+            autocompletion=completion.plugins("robots"),
         ),
     ] = None,
     task: Annotated[
@@ -50,6 +54,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
             "--task",
             help=options.TASK_HELP,
             show_default=_RECIPE.format("ggr"),
+            autocompletion=completion.plugins("tasks"),
         ),
     ] = None,
     seed: Annotated[
@@ -64,6 +69,26 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         str | None,
         typer.Option("--algorithm", help="sac or td3.", show_default=_RECIPE.format("sac")),
     ] = None,
+    sim2real: options.Sim2RealName = None,
+    world: Annotated[
+        WorldName,
+        typer.Option("--world", help="Without or with inertia, motors and contacts."),
+    ] = WorldName.ANALYTIC,
+    init: Annotated[
+        str | None,
+        typer.Option(
+            "--init", help="Policy to go on from: the folder of a training run, or pretrained."
+        ),
+    ] = None,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            "--processes",
+            min=1,
+            help="pybullet: worlds side by side, each in a process of its own.",
+            show_default="the recipe's",
+        ),
+    ] = None,
     out: OutFolder = None,
     config: Annotated[
         str | None,
@@ -76,10 +101,21 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 ) -> None:
     """Train a base policy; Ctrl-C leaves a checkpoint that --resume goes on from.
 
-    The recipe is train/ROBOT where there is one, else train/default. Settings: every key of it,
+    The recipe is train/ROBOT where there is one, else train/default; with [bold]--world
+    pybullet[/] it is train_physics/ROBOT or train_physics/default; [bold]--sim2real[/] takes the
+    place of its adapters. Settings: every key of it,
     such as [bold]learner.batch_size=256[/] or [bold]environments=64[/].
+
+    A resumed run in the analytic world equals one that was never stopped. With physics, learner,
+    replay buffer and counters go on, but the episodes that were under way are given up for new
+    ones: PyBullet's state cannot be saved.
     """
-    wishes = Wishes(robot, task, seed, minutes, steps, algorithm)
+    if processes is not None and world is WorldName.ANALYTIC:
+        raise KinfeasError("--processes needs --world pybullet")
+    pybullet = True if world is WorldName.PYBULLET else None
+    wishes = Wishes(
+        robot, task, seed, minutes, steps, algorithm, sim2real, pybullet, init, processes
+    )
     if resume is not None:
         if any(value is not None for value in (*vars(wishes).values(), out, config, overrides)):
             raise KinfeasError("--resume goes on with the run's own settings: leave out all others")
@@ -101,6 +137,10 @@ class Wishes:
     minutes: float | None = None
     steps: int | None = None
     algorithm: str | None = None
+    sim2real: str | None = None
+    pybullet: bool | None = None
+    init: str | None = None
+    processes: int | None = None
 
     def overrides(self) -> list[str]:
         """Return them as `--set` would say them."""
@@ -109,10 +149,14 @@ class Wishes:
             "task": self.task,
             "seed": self.seed,
             "learner.algorithm": self.algorithm,
+            "init": self.init,
+            "environments": self.processes,
         }
         said = {key: value for key, value in said.items() if value is not None}
         if self.minutes is not None or self.steps is not None:
             said |= {"schedule.minutes": self.minutes, "schedule.steps": self.steps}
+        if self.sim2real is not None:
+            said["world.adapters"] = [vars(one) for one in options.read_adapters(self.sim2real)]
         return [f"{key}={json.dumps(value)}" for key, value in said.items()]
 
 
@@ -127,11 +171,18 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     from kinfeas.recipes import default_recipe, find_recipe
     from kinfeas.training.config import TrainConfig
 
+    folder = "train_physics" if wishes.pybullet else "train"
     if recipe is None:
-        path = default_recipe("train", options.read_robot(wishes.robot or TrainConfig.robot).name)
+        path = default_recipe(folder, options.read_robot(wishes.robot or TrainConfig.robot).name)
     else:
-        path = find_recipe(recipe, "train")
+        path = find_recipe(recipe, folder)
     settings = load(TrainConfig, path, [*wishes.overrides(), *overrides])
+    if (settings.physics is None) == bool(wishes.pybullet):
+        raise KinfeasError(
+            f"{path}: a recipe without 'physics', which --world pybullet needs"
+            if wishes.pybullet
+            else f"{path}: a recipe with 'physics', which needs --world pybullet"
+        )
     # What names something unknown is refused before there is a folder.
     robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
     World(options.read_robot(robot), task, settings.world, settings.seed)
@@ -139,9 +190,10 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
 
 
 def default_folder(settings: "TrainConfig") -> Path:
-    """Return `runs/ROBOT-TASK-SEED`."""
+    """Return `runs/ROBOT-TASK-SEED`, with `-pybullet` behind it for a run with physics."""
     robot, task = Path(settings.robot).stem, Path(settings.task).stem
-    return Path("runs") / f"{robot}-{task}-{settings.seed}"
+    physics = "" if settings.physics is None else "-pybullet"
+    return Path("runs") / f"{robot}-{task}-{settings.seed}{physics}"
 
 
 def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
@@ -184,6 +236,7 @@ def best_figures(folder: Path) -> dict[str, Any]:
             "robot": about["robot"],
             "trained_with": about["config"]["robot"],
             "task": about["config"]["task"],
+            "world": WorldName.PYBULLET if about["config"].get("physics") else WorldName.ANALYTIC,
             "policy": str(folder),
             "steps": about["steps"],
             **about["evaluation"],
@@ -206,4 +259,5 @@ def _show(progress: "Progress", folder: Path) -> None:
     ]
     print_table(f"trained: {folder}", ["", "share (95 % interval) or figure"], rows)
     command = ["kinfeas", "evaluate", "--robot", figures["trained_with"], "--task", figures["task"]]
+    command += ["--world", figures["world"]] if figures["world"] != WorldName.ANALYTIC else []
     typer.echo(f"evaluate it: {shlex.join([*command, '--policy', str(folder)])}")

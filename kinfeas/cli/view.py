@@ -1,4 +1,4 @@
-"""`kinfeas view`: what stands in a scene, as a table, a picture or a page to turn about."""
+"""`kinfeas view`: a scene or a recorded run, as a table, a picture or a page to turn about."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,40 +7,64 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import check_json_path, print_table, status, write_json
+from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
+    from kinfeas.record import Record
+    from kinfeas.robots.robot import Robot
     from kinfeas.scenes.objects import SceneObject
     from kinfeas.scenes.scene import Scene
     from kinfeas.spatial import Array
 
 
-def view(
+def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     scene: Annotated[
-        str, typer.Option("--scene", help="Scene by name (room) or path of its YAML.")
-    ] = "room",
+        str | None,
+        typer.Option(
+            "--scene", help="Scene by name (room) or path of its YAML.", show_default="room"
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FILE.csv",
+            help="Replay a run that kinfeas deploy recorded, instead.",
+        ),
+    ] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", help="Draw the scene into this PNG.", callback=check_json_path),
+        typer.Option("--picture", help="Draw it into this PNG.", callback=check_json_path),
     ] = None,
     html: Annotated[
         Path | None,
         typer.Option(
             "--html",
-            help="Write a page in which to turn the scene about, its doors opening and closing.",
+            help="Write a page in which to turn it about: the run as it went, or the scene with "
+            "its doors opening and closing.",
             callback=check_json_path,
         ),
     ] = None,
     live: Annotated[
         bool,
-        typer.Option("--live", help="Serve such a page with sliders on this machine, to Ctrl-C."),
+        typer.Option(
+            "--live", help="Serve a scene's page with sliders on this machine, to Ctrl-C."
+        ),
     ] = False,
 ) -> None:
-    """Check a scene and show what stands in it."""
+    """Check a scene and show what stands in it, or replay a recorded run."""
+    if record is not None:
+        given = {"--scene": scene, "--set": overrides, "--live": live or None}
+        for name, value in given.items():
+            if value is not None:
+                raise KinfeasError(f"{name} and --record exclude each other")
+        _replay(record, json, picture, html)
+        return
     from kinfeas.scenes.scene import read_scene
 
-    found = read_scene(scene, overrides or ())
+    found = read_scene(scene or "room", overrides or ())
     if json is not None:
         write_json(_facts(found), json)
     if picture is not None:
@@ -52,6 +76,77 @@ def view(
     _show(found)
     if live:
         _serve(found)
+
+
+def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
+    from kinfeas.folders import writing
+    from kinfeas.record import read_record
+
+    run = read_record(path)
+    robot = options.read_robot(run.about.robot)
+    if json is not None:
+        write_json(_run_facts(run), json)
+    if picture is not None:
+        with status("drawing"):
+            _draw_run(run, robot, picture)
+    if html is not None:
+        from kinfeas.evaluation.replay import recording
+        from kinfeas.evaluation.replay_page import replay_html
+
+        with status("drawing"), writing(html):
+            html.write_text(replay_html(recording(run, robot), robot, run.time), encoding="utf-8")
+    _show_run(run)
+
+
+def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
+    from kinfeas.evaluation.pictures import png
+    from kinfeas.evaluation.replay import replay_figure
+    from kinfeas.folders import writing
+
+    with writing(path):
+        path.write_bytes(png(replay_figure(run, robot), dpi=110))
+
+
+def _run_facts(run: "Record") -> dict[str, object]:
+    """Return what a record says of the whole run."""
+    about, steps = run.about, run.time[1:] - run.time[:-1]
+    speed = (run.base_twist[:, :2] ** 2).sum(axis=1) ** 0.5
+    events = [
+        {"time_s": float(time), "event": event}
+        for time, event in zip(run.time, run.event, strict=True)
+        if event
+    ]
+    return {
+        "robot": about.robot,
+        "task": about.task,
+        "policy": about.policy,
+        "backend": about.backend,
+        "started": about.started,
+        "seconds": float(run.time[-1] - run.time[0]),
+        "steps": len(steps),
+        "control_period_s": about.dt,
+        "failures": int((~run.feasible).sum()),
+        "top_speed_m_s": float(speed.max()),
+        "longest_period_s": float(max(steps, default=0.0)),
+        "events": events,
+    }
+
+
+def _show_run(run: "Record") -> None:
+    facts = _run_facts(run)
+    title = "{policy} on {task}, robot {robot}, {backend}, {started}".format(**facts)
+    rows = [
+        ["duration", f"{facts['seconds']:.1f} s"],
+        ["control period", f"{1000.0 * run.about.dt:.1f} ms"],
+        ["longest", f"{1000.0 * float(str(facts['longest_period_s'])):.1f} ms"],
+        ["control periods without an IK solution", f"{facts['failures']}"],
+        ["top speed commanded", f"{facts['top_speed_m_s']:.2f} m/s"],
+    ]
+    print_table(title, ["", " "], rows)
+    noted = [[f"{t:.2f} s", text] for t, text in zip(run.time, run.event, strict=True) if text]
+    if not run.event[-1]:
+        noted.append([f"{run.time[-1]:.2f} s", "the record breaks off here"])
+    print_table("events", [" at", "event"], noted)
 
 
 def _facts(scene: "Scene") -> dict[str, object]:

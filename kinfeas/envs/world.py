@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import observation, registry
+from kinfeas.adapters import AdapterSpec, paced, wrap
 from kinfeas.backend import Backend
 from kinfeas.config import Interval
 from kinfeas.drive import action_size
@@ -20,18 +21,7 @@ from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.task import Task, build_legs
 
-
-@dataclass(frozen=True)
-class AdapterSpec:
-    """An adapter by name.
-
-    Attributes:
-        name: Entry-point name in the group kinfeas.adapters.
-        parameters: Its keyword parameters.
-    """
-
-    name: str
-    parameters: dict[str, object] = field(default_factory=dict)
+__all__ = ["AdapterSpec", "Transition", "World", "WorldConfig"]
 
 
 @dataclass(frozen=True)
@@ -108,7 +98,10 @@ class World:
         """
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
-        wrapped = _backend(config, backend)
+        wrapped, planned = _backend(config, robot, backend), pace or Pace()
+        pace = paced(wrapped, planned)
+        # What slows motions down gives them as much more time.
+        self._max_steps = round(config.max_steps * pace.slow_down / planned.slow_down)
         self.loop = Loop(self.solver, build_legs(task.legs), wrapped, config.dt, pace)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
@@ -162,7 +155,7 @@ class World:
             observation=self.loop.observation,
             reward=reward(self.config.reward, self.robot, step, action, joints),
             terminated=terminated,
-            truncated=(self.steps >= self.config.max_steps) & ~terminated,
+            truncated=(self.steps >= self._max_steps) & ~terminated,
             reached=step.finished,
             step=step,
         )
@@ -180,11 +173,7 @@ class World:
         return self.loop.observation
 
 
-def _backend(config: WorldConfig, backend: Backend | None) -> Backend:
+def _backend(config: WorldConfig, robot: Robot, backend: Backend | None) -> Backend:
     if backend is None:
         backend = registry.build("kinfeas.backends", "analytic", {})
-    for adapter in config.adapters:
-        backend = registry.build(
-            "kinfeas.adapters", adapter.name, {"backend": backend, **adapter.parameters}
-        )
-    return backend
+    return wrap(backend, config.adapters, robot)

@@ -10,11 +10,18 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from kinfeas import pretrained, registry
-from kinfeas.envs.world import World
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark_cells import CEILING, Job, Result
 from kinfeas.evaluation.benchmark_curves import curves_figure
 from kinfeas.evaluation.benchmark_paper import LEARNED, paper_figures
+from kinfeas.evaluation.benchmark_physics import (
+    PhysicsCell,
+    Source,
+    plan_physics,
+    tabulate_physics,
+)
+from kinfeas.evaluation.benchmark_physics_text import physics_markdown
 from kinfeas.evaluation.benchmark_plot import table_figure
 from kinfeas.evaluation.benchmark_runs import Run
 from kinfeas.evaluation.benchmark_study import StudyConfig, takes_pretrained
@@ -47,8 +54,18 @@ class Findings:
 
     @property
     def cells(self) -> list[Cell]:
-        """The table."""
-        return tabulate(self.jobs, self.results)
+        """The table of the analytic world."""
+        return tabulate(*self._found(physical=False))
+
+    @property
+    def physics(self) -> list[PhysicsCell]:
+        """The table of the PyBullet world; empty if it was not asked for."""
+        return tabulate_physics(*self._found(physical=True), self.cells)
+
+    def _found(self, *, physical: bool) -> tuple[list[Job], list[Result]]:
+        both = zip(self.jobs, self.results, strict=True)
+        own = [(job, result) for job, result in both if job.physical == physical]
+        return [job for job, _ in own], [result for _, result in own]
 
 
 def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
@@ -66,12 +83,15 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
         (robot, variant.task, variant.parameters, variant.label)
         for variant in study.variants
         for robot in variant.robots
-        if robot in study.robots and variant.task in study.tasks
+        if robot in study.robots and variant.task in study.tasks and study.physics is None
     ]
     jobs = []
     for robot, task, parameters, variant in trials:
-        sources = [(CEILING, CEILING, None), *_learned(study, runs, robot)]
-        sources += [(name, name, None) for name, on in study.baselines.items() if task in on]
+        learned = _learned(study, runs, robot)
+        baselines: list[Source] = [
+            (name, name, None) for name, on in study.baselines.items() if task in on
+        ]
+        sources = [(CEILING, CEILING, None), *learned, *baselines]
         jobs += [
             Job(
                 robot=robot,
@@ -87,12 +107,12 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
             )
             for policy, source, seed in sources
         ]
+        if study.physics is not None:
+            jobs += plan_physics(study, study.physics, (robot, task), learned, baselines)
     return jobs
 
 
-def _learned(
-    study: StudyConfig, runs: Sequence[Run], robot: str
-) -> list[tuple[str, str, int | None]]:
+def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source]:
     """Return for each learned policy of a robot its name, what `load_policy` takes, its seed."""
     name = registry.load_robot(robot).name
     own = [run for run in runs if run.robot == name]
@@ -112,18 +132,25 @@ def write_tables(
         pictures: Files in `out` that `table.md` shows.
         out: An existing folder.
     """
-    cells = findings.cells
+    physics, note = findings.physics, findings.study.note
+    cells: Sequence[Cell] = physics or findings.cells
     _write(out / "table.json", json.dumps(to_json(cells), indent=2, allow_nan=False) + "\n")
     shown = [path.relative_to(out).as_posix() for path in pictures]
-    _write(out / "table.md", to_markdown(cells, findings.study.note, commands, shown))
+    if physics:
+        _write(out / "table.md", physics_markdown(physics, note, commands, shown))
+    else:
+        _write(out / "table.md", to_markdown(cells, note, commands, shown))
 
 
 def write_pictures(findings: Findings, out: Path) -> list[Path]:
     """Draw what there is to draw into the folder `out` and return the files.
 
-    `table.png`; `learning_curves.png` where there were runs; `workspace.png` and for each robot
-    `examples-ROBOT.png` where there are learned policies.
+    `table.png`; in the analytic world also `learning_curves.png` where there were runs;
+    `workspace.png` and for each robot `examples-ROBOT.png` where there are learned policies.
     """
+    if findings.physics:
+        pictures = {"table": png(table_figure(findings.physics, findings.study.note), 110)}
+        return _keep(pictures, out)
     pictures = {"table": png(table_figure(findings.cells, findings.study.note), 110)}
     if findings.runs:
         pictures["learning_curves"] = png(curves_figure(_ordered(findings), _levels(findings)), 110)
@@ -134,6 +161,10 @@ def write_pictures(findings: Findings, out: Path) -> list[Path]:
             known = registry.load_robot(robot)
             figure = _titled(episodes_figure(known, list(shown.values())), list(shown))
             pictures[f"examples-{known.name}"] = png(figure, 80)
+    return _keep(pictures, out)
+
+
+def _keep(pictures: dict[str, bytes], out: Path) -> list[Path]:
     for name, picture in pictures.items():
         with writing(out / f"{name}.png"):
             (out / f"{name}.png").write_bytes(picture)
@@ -144,7 +175,7 @@ def figures_of_runs(findings: Findings) -> dict[Path, dict[str, Any]]:
     """Return for each run's folder its figures by task, variants left out."""
     found: dict[Path, dict[str, Any]] = {}
     for job, result in zip(findings.jobs, findings.results, strict=True):
-        if job.training_seed is not None and not job.variant:
+        if job.training_seed is not None and not job.variant and not job.physical:
             told = {"seed": job.seed, **result["figures"]}
             found.setdefault(Path(job.source), {})[job.task] = told
     return found
@@ -193,6 +224,7 @@ def _examples(findings: Findings, robot: str) -> dict[str, Recording]:
     for job, result in zip(findings.jobs, findings.results, strict=True):
         if job.robot != robot or "workspace" not in result or job.variant or job.task in shown:
             continue
+        assert isinstance(job.world, WorldConfig)  # who samples the workspace
         world = World(known, load_task(job.task, job.parameters), job.world, job.seed)
         (shown[job.task],) = record_episodes(
             world, load_policy(job.source, known), 1, first=len(shown)

@@ -17,12 +17,17 @@ from kinfeas.evaluation.benchmark_samples import WorkspaceSamples
 from kinfeas.evaluation.ceiling import measure_ceiling
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import worker_pool
+from kinfeas.evaluation.physics import is_judged, physics_figures, run_part
+from kinfeas.evaluation.physics_world import PhysicsSettings, PhysicsTrial, to_lists
 from kinfeas.evaluation.policies import BASELINES, load_policy
 from kinfeas.folders import writing
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network
 from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene
+from kinfeas.sim.stage import task_scene
 from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import Task
 
 _FORMAT = 1
 """Of the files; whoever changes what stands in them or how it is found counts it up."""
@@ -45,6 +50,7 @@ class Job:
         episodes: How many.
         seed: Of the episodes.
         world: Where they happen.
+        first: Number of the first episode; of physics alone, whose episodes come in parts.
     """
 
     robot: str
@@ -56,14 +62,21 @@ class Job:
     training_seed: int | None
     episodes: int
     seed: int
-    world: WorldConfig
+    world: WorldConfig | PhysicsSettings
+    first: int = 0
+
+    @property
+    def physical(self) -> bool:
+        """Whether it happens in the PyBullet world."""
+        return isinstance(self.world, PhysicsSettings)
 
     @property
     def name(self) -> str:
         """What it is called in errors and as a file."""
         seed = "" if self.training_seed is None else f"-{self.training_seed}"
         variant = "" if not self.variant else "-variant"
-        return f"{Path(self.robot).stem}-{self.task}{variant}-{self.policy}{seed}"
+        part = f"-pybullet-{self.first}" if self.physical else ""
+        return f"{Path(self.robot).stem}-{self.task}{variant}-{self.policy}{seed}{part}"
 
 
 CEILING = "ceiling"
@@ -87,6 +100,7 @@ def identity(job: Job) -> dict[str, Any]:
         "episodes": job.episodes,
         "seed": job.seed,
         "world": config.to_mapping(job.world),
+        **(_physical_identity(job) if job.physical else {}),
     }
 
 
@@ -139,6 +153,8 @@ def run_jobs(
 def compute(job: Job) -> Result:
     """Return what a job finds: its figures, and for a learned policy samples of the workspace."""
     robot, task = registry.load_robot(job.robot), load_task(job.task, job.parameters)
+    if isinstance(job.world, PhysicsSettings):
+        return _compute_part(job, robot, task, job.world)
     if job.policy == CEILING:
         ceiling = measure_ceiling(robot, task, job.episodes, job.seed, job.world.ik)
         share = ceiling.share
@@ -149,6 +165,28 @@ def compute(job: Job) -> Result:
     records = run_episodes(world, policy, job.episodes, watch=samples)
     result: Result = {"figures": summarize(records)}
     return result if samples is None else {**result, "workspace": samples.kept()}
+
+
+def _compute_part(job: Job, robot: Robot, task: Task, settings: PhysicsSettings) -> Result:
+    """Return what happened in each episode of a part, and what these alone come to."""
+    trial = PhysicsTrial(robot, task, job.episodes, job.seed, settings)
+    episodes = range(job.first, job.first + job.episodes)
+    records = run_part(trial, load_policy(job.source, robot), episodes)
+    figures = physics_figures(records, judged=is_judged(trial))
+    return {"figures": figures, "records": to_lists(records)}
+
+
+def _physical_identity(job: Job) -> dict[str, Any]:
+    scene = task_scene(load_task(job.task, job.parameters))
+    return {"first": job.first, "scene": "" if scene is None else _scene_digest(scene)}
+
+
+def _scene_digest(scene: Scene) -> str:
+    digest = hashlib.sha256()
+    for name, one in scene.objects.items():
+        told = {"name": name, "pose": one.pose.tolist(), "joints": one.joint_positions}
+        digest.update(json.dumps([told, one.fixed]).encode() + one.urdf_path.read_bytes())
+    return digest.hexdigest()
 
 
 def _stored(path: Path, wanted: dict[str, Any]) -> Result | None:

@@ -11,6 +11,7 @@ from kinfeas.config import Interval, no_such
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.physics_world import PhysicsSettings, physics_config
 from kinfeas.evaluation.policies import BASELINES
 from kinfeas.recipes import default_recipe, find_recipe
 from kinfeas.robots.robot import Robot
@@ -18,6 +19,9 @@ from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import Count, Positive, TrainConfig
 
 Seed = Annotated[int, Interval(low=0)]
+
+PLAIN = "plain"
+"""The row of physics in which nothing is different."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,39 @@ class Variant:
 
 
 @dataclass(frozen=True)
+class PhysicsRow:
+    """One of the rows in which learned policies stand in the table of physics.
+
+    Attributes:
+        settings: Assignments such as `world.head_start=3` to what suits each robot.
+        tasks: On which of the study's tasks; null for all.
+        robots: For which of its robots; null for all.
+    """
+
+    settings: tuple[str, ...] = ()
+    tasks: tuple[str, ...] | None = None
+    robots: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class PhysicsStudy:
+    """What a study asks of the PyBullet world.
+
+    Attributes:
+        settings: Assignments for all rows, the baselines' too, such as `world.slow_down=1`.
+        rows: The rows of the learned policies, by name; in `plain` the baselines stand, too.
+    """
+
+    settings: tuple[str, ...] = ()
+    rows: dict[str, PhysicsRow] = field(default_factory=lambda: {PLAIN: PhysicsRow()})
+
+    def __post_init__(self) -> None:
+        """Check that there is a row for the baselines."""
+        if PLAIN not in self.rows:
+            raise ValueError(f"'rows' must have the entry {PLAIN!r}")
+
+
+@dataclass(frozen=True)
 class StudyConfig:
     """The schema of `configs/benchmark/*.yaml`, but for `paper.yaml`.
 
@@ -78,6 +115,8 @@ class StudyConfig:
         evaluation_seed: Of these episodes, the same for all; no seed of a training.
         variants: Further rows.
         world: Where all of it happens.
+        physics: Null for a study of the analytic world; else the same happens in the PyBullet
+            world, too, and `variants` are left out.
     """
 
     note: str = ""
@@ -91,6 +130,7 @@ class StudyConfig:
     evaluation_seed: Seed = 1
     variants: tuple[Variant, ...] = ()
     world: WorldConfig = field(default_factory=evaluation_world)
+    physics: PhysicsStudy | None = None
 
     def __post_init__(self) -> None:
         """Check the baselines' names, and that nothing is there twice."""
@@ -119,7 +159,21 @@ def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
         load_task(task)
     for variant in study.variants:
         load_task(variant.task, variant.parameters)
+    if study.physics is not None:
+        for robot in study.robots:
+            for row in study.physics.rows.values():
+                row_settings(study.physics, row, robot)
     return study
+
+
+def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsSettings:
+    """Return the PyBullet world of one robot in one row.
+
+    Raises:
+        KinfeasError: If a setting is wrong.
+    """
+    said = [*physics.settings, *row.settings]
+    return physics_config(registry.load_robot(robot), said).world
 
 
 def settings_of(training: Training, seed: int) -> TrainConfig:

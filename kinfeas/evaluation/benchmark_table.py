@@ -9,7 +9,7 @@ from scipy import stats
 
 from kinfeas import pretrained, registry
 from kinfeas.evaluation.benchmark_cells import CEILING, Job, Result
-from kinfeas.evaluation.benchmark_paper import LEARNED, paper_figures
+from kinfeas.evaluation.benchmark_paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.metrics import Share, wilson
 
 WORLD = "analytic"
@@ -71,6 +71,16 @@ class Cell:
     paper_within_5cm: float | None
 
     @property
+    def group(self) -> tuple[str, str]:
+        """What it stands in one table with: the cells of a robot and a variant."""
+        return self.robot, self.variant
+
+    @property
+    def row(self) -> tuple[str, str]:
+        """What it stands in one row of that table with: its policy, and what else is told."""
+        return self.policy, ""
+
+    @property
     def learned(self) -> bool:
         """Whether it is of a learned policy."""
         return self.policy in ("sac", "td3", pretrained.NAME)
@@ -123,43 +133,61 @@ def to_json(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 def _cell(group: Sequence[tuple[Job, Result]], ceiling: dict[str, float]) -> Cell:
     job = group[0][0]
     figures = [result["figures"] for _, result in group]
-    success = interval([found["success"] for found in figures], job.episodes)
-    robot = registry.load_robot(job.robot).name
     # A variant is not what the paper measured.
-    known = {} if job.variant else paper_figures(robot, job.task, WORLD)
+    known = {} if job.variant else paper_figures(registry.load_robot(job.robot).name, job.task)
     paper = known.get(_IN_PAPER.get(job.policy, job.policy))
     seeds = [one.training_seed for one, _ in group]
-    return Cell(
-        robot=robot,
-        variant=job.variant,
-        task=job.task,
-        policy=job.policy,
-        world=WORLD,
-        seeds=len(group),
-        training_seeds=tuple(seed for seed in seeds if seed is not None),
-        episodes_per_seed=job.episodes,
-        success=success.value,
-        success_std=_deviation(figures, "success"),
-        success_low=success.low,
-        success_high=success.high,
-        within_5cm=_mean(figures, "within_5cm"),
-        within_5cm_std=_deviation(figures, "within_5cm"),
-        mean_failures=_mean(figures, "mean_failures"),
-        mean_deviation_m=_mean(figures, "mean_deviation_m"),
-        jumps_per_episode=_mean(figures, "jumps_per_episode"),
-        ceiling=ceiling["success"],
-        ceiling_low=ceiling["low"],
-        ceiling_high=ceiling["high"],
-        paper_success=paper.success if paper else None,
-        paper_within_5cm=paper.within_5cm if paper else None,
-    )
+    return Cell(**common(job, figures, seeds, ceiling, paper), world=WORLD)
 
 
-def _mean(figures: Sequence[dict[str, float]], key: str) -> float:
+def common(
+    job: Job,
+    figures: Sequence[dict[str, Any]],
+    training_seeds: Sequence[int | None],
+    ceiling: dict[str, float],
+    paper: PaperFigures | None,
+) -> dict[str, Any]:
+    """Return the fields of a cell that are the same in every world, by name.
+
+    Args:
+        job: Whose robot, task, policy and number of episodes it is of.
+        figures: What was found of each training seed.
+        training_seeds: These seeds, null where they are not known.
+        ceiling: Figures of the task's ceiling.
+        paper: The paper's figures, if it has any.
+    """
+    success = interval([found["success"] for found in figures], job.episodes)
+    return {
+        "robot": registry.load_robot(job.robot).name,
+        "variant": job.variant,
+        "task": job.task,
+        "policy": job.policy,
+        "seeds": len(figures),
+        "training_seeds": tuple(seed for seed in training_seeds if seed is not None),
+        "episodes_per_seed": job.episodes,
+        "success": success.value,
+        "success_std": _deviation(figures, "success"),
+        "success_low": success.low,
+        "success_high": success.high,
+        "within_5cm": mean_of(figures, "within_5cm"),
+        "within_5cm_std": _deviation(figures, "within_5cm"),
+        "mean_failures": mean_of(figures, "mean_failures"),
+        "mean_deviation_m": mean_of(figures, "mean_deviation_m"),
+        "jumps_per_episode": mean_of(figures, "jumps_per_episode"),
+        "ceiling": ceiling["success"],
+        "ceiling_low": ceiling["low"],
+        "ceiling_high": ceiling["high"],
+        "paper_success": paper.success if paper else None,
+        "paper_within_5cm": paper.within_5cm if paper else None,
+    }
+
+
+def mean_of(figures: Sequence[dict[str, Any]], key: str) -> float:
+    """Return the mean of a figure over the training seeds."""
     return float(np.mean([found[key] for found in figures]))
 
 
-def _deviation(figures: Sequence[dict[str, float]], key: str) -> float | None:
+def _deviation(figures: Sequence[dict[str, Any]], key: str) -> float | None:
     if len(figures) < 2:
         return None
     return float(np.std([found[key] for found in figures], ddof=1))

@@ -1,9 +1,12 @@
 """A benchmark to read: `table.md`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from kinfeas.evaluation.benchmark_paper import LEARNED, paper_figures
 from kinfeas.evaluation.benchmark_table import WORLD, Cell
+
+C = TypeVar("C", bound=Cell)
 
 NOTHING = "-"
 """What stands where nothing was measured."""
@@ -58,7 +61,7 @@ _JUMPS = "Steps in which an arm joint would have to move faster than it can."
 
 def groups(cells: Sequence[Cell]) -> list[tuple[str, str]]:
     """Return the robots and variants of `cells`, each once, those without a variant first."""
-    found = dict.fromkeys((cell.robot, cell.variant) for cell in cells)
+    found = dict.fromkeys(cell.group for cell in cells)
     return sorted(found, key=lambda group: bool(group[1]))
 
 
@@ -69,8 +72,10 @@ def title(robot: str, variant: str) -> str:
 
 
 def label(cell: Cell) -> str:
-    """Return what the policy of a cell is called."""
-    return _LEARNED.get(cell.policy, cell.policy)
+    """Return what the row of a cell is called: its policy, and what else is told of it."""
+    policy, also = cell.row
+    name = _LEARNED.get(policy, policy)
+    return f"{name}, {also}" if also else name
 
 
 def _effort(cells: Sequence[Cell]) -> str:
@@ -90,13 +95,13 @@ def _success_table(cells: Sequence[Cell]) -> list[str]:
     for policy in dict.fromkeys(cell.policy for cell in cells):
         own = {cell.task: cell for cell in cells if cell.policy == policy}
         name = _row_name(next(iter(own.values())))
-        rows.append([name, *_entries(own, tasks, _ours)])
+        rows.append([name, *entries_of(own, tasks, ours)])
         if any(cell.paper_success is not None for cell in own.values()):
-            rows.append(["&nbsp;&nbsp;*paper*", *_entries(own, tasks, _papers)])
+            rows.append(["&nbsp;&nbsp;*paper*", *entries_of(own, tasks, papers)])
     rows += _unmatched(cells, tasks)
     ceilings = {cell.task: cell for cell in cells}
-    rows.append(["**ceiling**", *_entries(ceilings, tasks, _ceiling)])
-    return _table(["", *tasks], rows)
+    rows.append(["**ceiling**", *entries_of(ceilings, tasks, ceiling_entry)])
+    return table(["", *tasks], rows)
 
 
 def _unmatched(cells: Sequence[Cell], tasks: Sequence[str]) -> list[list[str]]:
@@ -131,13 +136,15 @@ def _row_name(cell: Cell) -> str:
     return f"**{label(cell)}**{seeds}"
 
 
-def _entries(
-    cells: dict[str, Cell], tasks: Sequence[str], entry: Callable[[Cell], str]
+def entries_of(
+    cells: Mapping[str, C], tasks: Sequence[str], entry: Callable[[C], str]
 ) -> list[str]:
+    """Return the entries of a row: of each task what `entry` says of its cell."""
     return [entry(cells[task]) if task in cells else NOTHING for task in tasks]
 
 
-def _ours(cell: Cell) -> str:
+def ours(cell: Cell) -> str:
+    """Return our shares of a cell, per cent."""
     value = f"{100 * cell.success:.1f}"
     if cell.success_std is not None:
         value += f" ± {100 * cell.success_std:.1f}"
@@ -145,13 +152,15 @@ def _ours(cell: Cell) -> str:
     return f"{value} ({100 * cell.within_5cm:.1f})"
 
 
-def _papers(cell: Cell) -> str:
+def papers(cell: Cell) -> str:
+    """Return the paper's."""
     if cell.paper_success is None or cell.paper_within_5cm is None:
         return NOTHING
     return f"*{100 * cell.paper_success:.1f} ({100 * cell.paper_within_5cm:.1f})*"
 
 
-def _ceiling(cell: Cell) -> str:
+def ceiling_entry(cell: Cell) -> str:
+    """Return the ceiling of a cell with its interval, per cent."""
     ends = f"{100 * cell.ceiling_low:.1f} - {100 * cell.ceiling_high:.1f}"
     return f"{100 * cell.ceiling:.1f} ({ends})"
 
@@ -163,12 +172,12 @@ def _jump_table(cells: Sequence[Cell]) -> list[str]:
         of_group = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
         for policy in dict.fromkeys(cell.policy for cell in of_group):
             own = {cell.task: cell for cell in of_group if cell.policy == policy}
-            entries = _entries(own, tasks, lambda cell: f"{cell.jumps_per_episode:.2f}")
+            entries = entries_of(own, tasks, lambda cell: f"{cell.jumps_per_episode:.2f}")
             rows.append([title(robot, variant), label(next(iter(own.values()))), *entries])
-    return _table(["robot", "policy", *tasks], rows, names=2)
+    return table(["robot", "policy", *tasks], rows, names=2)
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
     """Return a Markdown table, aligned in plain text, too: `names` columns left, others right."""
     widths = [max(len(row[i]) for row in (heads, *rows)) for i in range(len(heads))]
 

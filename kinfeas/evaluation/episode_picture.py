@@ -27,17 +27,27 @@ _ARROW_METRES = 0.3
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
 
 
-def episodes_figure(robot: Robot, recordings: Sequence[Recording]) -> Figure:
-    """Return a picture with a column for each episode: seen from the side, and from above."""
+def episodes_figure(
+    robot: Robot, recordings: Sequence[Recording], titles: Sequence[str] | None = None
+) -> Figure:
+    """Return a picture with a column for each episode: seen from the side, and from above.
+
+    Args:
+        robot: Who moves.
+        recordings: At least one.
+        titles: Of the columns; by default, what each episode came to.
+    """
     count = len(recordings)
+    titles = titles or [_title(recording) for recording in recordings]
     with rc_context(STYLE):
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         rows = figure.subplots(2, count, squeeze=False, height_ratios=(0.7, 1.0))
-        for recording, side, top in zip(recordings, *rows, strict=True):
+        for recording, title, side, top in zip(recordings, titles, *rows, strict=True):
             _draw_side(side, robot, recording)
             _draw_top(top, robot, recording)
-            side.set_title(_title(recording))
-        figure.legend(handles=_legend(), loc="outside lower center", ncols=6, fontsize=10)
+            side.set_title(title)
+        columns = min(6, 3 * count)
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from kinfeas.envs.world import Transition, World
+from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
@@ -38,6 +39,8 @@ def run_episodes(
     beyond = first + episodes
     running = np.arange(first, first + min(BATCH, episodes))
     world.start(running.tolist())
+    if isinstance(policy, LookAhead):
+        policy.watch(world.loop)
     waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
         transition = world.step(policy.act(world.loop.situation))

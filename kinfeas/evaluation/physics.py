@@ -7,7 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from kinfeas.evaluation.evaluate import Summary, worker_pool
-from kinfeas.evaluation.physics_world import PhysicsRecords, PhysicsTrial, PhysicsWorld, columns
+from kinfeas.evaluation.physics_world import (
+    PhysicsRecords,
+    PhysicsTrial,
+    PhysicsWorld,
+    columns,
+    join_records,
+)
 from kinfeas.metrics import Share, summarize, wilson
 from kinfeas.policy import Policy
 from kinfeas.sim.stage import task_scene
@@ -42,8 +48,6 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
     """
     records = run_physics(trial, policy, processes, on_done, gui=gui)
     settings = trial.settings
-    judged = settings.objects or task_scene(trial.task) is None
-    done = wilson(int(records.done.sum()), trial.episodes) if judged else None
     return {
         "robot": trial.robot.name,
         "task": trial.task.name,
@@ -53,10 +57,28 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
         "slow_down": settings.slow_down,
         "head_start": settings.head_start,
         "objects": settings.objects,
-        **summarize(records),
+        **physics_figures(records, judged=is_judged(trial)),
         "ceiling": ceiling.value if ceiling else None,
         "ceiling_low": ceiling.low if ceiling else None,
         "ceiling_high": ceiling.high if ceiling else None,
+    }
+
+
+def is_judged(trial: PhysicsTrial) -> bool:
+    """Return whether the task can be done: the objects that it handles, if any, are there."""
+    return trial.settings.objects or task_scene(trial.task) is None
+
+
+def physics_figures(records: PhysicsRecords, *, judged: bool) -> dict[str, float | int | None]:
+    """Return the figures of `metrics.summarize` with those of tasks and collisions.
+
+    Args:
+        records: What happened.
+        judged: Whether the task could be done; if not, its success is null.
+    """
+    done = wilson(int(records.done.sum()), len(records.done)) if judged else None
+    return {
+        **summarize(records),
         "task_success": done.value if done else None,
         "task_success_low": done.low if done else None,
         "task_success_high": done.high if done else None,
@@ -76,20 +98,20 @@ def run_physics(
 ) -> PhysicsRecords:
     """Return what happened in each episode; arguments as in `evaluate_physics`."""
     if processes == 1 or gui:
-        return _run_part(trial, policy, range(trial.episodes), on_done, gui=gui)
+        return run_part(trial, policy, range(trial.episodes), on_done, gui=gui)
     count = min(_SHARES * processes, trial.episodes)
     bounds = np.linspace(0, trial.episodes, count + 1).round().astype(int).tolist()
     shares = [range(low, high) for low, high in pairwise(bounds)]
     parts = []
     with worker_pool(min(processes, count)) as pool:
-        for part in pool.map(partial(_run_part, trial, policy), shares):
+        for part in pool.map(partial(run_part, trial, policy), shares):
             parts.append(part)
             if on_done is not None:
                 on_done(len(part.reached))
     return _join(parts)
 
 
-def _run_part(
+def run_part(
     trial: PhysicsTrial,
     policy: Policy,
     episodes: range,
@@ -97,6 +119,7 @@ def _run_part(
     *,
     gui: bool = False,
 ) -> PhysicsRecords:
+    """Return what happened in some episodes of a trial; other arguments as in `run_physics`."""
     world, parts = PhysicsWorld(trial, gui=gui), []
     try:
         for episode in episodes:
@@ -109,7 +132,4 @@ def _run_part(
 
 
 def _join(parts: list[PhysicsRecords]) -> PhysicsRecords:
-    each = [columns(part) for part in parts]
-    return PhysicsRecords(
-        **{name: np.concatenate([part[name] for part in each]) for name in each[0]}
-    )
+    return join_records([columns(part) for part in parts])

@@ -1,6 +1,6 @@
 """One policy in the PyBullet world: settings, episodes and what is recorded of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from kinfeas import config
 from kinfeas.config import Interval
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
-from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.evaluation.episodes import Watch, run_episodes
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.legs import SETTLE_SECONDS, Pace
+from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
 from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
@@ -25,6 +25,31 @@ from kinfeas.sim.stage import Stage, task_scene
 from kinfeas.tasks.task import Task
 
 _AFTERWARDS = 2.0  # s, in which what was put down comes to rest
+
+
+@dataclass(frozen=True)
+class Place:
+    """What is different where there is physics, beside the loop and its ends of episodes.
+
+    Attributes:
+        slow_down: How many times longer than planned the EE motions last.
+        head_start: Seconds that the EE stands still at first, while the base moves already.
+        objects: Whether the task's scene is there, or a floor and nothing else.
+        physics: Numbers of the world.
+        patience: Seconds for which motion and base wait at most for an arm that swings to another
+            configuration.
+    """
+
+    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
+    head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    objects: bool = True
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    patience: Annotated[float, Interval(low=0.0)] = PATIENCE_SECONDS
+
+    @property
+    def pace(self) -> Pace:
+        """How EE motions are carried out."""
+        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS, patience=self.patience)
 
 
 @dataclass(frozen=True)
@@ -41,6 +66,8 @@ class PhysicsSettings:
         adapters: Wrapped around the PyBullet world, the first one innermost.
         ik: How hard IK searches.
         physics: Numbers of the world.
+        patience: Seconds for which motion and base wait at most for an arm that swings to another
+            configuration.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.02
@@ -52,6 +79,7 @@ class PhysicsSettings:
     adapters: tuple[AdapterSpec, ...] = ()
     ik: IkOptions = field(default_factory=IkOptions)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    patience: Annotated[float, Interval(low=0.0)] = PATIENCE_SECONDS
 
     @property
     def world(self) -> WorldConfig:
@@ -60,9 +88,14 @@ class PhysicsSettings:
         return WorldConfig(self.dt, self.max_failures, max(steps, 1), self.adapters, ik=self.ik)
 
     @property
+    def place(self) -> Place:
+        """What is different where there is physics."""
+        return Place(self.slow_down, self.head_start, self.objects, self.physics, self.patience)
+
+    @property
     def pace(self) -> Pace:
         """How EE motions are carried out."""
-        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS)
+        return self.place.pace
 
 
 @dataclass(frozen=True)
@@ -115,16 +148,14 @@ class PhysicsWorld:
             KinfeasError: If PyBullet is not installed, or the task's scene is broken.
         """
         settings = trial.settings
-        scene = task_scene(trial.task) if settings.objects else None
-        backend = PyBulletBackend(trial.robot, scene, gui=gui, physics=settings.physics)
-        self.stage = Stage(trial.task, backend)
-        self.world = World(
-            trial.robot, self.stage, settings.world, trial.seed, backend, settings.pace
+        self.stage = make_stage(trial.robot, trial.task, settings.place, gui=gui)
+        self.world = make_physics_world(
+            trial.robot, self.stage, settings.world, settings.place, trial.seed
         )
 
-    def run(self, policy: Policy, episode: int) -> PhysicsRecords:
-        """Return what happens in one episode."""
-        meter = _Meter(self.stage.backend)
+    def run(self, policy: Policy, episode: int, watch: Watch | None = None) -> PhysicsRecords:
+        """Return what happens in one episode; `watch` sees each step, as in `run_episodes`."""
+        meter = _Meter(self.stage.backend, watch)
         records = run_episodes(self.world, policy, 1, watch=meter, first=episode)
         self._wait()
         done = self.stage.done()
@@ -150,15 +181,34 @@ class PhysicsWorld:
 class _Meter:
     """Counts how often base and arm begin to touch something."""
 
-    def __init__(self, backend: PyBulletBackend) -> None:
+    def __init__(self, backend: PyBulletBackend, watch: Watch | None) -> None:
         self.base = self.arm = 0
-        self._backend, self._before = backend, Contacts(0, 0)
+        self._backend, self._before, self._watch = backend, Contacts(0, 0), watch
 
-    def __call__(self, _: World, transition: Transition, rows: Rows, episodes: Rows) -> None:
+    def __call__(self, world: World, transition: Transition, rows: Rows, episodes: Rows) -> None:
+        if self._watch is not None:
+            self._watch(world, transition, rows, episodes)
         now = self._backend.contacts()
         self.base += now.base > 0 and not self._before.base
         self.arm += now.arm > 0 and not self._before.arm
         self._before = now
+
+
+def make_stage(robot: Robot, task: Task, place: Place, *, gui: bool = False) -> Stage:
+    """Return a task with a PyBullet world around it, in a window if `gui`.
+
+    Raises:
+        KinfeasError: If PyBullet is not installed, or the task's scene is broken.
+    """
+    scene = task_scene(task) if place.objects else None
+    return Stage(task, PyBulletBackend(robot, scene, gui=gui, physics=place.physics))
+
+
+def make_physics_world(
+    robot: Robot, stage: Stage, config: WorldConfig, place: Place, seed: int
+) -> World:
+    """Return the loop and its ends of episodes on a stage, one episode at a time."""
+    return World(robot, stage, config, seed, stage.backend, place.pace)
 
 
 @dataclass(frozen=True)
@@ -187,3 +237,25 @@ def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvalua
 def columns(records: EpisodeRecords) -> dict[str, NDArray[Any]]:
     """Return what was recorded of n episodes by the names of the fields, each of shape (n,)."""
     return {entry.name: getattr(records, entry.name) for entry in fields(records)}
+
+
+def to_lists(records: EpisodeRecords) -> dict[str, list[Any]]:
+    """Return records as JSON can hold them: null for a distance that is infinite."""
+    plain = {name: values.tolist() for name, values in columns(records).items()}
+    return {
+        name: [None if value == np.inf else value for value in values]
+        for name, values in plain.items()
+    }
+
+
+def join_records(parts: Sequence[Mapping[str, Any]]) -> PhysicsRecords:
+    """Return the episodes of all parts, each as `columns` or `to_lists` returns it."""
+    joined = {
+        entry.name: np.concatenate([_finite_or_not(part[entry.name]) for part in parts])
+        for entry in fields(PhysicsRecords)
+    }
+    return PhysicsRecords(**joined)
+
+
+def _finite_or_not(values: Iterable[Any]) -> NDArray[Any]:
+    return np.array([np.inf if value is None else value for value in values])

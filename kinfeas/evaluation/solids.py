@@ -42,8 +42,8 @@ def robot_faces(robot: Robot, base_pose: Array, joint_positions: Array) -> list[
         base_pose: World pose of the base, shape (7,).
         joint_positions: Arm joints, shape (j,).
     """
-    tree, faces = _parts(robot)
-    rotations, positions = _bodies(tree, joint_positions)
+    tree, faces = parts(robot)
+    rotations, positions = bodies(tree, joint_positions)
     turn, place = spatial.rotation(base_pose).as_matrix(), base_pose[:3]
     found = []
     for body, face in faces:
@@ -53,7 +53,7 @@ def robot_faces(robot: Robot, base_pose: Array, joint_positions: Array) -> list[
 
 
 @lru_cache(maxsize=8)
-def _parts(robot: Robot) -> tuple[Tree, list[tuple[int, Face]]]:
+def parts(robot: Robot) -> tuple[Tree, list[tuple[int, Face]]]:
     """Return the tree and each face with the joint that carries it, in that joint's frame."""
     tree, mounts = build_tree(robot)
     arm, faces = _arm_links(robot), []
@@ -78,7 +78,7 @@ def _arm_links(robot: Robot) -> set[str]:
     return links
 
 
-def _bodies(tree: Tree, joint_positions: Array) -> tuple[Array, Array]:
+def bodies(tree: Tree, joint_positions: Array) -> tuple[Array, Array]:
     """Return rotation (m + 1, 3, 3) and position (m + 1, 3) of the bodies; the last is the base."""
     count = len(tree.parent)
     rotations, positions = np.tile(np.eye(3), (count + 1, 1, 1)), np.zeros((count + 1, 3))

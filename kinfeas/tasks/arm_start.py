@@ -1,6 +1,7 @@
 """Random arm configurations to begin an episode with."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +9,17 @@ from numpy.typing import NDArray
 from kinfeas import spatial
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import (
+    build_collision_model,
+    checked_links,
+    self_collides,
+)
+from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
 _DRAWS, _ROUNDS = 16, 100
+_SPREAD, _NEARLY_ALWAYS = 256, 0.9
 
 
 def random_arm(
@@ -48,5 +55,19 @@ def random_arm(
     raise KinfeasError(
         f"robot {robot.name!r}: no arm configuration free of self-collision with the EE where the "
         f"task wants it was found in {_DRAWS * _ROUNDS} draws; check joint limits, ignored "
-        "collisions and goal heights"
+        f"collisions and goal heights{_culprits(robot)}"
     )
+
+
+def _culprits(robot: Robot) -> str:
+    """Return the end of a sentence that names two links which touch nearly always, if any do."""
+    spread, pairs = spread_configurations(robot, _SPREAD), checked_links(robot)
+    every = frozenset(map(frozenset, pairs)) | robot.ignored_collisions
+    for a, b in pairs:
+        model = build_collision_model(
+            replace(robot, ignored_collisions=every - {frozenset((a, b))})
+        )
+        touching = float(np.mean(self_collides(model, spread)))
+        if touching > _NEARLY_ALWAYS:
+            return f"; the links {a!r} and {b!r} touch in {touching:.0%} of all configurations"
+    return ""

@@ -87,5 +87,5 @@ def build_legs(legs: Sequence[Leg]) -> tuple[LegMotion, ...]:
                 "kinfeas.motion_generators", leg.motion.generator, leg.motion.parameters
             )
         )
-        built.append(LegMotion(generator, leg.frame, leg.wait, leg.grip))
+        built.append(LegMotion(generator, leg.frame, leg.wait, leg.grip, leg.motion.generator))
     return tuple(built)

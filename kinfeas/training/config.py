@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from kinfeas.config import Interval
 from kinfeas.envs.world import WorldConfig
+from kinfeas.evaluation.physics_world import Place
 
 Count = Annotated[int, Interval(low=1)]
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
@@ -24,7 +25,9 @@ class LearnerConfig:
         discount: Worth of a reward one step later.
         smoothing: Share tau that the target networks take over in a gradient step.
         buffer_size: Transitions kept for replay.
-        random_steps: Steps of random actions, over all environments, before learning begins.
+        random_steps: Steps of random actions, over all environments, before learning begins; a run
+            that goes on from a policy takes the policy's, with noise.
+        critic_steps: Steps after these in which the critics learn and the actor stays as it is.
         hidden: Units of each hidden layer.
         entropy: SAC: fixed entropy coefficient, or `learned`.
         exploration_noise: TD3: standard deviation of the noise on actions.
@@ -40,6 +43,7 @@ class LearnerConfig:
     smoothing: Share = 0.005
     buffer_size: Count = 1_000_000
     random_steps: Annotated[int, Interval(low=0)] = 3_000
+    critic_steps: Annotated[int, Interval(low=0)] = 0
     hidden: tuple[Count, ...] = (256, 256)
     entropy: Annotated[float, Interval(low=0.0)] | Literal["learned"] = 0.01
     exploration_noise: Annotated[float, Interval(low=0.0)] = 0.25
@@ -84,6 +88,10 @@ class TrainConfig:
             of what a base can do, and the learner looks as many times farther ahead. In an
             evaluation and on a robot each period has an action of its own.
         world: Where they happen.
+        physics: Null for the analytic world; else what is different in the PyBullet world, where
+            each of the `environments` has a process of its own.
+        init: Policy to go on from: a run, a checkpoint or `pretrained`; null for none. It says
+            what `learner.hidden` is.
         learner: What learns from them.
         schedule: For how long.
     """
@@ -95,5 +103,7 @@ class TrainConfig:
     environments: Count = 256
     hold: Count = 1
     world: WorldConfig = field(default_factory=WorldConfig)
+    physics: Place | None = None
+    init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

@@ -1,5 +1,6 @@
 """SAC and TD3 of Stable-Baselines3, as the configuration asks for them."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,12 +14,15 @@ from torch import nn
 
 from kinfeas.policy import Network
 from kinfeas.training.config import LearnerConfig
-from kinfeas.training.vec_env import WorldVecEnv
+from kinfeas.training.vec_env import EpisodesVecEnv
 
 Learner = SAC | TD3
 
+DEVIATION = 0.1
+"""Standard deviation, before the bounds, of SAC's actions as it goes on from a policy."""
 
-def make_learner(config: LearnerConfig, env: WorldVecEnv, seed: int) -> Learner:
+
+def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> Learner:
     """Return a fresh learner whose random numbers are seeded."""
     # Small networks gain nothing from a second thread, and threads that wait for each other lose
     # most of their time as soon as another process wants a core.
@@ -86,15 +90,41 @@ def explore(
 
 def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
     """Return the learner's deterministic actor as a network that runs without torch."""
-    actor = learner.actor
-    # In SAC's actor the layers of the deviation follow those of the mean.
-    used = [name for name, _ in actor.named_modules() if name.split(".")[0] in ("latent_pi", "mu")]
-    linear = [m for m in map(actor.get_submodule, used) if isinstance(m, nn.Linear)]
+    linear = _layers(learner)
     return Network(
         scale,
         tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
         tuple(layer.bias.detach().numpy().copy() for layer in linear),
     )
+
+
+def take_network(learner: Learner, network: Network) -> None:
+    """Let a fresh learner's actor act as a network does; SAC's with the deviation `DEVIATION`.
+
+    Args:
+        learner: Its hidden layers must be as wide as the network's.
+        network: Whose weights it takes.
+    """
+    with torch.no_grad():
+        for layer, weight, bias in zip(
+            _layers(learner), network.weights, network.biases, strict=True
+        ):
+            layer.weight.copy_(torch.from_numpy(weight.T.copy()))
+            layer.bias.copy_(torch.from_numpy(bias))
+        if isinstance(learner, SAC):
+            spread: Any = learner.actor.log_std  # a layer, whatever its type says
+            spread.weight.zero_()
+            spread.bias.fill_(math.log(DEVIATION))
+        else:
+            learner.actor_target.load_state_dict(learner.actor.state_dict())
+
+
+def _layers(learner: Learner) -> list[nn.Linear]:
+    """Return the layers that lead to the deterministic action, in order."""
+    actor = learner.actor
+    # In SAC's actor the layers of the deviation follow those of the mean.
+    used = [name for name, _ in actor.named_modules() if name.split(".")[0] in ("latent_pi", "mu")]
+    return [m for m in map(actor.get_submodule, used) if isinstance(m, nn.Linear)]
 
 
 def _schedule(config: LearnerConfig) -> Any:

@@ -12,23 +12,25 @@ from numpy.typing import NDArray
 
 from kinfeas import config as configuration
 from kinfeas import registry
-from kinfeas.envs.world import World
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.evaluation.policies import load_policy
 from kinfeas.folders import find_folder, write_folder, writing
-from kinfeas.kinematics.ik import IkOptions
 from kinfeas.metrics import summarize
-from kinfeas.policy import write_network
-from kinfeas.tasks.loading import load_task
+from kinfeas.policy import Network, write_network
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
-from kinfeas.training.learner import explore, make_learner, network_of, without_denormals
+from kinfeas.training.learner import (
+    explore,
+    make_learner,
+    network_of,
+    take_network,
+    without_denormals,
+)
 from kinfeas.training.logs import LEARNER, Logs
-from kinfeas.training.vec_env import WorldVecEnv
-
-EVALUATION_SEED = 1_000_003
-"""Offset between the seed of training and that of the episodes that pick the best checkpoint."""
+from kinfeas.training.process_env import ProcessVecEnv
+from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
+from kinfeas.training.worlds import Judge, analytic_judge, analytic_world, physics_judge
 
 RECENT = 256
 """Training episodes that the reported success rate is the mean of."""
@@ -76,7 +78,9 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
         if out.is_dir() and any(out.iterdir()):
             raise KinfeasError(f"{out}: already there; use --resume {out}, or another --out")
     # What is wrong with the configuration shows here, before anything is written.
+    config = _fitted(config)
     run = _Run(config, out)
+    run.begin()
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     configuration.dump(config, out / "config.yaml")
@@ -96,25 +100,56 @@ def resume(out: Path, report: Report | None = None) -> Progress:
     return run.go(report)
 
 
+def _fitted(config: TrainConfig) -> TrainConfig:
+    """Return the configuration with the hidden layers of the policy that it goes on from.
+
+    Raises:
+        KinfeasError: If that policy cannot be read, or is no network.
+    """
+    if config.init is None:
+        return config
+    hidden = tuple(len(bias) for bias in _first_policy(config).biases[:-1])
+    return replace(config, learner=replace(config.learner, hidden=hidden))
+
+
+def _first_policy(config: TrainConfig) -> Network:
+    assert config.init is not None
+    found = load_policy(config.init, registry.load_robot(config.robot))
+    if not isinstance(found, Network):
+        raise KinfeasError(
+            f"init: {config.init} has no weights to go on from; it must be the folder of a "
+            "training run or of a checkpoint, or pretrained"
+        )
+    return found
+
+
 class _Run:
     """One training run in its folder."""
 
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
-        robot = registry.load_robot(config.robot)
-        task = load_task(config.task, config.task_parameters)
-        world = World(robot, task, config.world, config.seed)
-        self.env = WorldVecEnv(world, config.environments, config.hold)
-        judged = replace(config.world, max_failures=99, adapters=(), ik=IkOptions())
-        self.judge = World(robot, task, judged, config.seed + EVALUATION_SEED)
+        self.env: EpisodesVecEnv = (
+            WorldVecEnv(analytic_world(config), config.environments, config.hold)
+            if config.physics is None
+            else ProcessVecEnv(config)
+        )
         self.learner = make_learner(config.learner, self.env, config.seed)
         self.progress = Progress()
         self.observation: NDArray[np.float32] | None = None
 
+    def begin(self) -> None:
+        """Take the weights of the policy that the run goes on from, if there is one."""
+        if self.config.init is not None:
+            network = _first_policy(self.config)
+            if not np.array_equal(network.scale, self.env.scale):
+                raise KinfeasError(f"init: {self.config.init} scales observations otherwise")
+            take_network(self.learner, network)
+
     def load(self) -> None:
-        """Take up the last checkpoint, if there is one."""
+        """Take up the last checkpoint, or begin if there is none."""
         last = find_folder(self.out / "checkpoints" / "last")
         if not last.is_dir():
+            self.begin()
             return
         state = read_state(last)
         with loading(last):
@@ -135,18 +170,20 @@ class _Run:
                 if self.observation is not None:
                     self._save()
                 raise
+            finally:
+                self.env.close()
         return self.progress
 
     def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
             self.observation = self.env.reset()
-        self._compile()
+        judge = self._judge()
         begun = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
             # First, so that a run that was interrupted while it was being judged is judged again.
             if self._evaluations_due() > self.progress.evaluations:
-                self._evaluate(logs)
+                self._evaluate(judge, logs)
                 self._save()
                 self.progress.seconds = saved = time.monotonic() - begun
             if self.progress.share >= 1.0:
@@ -166,21 +203,23 @@ class _Run:
         if report is not None:
             report(self.progress)
 
-    def _compile(self) -> None:
-        """Run every kernel once, so that compiling them is not counted as training time."""
-        self.judge.start([0])
-        network_of(self.learner, self.env.scale).act(self.judge.loop.situation)
-        self.judge.step(np.zeros((1, self.judge.action_size)))
+    def _judge(self) -> Judge:
+        if self.config.physics is not None:
+            return physics_judge(self.config)
+        return analytic_judge(self.config, network_of(self.learner, self.env.scale))
 
     def _step(self) -> None:
         """Step all environments once, and learn from what has been seen."""
         config, learner, progress = self.config.learner, self.learner, self.progress
         assert self.observation is not None
-        random = progress.steps < max(config.random_steps, self.config.environments)
+        filling = progress.steps < max(config.random_steps, self.config.environments)
+        random = filling and self.config.init is None
         action = explore(learner, config, self.observation, random)
         # The world moves in its own thread while the learner works on what came before.
         self.env.step_async(action)
-        if not random:
+        if not filling:
+            patient = progress.steps < config.random_steps + config.critic_steps
+            learner.actor.requires_grad_(not patient)
             learner._current_progress_remaining = 1.0 - progress.share
             learner.train(config.gradient_steps, config.batch_size)
         seen, rewards, dones, infos = self.env.step_wait()
@@ -204,13 +243,14 @@ class _Run:
         return min(1.0, max(shares))
 
     def _evaluations_due(self) -> int:
-        return int(self.progress.share * self.config.schedule.evaluations)
+        # What the run goes on from is judged, too: it may stay the best.
+        first = self.config.init is not None
+        return first + int(self.progress.share * self.config.schedule.evaluations)
 
-    def _evaluate(self, logs: Logs) -> None:
+    def _evaluate(self, judge: Judge, logs: Logs) -> None:
         """Judge the policy on fixed episodes; keep it if none was better."""
         network = network_of(self.learner, self.env.scale)
-        episodes = self.config.schedule.evaluation_episodes
-        figures = summarize(run_episodes(self.judge, network, episodes))
+        figures = summarize(judge(network, self.config.schedule.evaluation_episodes))
         with uninterrupted():
             self.progress.evaluations = self._evaluations_due()
             if figures["success"] >= self.progress.best:
@@ -245,7 +285,7 @@ class _Run:
 
     def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
         network = network_of(self.learner, self.env.scale)
-        write_network(network, folder, self.env.world.robot, about)
+        write_network(network, folder, self.env.robot, about)
 
     def _identity(self) -> dict[str, object]:
         """Return what must be the same for a run to go on: everything but how long it lasts."""
@@ -253,7 +293,9 @@ class _Run:
         del mapping["schedule"]
         return mapping
 
-    def _check_same(self, saved: dict[str, object], place: Path) -> None:
+    def _check_same(self, told: dict[str, object], place: Path) -> None:
+        # What was no key yet when the checkpoint was written had its default.
+        saved = configuration.to_mapping(configuration.from_mapping(TrainConfig, told, str(place)))
         for key, value in self._identity().items():
             if saved[key] != value:
                 raise KinfeasError(

@@ -5,6 +5,7 @@ import shutil
 import pytest
 import yaml
 
+from kinfeas.adapters import read_sim2real
 from kinfeas.training import train as training
 from tests.cli.conftest import TINY, is_one_line
 
@@ -72,6 +73,14 @@ def test_interruption_says_how_to_go_on(kinfeas, monkeypatch):
     assert kinfeas("train", "--resume", "run").code == 0
 
 
+def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
+    outcome = kinfeas("train", "--steps", "64", "--out", "run", "--sim2real", "harsh", *TINY)
+    assert outcome.code == 0, outcome.err
+    settings = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())
+    named = [adapter["name"] for adapter in settings["world"]["adapters"]]
+    assert named == [adapter.name for adapter in read_sim2real("harsh").adapters]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -79,6 +88,7 @@ def test_interruption_says_how_to_go_on(kinfeas, monkeypatch):
         (("--robot", "none/robot.yaml"), "none/robot.yaml"),
         (("--task", "fly"), "unknown task 'fly'"),
         (("--config", "train/none"), "train/default"),
+        (("--sim2real", "hars"), "did you mean 'sim2real/harsh'"),
         (("--config", "../pyproject"), "unknown configuration"),
         (("--set", "learner.lerning_rate=1"), "did you mean 'learning_rate'"),
         (("--set", "learner.batch_size=0"), ">= 1"),

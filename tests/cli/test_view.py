@@ -48,3 +48,43 @@ def test_a_missing_urdf_is_one_line(kinfeas, tmp_path):
     assert done.code == 2
     assert "there is no file" in done.err
     assert done.err.count("\n") == 1
+
+
+@pytest.fixture
+def record(kinfeas, tmp_path):
+    """The record of a short run."""
+    kinfeas("deploy", "pretrained", "--backend", "analytic", "--goal", "1", "0", "0.8",
+            "--as-fast-as-possible", "--seconds", "0.2", "--record", "run.csv")  # fmt: skip
+    return tmp_path / "run.csv"
+
+
+def test_replays_a_run(kinfeas, record, tmp_path):
+    done = kinfeas("view", "--record", "run.csv", "--picture", "run.png", "--json", "run.json")
+    assert done.code == 0, done.err
+    assert "the goal was not reached within 0.2 s" in done.out
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    facts = json.loads((tmp_path / "run.json").read_text())
+    assert facts["events"][0]["event"] == "start"
+    assert facts["seconds"] == pytest.approx(0.2)
+
+
+def test_replays_a_run_that_was_cut_short(kinfeas, record):
+    record.write_bytes(record.read_bytes()[:-300])
+    done = kinfeas("view", "--record", "run.csv")
+    assert done.code == 0, done.err
+    assert "the record breaks off here" in done.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scene", "room"], "--scene and --record exclude each other"),
+        (["--live"], "--live and --record exclude each other"),
+        ([], "none.csv: cannot be read"),
+    ],
+)
+def test_a_record_that_is_none_is_one_line(kinfeas, arguments, message):
+    done = kinfeas("view", "--record", "none.csv", *arguments)
+    assert done.code == 2
+    assert message in done.err
+    assert done.err.count("\n") == 1

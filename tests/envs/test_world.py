@@ -307,7 +307,7 @@ def test_goes_on_from_a_snapshot_to_the_bit(robot):
     ("adapter", "message"),
     [
         (AdapterSpec("base_nose"), "unknown adapter 'base_nose'"),
-        (AdapterSpec("base_noise", {"linear": -1.0}), "linear is -1.0, must be finite"),
+        (AdapterSpec("base_noise", {"linear": -1.0}), "linear is -1.0, must be a finite number"),
         (AdapterSpec("base_noise", {"linaer": 1.0}), "unknown parameter 'linaer'"),
     ],
 )

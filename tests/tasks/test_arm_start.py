@@ -1,9 +1,14 @@
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.robots.robot import read_robot
 from kinfeas.spatial import compose
 from kinfeas.tasks.arm_start import random_arm
 
@@ -45,3 +50,13 @@ def test_accepts_what_the_caller_does(solver):
 def test_gives_up_in_one_sentence(solver):
     with pytest.raises(KinfeasError, match="no arm configuration free of self-collision"):
         random_arm(solver, np.random.default_rng(0), lambda ee: ee[:, 2] > 9.0)
+
+
+def test_names_links_that_always_touch(tmp_path):
+    folder = Path(__file__).parents[2] / "examples" / "own_robot"
+    wide = (folder / "scout.urdf").read_text().replace("0.16 0.26 0.62", "1.8 1.8 2.6")
+    (tmp_path / "scout.urdf").write_text(wide)
+    shutil.copy(folder / "scout.yaml", tmp_path)
+    solver = IkSolver(read_robot(tmp_path / "scout.yaml"), IkOptions(self_collision=False))
+    with pytest.raises(KinfeasError, match=r"; the links '\w+' and 'mast_link' touch in \d+%"):
+        random_arm(solver, np.random.default_rng(0))

@@ -106,7 +106,7 @@ def test_noise_goes_on_too(robot):
     run(env, 3)
     snapshot = env.snapshot()
     expected = run(env, 2, seed=1)
-    env.restore({**snapshot, "base_noise_steps": snapshot["base_noise_steps"] + np.uint64(1)})
+    env.restore({**snapshot, "BaseNoise.0.steps": snapshot["BaseNoise.0.steps"] + np.uint64(1)})
     assert not np.array_equal(run(env, 2, seed=1)[-1][0], expected[-1][0])
 
 

@@ -1,0 +1,76 @@
+"""What adapters cost, for `kinfeas evaluate --sim2real`: a table, a picture and JSON."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kinfeas.cli.output import print_table, progress, share, status
+
+if TYPE_CHECKING:
+    from kinfeas.evaluation.evaluate import Summary
+    from kinfeas.evaluation.sim2real import Cost, Run, Specs
+
+
+def weigh(
+    run: "Run", name: str, adapters: "Specs", picture: Path | None
+) -> tuple["Summary", dict[str, object], Callable[[], None]]:
+    """Return what a policy does within adapters.
+
+    Args:
+        run: Evaluates the policy within some of them.
+        name: What the list is called.
+        adapters: The first one innermost.
+        picture: Where to draw success along the axes; nowhere if None.
+
+    Returns:
+        The figures within all adapters, those of all evaluations, and what prints the table.
+    """
+    from kinfeas.evaluation.sim2real import (
+        AXES,
+        evaluations,
+        measure_costs,
+        measure_sweeps,
+        to_json,
+    )
+
+    axes = AXES if picture is not None else ()
+    count = evaluations(adapters, axes)
+    with progress(f"{count} evaluations", count) as advance:
+
+        def counted(some: "Specs") -> "Summary":
+            summary = run(some)
+            advance(1.0)
+            return summary
+
+        costs = measure_costs(counted, adapters)
+        sweeps = measure_sweeps(counted, adapters, axes)
+    if picture is not None:
+        from kinfeas.evaluation.pictures import png
+        from kinfeas.evaluation.sim2real_picture import sim2real_figure
+        from kinfeas.folders import writing
+
+        title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)
+        with status("drawing"), writing(picture):
+            picture.write_bytes(png(sim2real_figure(f"{title}, {name}", costs, sweeps), dpi=130))
+    held = {"sim2real": name, **to_json(costs, sweeps)}
+    return costs[-1].figures, held, lambda: _show(name, costs)
+
+
+def _show(name: str, costs: "list[Cost]") -> None:
+    before = _number(costs[0], "success")
+    rows = [
+        [
+            cost.adapter,
+            share(*(_number(cost, f"success{end}") for end in ("", "_low", "_high"))),
+            f"{100.0 * (_number(cost, 'success') - before):+.1f}" if cost is not costs[0] else "",
+            share(_number(cost, "reached")),
+            f"{1000.0 * _number(cost, 'mean_deviation_m'):.1f} mm",
+        ]
+        for cost in costs
+    ]
+    columns = ["adapter", " success", " points", " reached", " deviation"]
+    print_table(f"what the adapters of {name} cost, each alone", columns, rows)
+
+
+def _number(cost: "Cost", key: str) -> float:
+    return float(cost.figures[key] or 0.0)

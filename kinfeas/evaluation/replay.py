@@ -1,0 +1,60 @@
+"""Recorded runs, ready to be drawn as episodes are."""
+
+from textwrap import fill
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from kinfeas import spatial
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.episode_picture import episodes_figure
+from kinfeas.evaluation.recording import Recording
+from kinfeas.kinematics.chain import build_chain
+from kinfeas.kinematics.forward import forward
+from kinfeas.record import REACHED, Record
+from kinfeas.robots.robot import Robot
+
+_WIDTH = 50  # characters of the title's lines
+
+
+def recording(record: Record, robot: Robot) -> Recording:
+    """Return a recorded run as an episode; the achieved EE is what the measured joints say.
+
+    Raises:
+        KinfeasError: If it is of a robot with another arm.
+    """
+    joints = tuple(joint.name for joint in robot.arm)
+    if record.about.joints != joints:
+        raise KinfeasError(
+            f"the record is of the joints {', '.join(record.about.joints)}, but the arm of robot "
+            f"{robot.name!r} has {', '.join(joints)}"
+        )
+    ee = forward(build_chain(robot), record.joint_positions)
+    last = [np.flatnonzero(record.leg == leg)[-1] for leg in np.unique(record.leg)]
+    return Recording(
+        episode=0,
+        base_pose=record.base_pose,
+        joint_positions=record.joint_positions,
+        desired=record.desired,
+        ee_pose=spatial.compose(record.base_pose, ee),
+        feasible=record.feasible,
+        goals=record.goal[last],
+        reached=record.event[-1] == REACHED,
+        dt=record.about.dt,
+    )
+
+
+def replay_figure(record: Record, robot: Robot) -> Figure:
+    """Return a picture of a run, from the side and from above.
+
+    Raises:
+        KinfeasError: If it is of a robot with another arm.
+    """
+    seconds = record.time[-1] - record.time[0]
+    title = f"{robot.name}, {record.about.task}, {seconds:.0f} s: {ending(record)}"
+    return episodes_figure(robot, [recording(record, robot)], [fill(title, _WIDTH)])
+
+
+def ending(record: Record) -> str:
+    """Return how a run ended."""
+    return record.event[-1] or "the record breaks off"

@@ -1,0 +1,119 @@
+"""What stands between a policy and a robot costs: adapters one at a time, and swept."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from kinfeas.adapters import AdapterSpec
+from kinfeas.evaluation.evaluate import Summary
+
+Specs = tuple[AdapterSpec, ...]
+Run = Callable[[Specs], Summary]
+"""Evaluates a policy within adapters, the first one innermost."""
+
+NONE, ALL = "none", "all"
+"""What the episodes without any adapter and within all of them are called."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one adapter does to a policy.
+
+    Attributes:
+        adapter: Its name, `none` or `all`.
+        figures: Of the policy within it.
+    """
+
+    adapter: str
+    figures: Summary
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A number that is swept while all other adapters stay as they are.
+
+    Attributes:
+        title: What it is called in a picture, with its unit.
+        adapter: Whose it is.
+        parameters: Which of its parameters are set to it.
+        values: Those it takes.
+    """
+
+    title: str
+    adapter: str
+    parameters: tuple[str, ...]
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """How well a policy does along an axis: the figures for each of its values."""
+
+    axis: Axis
+    figures: tuple[Summary, ...]
+
+
+AXES = (
+    Axis("command latency (s)", "command_latency", ("seconds",), (0.0, 0.03, 0.06, 0.12, 0.25)),
+    Axis(
+        "base noise (m/s and rad/s)",
+        "base_noise",
+        ("linear", "angular"),
+        (0.0, 0.015, 0.05, 0.1, 0.15),
+    ),
+    Axis("head start (s)", "head_start", ("seconds",), (0.0, 1.0, 2.0, 3.0, 5.0)),
+)
+"""What a robot's owner can measure or choose."""
+
+
+def measure_costs(run: Run, adapters: Specs) -> list[Cost]:
+    """Return the figures without adapters, within each one alone, and within all."""
+    alone = [Cost(adapter.name, run((adapter,))) for adapter in adapters]
+    return [Cost(NONE, run(())), *alone, Cost(ALL, run(adapters))]
+
+
+def measure_sweeps(run: Run, adapters: Specs, axes: Sequence[Axis] = AXES) -> list[Sweep]:
+    """Return the figures along each axis, with all other numbers of `adapters` as they are."""
+    return [
+        Sweep(axis, tuple(run(with_value(adapters, axis, value)) for value in axis.values))
+        for axis in axes
+    ]
+
+
+def evaluations(adapters: Specs, axes: Sequence[Axis]) -> int:
+    """Return how often costs and sweeps together call `run`."""
+    return len(adapters) + 2 + sum(len(axis.values) for axis in axes)
+
+
+def with_value(adapters: Specs, axis: Axis, value: float) -> Specs:
+    """Return the list with the axis's numbers at `value`.
+
+    An adapter that is not there is put where a robot has it: noise innermost, all else outermost.
+    """
+    numbers: dict[str, object] = dict.fromkeys(axis.parameters, value)
+    if all(adapter.name != axis.adapter for adapter in adapters):
+        added = AdapterSpec(axis.adapter, numbers)
+        return (added, *adapters) if axis.adapter == "base_noise" else (*adapters, added)
+    return tuple(
+        AdapterSpec(adapter.name, adapter.parameters | numbers)
+        if adapter.name == axis.adapter
+        else adapter
+        for adapter in adapters
+    )
+
+
+def to_json(costs: Sequence[Cost], sweeps: Sequence[Sweep]) -> dict[str, object]:
+    """Return all figures as plain data."""
+    return {
+        "costs": [{"adapter": cost.adapter, **cost.figures} for cost in costs],
+        "sweeps": [
+            {
+                "adapter": sweep.axis.adapter,
+                "parameters": list(sweep.axis.parameters),
+                "points": [
+                    {"value": value, **figures}
+                    for value, figures in zip(sweep.axis.values, sweep.figures, strict=True)
+                ],
+            }
+            for sweep in sweeps
+        ],
+    }

@@ -1,0 +1,129 @@
+"""A policy that tries its own future out: the motion is known, so what will fail shows early."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from kinfeas import registry
+from kinfeas.config import Interval
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.loop import Loop, Rows
+from kinfeas.observation import HORIZON
+from kinfeas.policy import Policy, Situation
+from kinfeas.spatial import Array
+from kinfeas.spread import spread
+
+_RESTARTS = 2
+_LATER = 0.99
+"""Worth of a failure one period of `HORIZON` later."""
+
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+
+
+@dataclass(frozen=True)
+class Foresight:
+    """How far and how widely to look.
+
+    Attributes:
+        seconds: Of the motion that are tried out.
+        every: Seconds between looks.
+        tries: Deviations from the policy that are tried where it would fail.
+        spread: Their standard deviation, in units of the action.
+    """
+
+    seconds: Positive = 6.0
+    every: Positive = 0.5
+    tries: Annotated[int, Interval(low=1)] = 32
+    spread: Positive = 0.8
+
+
+class LookAhead:
+    """Follows a policy, and deviates from it where it would fail and a deviation would not.
+
+    Every now and then it carries the policy out in a world without dynamics or noise. Where a
+    kinematic failure shows, it tries the policy plus each of the same few constants, and adds the
+    one that fails last and least until the next look. No row depends on the others.
+    """
+
+    def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
+        """Wrap a policy; `watch` must follow before it acts."""
+        self.policy, self.foresight = policy, foresight or Foresight()
+
+    def watch(self, loop: Loop) -> None:
+        """Look ahead of the motions of `loop` from now on."""
+        self._loop = loop
+        options = replace(loop.solver.options, restarts=_RESTARTS)
+        solver = IkSolver(loop.robot, options)
+        analytic = registry.build("kinfeas.backends", "analytic", {})
+        self._twin = Loop(solver, loop.course.legs, analytic, HORIZON, loop.pace)
+        self._every = max(1, round(self.foresight.every / loop.dt))
+        self._tries = _deviations(loop.action_size, self.foresight)
+        self._deviation: Array = np.zeros((0, loop.action_size))
+
+    def act(self, situation: Situation) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        action = self.policy.act(situation)
+        if len(action) != len(self._deviation):
+            self._deviation = np.zeros_like(action)
+        due = np.flatnonzero(self._loop.periods % self._every == 0)
+        if due.size:
+            self._deviation[due] = self._plan(due)
+        return np.clip(action + self._deviation, -1.0, 1.0)
+
+    def _plan(self, rows: Rows) -> Array:
+        """Return what to add to the policy's actions in the m `rows`, shape (m, a)."""
+        best = np.zeros((len(rows), self._loop.action_size))
+        cost = self._cost(rows, best[:, np.newaxis])[:, 0]
+        bad = np.flatnonzero(cost > 0.0)
+        if bad.size:
+            tried = np.broadcast_to(self._tries, (len(bad), *self._tries.shape))
+            costs = self._cost(rows[bad], tried)
+            chosen = costs.argmin(axis=1)
+            better = costs[np.arange(len(bad)), chosen] < cost[bad]
+            best[bad[better]] = self._tries[chosen[better]]
+        return best
+
+    def _cost(self, rows: Rows, deviations: Array) -> Array:
+        """Return what the failures to come cost, shape (m, k).
+
+        Args:
+            rows: The m rows to look ahead of.
+            deviations: What is added to their actions, shape (m, k, a).
+        """
+        m, k, size = deviations.shape
+        self._twin.restore(_twins(self._loop, rows, k))
+        added = deviations.reshape(m * k, size)
+        cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
+        for period in range(round(self.foresight.seconds / HORIZON)):
+            action = self.policy.act(self._twin.situation) + added
+            step = self._twin.step(np.clip(action, -1.0, 1.0))
+            failed = ~step.feasible & ~over
+            missing = 1.0 + step.position_error + step.rotation_error
+            cost += np.where(failed, missing * _LATER**period, 0.0)
+            over |= step.finished
+            if over.all():
+                break
+        return cost.reshape(m, k)
+
+
+def _deviations(size: int, foresight: Foresight) -> Array:
+    """Return normally distributed constants that fill the space evenly, shape (tries, size)."""
+    deviations: Array = ndtri(spread(foresight.tries, size)) * foresight.spread
+    return deviations
+
+
+def _twins(loop: Loop, rows: Rows, copies: int) -> dict[str, NDArray[np.generic]]:
+    """Return the state of a loop's rows as a loop of twins, `copies` of each, goes on from it."""
+    state = {
+        "base_pose": loop.state.base_pose,
+        "joint_positions": loop.state.joint_positions,
+        "sent": loop.sent,
+        "periods": loop.periods,
+        **loop.course.snapshot(),
+    }
+    away = state["waiting"] * loop.dt / HORIZON
+    state["waiting"] = (np.sign(away) * np.ceil(np.abs(away))).astype(np.intp)
+    return {key: np.repeat(values[rows], copies, axis=0) for key, values in state.items()}

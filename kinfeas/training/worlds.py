@@ -1,0 +1,88 @@
+"""The worlds of a training run: where it learns, and where its policy is judged."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from kinfeas import registry
+from kinfeas.envs.world import World
+from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.evaluation.physics import run_physics
+from kinfeas.evaluation.physics_world import (
+    PhysicsSettings,
+    PhysicsTrial,
+    make_physics_world,
+    make_stage,
+)
+from kinfeas.kinematics.ik import IkOptions
+from kinfeas.metrics import EpisodeRecords
+from kinfeas.policy import Network
+from kinfeas.tasks.loading import load_task
+from kinfeas.training.config import TrainConfig
+
+EVALUATION_SEED = 1_000_003
+"""Offset between the seed of training and that of the episodes that pick the best checkpoint."""
+
+MAX_FAILURES = 99
+"""Of an episode that judges a policy."""
+
+Judge = Callable[[Network, int], EpisodeRecords]
+"""Returns what happens in that many episodes, always the same ones."""
+
+
+def analytic_world(config: TrainConfig) -> World:
+    """Return the analytic world that a run learns in."""
+    task = load_task(config.task, config.task_parameters)
+    return World(registry.load_robot(config.robot), task, config.world, config.seed)
+
+
+def physics_world(config: TrainConfig) -> World:
+    """Return a PyBullet world that a run learns in, which holds one robot.
+
+    Raises:
+        KinfeasError: If PyBullet is not installed, or the task's scene is broken.
+    """
+    assert config.physics is not None
+    robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
+    stage = make_stage(robot, task, config.physics)
+    return make_physics_world(robot, stage, config.world, config.physics, config.seed)
+
+
+def analytic_judge(config: TrainConfig, network: Network) -> Judge:
+    """Return what judges policies in the analytic world, which is exact and patient.
+
+    Args:
+        config: Of the run.
+        network: Any policy: kernels are compiled here, so that it is not counted as training time.
+    """
+    task = load_task(config.task, config.task_parameters)
+    judged = replace(config.world, max_failures=MAX_FAILURES, adapters=(), ik=IkOptions())
+    robot = registry.load_robot(config.robot)
+    world = World(robot, task, judged, config.seed + EVALUATION_SEED)
+    world.start([0])
+    network.act(world.loop.situation)
+    world.step(np.zeros((1, world.action_size)))
+    return lambda policy, episodes: run_episodes(world, policy, episodes)
+
+
+def physics_judge(config: TrainConfig) -> Judge:
+    """Return what judges policies in the PyBullet world, in as many processes as learn."""
+    place, world = config.physics, config.world
+    assert place is not None
+    settings = PhysicsSettings(
+        dt=world.dt,
+        slow_down=place.slow_down,
+        head_start=place.head_start,
+        objects=place.objects,
+        max_failures=MAX_FAILURES,
+        max_seconds=world.max_steps * world.dt / place.slow_down,
+        physics=place.physics,
+    )
+    robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
+    trial = PhysicsTrial(robot, task, 1, config.seed + EVALUATION_SEED, settings)
+
+    def judge(network: Network, episodes: int) -> EpisodeRecords:
+        return run_physics(replace(trial, episodes=episodes), network, config.environments)
+
+    return judge

@@ -1,0 +1,127 @@
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from kinfeas.record import REACHED, read_record
+
+QUICK = ("--set", "generator.gain=1", "--set", "slow_down=1")
+GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")
+MAIN = "from kinfeas.cli.main import main; main()"
+HEAVY = """
+import sys
+from kinfeas.cli import main
+try:
+    main.main()
+finally:
+    heavy = {"torch", "stable_baselines3", "sklearn", "matplotlib", "pybullet"}
+    print("imported:", sorted(heavy & set(sys.modules)))
+"""
+
+
+def started(code, *arguments):
+    command = [sys.executable, "-c", code, "deploy", "pretrained", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_drives_to_a_goal_and_records_it(kinfeas, tmp_path):
+    done = kinfeas("deploy", "pretrained", *GOAL, *QUICK, "--as-fast-as-possible", "--rpy", "0",
+                   "1.2", "-0.3", "--record", "run.csv", "--json", "run.json")  # fmt: skip
+    assert done.code == 0, done.err
+    assert REACHED in done.out
+    record = read_record(tmp_path / "run.csv")
+    assert record.event[-1] == REACHED
+    assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
+
+
+def test_records_every_run_and_says_where(kinfeas, tmp_path):
+    done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.1")
+    assert done.code == 4
+    assert done.err == "stopped: the goal was not reached within 0.1 s\n"
+    (record,) = (tmp_path / "runs" / "deploy").glob("*-pr2-goal.csv")
+    assert len(read_record(record).time) == 5 + 2
+
+
+def test_adapters_stand_between(kinfeas, tmp_path):
+    (tmp_path / "mine.yaml").write_text(
+        "adapters: [{name: base_noise, parameters: {linear: 0.05}}]"
+    )
+    for name, more in (("a.csv", ()), ("b.csv", ("--sim2real", "mine.yaml"))):
+        kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.2",
+                "--record", name, *more)  # fmt: skip
+    paths = [read_record(tmp_path / name).base_pose[-1, :2].tolist() for name in ("a.csv", "b.csv")]
+    assert paths[0] != paths[1]
+
+
+def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
+    (tmp_path / "guards.yaml").write_text("{speed: 0.05, max_distance: 0.02}")
+    done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--record", "run.csv",
+                   "--guards", "guards.yaml", "--set", "guards.speed=0.02")  # fmt: skip
+    assert done.code == 3
+    assert "stopped: the base is 0.0 m from its start" in done.err
+    speed = (read_record(tmp_path / "run.csv").base_twist[:, :2] ** 2).sum(axis=1) ** 0.5
+    assert speed.max() == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (GOAL[:2], "say where to go: --goal X Y Z, or --task NAME or FILE"),
+    ((*GOAL, "--task", "door"), "--goal and --task exclude each other"),
+    ((*GOAL, "--rpy", "0", "0", "0", "--quaternion", "0", "0", "0", "1"), "exclude each other"),
+    ((*GOAL, "--quaternion", "0", "0", "0", "2"), "must be of length 1, not 2"),
+    ((*GOAL, "--robot", "tiago", "--goal", "nan", "0", "0"), "finite numbers"),
+    (("--backend", "analytik", *GOAL[2:]), "unknown backend 'analytik' (did you mean 'analytic'?)"),
+    ((*GOAL, "--set", "guards.sped=1"), "guards.sped"),
+    ((*GOAL, "--set", "guards.speed=-1"), "'guards.speed' must be a number > 0"),
+    ((*GOAL, "--set", "backend.wheels=3"), "unknown parameter 'wheels'"),
+    ((*GOAL, "--generator", "linea"), "unknown motion generator 'linea'"),
+    ((*GOAL, "--rate", "5"), "guards.max_age of 0.2 s needs a rate of at least 7.5 Hz, not 5 Hz"),
+    ((*GOAL, "--record", "/nowhere/run.csv"), "cannot be written"),
+    ((*GOAL, "--guards", "none.yaml"), "none.yaml: cannot be read"),
+])  # fmt: skip
+def test_bad_input_is_one_line(kinfeas, arguments, message):
+    done = kinfeas("deploy", "pretrained", *arguments)
+    assert done.code == 2
+    assert message in done.err
+    assert done.err.startswith("error: ")
+    assert done.err.count("\n") == 1
+
+
+def test_a_policy_of_another_robot_is_refused(kinfeas):
+    from kinfeas import pretrained
+
+    done = kinfeas("deploy", str(pretrained.find("tiago")), *GOAL)
+    assert done.code == 2
+    assert "a policy for robot 'tiago'" in done.err
+
+
+def test_imports_nothing_heavy(tmp_path):
+    process = started(HEAVY, *GOAL, "--as-fast-as-possible", "--seconds", "0.1",
+                      "--record", str(tmp_path / "run.csv"))  # fmt: skip
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 4, err
+    assert out.splitlines()[-1] == "imported: []"
+
+
+def test_a_run_ends_by_a_signal_and_its_record_outlives_a_kill(tmp_path):
+    ends = {signal.SIGTERM: 143, signal.SIGKILL: -9}
+    runs = {}
+    for number in ends:
+        path = tmp_path / f"{number}.csv"
+        runs[number] = (started(MAIN, *GOAL, "--record", str(path)), path)
+    for number, (process, path) in runs.items():
+        end = time.monotonic() + 60.0
+        while not path.exists() or path.read_text().count("\n") < 10:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        process.send_signal(number)
+    for number, (process, path) in runs.items():
+        _, err = process.communicate(timeout=20)
+        assert process.returncode == ends[number]
+        record = read_record(path)
+        assert len(record.time) >= 8
+        if number is not signal.SIGKILL:
+            assert err.endswith(f"stopped: {record.event[-1]}\n")
+            assert not record.base_twist[-1].any()

@@ -1,0 +1,100 @@
+import json
+
+import pytest
+
+from kinfeas.registry import GROUPS
+from kinfeas.testing import RULES
+
+
+def test_list_shows_every_group_and_where_each_comes_from(kinfeas, tmp_path):
+    outcome = kinfeas("plugins", "list", "--json", "plugins.json")
+    assert outcome.code == 0
+    found = json.loads((tmp_path / "plugins.json").read_text())
+    assert {one["group"] for one in found} == set(GROUPS)
+    own = [one for one in found if one["distribution"] == "kinfeas"]
+    assert all(one["description"] and one["error"] is None for one in own)
+    described = {one["name"]: one["description"] for one in own}
+    assert described["pr2"] == "omnidirectional base, arm of 7 joints"
+
+
+def test_info_on_a_motion_generator(kinfeas, tmp_path):
+    outcome = kinfeas("plugins", "info", "linear", "--json", "linear.json")
+    assert "motion generator linear, from kinfeas" in outcome.out
+    (known,) = json.loads((tmp_path / "linear.json").read_text())
+    gain = {one["name"]: one for one in known["parameters"]}["gain"]
+    assert (gain["type"], gain["unit"], gain["default"]) == ("float", "1/s", "0.1")
+    assert gain["description"].startswith("Speed per distance to the goal")
+
+
+@pytest.mark.parametrize("name", ["ggr", "door", "base_noise", "analytic", "pybullet"])
+def test_info_on_all_kinds(kinfeas, name):
+    outcome = kinfeas("plugins", "info", name)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f" {name}, from kinfeas" in outcome.out
+    assert "Annotated" not in outcome.out
+
+
+def test_info_on_a_robot(kinfeas, tmp_path):
+    outcome = kinfeas("plugins", "info", "hsr", "--json", "hsr.json")
+    assert "arm_lift_joint" in outcome.out
+    (known,) = json.loads((tmp_path / "hsr.json").read_text())
+    assert [joint["unit"] for joint in known["robot"]["arm"]] == ["m", "rad", "rad", "rad", "rad"]
+    assert known["robot"]["base"]["drive"] == "omnidirectional"
+
+
+def test_info_on_a_continuous_joint_has_no_limits(kinfeas, tmp_path):
+    kinfeas("plugins", "info", "pr2", "--json", "pr2.json")
+    (known,) = json.loads((tmp_path / "pr2.json").read_text())
+    assert {joint["name"]: joint["lower"] for joint in known["robot"]["arm"]}[
+        "r_forearm_roll_joint"
+    ] is None
+
+
+def test_check_lists_every_rule_and_draws(kinfeas, tmp_path):
+    outcome = kinfeas("plugins", "check", "linear", "--picture", "a.png", "--json", "a.json")
+    assert outcome.code == 0
+    assert "motion generator linear passes" in outcome.out
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert found["passed"] is True
+    assert [one["rule"] for one in found["rules"]] == list(RULES)
+
+
+def test_check_tells_all_that_is_broken(kinfeas, tmp_path):
+    settings = ["--set", "max_velocity=0.4", "--set", "max_angular_velocity=null"]
+    outcome = kinfeas(
+        "plugins", "check", "linear", *settings, "--duration", "9", "--json", "a.json"
+    )
+    assert outcome.code == 2
+    assert "of 11 rules broken: motion generator linear moves at" in outcome.err
+    found = json.loads((tmp_path / "a.json").read_text())
+    broken = {one["rule"] for one in found["rules"] if one["result"] == "broken"}
+    assert {"angular_velocity", "arrival"} <= broken
+    assert "not checked" not in {one["result"] for one in found["rules"]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["info", "lienar"], "there is no plugin 'lienar' (did you mean 'linear'?)"),
+        (["check", "pr2"], "unknown motion generator 'pr2'"),
+        (["check", "linear", "--set", "gian=1"], "unknown parameter 'gian'"),
+        (["check", "linear", "--set", "gain"], "must be of the form key=value"),
+        (["check", "linear", "--picture", "no/a.png"], "cannot be written"),
+        (["new", "linear"], "the name is taken by motion generator 'linear'"),
+        (["new", "My"], "cannot be a name"),
+        (["new", "mine", "--kind", "policy"], "policy"),
+    ],
+)
+def test_bad_input_is_one_line(kinfeas, arguments, sentence):
+    outcome = kinfeas("plugins", *arguments)
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    assert sentence in outcome.err
+
+
+def test_new_writes_a_distribution_here(kinfeas, tmp_path):
+    outcome = kinfeas("plugins", "new", "my_motion")
+    assert "pytest kinfeas-my-motion" in outcome.out
+    assert (tmp_path / "kinfeas-my-motion" / "pyproject.toml").is_file()

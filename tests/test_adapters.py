@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+
+from kinfeas import registry
+from kinfeas.adapters import AdapterSpec, chain, paced, read_sim2real, wrap
+from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.legs import Pace
+from kinfeas.policy import Situation
+from kinfeas.recipes import recipes
+from kinfeas.tasks.ggr import ggr
+
+LADDER = ("ideal", "paper", "pr2_like", "harsh")
+
+
+@pytest.fixture(scope="module")
+def pr2():
+    return registry.load_robot("pr2")
+
+
+def test_the_ladder_is_what_is_shipped():
+    assert recipes("sim2real") == sorted(f"sim2real/{name}" for name in LADDER)
+
+
+@pytest.mark.parametrize("name", LADDER)
+def test_each_rung_suits_any_robot(name):
+    for robot in ("pr2", "tiago", "hsr"):
+        backend = wrap(AnalyticBackend(), read_sim2real(name).adapters, registry.load_robot(robot))
+        assert len(list(chain(backend))) == 1 + len(read_sim2real(name).adapters)
+        assert isinstance(list(chain(backend))[-1], AnalyticBackend)
+
+
+def test_pr2_like_has_the_accelerations_of_pr2(pr2):
+    limits = next(a for a in read_sim2real("pr2_like").adapters if a.name == "acceleration_limit")
+    assert limits.parameters["linear"] == pr2.base.max_acceleration
+    assert limits.parameters["angular"] == pr2.base.max_rotation_acceleration
+
+
+def test_a_list_of_ones_own_goes_by_its_path(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("adapters: [{name: base_noise, parameters: {linear: [0.1, 0.2]}}]")
+    adapters = read_sim2real(str(path)).adapters
+    assert adapters == (AdapterSpec("base_noise", {"linear": [0.1, 0.2]}),)
+    path.write_text("adapter: []")
+    with pytest.raises(KinfeasError, match="did you mean 'adapters'"):
+        read_sim2real(str(path))
+
+
+def test_an_unknown_list_is_one_sentence():
+    with pytest.raises(KinfeasError, match=r"did you mean 'sim2real/harsh'.*or a file"):
+        read_sim2real("hars")
+
+
+def test_wrong_adapters_are_one_sentence(pr2):
+    with pytest.raises(KinfeasError, match="did you mean 'base_noise'"):
+        wrap(AnalyticBackend(), [AdapterSpec("base_nose")], pr2)
+
+
+def test_the_first_one_is_innermost_and_a_backend_alone_has_its_pace(pr2):
+    names = ("base_noise", "command_latency", "head_start")
+    backend = wrap(AnalyticBackend(), [AdapterSpec(name) for name in names], pr2)
+    kinds = [type(link).__name__ for link in chain(backend)]
+    assert kinds == ["HeadStart", "CommandLatency", "BaseNoise", "AnalyticBackend"]
+    assert paced(backend, Pace()) == Pace(head_start=3.0)
+    assert paced(AnalyticBackend(), Pace(slow_down=2.0)) == Pace(slow_down=2.0)
+
+
+class Sway:
+    """Drives to and fro, by what it sees."""
+
+    def act(self, situation: Situation):
+        return np.sin(40.0 * situation.observation[:, :3])
+
+
+def trace(world, episodes, steps):
+    world.start(episodes)
+    seen = []
+    for _ in range(steps):
+        transition = world.step(Sway().act(world.loop.situation))
+        seen.append(np.column_stack([transition.observation, transition.step.deviation]))
+    return np.stack(seen)
+
+
+@pytest.mark.parametrize("name", ["pr2_like", "harsh"])
+@pytest.mark.parametrize("dt", [0.1, 0.02])
+def test_episodes_are_the_same_to_the_bit_in_any_batch(pr2, name, dt):
+    config = WorldConfig(dt=dt, adapters=read_sim2real(name).adapters)
+    together = trace(World(pr2, ggr(), config, seed=3), range(6), 40)
+    alone = trace(World(pr2, ggr(), config, seed=3), [4], 40)
+    np.testing.assert_array_equal(alone[:, 0], together[:, 4])
+
+
+@pytest.mark.parametrize("name", ["pr2_like", "harsh"])
+def test_a_run_goes_on_to_the_bit(pr2, name):
+    config = WorldConfig(adapters=read_sim2real(name).adapters)
+    world, other = (World(pr2, ggr(), config, seed=3) for _ in "ab")
+    trace(world, range(4), 30)
+    other.restore(world.snapshot())
+    for _ in range(30):
+        one, two = (each.step(Sway().act(each.loop.situation)) for each in (world, other))
+        np.testing.assert_array_equal(one.observation, two.observation)
+        np.testing.assert_array_equal(one.step.deviation, two.step.deviation)
+        np.testing.assert_array_equal(one.done, two.done)
+
+
+def test_what_is_seen_is_measured_and_the_deviation_is_true(pr2):
+    config = WorldConfig(adapters=(AdapterSpec("localisation", {"rate": 50.0, "jump": 0.3}),))
+    world = World(pr2, ggr(), config, seed=0)
+    plain = World(pr2, ggr(), WorldConfig(), seed=0)
+    for each in (world, plain):
+        each.start(range(20))
+    for _ in range(5):
+        step = world.step(np.zeros((20, 3))).step
+    assert step.goal_distance == pytest.approx(
+        np.linalg.norm((world.loop.ee_pose - world.loop.goal)[:, :3], axis=1)
+    )
+    seen_off = np.linalg.norm((world.loop.ee_pose - world.loop.desired)[:, :3], axis=1)
+    # The arm makes up for a base that it believes elsewhere: it seems right and is wrong.
+    assert np.median(step.deviation) > 0.1
+    assert not np.allclose(seen_off, step.deviation)

@@ -1,0 +1,56 @@
+import sys
+import types
+
+import pytest
+
+from kinfeas.errors import KinfeasError
+from kinfeas.foreign import USUAL, Blaming
+
+
+class OwnError(Exception):
+    """What a plugin's author may think up."""
+
+
+def raising(error, package="outside"):
+    """Return a function of a package that raises."""
+    module = types.ModuleType(f"{package}.part")
+    code = compile("def work(error):\n    raise error\n", f"/somewhere/{package}.py", "exec")
+    exec(code, module.__dict__)
+    return lambda: module.work(error)
+
+
+@pytest.mark.parametrize("error", [OwnError("oh"), KeyError("oh"), SystemExit("oh")])
+def test_anything_becomes_one_sentence_with_its_line(error):
+    with pytest.raises(KinfeasError) as caught, Blaming("it fails:", "outside"):
+        raising(error)()
+    assert str(caught.value).startswith(f"it fails: {type(error).__name__}: ")
+    assert str(caught.value).endswith("(outside.py, line 2)")
+    assert caught.value.__cause__ is error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError(), KinfeasError("known")])
+def test_what_is_nobodys_mistake_passes(error):
+    with pytest.raises(type(error)) as caught, Blaming("it fails:", "outside"):
+        raise error
+    assert caught.value is error
+
+
+def test_our_own_mistakes_keep_their_traceback_and_missing_libraries_do_not():
+    with pytest.raises(ZeroDivisionError), Blaming("it fails:", "kinfeas"):
+        raise ZeroDivisionError
+    with pytest.raises(KinfeasError, match="ModuleNotFoundError"), Blaming("it fails:", "kinfeas"):
+        raise ModuleNotFoundError("no such library")
+
+
+def test_without_an_error_nothing_happens_again_and_again():
+    blaming = Blaming("it fails:")
+    for _ in range(2):
+        with blaming:
+            pass
+    with pytest.raises(KinfeasError, match=r"^it fails: ValueError: no$"), blaming:
+        raise ValueError("no")
+
+
+def test_usual_errors_are_none_of_the_machine():
+    assert not any(issubclass(MemoryError, one) or issubclass(SystemExit, one) for one in USUAL)
+    assert sys.exception() is None

@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+
+from kinfeas.errors import KinfeasError
+from kinfeas.motion_checks import CheckedMotion, ConformanceError
+from kinfeas.plugins.linear import Linear
+from kinfeas.spatial import IDENTITY
+
+POSES = np.tile(IDENTITY, (3, 1))
+
+
+class Answers:
+    """Gives the answers that it is made with."""
+
+    def __init__(self, start=None, goal=None, twist=None, base=None):
+        self.answers = {"start": start, "goal": goal, "twist": twist}
+        if base is not None:
+            self.base_pose = lambda state: base
+
+    def answer(self, name, sound):
+        given = self.answers[name]
+        if isinstance(given, Exception):
+            raise given
+        return sound if given is None else given
+
+    def start(self, ee_pose, target_pose, rngs):
+        return self.answer("start", {"goal": target_pose.copy()})
+
+    def goal_pose(self, state):
+        return self.answer("goal", state["goal"])
+
+    def twist(self, state, ee_pose, dt):
+        return self.answer("twist", (np.zeros((3, 6)), state))
+
+
+def ask(generator):
+    motion = CheckedMotion(generator, "mine")
+    state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
+    motion.goal_pose(state)
+    motion.base_pose(state)
+    return motion.twist(state, POSES, 0.1)
+
+
+ZERO, STATE = np.zeros((3, 6)), {"goal": POSES.copy()}
+TINY, HUGE = np.full((3, 6), 1e-300), np.full((3, 6), 1e200)
+BAD = {
+    "a list for a state": ({"start": [1]}, "must return a state from start that is a dict"),
+    "no state": ({"start": {}}, "must return a state from start that holds at least the goal"),
+    "rows that lack": ({"start": {"goal": POSES[:1]}}, "of leading axis 3, and 'goal' has shape"),
+    "words": ({"start": {"goal": np.array(["a"] * 3)}}, "and 'goal' is not"),
+    "a goal of twists": ({"goal": ZERO}, r"of shape \(3, 7\) from goal_pose, not \(3, 6\)"),
+    "a goal of nothing": ({"goal": POSES * np.nan}, "numbers from goal_pose that are not finite"),
+    "a long goal": ({"goal": POSES * 2.0}, "quaternion is not of unit length"),
+    "no pair": ({"twist": ZERO}, "must return a pair from twist"),
+    "a short twist": ({"twist": (ZERO[:, :3], STATE)}, r"not \(3, 3\)"),
+    "a twist of words": ({"twist": (ZERO.astype(str), STATE)}, "must return an array"),
+    "a listed twist": ({"twist": (ZERO.tolist(), STATE)}, "from twist, not list"),
+    "nan": ({"twist": (ZERO * np.nan, STATE)}, "numbers from twist that are not finite"),
+    "both infinities": ({"twist": (ZERO + [np.inf, -np.inf] * 3, STATE)}, "not finite"),
+    "a state that shrinks": ({"twist": (ZERO, {"goal": POSES[0]})}, "has shape"),
+    "a state that goes": ({"twist": (ZERO, None)}, "that is a dict of numeric arrays, not a None"),
+    "a short base": ({"base": POSES[:2]}, r"of shape \(3, 7\) from base_pose"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_malformed_answers_are_refused(name):
+    answers, sentence = BAD[name]
+    with pytest.raises(ConformanceError, match=sentence) as caught:
+        ask(Answers(**answers))
+    assert str(caught.value).startswith("motion generator mine ")
+
+
+@pytest.mark.parametrize("twist", [ZERO, TINY, HUGE, ZERO.astype(int), ZERO.astype(np.float32)])
+def test_all_finite_numbers_pass(twist):
+    assert ask(Answers(twist=(twist, STATE)))[0] is twist
+
+
+@pytest.mark.parametrize("method", ["start", "goal", "twist"])
+def test_what_its_code_raises_names_it(method):
+    with pytest.raises(KinfeasError, match=rf"^motion generator mine fails in {method}\w*: KeyErr"):
+        ask(Answers(**{method: KeyError("x")}))
+
+
+def test_answers_come_through_unchanged():
+    motion, linear = CheckedMotion(Linear()), Linear()
+    rngs = [np.random.default_rng(i) for i in range(3)]
+    state = motion.start(POSES, POSES + np.eye(7)[0], rngs)
+    assert motion.subject == "motion generator Linear"
+    assert np.array_equal(motion.twist(state, POSES, 0.1)[0], linear.twist(state, POSES, 0.1)[0])
+    assert np.isnan(motion.base_pose(state)).all()
+    assert not motion.demonstrated
+    assert CheckedMotion(Answers(base=POSES)).demonstrated
+    assert not motion.start(POSES[:0], POSES[:0], [])["goal_pose"].size

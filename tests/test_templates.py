@@ -1,0 +1,58 @@
+"""Each distribution that `new` writes works, and what cannot be written is refused."""
+
+import runpy
+
+import pytest
+
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+from kinfeas.templates import KINDS, write_distribution
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_passes_the_test_that_comes_with_it(kind, tmp_path, offer):
+    name = f"tried_{kind}"
+    written = write_distribution(kind, name, tmp_path / "new")
+    assert {path.suffix for path in written} >= {".toml", ".py", ".md"}
+    assert all("$" not in path.read_text() for path in written)
+    offer(tmp_path / "new")
+    assert name in registry.names(KINDS[kind].group)
+    tests = runpy.run_path(str(tmp_path / "new" / f"test_{name}.py"))
+    ran = [thing() for name, thing in tests.items() if name.startswith("test_")]
+    assert ran
+
+
+@pytest.mark.parametrize(
+    "name", ["My", "my-motion", "1st", "a__b", "_a", "a_", "class", "none", ""]
+)
+def test_names_that_cannot_be(name, tmp_path):
+    with pytest.raises(KinfeasError, match="cannot be a name: it must be of lower-case letters"):
+        write_distribution("motion_generator", name, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_names_that_are_taken(tmp_path, monkeypatch):
+    with pytest.raises(KinfeasError, match=r"taken by motion generator 'linear' \(kinfeas"):
+        write_distribution("motion_generator", "linear", tmp_path / "new")
+    (tmp_path / "kinfeas_here.py").write_text("")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(KinfeasError, match="there is a package 'kinfeas_here' already"):
+        write_distribution("motion_generator", "here", tmp_path / "new")
+
+
+def test_folders_that_cannot_be_used(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder, sentence in {
+        tmp_path: "is not empty",
+        tmp_path / "file": "is a file",
+        tmp_path / "file" / "inner": "cannot be written",
+    }.items():
+        with pytest.raises(KinfeasError, match=sentence):
+            write_distribution("task", "mine", folder)
+    (tmp_path / "empty").mkdir()
+    assert write_distribution("task", "mine", tmp_path / "empty")
+
+
+def test_kinds_that_there_are_not(tmp_path):
+    with pytest.raises(KinfeasError, match="unknown kind of plugin 'polcy'; known are adapter"):
+        write_distribution("polcy", "mine", tmp_path / "new")
