@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format clean
+.PHONY: help install demo test docs lint format clean
 
 help:  ## Show the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -19,6 +19,9 @@ demo: $(STAMP)  ## Train a PR2 base policy for two minutes, evaluate it and writ
 
 test: $(STAMP) lint  ## Check style and types, then run all tests
 	$(BIN)/python -m pytest
+
+docs: $(STAMP)  ## Build the documentation site: build/site/index.html
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
 
 lint: $(STAMP)  ## Check style and types
 	$(BIN)/ruff check .
@@ -37,4 +40,6 @@ clean:  ## Remove .venv and everything built
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -c constraints.txt -e ".[test,dev]"
+	@$(BIN)/python -m pip install -q -c constraints.txt -e ".[dmp]" >/dev/null 2>&1 || \
+		echo "The extra dmp cannot be built here: its motion generator and tests are left out"
 	touch $@

@@ -57,8 +57,9 @@ class LookAhead:
         self._loop = loop
         options = replace(loop.solver.options, restarts=_RESTARTS)
         solver = IkSolver(loop.robot, options)
+        pace = replace(loop.pace, patience=0.0)
         analytic = registry.build("kinfeas.backends", "analytic", {})
-        self._twin = Loop(solver, loop.course.legs, analytic, HORIZON, loop.pace)
+        self._twin = Loop(solver, loop.course.legs, analytic, HORIZON, pace)
         self._every = max(1, round(self.foresight.every / loop.dt))
         self._tries = _deviations(loop.action_size, self.foresight)
         self._deviation: Array = np.zeros((0, loop.action_size))
@@ -117,13 +118,7 @@ def _deviations(size: int, foresight: Foresight) -> Array:
 
 def _twins(loop: Loop, rows: Rows, copies: int) -> dict[str, NDArray[np.generic]]:
     """Return the state of a loop's rows as a loop of twins, `copies` of each, goes on from it."""
-    state = {
-        "base_pose": loop.state.base_pose,
-        "joint_positions": loop.state.joint_positions,
-        "sent": loop.sent,
-        "periods": loop.periods,
-        **loop.course.snapshot(),
-    }
+    state = loop.imagined()
     away = state["waiting"] * loop.dt / HORIZON
     state["waiting"] = (np.sign(away) * np.ceil(np.abs(away))).astype(np.intp)
     return {key: np.repeat(values[rows], copies, axis=0) for key, values in state.items()}

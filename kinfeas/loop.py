@@ -175,8 +175,18 @@ class Loop:
             raise KinfeasError(
                 f"{type(self.backend).__name__} cannot be saved in the midst of a run"
             )
-        counted = {"sent": self.sent, "periods": self.periods.copy(), "stood": self._stood.copy()}
-        return {**self.backend.snapshot(), **self.course.snapshot(), **counted}
+        return {**self.imagined(), **self.backend.snapshot()}
+
+    def imagined(self) -> dict[str, NDArray[Any]]:
+        """Return what a loop in the analytic world would go on from, if it were here now."""
+        return {
+            "base_pose": self.state.base_pose,
+            "joint_positions": self.state.joint_positions,
+            "sent": self.sent,
+            "periods": self.periods.copy(),
+            "stood": self._stood.copy(),
+            **self.course.snapshot(),
+        }
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
-from types import TracebackType
 from typing import TextIO
 
 import numpy as np
@@ -99,6 +98,8 @@ class Record:
 class Recorder:
     """Writes a record; to be used as a context. Each line is handed to the system at once.
 
+    A run that has not begun leaves no file.
+
     Attributes:
         path: The file.
     """
@@ -109,7 +110,7 @@ class Recorder:
         Raises:
             KinfeasError: If there is one already, or it cannot be written.
         """
-        self.path = path
+        self.path, self._begun = path, False
         with writing(path):
             self._file: TextIO = path.open("x", encoding="utf-8", newline="", buffering=1)
             self._file.write(f"# {_FORMAT} {json.dumps(asdict(about))}\n{_header(about.joints)}")
@@ -118,13 +119,10 @@ class Recorder:
         """Return the recorder."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
+        if not self._begun:
+            self.path.unlink(missing_ok=True)
 
     def write(self, moment: Moment) -> None:
         """Append a line.
@@ -146,6 +144,7 @@ class Recorder:
         rest = [str(int(moment.feasible)), str(moment.leg), event]
         with writing(self.path):
             self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
+        self._begun = True
 
 
 def read_record(path: Path) -> Record:

@@ -42,7 +42,7 @@ class SingleMotion(Protocol):
 def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, MotionGenerator]:
     """Return the motion generator for n motions that runs the class `single` row by row.
 
-    A class decorator; the result is a class of the same name, documentation and constructor:
+    A class decorator; the result is a class of the same name, documentation and constructor::
 
         @batched
         class Hover:

@@ -8,7 +8,7 @@ from kinfeas import registry
 from kinfeas.backend import Backend
 from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.legs import SETTLE_SECONDS, Pace
+from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
 from kinfeas.sim2real.guard_config import Guards
 
 
@@ -19,6 +19,8 @@ class DeployConfig:
     Attributes:
         slow_down: How many times longer than planned the EE motions last.
         head_start: Seconds that the EE stands still at first, while the base moves already.
+        patience: Seconds for which motion and base wait at most for an arm that swings to another
+            configuration.
         guards: When it is stopped.
         generator: Keyword parameters of the motion generator of a goal.
         task: Keyword parameters of the task.
@@ -28,6 +30,7 @@ class DeployConfig:
 
     slow_down: Annotated[float, Interval(low=1.0)] = 1.0
     head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    patience: Annotated[float, Interval(low=0.0)] = PATIENCE_SECONDS
     guards: Guards = field(default_factory=Guards)
     generator: dict[str, object] = field(default_factory=dict)
     task: dict[str, object] = field(default_factory=dict)
@@ -37,7 +40,7 @@ class DeployConfig:
     @property
     def pace(self) -> Pace:
         """How EE motions are carried out."""
-        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS)
+        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS, patience=self.patience)
 
 
 def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:

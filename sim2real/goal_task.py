@@ -13,7 +13,6 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.spatial import Array
 from kinfeas.start import Start
-from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.task import Leg, MotionSpec, Task
 
 _UNIT = 1e-2  # by which the length of a given quaternion may be off
@@ -21,7 +20,7 @@ _UNIT = 1e-2  # by which the length of a given quaternion may be off
 
 @dataclass(frozen=True, eq=False)
 class GoalTask:
-    """One motion of the EE to a given pose, from the origin and any arm configuration.
+    """One motion of the EE to a given pose, from the origin with the arm at home.
 
     Attributes:
         goal: World position, shape (3,), metres.
@@ -41,8 +40,8 @@ class GoalTask:
         return (Leg(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode, its arrays without a leading axis."""
-        start = Start(spatial.IDENTITY, random_arm(solver, rng), np.empty((1, 7)))
+        """Return the one episode that there is, its arrays without a leading axis."""
+        start = Start(spatial.IDENTITY, solver.robot.home["home"], np.empty((1, 7)))
         return self.aimed(solver, start)
 
     def aimed(self, solver: IkSolver, start: Start) -> Start:

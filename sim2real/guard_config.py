@@ -50,7 +50,7 @@ class Guards:
     acceleration: Positive | None = None
     rotation_acceleration: Positive | None = None
     joint_speed: Share = 1.0
-    joint_jump: Positive = 2.0
+    joint_jump: Positive = 3.2
     infeasible_steps: Annotated[int, Interval(low=1)] = 50
     watchdog: Positive | None = 0.2
 

@@ -71,6 +71,11 @@ class _Run:
         raw, seconds = self.setup.raw, self.setup.guards.watchdog
         if seconds is not None and isinstance(raw, Watched):
             return Watchdog(raw.stop_call(), seconds)
+        if seconds is not None and self.live is not None:
+            sys.stderr.write(
+                f"no watchdog: nothing stops the base if this process dies or hangs, for "
+                f"{type(raw).__name__} has no stop_call\n"
+            )
         return nullcontext()
 
     def start(self) -> None:

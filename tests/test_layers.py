@@ -77,7 +77,11 @@ CONFINED = {
     "onnx": ("kinfeas.sim2real.export",),
     "onnxruntime": ("kinfeas.sim2real.policy_file",),
     "movement_primitives": ("kinfeas.plugins.forcing",),
-    "viser": ("kinfeas.evaluation.scene_page", "kinfeas.evaluation.replay_page"),
+    "viser": (
+        "kinfeas.evaluation.scene_page",
+        "kinfeas.evaluation.replay_page",
+        "kinfeas.evaluation.film_page",
+    ),
 }
 
 # Where the packages lie in the tree; all others lie where their name says.

@@ -1,6 +1,5 @@
 """What the README and the pages of docs/ show works as it stands there."""
 
-import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -8,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from markdown_it import MarkdownIt
 
 from kinfeas import registry
+from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.loading import load_task
@@ -17,20 +18,52 @@ from kinfeas.testing import check_motion_generator
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
-FENCED = re.findall(r"^```(\w*)\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+# Whose Python blocks another test runs, since they need files or stand in a row.
+RUN_ELSEWHERE = {
+    "demonstrations.md": "test_demonstrations.py",
+    "export.md": "sim2real/test_export.py",
+    "plugins.md": "test_plugins_page.py",
+    "ros.md": "sim2real/test_udp_example.py",
+    "sim2real.md": "sim2real/test_docs.py",
+}
 
 
-def commands(text):
-    fenced = re.findall(r"^```\w*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    lines = [line.split("  #")[0] for block in fenced for line in block.splitlines()]
-    inline = re.findall(r"`(kinfeas [^`]+)`", re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S))
-    return {*(" ".join(line.split()) for line in inline), *lines}
+def tokens(text):
+    return MarkdownIt().parse(text)
 
 
-COMMANDS = sorted(
-    {line for page in PAGES for line in commands(page.read_text()) if line.startswith("kinfeas ")}
-)
+def blocks(text):
+    """Return kind and contents of each block of code, fenced or indented."""
+    return [(one.info, one.content) for one in tokens(text) if one.type in ("fence", "code_block")]
+
+
+def shown(text):
+    """Return the commands in blocks, a line each; a backslash continues one."""
+    lines = "".join(code for _, code in blocks(text)).replace("\\\n", " ").splitlines()
+    whole = {" ".join(line.split("  #")[0].split()) for line in lines}
+    return {line for line in whole if line.startswith("kinfeas ")}
+
+
+def mentioned(text):
+    """Return the commands in the midst of sentences."""
+    spans = [
+        span for one in tokens(text) for span in one.children or () if span.type == "code_inline"
+    ]
+    found = {" ".join(span.content.split()) for span in spans}
+    return {line for line in found if line.startswith("kinfeas ")}
+
+
+SHOWN = {line for page in PAGES for line in shown(page.read_text())}
+SHOWN |= {line for lines in EXAMPLES.values() for line in lines}
+COMMANDS = sorted(SHOWN.union(*(mentioned(page.read_text()) for page in PAGES)))
+PYTHON = [
+    pytest.param(code, id=f"{page.stem}-{number}")
+    for page in PAGES
+    if page.name not in RUN_ELSEWHERE
+    for number, (kind, code) in enumerate(blocks(page.read_text()))
+    if kind == "python"
+]
 
 
 def test_there_are_commands():
@@ -48,6 +81,8 @@ def test_every_command_parses(line, tmp_path, monkeypatch):
     while hasattr(command, "commands"):
         name, *arguments = arguments
         command = command.commands[name]
+    if not arguments and line not in SHOWN:
+        return  # the command's name
     with command.make_context(name, arguments, parent=context):
         pass
 
@@ -59,7 +94,7 @@ def test_every_make_target_exists(target):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_linked_file_exists(page):
-    for path in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
+    for path in re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", page.read_text()):
         assert (page.parent / path).is_file(), path
 
 
@@ -78,16 +113,33 @@ def test_pictures_are_small():
         assert path.stat().st_size < 300_000, path
 
 
+def test_a_page_that_is_run_elsewhere_is_run_there():
+    for page, test in RUN_ELSEWHERE.items():
+        assert page in (ROOT / "tests" / test).read_text()
+
+
 def test_the_motion_generator_passes_the_conformance_test(tmp_path):
-    code = next(block for kind, block in FENCED if kind == "python" and "@batched" in block)
-    path = tmp_path / "arc.py"
-    path.write_text(code)
-    spec = importlib.util.spec_from_file_location("arc", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    check_motion_generator(module.Arc())
+    code = next(code for kind, code in blocks(TEXT) if kind == "python" and "@batched" in code)
+    names = {}
+    exec(compile(code, "README.md", "exec"), names)
+    check_motion_generator(names["Arc"]())
 
 
-@pytest.mark.parametrize("code", [block for kind, block in FENCED if kind == "python"])
-def test_python_compiles(code):
-    compile(code, "README.md", "exec")
+@pytest.mark.parametrize("code", PYTHON)
+def test_python_runs(code, tmp_path, monkeypatch):
+    if "kinfeas_arc" in code:
+        pytest.skip("needs the installed example; test_plugins_page.py has it")
+    monkeypatch.chdir(tmp_path)
+    shorter = code.replace("100_000", "256").replace("), 128)", "), 4)")
+    exec(compile(shorter, "docs", "exec"), {"__name__": "page"})
+
+
+def test_every_command_has_an_example():
+    def names(command, before=""):
+        for name, inner in command.commands.items():
+            whole = f"{before} {name}".strip()
+            yield from names(inner, whole) if hasattr(inner, "commands") else (whole,)
+
+    assert set(names(typer.main.get_command(app))) == set(EXAMPLES)
+    for name, lines in EXAMPLES.items():
+        assert all(line.startswith(f"kinfeas {name}") for line in lines)

@@ -44,6 +44,12 @@ def test_reads_back_what_was_written(path):
         np.testing.assert_allclose(getattr(record, name), expected, rtol=1e-8)
 
 
+def test_a_run_that_has_not_begun_leaves_no_file(path):
+    with pytest.raises(KinfeasError, match="no robot"), Recorder(path, ABOUT):
+        raise KinfeasError("no robot")
+    assert not path.exists()
+
+
 def test_each_line_is_in_the_file_at_once(path):
     with Recorder(path, ABOUT) as recorder:
         for count in (1, 2):
@@ -106,7 +112,8 @@ def test_names_a_folder_that_is_not_there(tmp_path):
 
 
 def test_refuses_a_run_without_a_line_and_a_file_that_is_not_there(path, tmp_path):
-    write(path, [])
+    write(path, [moment(0)])
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
     with pytest.raises(KinfeasError, match="ended before its first step"):
         read_record(path)
     with pytest.raises(KinfeasError, match="cannot be read: No such file"):

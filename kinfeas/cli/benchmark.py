@@ -44,7 +44,10 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = Path("runs/benchmark"),
     world: Annotated[
         WorldName,
-        typer.Option("--world", help="Without physics, or with it and the same without beside it."),
+        typer.Option(
+            "--world",
+            help="analytic: without physics; pybullet: with it, and the same without beside it.",
+        ),
     ] = WorldName.ANALYTIC,
     quick: Annotated[
         bool, typer.Option("--quick", help="The small version: a few minutes on two cores.")

@@ -22,7 +22,7 @@ PICTURES = ("learning_curve.png", "episodes.png")
 
 def demo(
     robot: options.RobotName = "pr2",
-    minutes: Annotated[float, typer.Option("--minutes", help="Time to train for.")] = 2.0,
+    minutes: Annotated[float, typer.Option("--minutes", help="Minutes to train for.")] = 2.0,
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
     out: Annotated[

@@ -94,13 +94,17 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     task: Annotated[
         str | None,
-        typer.Option("--task", help=options.TASK_HELP, autocompletion=completion.plugins("tasks")),
+        typer.Option(
+            "--task",
+            help=f"Instead of --goal. {options.TASK_HELP}",
+            autocompletion=completion.plugins("tasks"),
+        ),
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", min=1.0, max=1000.0, help="Control periods a second.")
+        float, typer.Option("--rate", min=1.0, max=1000.0, help="Control periods a second, Hz.")
     ] = 50.0,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=0.0, help="How long the run may last.")
+        float, typer.Option("--seconds", min=0.0, help="Longest duration of the run, seconds.")
     ] = 300.0,
     seed: options.Seed = 0,
     record: Annotated[
@@ -133,7 +137,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Drive a robot to a goal or through a task, behind guards, and record the run.
 
-    Settings: [bold]guards.KEY[/], slow_down, head_start, ik, and the parameters
+    Settings: [bold]guards.KEY[/], slow_down, head_start, patience, ik, and the parameters
     [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/].
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,

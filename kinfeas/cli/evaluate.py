@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.filming import Episode, Replay, Video, show_episode
 from kinfeas.cli.output import check_json_path, print_table, progress, share, write_json
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
+    from kinfeas.evaluation.physics_world import PhysicsTrial
     from kinfeas.evaluation.sim2real import Specs
+    from kinfeas.policy import Policy
 
     OnDone = Callable[[int], None]
     Run = Callable[[Specs, OnDone | None], Summary]
@@ -36,7 +39,11 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: options.RobotName = "pr2",
     task: options.TaskName = "ggr",
     world: Annotated[
-        WorldName, typer.Option("--world", help="Without or with inertia, motors and contacts.")
+        WorldName,
+        typer.Option(
+            "--world",
+            help="analytic: without physics; pybullet: with inertia, motors and contacts.",
+        ),
     ] = WorldName.ANALYTIC,
     episodes: Annotated[
         int | None,
@@ -80,6 +87,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             callback=check_json_path,
         ),
     ] = None,
+    video: Video = None,
+    replay: Replay = None,
+    episode: Episode = 0,
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -87,16 +97,19 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
     Settings: [bold]world.KEY[/] (dt, max_failures, max_steps, adapters, ik; with physics dt,
-    max_failures, max_seconds, adapters, ik, physics) and [bold]task.KEY[/], the task's own
-    parameters, such as [bold]task.orientation=so3[/].
+    max_failures, max_seconds, adapters, ik, physics, patience) and [bold]task.KEY[/], the task's
+    own parameters, such as [bold]task.orientation=so3[/].
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.
+    [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
+    achieved one green, steps without an IK solution red.
     """
     if picture is not None and sim2real is None:
         raise KinfeasError("--picture needs --sim2real")
     adapters = _adapters(sim2real, robot) if sim2real else ()
-    said = {"--head-start": head_start, "--slow-down": slow_down}
+    said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
+    said |= {"--video": video, "--replay": replay}
     given = [name for name, value in said.items() if value is not None]
     count = episodes or _EPISODES[world]
     if world is WorldName.ANALYTIC:
@@ -108,19 +121,23 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         wishes["objects"] = False if without_objects else None
         assignments = [f"world.{key}={value}" for key, value in wishes.items() if value is not None]
         assignments += overrides or []
-        run = _physics((policy, robot, task), count, seed, processes, assignments, gui=gui)
+        trial, driver = _put_to((policy, robot, task), count, seed, assignments)
+        run = _physics(policy, trial, driver, processes, gui=gui)
     if sim2real is None:
         with progress(f"{count} episodes", count) as advance:
             summary = run((), advance)
         if json is not None:
             write_json(summary, json)
         _show(summary)
-        return
-    summary, held, show = weigh(lambda some: run(some, None), sim2real, adapters, picture)
-    if json is not None:
-        write_json({**summary, **held}, json)
-    _show(summary)
-    show()
+    else:
+        summary, held, show = weigh(lambda some: run(some, None), sim2real, adapters, picture)
+        if json is not None:
+            write_json({**summary, **held}, json)
+        _show(summary)
+        show()
+    if video is not None or replay is not None:
+        settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
+        show_episode(replace(trial, settings=settings), driver, episode, video, replay)
 
 
 def _adapters(sim2real: str, robot: str) -> "Specs":
@@ -160,27 +177,29 @@ def _analytic(
     return run
 
 
-def _physics(
-    names: tuple[str, str, str],
-    episodes: int,
-    seed: int,
-    processes: int,
-    overrides: list[str],
-    *,
-    gui: bool,
-) -> "Run":
-    from kinfeas.evaluation.evaluate import Trial, trial_ceiling
-    from kinfeas.evaluation.physics import evaluate_physics
+def _put_to(
+    names: tuple[str, str, str], episodes: int, seed: int, overrides: list[str]
+) -> "tuple[PhysicsTrial, Policy]":
+    """Return what a policy is put to with physics, and the policy."""
     from kinfeas.evaluation.physics_world import PhysicsTrial, physics_config
     from kinfeas.evaluation.policies import load_policy
 
     policy, robot, task = names
     known = options.read_robot(robot)
     config = physics_config(known, overrides)
-    trial = PhysicsTrial(known, options.read_task(task, config.task), episodes, seed, config.world)
-    driver = load_policy(policy, known)
+    read = options.read_task(task, config.task)
+    return PhysicsTrial(known, read, episodes, seed, config.world), load_policy(policy, known)
+
+
+def _physics(
+    policy: str, trial: "PhysicsTrial", driver: "Policy", processes: int, *, gui: bool
+) -> "Run":
+    from kinfeas.evaluation.evaluate import Trial, trial_ceiling
+    from kinfeas.evaluation.physics import evaluate_physics
+
     with progress("ceiling") as advance:
-        drawn = Trial(known, trial.task, episodes, seed, config.world.world)
+        world = trial.settings.world
+        drawn = Trial(trial.robot, trial.task, trial.episodes, trial.seed, world)
         ceiling = trial_ceiling(drawn, advance)
 
     def run(adapters: "Specs", on_done: "OnDone | None") -> "Summary":

@@ -25,25 +25,36 @@ from kinfeas.cli import (
     train,
     view,
 )
+from kinfeas.cli.examples import epilog
 from kinfeas.errors import KinfeasError
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-app.command("demo")(demo.demo)
-app.command("train")(train.train)
-app.command("evaluate")(evaluate.evaluate)
-app.command("benchmark")(benchmark.benchmark)
-app.command("ceiling")(ceiling.ceiling)
-app.command("demonstrate")(demonstrate.demonstrate)
-app.command("deploy")(deploy.deploy)
-app.command("fit")(fit.fit)
-app.command("export")(export.export)
-app.command("simulate")(simulate.simulate)
-app.command("speed")(speed.speed)
-app.command("view")(view.view)
-app.add_typer(plugins.app, name="plugins")
+for _panel, _commands in {
+    "See and train": {
+        "demo": demo.demo,
+        "train": train.train,
+        "evaluate": evaluate.evaluate,
+        "benchmark": benchmark.benchmark,
+        "ceiling": ceiling.ceiling,
+        "speed": speed.speed,
+    },
+    "Motions and scenes": {
+        "demonstrate": demonstrate.demonstrate,
+        "fit": fit.fit,
+        "view": view.view,
+    },
+    "Robots": {
+        "export": export.export,
+        "deploy": deploy.deploy,
+        "simulate": simulate.simulate,
+    },
+}.items():
+    for _name, _command in _commands.items():
+        app.command(_name, rich_help_panel=_panel, epilog=epilog(_name))(_command)
+app.add_typer(plugins.app, name="plugins", rich_help_panel="Motions and scenes")
 
 
 def main() -> None:
@@ -76,6 +87,11 @@ def _global_options(
         ),
     ] = False,
 ) -> None:
-    """Learned base motions that keep any end-effector motion kinematically feasible."""
+    """Learned base motions that keep any end-effector (EE) motion kinematically feasible.
+
+    Three uses: register a motion generator ([bold]plugins new[/]), train a policy
+    ([bold]train[/], [bold]evaluate[/]), run it on a robot ([bold]export[/], [bold]deploy[/]).
+    Units are metres, radians and seconds; poses are x y z qx qy qz qw in the world frame.
+    """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

@@ -52,7 +52,11 @@ Processes = Annotated[
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override one setting; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one of the settings named above; may be repeated.",
+    ),
 ]
 Sim2RealName = Annotated[
     str | None,

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from kinfeas.cli import options, plugin_check, plugin_new
+from kinfeas.cli.examples import epilog
 from kinfeas.cli.output import print_table, write_json
 
 if TYPE_CHECKING:
@@ -14,11 +15,9 @@ app = typer.Typer(
     no_args_is_help=True,
     help="Robots, tasks, motion generators, adapters and backends: show, check and begin them.",
 )
-app.command("check")(plugin_check.check)
-app.command("new")(plugin_new.new)
 
 
-@app.command("list")
+@app.command("list", epilog=epilog("plugins list"))
 def list_plugins(json: options.JsonPath = None) -> None:
     """List what is installed and where it comes from; what is broken is shown with its error."""
     from kinfeas.cli.plugin_facts import summary
@@ -45,7 +44,7 @@ def error_or(text: str, error: str | None) -> str:
     return escape(text) if error is None else f"[red]broken: {escape(error)}[/]"
 
 
-@app.command("info")
+@app.command("info", epilog=epilog("plugins info"))
 def info(name: options.PluginName, json: options.JsonPath = None) -> None:
     """Show a plugin's parameters with units and defaults, a robot's joints, or a task's legs."""
     from kinfeas.cli.plugin_facts import facts, find
@@ -55,6 +54,10 @@ def info(name: options.PluginName, json: options.JsonPath = None) -> None:
         write_json(found, json)
     for one in found:
         _show(one)
+
+
+app.command("new", epilog=epilog("plugins new"))(plugin_new.new)
+app.command("check", epilog=epilog("plugins check"))(plugin_check.check)
 
 
 def _show(known: dict[str, Any]) -> None:

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
-        str, typer.Option("--backend", help="Which bus the robot is on: that of ros1.")
+        str,
+        typer.Option(
+            "--backend", help="Bus on which to play the robot: ros1, or a plugin that can."
+        ),
     ] = "ros1",
     robot: options.RobotName = "pr2",
     task: Annotated[
@@ -37,7 +40,10 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
         float, typer.Option("--rate", min=10.0, max=1000.0, help="Measurements per second, Hz.")
     ] = 100.0,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.0, help="How long.", show_default="for ever")
+        float | None,
+        typer.Option(
+            "--seconds", min=0.0, help="Seconds after which it ends.", show_default="for ever"
+        ),
     ] = None,
     command_timeout: Annotated[
         float,

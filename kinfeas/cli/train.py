@@ -67,12 +67,17 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     ] = None,
     algorithm: Annotated[
         str | None,
-        typer.Option("--algorithm", help="sac or td3.", show_default=_RECIPE.format("sac")),
+        typer.Option(
+            "--algorithm", help="What learns: sac or td3.", show_default=_RECIPE.format("sac")
+        ),
     ] = None,
     sim2real: options.Sim2RealName = None,
     world: Annotated[
         WorldName,
-        typer.Option("--world", help="Without or with inertia, motors and contacts."),
+        typer.Option(
+            "--world",
+            help="analytic: without physics; pybullet: with inertia, motors and contacts.",
+        ),
     ] = WorldName.ANALYTIC,
     init: Annotated[
         str | None,
@@ -103,8 +108,10 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 
     The recipe is train/ROBOT where there is one, else train/default; with [bold]--world
     pybullet[/] it is train_physics/ROBOT or train_physics/default; [bold]--sim2real[/] takes the
-    place of its adapters. Settings: every key of it,
-    such as [bold]learner.batch_size=256[/] or [bold]environments=64[/].
+    place of its adapters.
+
+    Settings: every key of the recipe, such as [bold]learner.batch_size=256[/] or
+    [bold]environments=64[/].
 
     A resumed run in the analytic world equals one that was never stopped. With physics, learner,
     replay buffer and counters go on, but the episodes that were under way are given up for new

@@ -54,7 +54,10 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
         ),
     ] = False,
 ) -> None:
-    """Check a scene and show what stands in it, or replay a recorded run."""
+    """Check a scene and show what stands in it, or replay a recorded run.
+
+    Settings: every key of the scene, such as [bold]objects.box.position=[1,0,0.5][/].
+    """
     if record is not None:
         given = {"--scene": scene, "--set": overrides, "--live": live or None}
         for name, value in given.items():

@@ -14,7 +14,7 @@ from kinfeas.envs.interface import (
     read_actions,
     step_info,
 )
-from kinfeas.envs.world import WorldConfig
+from kinfeas.envs.world import World, WorldConfig
 
 
 class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -34,7 +34,11 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         task_parameters: Mapping[str, object] | None = None,
     ) -> None:
         """Build the world; arguments as in `make_world`."""
-        self.world = make_world(robot, task, task_parameters, world)
+        self._enter(make_world(robot, task, task_parameters, world))
+
+    def _enter(self, world: World) -> None:
+        """Take a world, and its spaces."""
+        self.world = world
         self.observation_space = observation_space(self.world.robot)
         self.action_space = action_space(self.world)
         self.next_episode = 0

@@ -4,19 +4,23 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import get_data_path
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.physics_framing import Framing, visible
+from kinfeas.evaluation.benchmark_text import TITLES
+from kinfeas.evaluation.physics_framing import Framing, frame, visible
 from kinfeas.evaluation.physics_recording import PhysicsRecording
+from kinfeas.evaluation.physics_world import PhysicsTrial, PhysicsWorld
 from kinfeas.evaluation.pictures import DESIRED, EE, FAILURE, GOAL, INK
 from kinfeas.folders import writing
-from kinfeas.sim.camera import Picture, paint_floor, show_moment, take_picture
+from kinfeas.sim.camera import Picture, covered_floor, paint_floor, show_moment, take_picture
 from kinfeas.sim.physics import Physics
 from kinfeas.spatial import Array
 
@@ -25,11 +29,13 @@ SUFFIXES = (".gif", ".mp4", ".png")
 
 SIZE = (480, 360)
 _FINER = 2  # pixels in each direction that are averaged into one
-_GIF, _MP4 = (10.0, 80), (25.0, 300)  # pictures per second, and at most in all
+_GIF, _MP4 = (10.0, 70), (25.0, 300)  # pictures per second, and at most in all
 _REST_SECONDS = 1.5  # in which the end is shown
-_COLOURS = 96  # of a GIF
+_COLOURS = 64  # of a GIF
 _PANELS = (2, 2)  # of a PNG
+_OFF_THE_WALLS = 0.3  # m
 _HIDDEN = 0.3  # how opaque is what lies behind something
+_SHADED, _CELLS, _BLUR, _DARKEST = 5.0, 320, 0.10, 0.45  # m, cells, m; share of light taken
 _TILES = ((236, 238, 241), (218, 222, 228))
 
 OnDone = Callable[[int], None]
@@ -63,7 +69,7 @@ class Film:
         show_moment(self.physics, self.recording.moments[moment])
         eye, target = self.framing.eye[moment], self.framing.target[moment]
         seen = take_picture(self.physics, eye, target, (width, height))
-        image = Image.fromarray(seen.colour).convert("RGBA")
+        image = Image.fromarray(_shaded(seen, self.physics, target)).convert("RGBA")
         image.alpha_composite(_paths(seen, self.recording, moment))
         small = image.convert("RGB").resize(size, Image.Resampling.BOX)
         _write_below(small, self._caption(moment, speed), self._failures(moment))
@@ -87,6 +93,17 @@ def check_film_path(path: Path) -> None:
         raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".mp4":
         _av()
+
+
+def make_film(world: PhysicsWorld, trial: PhysicsTrial, recording: PhysicsRecording) -> Film:
+    """Return the film of an episode that `physics_recording.record` has just kept."""
+    backend = world.stage.backend
+    scene = world.stage.scene
+    room = None if scene is None else np.array(scene.size) / 2.0 - _OFF_THE_WALLS
+    framing = frame(recording, backend.body, SIZE, room)
+    robot = trial.robot.name
+    title = f"{TITLES.get(robot, robot)}, {trial.task.name}"
+    return Film(recording, backend.physics, framing, title)
 
 
 def write_film(film: Film, path: Path, on_done: OnDone | None = None) -> None:
@@ -137,6 +154,19 @@ def _pictures(
             on_done(1)
 
 
+def _shaded(picture: Picture, physics: Physics, target: Array) -> NDArray[np.uint8]:
+    """Return the colours of a picture, the floor darker below and beside what stands on it."""
+    centre = target[:2]
+    covered = covered_floor(physics, centre, _SHADED, _CELLS).astype(float)
+    dark = gaussian_filter(covered, _BLUR * _CELLS / (2.0 * _SHADED))
+    places = picture.places()[..., :2]
+    cell = (places - centre + _SHADED) * _CELLS / (2.0 * _SHADED) - 0.5
+    shade = map_coordinates(dark, np.moveaxis(cell, -1, 0), order=1, mode="constant")
+    shade[picture.seen != physics.floor] = 0.0
+    coloured = picture.colour * (1.0 - _DARKEST * shade[..., np.newaxis])
+    return coloured.astype(np.uint8)
+
+
 def _paths(picture: Picture, recording: PhysicsRecording, moment: int) -> Image.Image:
     """Return what is drawn over a picture: goals, the desired path, the achieved one, failures."""
     height, width = picture.depth.shape
@@ -145,12 +175,13 @@ def _paths(picture: Picture, recording: PhysicsRecording, moment: int) -> Image.
     ahead, behind = recording.desired[moment:], recording.desired[: moment + 1]
     _line(draw, picture, ahead, DESIRED, 2.2 * fine, dashed=True)
     _line(draw, picture, behind, DESIRED, 2.6 * fine)
+    # What was achieved lies over what was desired, of which it hides what it met.
     _line(draw, picture, recording.ee[: moment + 1], EE, 4.4 * fine)
     for goal in recording.goals:
         _disc(draw, picture, goal, GOAL, 8.0 * fine)
     failed = behind[recording.failures[: moment + 1] > 0]
     for place in failed:
-        _disc(draw, picture, place, FAILURE, 5.0 * fine)
+        _disc(draw, picture, place, FAILURE, 5.0 * fine, edge=False)
     return layer
 
 
@@ -178,7 +209,13 @@ def _line(
 
 
 def _disc(
-    draw: ImageDraw.ImageDraw, picture: Picture, place: Array, colour: str, radius: float
+    draw: ImageDraw.ImageDraw,
+    picture: Picture,
+    place: Array,
+    colour: str,
+    radius: float,
+    *,
+    edge: bool = True,
 ) -> None:
     x, y, depth = picture.project(place[np.newaxis])[0]
     if depth <= 0.0:
@@ -187,7 +224,7 @@ def _disc(
     draw.ellipse(
         (x - radius, y - radius, x + radius, y + radius),
         fill=_rgba(colour, opaque),
-        outline=_rgba("white", opaque),
+        outline=_rgba("white" if edge else colour, opaque),
         width=2,
     )
 
@@ -216,17 +253,21 @@ def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:
     for number, picture in enumerate(pictures):
         row, column = divmod(number, columns)
         whole.paste(picture, (column * (width + gap), row * (height + gap)))
-    whole.quantize(255, dither=Image.Dither.NONE).save(path, optimize=True)
+    whole.save(path, optimize=True)
 
 
 def _write_gif(pictures: Iterator[Image.Image], path: Path, rate: float) -> None:
     shown = list(pictures)
     # One palette for all, of some of them, so that what stands still looks the same throughout.
     some = shown[:: max(1, len(shown) // 8)]
-    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
+    width, height = SIZE
+    sheet = Image.new("RGB", (width, height * (len(some) + 1)), "white")
     for number, picture in enumerate(some):
-        sheet.paste(picture, (0, number * picture.height))
-    palette = sheet.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+        sheet.paste(picture, (0, number * height))
+    for number, colour in enumerate((EE, FAILURE, GOAL, DESIRED)):
+        # However little there is of them, these must not be lost.
+        sheet.paste(colour, (0, len(some) * height + 60 * number, width, (len(some) + 1) * height))
+    palette = sheet.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT)
     flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in shown]
     duration = [round(1000.0 / rate)] * len(flat)
     duration[-1] = round(1000.0 * _REST_SECONDS)
@@ -247,7 +288,7 @@ def _write_mp4(pictures: Iterator[Image.Image], path: Path, rate: float) -> None
         file.mux(stream.encode(None))
 
 
-def _av():  # type: ignore[no-untyped-def]
+def _av() -> Any:
     try:
         import av
     except ImportError as error:

@@ -10,7 +10,8 @@ from kinfeas.sim.camera import LINK, Picture, show_moment, spread, take_picture
 from kinfeas.sim.robot_body import RobotBody
 from kinfeas.spatial import Array
 
-_SIDES, _ELEVATIONS = 16, np.deg2rad((27.0, 42.0))
+_SIDES, _ELEVATIONS = 16, np.deg2rad((25.0, 40.0))
+_STEEP = 0.8  # what a view from higher up is worth of a level one
 _PREVIEW, _LOOKS = (128, 96), 5
 _CHEST, _AROUND = 0.7, 0.75  # m: middle of a robot above the floor, and what is to be seen around
 _NEAREST, _FARTHEST = 2.0, 9.0  # m
@@ -47,6 +48,7 @@ def frame(
         for elevation in _ELEVATIONS:
             there = _place(target, distance, (side, float(elevation)), room)
             score = _score(recording, body, Framing(there, target))
+            score *= 1.0 if elevation == _ELEVATIONS[0] else _STEEP
             if score > best:
                 best, eye = score, there
     return Framing(eye, target)
@@ -85,9 +87,7 @@ def _score(recording: PhysicsRecording, body: RobotBody, framing: Framing) -> fl
     total = 0.0
     for moment in np.linspace(0, len(recording.moments) - 1, _LOOKS).astype(int):
         show_moment(body.physics, recording.moments[moment])
-        picture = take_picture(
-            body.physics, framing.eye[moment], framing.target[moment], _PREVIEW, shadow=False
-        )
+        picture = take_picture(body.physics, framing.eye[moment], framing.target[moment], _PREVIEW)
         numbers = [body.body + LINK * (link + 1) for link in body.arm_links]
         arm = np.isin(picture.seen, numbers).mean()
         points = np.stack([recording.ee[moment], recording.goal[moment]])

@@ -4,22 +4,49 @@ from collections.abc import Callable
 from pathlib import Path
 
 from kinfeas import policy, pretrained
-from kinfeas.baselines.demonstrated_base import demonstrated_base
-from kinfeas.baselines.follow_ee import FollowEe
-from kinfeas.baselines.geometric_modulation import geometric_modulation
-from kinfeas.baselines.whole_body_qp import whole_body_qp
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.policy_file import read_policy_file
+
+
+# Each is imported when it is asked for: a deployed policy needs none of them.
+def _follow_ee(robot: Robot) -> Policy:
+    from kinfeas.baselines.follow_ee import FollowEe
+
+    return FollowEe(robot.base)
+
+
+def _follow_ee_feedback(robot: Robot) -> Policy:
+    from kinfeas.baselines.follow_ee import FollowEe
+
+    return FollowEe(robot.base, feedback=True)
+
+
+def _demonstrated_base(robot: Robot) -> Policy:
+    from kinfeas.baselines.demonstrated_base import demonstrated_base
+
+    return demonstrated_base(robot)
+
+
+def _geometric_modulation(robot: Robot) -> Policy:
+    from kinfeas.baselines.geometric_modulation import geometric_modulation
+
+    return geometric_modulation(robot)
+
+
+def _whole_body_qp(robot: Robot) -> Policy:
+    from kinfeas.baselines.whole_body_qp import whole_body_qp
+
+    return whole_body_qp(robot)
+
 
 BASELINES: dict[str, Callable[[Robot], Policy]] = {
-    "follow_ee": lambda robot: FollowEe(robot.base),
-    "follow_ee_feedback": lambda robot: FollowEe(robot.base, feedback=True),
-    "demonstrated_base": demonstrated_base,
-    "geometric_modulation": geometric_modulation,
-    "whole_body_qp": whole_body_qp,
+    "follow_ee": _follow_ee,
+    "follow_ee_feedback": _follow_ee_feedback,
+    "demonstrated_base": _demonstrated_base,
+    "geometric_modulation": _geometric_modulation,
+    "whole_body_qp": _whole_body_qp,
 }
 """Base motions that need no training."""
 
@@ -45,5 +72,7 @@ def load_policy(name: str, robot: Robot) -> Policy:
             "or the folder of a training run, or the ONNX file of an export"
         )
     if Path(name).is_file():
+        from kinfeas.sim2real.policy_file import read_policy_file
+
         return read_policy_file(Path(name), robot)
     return policy.read_network(Path(name), robot)

@@ -11,8 +11,9 @@ class BaseDrive:
 
     The commanded velocity changes no faster than the vendor's limits allow, and the motors have
     the force that this takes with the robot's mass and inertia, with a reserve for what the arm
-    does: what pushes harder moves the base. A differential drive moves along its heading, wherever
-    that turns meanwhile.
+    does: what pushes harder moves the base. What turns it has to overcome the wheels' grip on the
+    floor as well, since a light base has a long arm. A differential drive moves along its heading,
+    wherever that turns meanwhile.
     """
 
     def __init__(self, body: RobotBody) -> None:
@@ -20,10 +21,11 @@ class BaseDrive:
         base = body.robot.base
         self._body, self._limits = body, base
         self._omnidirectional = base.drive == "omnidirectional"
-        reserve = body.physics.config.drive_reserve
-        force = reserve * body.mass * base.max_acceleration
-        torque = reserve * body.yaw_inertia * base.max_rotation_acceleration
-        self._forces = [force, force, torque]
+        config = body.physics.config
+        force = config.drive_reserve * body.mass * base.max_acceleration
+        torque = config.drive_reserve * body.yaw_inertia * base.max_rotation_acceleration
+        grip = config.wheel_grip * body.mass * config.gravity
+        self._forces = [force, force, max(torque, grip)]
         self.reset()
 
     def reset(self) -> None:

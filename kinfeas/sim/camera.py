@@ -13,6 +13,7 @@ from kinfeas.spatial import Array
 _FIELD = np.deg2rad(42.0)
 _NEAR, _FAR = 0.1, 40.0  # m
 _LIGHT = [2.0, -3.0, 8.0]
+_ABOVE = 40.0  # m, from where the floor is looked at
 
 Moment = tuple[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
 """Of each body the position and orientation of its root and the positions of its joints."""
@@ -47,14 +48,23 @@ class Picture:
         x, y = (clip[:, :2] / ahead).T
         return np.column_stack([(x + 1.0) * width / 2.0, (1.0 - y) * height / 2.0, -camera[:, 2]])
 
+    def places(self) -> Array:
+        """Return the world point that each pixel shows, shape (h, w, 3)."""
+        height, width = self.depth.shape
+        # PyBullet's renderer looks through the lower left corner of each pixel.
+        across = (2.0 * np.arange(width) / width - 1.0) / self.projection[0, 0]
+        up = (1.0 - 2.0 * (np.arange(height) + 1.0) / height) / self.projection[1, 1]
+        rays = np.stack(np.broadcast_arrays(across, up[:, np.newaxis], -1.0), axis=-1)
+        camera = rays * self.depth[..., np.newaxis] - self.view[:3, 3]
+        there: Array = camera @ self.view[:3, :3]
+        return there
+
 
 LINK = 1 << 24
 """What PyBullet multiplies the index of a link with in its pictures."""
 
 
-def take_picture(
-    physics: Physics, eye: Array, target: Array, size: tuple[int, int], *, shadow: bool = True
-) -> Picture:
+def take_picture(physics: Physics, eye: Array, target: Array, size: tuple[int, int]) -> Picture:
     """Return what a camera sees that stands at `eye`, shape (3,), and looks at `target`, (3,).
 
     It is drawn by PyBullet's own renderer, which needs neither screen nor graphics card.
@@ -64,28 +74,57 @@ def take_picture(
         eye: Where the camera is, metres.
         target: What is in the middle of its picture.
         size: Width and height in pixels.
-        shadow: Whether things throw shadows.
     """
     client, (width, height) = physics.client, size
     view = client.computeViewMatrix(eye.tolist(), target.tolist(), [0.0, 0.0, 1.0])
     projection = client.computeProjectionMatrixFOV(
         float(np.rad2deg(_FIELD)), width / height, _NEAR, _FAR
     )
-    _, _, colour, depth, seen = client.getCameraImage(
-        width, height, view, projection,
-        renderer=client.ER_TINY_RENDERER,
-        flags=client.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
-        shadow=int(shadow), lightDirection=_LIGHT, lightDistance=6.0,
-        lightAmbientCoeff=0.62, lightDiffuseCoeff=0.42, lightSpecularCoeff=0.02,
-    )  # fmt: skip
+    colour, depth, seen = _draw(client, size, view, projection)
     nearness = np.reshape(np.asarray(depth, dtype=np.float64), (height, width))
     return Picture(
         np.reshape(np.asarray(colour, dtype=np.uint8), (height, width, 4))[:, :, :3],
         _FAR * _NEAR / (_FAR - (_FAR - _NEAR) * nearness),
-        np.reshape(np.asarray(seen, dtype=np.intp), (height, width)),
+        seen,
         np.reshape(np.array(view), (4, 4)).T,
         np.reshape(np.array(projection), (4, 4)).T,
     )
+
+
+def covered_floor(physics: Physics, centre: Array, half: float, cells: int) -> NDArray[np.bool_]:
+    """Return which parts of the floor something stands above, shape (cells, cells): x, then y.
+
+    Args:
+        physics: World to look at.
+        centre: Middle of the square that is looked at, shape (2,), metres.
+        half: Half its side, metres.
+        cells: How finely it is divided.
+    """
+    x, y = centre.tolist()
+    view = physics.client.computeViewMatrix([x, y, _ABOVE], [x, y, 0.0], [0.0, 1.0, 0.0])
+    # From so far away rays are nearly parallel; PyBullet's renderer knows no others.
+    field = float(np.rad2deg(2.0 * np.arctan(half / _ABOVE)))
+    narrow = physics.client.computeProjectionMatrixFOV(field, 1.0, 0.8 * _ABOVE, 1.1 * _ABOVE)
+    _, _, seen = _draw(physics.client, (cells, cells), view, narrow)
+    body = np.where(seen < 0, physics.floor, seen % LINK)
+    covered: NDArray[np.bool_] = np.not_equal(body[::-1].T, physics.floor)
+    return covered
+
+
+def _draw(
+    client: Any, size: tuple[int, int], view: Any, projection: Any
+) -> tuple[Any, Any, NDArray[np.intp]]:
+    """Return colours and depths as PyBullet tells them, and what is seen, shape (h, w)."""
+    width, height = size
+    # Its shadows would darken all that they may reach.
+    _, _, colour, depth, seen = client.getCameraImage(
+        width, height, view, projection,
+        renderer=client.ER_TINY_RENDERER,
+        flags=client.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+        shadow=0, lightDirection=_LIGHT, lightDistance=6.0,
+        lightAmbientCoeff=0.62, lightDiffuseCoeff=0.42, lightSpecularCoeff=0.02,
+    )  # fmt: skip
+    return colour, depth, np.reshape(np.asarray(seen, dtype=np.intp), (height, width))
 
 
 def spread(size: tuple[int, int]) -> float:

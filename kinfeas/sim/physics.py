@@ -32,6 +32,8 @@ class PhysicsConfig:
         iterations: Of the constraint solver in a step.
         drive_reserve: How much stronger the base's motors are than its acceleration takes, to bear
             the swings of the arm and what it pulls.
+        wheel_grip: Torque for each newton of weight that turns wheels over the floor, m: their
+            distance from the middle of the base, about 0.2 m, times a friction of about 0.6.
         arm_horizon: Seconds in which the arm reaches a target, to stand still there.
         finger_friction: Coefficient at the fingers.
         finger_softness: How near the fingers must be to something to touch it with the soft pads
@@ -45,6 +47,7 @@ class PhysicsConfig:
     gravity: Annotated[float, Interval(low=0.0)] = 9.81
     iterations: Annotated[int, Interval(low=1)] = 50
     drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
+    wheel_grip: Annotated[float, Interval(low=0.0)] = 0.12
     arm_horizon: Positive = 0.1
     finger_friction: Annotated[float, Interval(low=0.0)] = 1.0
     finger_softness: Annotated[float, Interval(low=0.0)] = 0.003

@@ -7,7 +7,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.sim.moving_joints import arm_followers, moving_joints
 from kinfeas.sim.physics import Physics
 from kinfeas.sim.robot_urdf import PLANAR_JOINTS, physics_urdf
-from kinfeas.spatial import Array, planar_pose, yaw
+from kinfeas.spatial import Array, planar_pose, wrap, yaw
 
 
 class RobotBody:
@@ -39,6 +39,7 @@ class RobotBody:
             for name in moving_joints(robot)
             if name in robot.fixed_joints
         }
+        self._continuous = np.array([joint.continuous for joint in robot.arm])
         self._followers = arm_followers(robot)
         above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
         self.arm_links = frozenset(self.links[name] for name in above)
@@ -74,15 +75,16 @@ class RobotBody:
         return x[0], y[0], heading[0]
 
     def state(self) -> RobotState:
-        """Return what was measured, as a batch of one."""
+        """Return what was measured, as a batch of one; continuous joints are in (-pi, pi]."""
         states = self.physics.client.getJointStates(self.body, [*self.base, *self.arm])
         position = np.array([[state[0] for state in states]])
         velocity = np.array([[state[1] for state in states]])
         twist = np.zeros((1, 6))
         twist[:, [0, 1, 5]] = velocity[:, :3]
+        joints = position[:, 3:]
         return RobotState(
             base_pose=planar_pose(*position[:, :3].T),
-            joint_positions=position[:, 3:],
+            joint_positions=np.where(self._continuous, wrap(joints), joints),
             base_twist=twist,
             joint_velocities=velocity[:, 3:],
         )

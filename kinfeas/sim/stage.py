@@ -1,6 +1,7 @@
 """The stage of a task: its episodes, with the furniture where each of them wants it."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +20,8 @@ _DRAWS = 1000
 class Stage:
     """A task whose episodes set the PyBullet world up when they are drawn.
 
-    It takes the task's place, and draws until the robot touches nothing where it begins.
+    It takes the task's place. Where the robot would touch something, it begins elsewhere: that is
+    drawn again, and the furniture stays where the first draw has it, as without a world.
 
     Attributes:
         task: Draws the episodes.
@@ -55,10 +57,11 @@ class Stage:
         Raises:
             KinfeasError: If no draw is free of collisions.
         """
-        for _ in range(_DRAWS):
-            start = self.task.sample(solver, rng)
-            if self.scene is not None and self.backend.furniture is not None:
-                self.backend.furniture.furnish(self.scene.with_poses(self._moved(start)))
+        first = self.task.sample(solver, rng)
+        if self.scene is not None and self.backend.furniture is not None:
+            self.backend.furniture.furnish(self.scene.with_poses(self._moved(first)))
+        for number in range(_DRAWS):
+            start = self._again(first, solver, rng) if number else first
             self.backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
             if self.backend.free():
                 return start
@@ -75,6 +78,13 @@ class Stage:
         if done.joint is not None:
             return furniture.joint_position(done.object, done.joint) > done.beyond
         return furniture.stands(done.object, str(done.on))
+
+    def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return another episode; a task that moves furniture leads to where `first` does."""
+        start = self.task.sample(solver, rng)
+        if isinstance(self.task, ChainTask):
+            return replace(start, target_poses=first.target_poses)
+        return start
 
     def _moved(self, start: Start) -> Mapping[str, Array]:
         if not isinstance(self.task, ChainTask):

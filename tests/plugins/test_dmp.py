@@ -30,6 +30,13 @@ def file(tmp_path_factory):
     return str(path)
 
 
+@pytest.fixture(scope="module")
+def library():
+    """Return the module that learns the force, an extra that is built from source."""
+    reason = "movement_primitives is missing: the extra dmp is not installed"
+    return pytest.importorskip("movement_primitives.dmp", reason=reason)
+
+
 @pytest.fixture
 def shown():
     """Return the demonstration in the frame of its end."""
@@ -37,15 +44,15 @@ def shown():
 
 
 @pytest.mark.parametrize("frame", ["goal", "object"])
-def test_does_what_every_motion_has_to(file, frame):
+def test_does_what_every_motion_has_to(library, file, frame):
     check_everything(Dmp(file=file, frame=frame))
 
 
-def test_moves_with_the_target(file):
+def test_moves_with_the_target(library, file):
     check_moves_with_target(Dmp(file=file))
 
 
-def test_does_what_was_shown_in_the_same_time(file, shown):
+def test_does_what_was_shown_in_the_same_time(library, file, shown):
     poses, _, _ = run(Dmp(file=file, **FAST), shown[:1], IDENTITY[np.newaxis], 8.0, 0.01)
     moments = np.arange(0.0, SHOWN.time[-1], 0.2)
     expected = resampled(SHOWN.time, shown, moments / SHOWN.time[-1])
@@ -54,8 +61,7 @@ def test_does_what_was_shown_in_the_same_time(file, shown):
     assert radians.max() < 0.02
 
 
-def test_moves_as_the_library_does(file, shown):
-    library = pytest.importorskip("movement_primitives.dmp")
+def test_moves_as_the_library_does(library, file, shown):
     duration = SHOWN.time[-1]
     moments = np.linspace(0.0, 1.0, 201)
     model = library.CartesianDMP(1.0, 1.0 / 200, 25, smooth_scaling=True)
@@ -78,14 +84,14 @@ def test_moves_as_the_library_does(file, shown):
     assert 2.0 * np.arccos(np.minimum(dots.min(), 1.0)) < 0.03
 
 
-def test_limits_change_the_time_and_not_the_shape(file, shown):
+def test_limits_change_the_time_and_not_the_shape(library, file, shown):
     fast, _, _ = run(Dmp(file=file, **FAST), shown[:1], IDENTITY[np.newaxis], 10.0, 0.01)
     slow, _, _ = run(Dmp(file=file), shown[:1], IDENTITY[np.newaxis], 40.0)
     metres = np.linalg.norm(slow[:, 0, np.newaxis, :3] - fast[:, 0, :3], axis=-1)
     assert metres.min(axis=1).max() < 5e-3
 
 
-def test_ends_at_the_goal_or_where_it_ended_about_the_object(file):
+def test_ends_at_the_goal_or_where_it_ended_about_the_object(library, file):
     start, target = starts_and_targets(5, 1)
     end = relative(SHOWN.ee_pose[-1:], SHOWN.object_pose[:1])
     for frame, expected in (

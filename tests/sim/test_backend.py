@@ -78,6 +78,16 @@ def test_the_hand_keeps_up_with_a_motion(world, begin, exact_solver):
     assert spatial.distance(desired, ee_pose(solver, state))[0][0] <= 1e-3
 
 
+def test_joints_that_turn_on_and_on_are_measured_within_a_turn(world, begin):
+    state = begin()
+    continuous = np.array([joint.continuous for joint in world.body.robot.arm])
+    for _ in range(150):
+        targets = state.joint_positions + 0.05 * continuous
+        state = world.step(twist(), targets, DT)
+        measured = state.joint_positions[0, continuous]
+        assert (np.abs(measured) <= np.pi).all()
+
+
 def test_nothing_is_teleported(world, begin):
     robot, before, step = world.body.robot, begin(), 1 / 240
     rng = np.random.default_rng(2)

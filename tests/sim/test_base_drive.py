@@ -67,3 +67,14 @@ def test_a_wall_stops_the_base_and_is_pushed_no_harder_than_the_motors_can(world
     force = sum(point[9] for point in points)
     strongest = world.physics.config.drive_reserve * body.mass * body.robot.base.max_acceleration
     assert 0.0 < force <= 1.5 * strongest
+
+
+def test_a_pull_at_the_hand_does_not_turn_a_standing_base(world, begin):
+    begin()
+    client, body = world.physics.client, world.body
+    hand = body.links[body.robot.ee_frame]
+    for _ in range(120):
+        at = client.getLinkState(body.body, hand)[4]
+        client.applyExternalForce(body.body, hand, [0.0, 40.0, 0.0], at, client.WORLD_FRAME)
+        (state,) = stay(world, 1, dt=STEP)
+    assert abs(spatial.yaw(state.base_pose)[0]) <= 1e-3

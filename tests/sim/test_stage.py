@@ -51,6 +51,16 @@ def test_episodes_begin_free_of_collisions_with_nothing_done(stage, solver):
         assert stage.done() is False
 
 
+def test_a_start_in_the_way_moves_the_robot_and_not_the_furniture(stage, solver, monkeypatch):
+    first = stage.task.sample(solver, np.random.default_rng(7))
+    answers = iter([False, False, True])
+    monkeypatch.setattr(stage.backend, "free", lambda: next(answers))
+    start = stage.sample(solver, np.random.default_rng(7))
+    np.testing.assert_array_equal(start.target_poses, first.target_poses)
+    assert not np.array_equal(start.base_pose, first.base_pose)
+    assert not np.array_equal(start.joint_positions, first.joint_positions)
+
+
 def test_equal_seeds_draw_equal_episodes(stage, solver):
     one, other = (stage.sample(solver, np.random.default_rng(3)) for _ in range(2))
     for key, value in vars(one).items():

@@ -145,7 +145,7 @@ def test_a_jump_of_the_arm_is_slowed():
 
 
 def test_a_huge_jump_is_refused_and_ends_the_run():
-    guard, backend = guarded(guards=Guards(infeasible_steps=3))
+    guard, backend = guarded(guards=Guards(joint_jump=2.0, infeasible_steps=3))
     before = stays(guard)
     targets = before.copy()
     targets[0, 4] = spatial.wrap(targets[0, 4] + 2.5)

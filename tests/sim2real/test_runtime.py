@@ -220,6 +220,21 @@ def test_a_stall_is_ended_by_the_watchdog_and_then_by_the_guards(run, tmp_path, 
     assert record.event[-1] == outcome.reason
 
 
+@pytest.mark.parametrize(("guards", "warns"), [
+    (Guards(), True),
+    (Guards(watchdog=None), False),  # as the user wants it
+])  # fmt: skip
+def test_a_robot_without_a_watchdog_is_said_to_have_none(run, capsys, guards, warns):
+    run(LiveRobot(registry.load_robot("pr2")), Drive(), seconds=0.1, guards=guards)
+    line = "no watchdog: nothing stops the base if this process dies or hangs, for LiveRobot has no"
+    assert capsys.readouterr().err == (f"{line} stop_call\n" if warns else "")
+
+
+def test_a_simulated_world_ends_with_its_process_and_needs_no_watchdog(run, capsys):
+    run(AnalyticBackend(), Drive(), seconds=0.1, real_time=False)
+    assert capsys.readouterr().err == ""
+
+
 def test_a_clock_that_is_set_stops_the_base(run):
     ahead = [0.0]
     clocks = Clocks(time.monotonic, lambda: time.time() + ahead[0])

@@ -14,7 +14,7 @@ from safetensors.numpy import load_file
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import read_network
-from kinfeas.training import checkpoint, logs
+from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
 from kinfeas.training.train import resume, train
 
@@ -184,10 +184,10 @@ def interrupt_at(monkeypatch, owner, name, call):
 @pytest.mark.parametrize(
     ("owner", "name", "call"),
     [
-        (training.World, "step", 40),  # in the midst of a step
+        (worlds.World, "step", 40),  # in the midst of a step
         (training, "explore", 100),
-        (training, "run_episodes", 1),  # while it is judged
-        (training, "run_episodes", 2),  # for the last time
+        (worlds, "run_episodes", 1),  # while it is judged
+        (worlds, "run_episodes", 2),  # for the last time
         (training, "write_network", 2),  # while a checkpoint is written
         (training._Run, "_row", 1),
     ],

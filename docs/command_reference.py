@@ -1,0 +1,72 @@
+"""The directive `commands`: all commands of kinfeas, from the program itself."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from kinfeas.cli.main import app as program
+
+
+class Commands(SphinxDirective):
+    """A section for each command: what it does, how it is called, its options, an example."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the sections."""
+        return self.parse_text_to_nodes("\n".join(_reference()), allow_section_headings=True)
+
+
+def _reference() -> Iterator[str]:
+    """Yield the lines of a Markdown text."""
+    for name, command in _commands("kinfeas", typer.main.get_command(program)):
+        yield from _section(name, command)
+
+
+def _commands(name: str, command: Any) -> Iterator[tuple[str, Any]]:
+    for part, inner in getattr(command, "commands", {}).items():
+        yield from _commands(f"{name} {part}", inner)
+    if not hasattr(command, "commands"):
+        yield name, command
+
+
+def _section(name: str, command: Any) -> Iterator[str]:
+    context = command.context_class(command, info_name=name)
+    usage = " ".join(command.collect_usage_pieces(context))
+    yield from (f"## {name}", "", "```text", f"{name} {usage}", "```", "")
+    yield from (_plain(command.help), "")
+    yield from ("| | | default |", "|---|---|---|")
+    for parameter in command.params:
+        yield f"| {' | '.join(_row(parameter, context))} |"
+    yield ""
+    if command.epilog:
+        lines = [line for line in command.epilog.split("\n\n") if line.startswith("kinfeas")]
+        yield from ("```text", *(" ".join(line.split()) for line in lines), "```", "")
+
+
+def _row(parameter: Any, context: Any) -> tuple[str, str, str]:
+    record = parameter.get_help_record(context) or ("", "")
+    called = str(record[0])
+    text, _, extra = str(record[1]).partition("  [")
+    found = re.search(r"default: (.*?)(?:;|\]$)", extra)
+    default = found.group(1).strip("()") if found else ""
+    default = "required" if parameter.required else default
+    return f"`{_cell(called)}`", _cell(_plain(text)), _cell(default)
+
+
+def _plain(text: str) -> str:
+    """Return a help text with its markup as Markdown."""
+    return re.sub(r"\[bold\](.*?)\[/\]", r"`\1`", text, flags=re.DOTALL)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Make the directive known."""
+    app.add_directive("commands", Commands)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,75 @@
+"""How Sphinx builds this site: `make docs`."""
+
+import sys
+from pathlib import Path
+
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+from sphinx.highlighting import lexers
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from kinfeas import __version__
+
+project = "kinfeas"
+author = "the kinfeas authors"
+copyright = author
+release = version = __version__
+language = "en"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "command_reference",
+]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 3
+# A link to a file that is no page, such as one of examples/, becomes a download.
+exclude_patterns = ["_build"]
+
+html_theme = "furo"
+html_title = "kinfeas"
+html_show_sphinx = False
+html_show_copyright = False
+html_copy_source = False
+
+lexers["csv"] = TextLexer()
+
+# Docstrings quote code with single backticks.
+default_role = "code"
+add_module_names = False
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+# Aliases are known by what they stand for; a reader knows them by their name.
+_ALIASES = {
+    "~numpy.ndarray[~typing.Any, ~numpy.dtype[~numpy.float64]]": "Array",
+    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.float64]]": "Array",
+    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.intp]]": "NDArray[intp]",
+    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.bool]]": "NDArray[bool]",
+    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.uint64]]": "NDArray[uint64]",
+}
+
+
+def _name_aliases(
+    app: Sphinx, what: str, name: str, thing: object, options: object, *signature: str | None
+) -> tuple[str | None, ...]:
+    """Return arguments and result of a signature with the names of aliases in them."""
+    return tuple(_shortened(part) if part else part for part in signature)
+
+
+def _shortened(text: str) -> str:
+    for long, short in _ALIASES.items():
+        text = text.replace(long, short)
+    return text
+
+
+def setup(app: Sphinx) -> None:
+    """Have signatures shortened."""
+    app.connect("autodoc-process-signature", _name_aliases)
