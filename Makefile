@@ -21,7 +21,7 @@ test: $(STAMP) lint  ## Check style and types, then run all tests
 	$(BIN)/python -m pytest
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
-	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
 
 lint: $(STAMP)  ## Check style and types
 	$(BIN)/ruff check .

@@ -1,5 +1,6 @@
 """How Sphinx builds this site: `make docs`."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -29,6 +30,8 @@ myst_heading_anchors = 3
 # A link to a file that is no page, such as one of examples/, becomes a download.
 exclude_patterns = ["_build"]
 
+smartquotes = False
+
 html_theme = "furo"
 html_title = "kinfeas"
 html_show_sphinx = False
@@ -48,26 +51,29 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 
 # Aliases are known by what they stand for; a reader knows them by their name.
-_ALIASES = {
-    "~numpy.ndarray[~typing.Any, ~numpy.dtype[~numpy.float64]]": "Array",
-    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.float64]]": "Array",
-    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.intp]]": "NDArray[intp]",
-    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.bool]]": "NDArray[bool]",
-    "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.uint64]]": "NDArray[uint64]",
-}
+_NUMBERS = "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.{}]]"
+_ALIASES = {_NUMBERS.format("float64"): "Array"}
+_ALIASES |= {_NUMBERS.format(kind): f"NDArray[{kind}]" for kind in ("intp", "bool", "uint64")}
+_ARRAY_LIKE = re.compile(
+    r"~numpy\._typing\.\S*_Buffer \| .*?~numpy\._typing\.\S*\[complex \| bytes \| str\]"
+)
+# What a number may be stands in the documentation of the field.
+_BOUNDED = re.compile(r"~typing\.Annotated\[([^,\[\]]+), ~?[\w.]*Interval\([^)]*\)\]")
 
 
 def _name_aliases(
     app: Sphinx, what: str, name: str, thing: object, options: object, *signature: str | None
 ) -> tuple[str | None, ...]:
     """Return arguments and result of a signature with the names of aliases in them."""
+    if getattr(thing, "_is_protocol", False):
+        return "", None
     return tuple(_shortened(part) if part else part for part in signature)
 
 
 def _shortened(text: str) -> str:
     for long, short in _ALIASES.items():
         text = text.replace(long, short)
-    return text
+    return _BOUNDED.sub(r"\1", _ARRAY_LIKE.sub("ArrayLike", text))
 
 
 def setup(app: Sphinx) -> None:

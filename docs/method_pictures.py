@@ -205,8 +205,8 @@ def feasible() -> Figure:
         edges = np.linspace(-REACH, REACH, CELLS + 1)
         shares = stances(robot, pose)
         mesh = plan.pcolormesh(
-            edges, edges, np.where(shares > 0.0, shares, np.nan), cmap="viridis_r", vmin=0, vmax=0.75,
-            rasterized=True,
+            edges, edges, np.where(shares > 0.0, shares, np.nan), cmap="viridis_r",
+            vmin=0.0, vmax=0.75, rasterized=True,
         )  # fmt: skip
         plan.add_patch(Circle((0.0, 0.0), 0.04, color=GOAL, zorder=5))
         plan.annotate("", (0.3, 0.0), (0.0, 0.0), zorder=5,

@@ -49,14 +49,22 @@ def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[st
         data = copy.deepcopy(data)
         assignments = {}
         for text in overrides:
-            key, value = _parse_override(text)
-            assignments[key] = f"--set {text}"
-            if not _assign(data, cls, key.split("."), value):
-                above = key.rpartition(".")[0]
-                raise KinfeasError(f"--set {text}: unknown key {key!r}, for {above!r} has no keys")
+            assignments[_override(data, cls, text)] = f"--set {text}"
         place = replace(place, overrides=assignments)
     result: T = convert_dataclass(cls, data, place)
     return result
+
+
+def assigned(overrides: Sequence[str]) -> dict[str, object]:
+    """Return assignments `a.b=c`, in which `c` is YAML, as nested mappings.
+
+    Raises:
+        KinfeasError: If one of them is malformed.
+    """
+    data: dict[str, object] = {}
+    for text in overrides:
+        _override(data, None, text)
+    return data
 
 
 def dump(config: object, path: Path) -> None:
@@ -86,6 +94,15 @@ def _plain(value: object) -> object:
         return str(value)
     # NumPy's float64 is a float that YAML does not know how to write.
     return float(value) if isinstance(value, float) else value
+
+
+def _override(data: object, cls: Any, text: str) -> str:
+    """Carry out an assignment in the nested mapping `data` and return its key."""
+    key, value = _parse_override(text)
+    if not _assign(data, cls, key.split("."), value):
+        above = key.rpartition(".")[0]
+        raise KinfeasError(f"--set {text}: unknown key {key!r}, for {above!r} has no keys")
+    return key
 
 
 def _parse_override(text: str) -> tuple[str, object]:

@@ -12,9 +12,9 @@ from kinfeas.legs import LegMotion, Pace, tool_pose
 from kinfeas.motion import State
 from kinfeas.motion_checks import CheckedMotion
 from kinfeas.robots.robot import Robot
+from kinfeas.rows import Rows, merged, of_rows, with_rows
 from kinfeas.spatial import Array
 
-Rows = NDArray[np.intp]
 Moves = tuple[Array, list[State]]
 """Desired EE poses, shape (n, 7), and the state of each generator there."""
 
@@ -93,7 +93,7 @@ class Course:
             rows = np.arange(len(rngs))
         else:
             held = zip(self._held(), fresh, strict=True)
-            self._put(tuple(_with_rows(old, rows, new) for old, new in held))
+            self._put(tuple(with_rows(old, rows, new) for old, new in held))
         self._begin(rows)
 
     @property
@@ -132,9 +132,9 @@ class Course:
             return self._to_ee(spatial.integrate(frame, twist, dt)), [state]
         twist, states = np.zeros((len(frame), 6)), list(self._states)
         for number, generator, rows in self._groups(~stands):
-            state = _of_rows(states[number], rows)
+            state = of_rows(states[number], rows)
             twist[rows], after = generator.twist(state, frame[rows], dt)
-            states[number] = _merged(states[number], rows, after, len(frame))
+            states[number] = merged(states[number], rows, after, len(frame))
         moved = self._to_ee(spatial.integrate(frame, twist, dt))
         return np.where(stands[:, np.newaxis], self.desired, moved), states
 
@@ -143,10 +143,10 @@ class Course:
         desired, states = moves
         if held is not None and held.any():
             rows = np.flatnonzero(held)
-            desired = _with_rows(desired, rows, self.desired[rows])
+            desired = with_rows(desired, rows, self.desired[rows])
             pairs = zip(states, self._states, strict=True)
             states = [
-                {key: _with_rows(new, rows, old[key][rows]) for key, new in state.items()}
+                {key: with_rows(new, rows, old[key][rows]) for key, new in state.items()}
                 for state, old in pairs
             ]
         self.desired, self._states, self._goal = desired, states, None
@@ -221,7 +221,7 @@ class Course:
             keys = zip(self._seeds[group].tolist(), legs.tolist(), strict=True)
             rngs = [np.random.default_rng(key) for key in keys]
             state = generator.start(frame[group], self._targets[group, legs], rngs)
-            self._states[number] = _merged(self._states[number], group, state, len(frame))
+            self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
 
     def _ask(self, question: Callable[[CheckedMotion, State], Array]) -> Array:
@@ -230,7 +230,7 @@ class Course:
             return question(self.generators[0], self._states[0])
         answers = np.empty((len(self.leg), 7))
         for number, generator, rows in self._groups(np.ones(len(self.leg), dtype=np.bool_)):
-            answers[rows] = question(generator, _of_rows(self._states[number], rows))
+            answers[rows] = question(generator, of_rows(self._states[number], rows))
         return answers
 
     def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, CheckedMotion, Rows]]:
@@ -251,23 +251,3 @@ class Course:
 def _periods(seconds: float, dt: float) -> int:
     # Rounding must not make 2 s of 0.1 s 21 periods.
     return math.ceil(seconds / dt - 1e-6)
-
-
-def _of_rows(state: State, rows: Rows) -> State:
-    return {key: values[rows] for key, values in state.items()}
-
-
-def _merged(state: State, rows: Rows, values: State, n: int) -> State:
-    """Return the state of n rows with `values` put into `rows`; a state that is empty has none."""
-    if len(rows) == n:
-        return values
-    return {
-        key: _with_rows(state.get(key, np.zeros((n, *new.shape[1:]), new.dtype)), rows, new)
-        for key, new in values.items()
-    }
-
-
-def _with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
-    changed = array.copy()
-    changed[rows] = values
-    return changed

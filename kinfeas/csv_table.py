@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas.errors import KinfeasError
+from kinfeas.files import reading
 from kinfeas.spatial import Array
 
 
@@ -38,21 +39,26 @@ def read_csv(path: Path, choose: Callable[[Sequence[str]], Sequence[str]]) -> Cs
         choose: From the names in the file to those that are wanted.
 
     Raises:
-        KinfeasError: If a column is missing or there twice, or an entry is not a number.
-        OSError, UnicodeDecodeError, csv.Error: If the file cannot be read as CSV.
+        KinfeasError: If the file cannot be read, a column is missing or there twice, or an entry is
+            not a number.
     """
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file, strict=True)
-        header = [name.strip() for name in next(rows, [])]
-        wanted = choose(header)
-        for name in wanted:
-            if header.count(name) != 1:
-                problem = "repeated" if name in header else "missing"
-                raise KinfeasError(f"{path}, line 1: column {name!r} is {problem}")
-        lines, samples = [], []
-        for row in filter(None, rows):
-            lines.append(rows.line_num)
-            samples.append(_numbers(row, header, wanted, f"{path}, line {rows.line_num}"))
+    lines, rows = [], []
+    try:
+        with reading(path), path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.reader(file, strict=True)
+            header = [name.strip() for name in next(table, [])]
+            for row in filter(None, table):
+                lines.append(table.line_num)
+                rows.append(row)
+    except csv.Error as error:
+        raise KinfeasError(f"{path}: is no CSV file: {error}") from error
+    wanted = choose(header)
+    for name in wanted:
+        if header.count(name) != 1:
+            problem = "repeated" if name in header else "missing"
+            raise KinfeasError(f"{path}, line 1: column {name!r} is {problem}")
+    places = (f"{path}, line {line}" for line in lines)
+    samples = [_numbers(row, header, wanted, at) for row, at in zip(rows, places, strict=True)]
     values = np.array(samples, dtype=np.float64).reshape(-1, len(wanted))
     return CsvTable(path, values, tuple(lines))
 

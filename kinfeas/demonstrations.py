@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
-from kinfeas.folders import writing
+from kinfeas.files import reading, writing
 from kinfeas.spatial import Array
 
 _AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -72,12 +72,7 @@ def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demo
     reader = _READERS.get(path.suffix)
     if reader is None:
         raise KinfeasError(f"{path}: must be a .csv or .npz file")
-    try:
-        return reader(path, optional)
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, csv.Error, zipfile.BadZipFile, EOFError) as error:
-        raise KinfeasError(f"{path}: is no {path.suffix[1:].upper()} file: {error}") from error
+    return reader(path, optional)
 
 
 def write_demonstration(demonstration: Demonstration, path: Path) -> None:
@@ -125,11 +120,11 @@ def _read_csv(path: Path, optional: Collection[str]) -> Demonstration:
 
 def _read_npz(path: Path, optional: Collection[str]) -> Demonstration:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with reading(path), np.load(path, allow_pickle=False) as archive:
             names = [name for name in ("time", *_POSES) if name not in optional or name in archive]
             missing = [name for name in names if name not in archive]
             values = {name: archive[name] for name in names if name in archive}
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, zipfile.BadZipFile, EOFError) as error:
         raise KinfeasError(f"{path}: is no NPZ file of plain arrays: {error}") from error
     if missing:
         raise KinfeasError(f"{path}: key {missing[0]!r} is missing")

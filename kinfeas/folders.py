@@ -1,24 +1,13 @@
 """Folders that are replaced as a whole: whoever is killed while writing one loses nothing."""
 
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from safetensors import SafetensorError
 
 from kinfeas.errors import KinfeasError
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turn a failure to write into a `KinfeasError` that names `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be written: {error.strerror or error}") from error
-    except SafetensorError as error:
-        raise KinfeasError(f"{path}: cannot be written: {error}") from error
+from kinfeas.files import writing
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
@@ -29,7 +18,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     Raises:
         KinfeasError: If something cannot be written.
     """
-    fresh, old = folder.with_name(f".{folder.name}.new"), _old(folder)
+    fresh, old = folder.parent / f".{folder.name}.new", _old(folder)
     with writing(folder):
         if old.is_dir() and not folder.is_dir():
             # All that is left by a writer killed between the two renames below.
@@ -37,7 +26,10 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
         for leftover in (fresh, old):
             shutil.rmtree(leftover, ignore_errors=True)
         fresh.mkdir(parents=True)
-        fill(fresh)
+        try:
+            fill(fresh)
+        except SafetensorError as error:
+            raise KinfeasError(f"{folder}: cannot be written: {error}") from error
         if folder.is_dir():
             folder.rename(old)
         fresh.rename(folder)
@@ -51,4 +43,4 @@ def find_folder(folder: Path) -> Path:
 
 
 def _old(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.old")
+    return folder.parent / f".{folder.name}.old"

@@ -8,9 +8,8 @@ from kinfeas.errors import KinfeasError
 
 _OWN = "kinfeas"
 
-# The user's own wish, and the machine's troubles, are nobody's mistake.
-_NOBODYS = (KinfeasError, KeyboardInterrupt, GeneratorExit, MemoryError, SystemError)
-
+# A sentence already, or the machine's trouble; what is no `Exception` is somebody's wish to end.
+_NOBODYS = (KinfeasError, MemoryError, SystemError)
 
 USUAL = (
     ArithmeticError,
@@ -28,11 +27,11 @@ USUAL = (
 
 
 class Blaming:
-    """A context in which anything that is raised becomes a `KinfeasError`.
+    """A context in which any `Exception` becomes a `KinfeasError`.
 
-    It is for a single call into a plugin, whose author may raise what he likes. Errors that are a
-    sentence already pass as they are, and so does what our own package raises, which keeps its
-    traceback. It may be entered again and again.
+    It is for a single call into a plugin, whose author may raise what he likes. `KeyboardInterrupt`
+    and `SystemExit` pass as they are, and so do `MemoryError`, errors that are a sentence already,
+    and what our own package raises, which keeps its traceback. It may be entered again and again.
 
     Args:
         subject: Whose code it is, and what it is asked for, as the sentence begins.
@@ -61,7 +60,7 @@ class Blaming:
         Raises:
             KinfeasError: Names the subject, what it raised, and the line.
         """
-        if isinstance(error, _NOBODYS):
+        if not isinstance(error, Exception) or isinstance(error, _NOBODYS):
             return
         # A library that is not installed is no mistake of ours.
         if self.package == _OWN and not isinstance(error, ImportError):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
-from kinfeas.course import Course, Rows
+from kinfeas.course import Course
 from kinfeas.drive import action_size, base_twist
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
@@ -24,6 +24,7 @@ from kinfeas.legs import (
 )
 from kinfeas.observation import HORIZON, observe
 from kinfeas.policy import Situation
+from kinfeas.rows import Rows
 from kinfeas.spatial import Array
 from kinfeas.start import Start
 

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TextIO
+from typing import Annotated, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.errors import KinfeasError
-from kinfeas.folders import writing
+from kinfeas.files import reading, writing
+from kinfeas.schema import Interval, Place, convert_dataclass
 from kinfeas.spatial import Array
 
 REACHED = "goal reached"
@@ -41,7 +42,7 @@ class About:
     task: str
     policy: str
     backend: str
-    dt: float
+    dt: Annotated[float, Interval(low=0.0, open_low=True)]
     joints: tuple[str, ...]
     started: str
 
@@ -153,12 +154,8 @@ def read_record(path: Path) -> Record:
     Raises:
         KinfeasError: If it is no record, or a line is broken.
     """
-    try:
+    with reading(path):
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise KinfeasError(f"{path}: not a text file in UTF-8") from error
     whole = text[: text.rfind("\n") + 1].splitlines(keepends=True)
     about = _about(whole[0] if whole else "", path)
     if whole[1:2] != [_header(about.joints)]:
@@ -176,15 +173,15 @@ def _about(line: str, path: Path) -> About:
         raise KinfeasError(
             f"{path}: not the record of a run: it does not begin with {mark.strip()!r}"
         )
+    place = f"{path}, line 1"
     try:
-        about = About(**json.loads(line.removeprefix(mark)))
-        strings = (about.robot, about.task, about.policy, about.backend, about.started)
-        typed = all(isinstance(text, str) for text in (*strings, *about.joints))
-        if not typed or not about.joints or not 0.0 < float(about.dt) < np.inf:
-            raise ValueError("a value is of the wrong kind")
-    except (ValueError, TypeError) as error:
-        raise KinfeasError(f"{path}, line 1: broken head of a record: {error}") from error
-    return About(**{**asdict(about), "joints": tuple(about.joints), "dt": float(about.dt)})
+        data = json.loads(line.removeprefix(mark))
+    except ValueError as error:
+        raise KinfeasError(f"{place}: broken JSON: {error}") from error
+    about: About = convert_dataclass(About, data, Place(place))
+    if not about.joints:
+        raise KinfeasError(f"{place}: 'joints' must name one joint at least")
+    return about
 
 
 def _names(joints: Sequence[str]) -> list[str]:

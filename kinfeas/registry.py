@@ -15,7 +15,7 @@ from typing import Any
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
 from kinfeas.robots.robot import Robot, read_robot
-from kinfeas.schema import no_such
+from kinfeas.schema import Place, check_value, no_such
 
 GROUPS = {
     "kinfeas.motion_generators": "motion generator",
@@ -120,8 +120,11 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         try:
             _check_names(inspect.signature(factory), parameters)
             return factory(**parameters)
+        except ValueError as error:
+            raise KinfeasError(f"{subject}: {error}") from error
         # A value of a wrong type shows as TypeError in a constructor that only calculates with it.
-        except (ValueError, TypeError) as error:
+        except TypeError as error:
+            _check_types(factory, parameters, str(subject))
             raise KinfeasError(f"{subject}: {error}") from error
 
 
@@ -174,6 +177,14 @@ def _import(entry: EntryPoint) -> Any:
 def _package(entry: EntryPoint) -> str:
     """Return the top-level package of an entry's code."""
     return entry.value.partition(":")[0].partition(".")[0].strip()
+
+
+def _check_types(factory: Any, given: Mapping[str, object], subject: str) -> None:
+    """Raise if a parameter is not of the type that it is annotated with."""
+    taken = inspect.signature(factory).parameters
+    for name, value in given.items():
+        if name in taken:
+            check_value(taken[name].annotation, value, Place(subject, name))
 
 
 def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:

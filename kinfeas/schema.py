@@ -10,6 +10,7 @@ import difflib
 import reprlib
 import sys
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
@@ -96,6 +97,19 @@ def convert_dataclass(cls: Any, value: object, place: Place) -> Any:
         return cls(**values)
     except ValueError as error:
         raise place.error(f"{place.key!r}: {error}" if place.key else str(error)) from error
+
+
+def check_value(kind: Any, value: object, place: Place) -> None:
+    """Raise if plain data is not of the type `kind`.
+
+    Other values, and types that no file can hold, are not looked at.
+
+    Raises:
+        KinfeasError: If `value` has a wrong type or range.
+    """
+    if isinstance(value, _PLAIN):
+        with suppress(TypeError):
+            _convert(kind, value, place)
 
 
 def init_fields(cls: Any) -> list[Field[Any]]:
@@ -212,6 +226,9 @@ _CONVERTERS: dict[Any, Callable[[Any, object, Place], Any]] = {
     tuple: _convert_tuple,
     dict: _convert_dict,
 }
+
+_PLAIN = (str, bool, int, float, list, dict, NoneType)
+"""What a YAML file is made of."""
 
 _SCALARS: dict[Any, str] = {
     str: "a string",

@@ -12,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from kinfeas.errors import KinfeasError
+from kinfeas.files import read_file, reading, writing
 
 MAX_BYTES = 1_000_000
 """More than any file written by hand; it keeps a wrong path from filling the memory."""
@@ -89,17 +90,8 @@ def read(path: Path) -> dict[str, object]:
     Raises:
         KinfeasError: If the file cannot be read, is too large or does not hold a mapping.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(content) > MAX_BYTES:
-        raise KinfeasError(f"{path}: too large, at most {MAX_BYTES} bytes are allowed")
-    try:
-        text = content.decode()
-    except UnicodeDecodeError as error:
-        raise KinfeasError(f"{path}: not a text file in UTF-8") from error
+    with reading(path):
+        text = read_file(path, MAX_BYTES).decode()
     data = parse(text, str(path))
     if data is None:
         return {}
@@ -122,7 +114,5 @@ def write(data: object, path: Path, *, compact: bool = False) -> None:
     # Escaped to ASCII by default, for PyYAML folds some other characters that it writes.
     flow, width = (None, sys.maxsize) if compact else (False, None)
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be written: {error.strerror}") from error

@@ -14,7 +14,6 @@ and a CSV file the same as columns, `time` again where it is wanted::
     0.0,-0.3,0.0,0.2,0,0,0,1
 """
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,12 +71,7 @@ def _read_csv(path: Path) -> tuple[Array, Array | None]:
     def choose(header: Sequence[str]) -> list[str]:
         return [*_COLUMNS, *(["time"] if "time" in header else [])]
 
-    try:
-        values = read_csv(path, choose).values
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise KinfeasError(f"{path}: is no CSV file: {error}") from error
+    values = read_csv(path, choose).values
     return values[:, :7], values[:, 7] if values.shape[1] > 7 else None
 
 

@@ -12,6 +12,7 @@ from kinfeas.adapters import chain
 from kinfeas.backend import Backend, Gripping, Live, Resumable, RobotState, Stochastic
 from kinfeas.config import Interval
 from kinfeas.robots.robot import Robot
+from kinfeas.rows import with_rows
 from kinfeas.sim2real import draws
 from kinfeas.sim2real.draws import Number, Range
 from kinfeas.spatial import Array
@@ -186,13 +187,6 @@ class Adapter:
         """Return joint positions, shape (..., j), with continuous ones in (-pi, pi]."""
         beyond = self.continuous & (np.abs(positions) > np.pi)
         return np.where(beyond, spatial.wrap(positions), positions)
-
-
-def with_rows(array: NDArray[Any], rows: NDArray[np.intp], values: NDArray[Any]) -> NDArray[Any]:
-    """Return `array` with `values` in its `rows`."""
-    changed = array.copy()
-    changed[rows] = values
-    return changed
 
 
 def seen(state: RobotState, **changes: Array) -> RobotState:

@@ -7,6 +7,7 @@ from typing import Annotated
 from kinfeas import registry
 from kinfeas.backend import Backend
 from kinfeas.config import Interval
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
 from kinfeas.sim2real.guard_config import Guards
@@ -53,10 +54,13 @@ def build_backend(name: str, parameters: dict[str, object], **offered: object) -
             the names of its parameters.
 
     Raises:
-        KinfeasError: If there is no such backend, or it refuses a parameter.
+        KinfeasError: If there is no such backend, or it refuses a parameter, or the user says
+            what is offered.
     """
     factory = registry.load("kinfeas.backends", name)
     known = inspect.signature(factory).parameters if callable(factory) else {}
     given = {key: value for key, value in offered.items() if key in known}
+    for key in given.keys() & parameters.keys():
+        raise KinfeasError(f"backend {name!r}: the parameter {key!r} follows from the run")
     backend: Backend = registry.build("kinfeas.backends", name, {**given, **parameters})
     return backend

@@ -1,7 +1,6 @@
 """Writing a trained policy as one ONNX file that describes itself."""
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from kinfeas import __version__
 from kinfeas.errors import KinfeasError
-from kinfeas.folders import writing
+from kinfeas.files import reading, write_file
 from kinfeas.observation import CLIP, HORIZON
 from kinfeas.policy import Network, policy_folder, read_network
 from kinfeas.robots.robot import Robot
@@ -49,13 +48,7 @@ def export(folder: Path, robot: Robot, out: Path) -> tuple[PolicyFile, float]:
     content = to_onnx(network, describe(network, folder, robot))
     policy = parse_policy_file(content, robot)
     off = parity(network, policy)
-    temporary = out.with_name(f".{out.name}.{os.getpid()}")
-    with writing(out):
-        try:
-            temporary.write_bytes(content)
-            temporary.replace(out)
-        finally:
-            temporary.unlink(missing_ok=True)
+    write_file(out, content)
     return policy, off
 
 
@@ -181,10 +174,12 @@ def _period(training: dict[str, Any]) -> float | None:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    with reading(path):
+        text = path.read_text(encoding="utf-8")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise KinfeasError(f"{path}: cannot be read: {error}") from error
+        data = json.loads(text)
+    except ValueError as error:
+        raise KinfeasError(f"{path}: broken JSON: {error}") from error
     if not isinstance(data, dict):
         raise KinfeasError(f"{path}: must hold a mapping of keys to values")
     return data

@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Grip, Gripping, Live, RobotState, Stochastic
+from kinfeas.backend import Backend, Live, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.measurement_guard import MeasurementGuard
+from kinfeas.sim2real.passing import Passing
 from kinfeas.spatial import Array
 
 
@@ -33,7 +34,7 @@ class Clocks:
     wall: Callable[[], float] = time.time
 
 
-class Guarded:
+class Guarded(Passing):
     """A backend of one robot behind guards.
 
     Once it has raised, or was stopped, it commands nothing any more.
@@ -64,7 +65,8 @@ class Guarded:
             live: The robot itself within the adapters, if it moves by its own clock.
             clocks: What tells the time.
         """
-        self.backend, self.robot, self.guards = backend, robot, guards or Guards()
+        super().__init__(backend)
+        self.robot, self.guards = robot, guards or Guards()
         self.live, self._clocks = live, clocks or Clocks()
         self._limits = _limits(robot, self.guards)
         self._joint_speed = self.guards.joint_speed * np.array([j.velocity for j in robot.arm])
@@ -75,16 +77,6 @@ class Guarded:
         self.unstopped = ""
         self.stopped, self.state = True, RobotState(np.empty((0, 7)), np.empty((0, 0)))
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
-
-    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
-        """Pass on to a backend that draws random numbers."""
-        if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, rows)
-
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
-        """Pass on to a backend that has grippers."""
-        if isinstance(self.backend, Gripping):
-            self.backend.grip(grip, rows)
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None

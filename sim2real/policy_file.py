@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.errors import KinfeasError
+from kinfeas.files import read_file
 from kinfeas.policy import Situation
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real import policy_about
@@ -71,7 +72,7 @@ def read_policy_file(path: Path, robot: Robot | None) -> PolicyFile:
         KinfeasError: If it is no such file, is damaged or changed, answers its golden pairs
             wrongly, or is for another robot or other kinematics.
     """
-    content = _read(path)
+    content = read_file(path, MAX_BYTES)
     try:
         return parse_policy_file(content, robot)
     except KinfeasError as error:
@@ -86,17 +87,6 @@ def parse_policy_file(content: bytes, robot: Robot | None) -> PolicyFile:
     policy = PolicyFile(content, about)
     _check_golden(policy)
     return policy
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(content) > MAX_BYTES:
-        raise KinfeasError(f"{path}: too large, at most {MAX_BYTES} bytes are allowed")
-    return content
 
 
 def _check(content: bytes) -> About:

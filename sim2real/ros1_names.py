@@ -105,7 +105,7 @@ def read_topics(robot: Robot, name: str | None = None) -> Topics:
         KinfeasError: If there is no such file, it is broken, or its controllers do not share the
             arm's joints among them.
     """
-    path = _find(name or robot.name)
+    path = _find(robot.name if name is None else name)
     topics = config.load(Topics, path)
     commanded = Counter(name for one in topics.joints.controllers for name in one.joints)
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)

@@ -3,27 +3,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Grip, Gripping, RobotState, Stochastic
+from kinfeas.backend import Backend, RobotState
 from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.passing import Passing
 from kinfeas.spatial import Array
 
 
-class Timed:
+class Timed(Passing):
     """A backend whose control periods take as long as they say."""
 
     def __init__(self, backend: Backend, metronome: Metronome) -> None:
         """Wrap a backend that has no clock of its own."""
-        self.backend, self.metronome = backend, metronome
-
-    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
-        """Pass on to a backend that draws random numbers."""
-        if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, rows)
-
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
-        """Pass on to a backend that has grippers."""
-        if isinstance(self.backend, Gripping):
-            self.backend.grip(grip, rows)
+        super().__init__(backend)
+        self.metronome = metronome
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.config import Interval, dump, from_mapping, load, to_mapping
+from kinfeas.config import Interval, assigned, dump, from_mapping, load, to_mapping
 from kinfeas.errors import KinfeasError
 
 
@@ -123,6 +123,16 @@ def test_override_wins(tmp_path, override, changed):
     path = write(tmp_path, "robot: pr2\nwindow: [0, 1]\n")
     expected = {"robot": "pr2", "window": (0.0, 1.0), **changed}
     assert load(Recipe, path, [override]) == Recipe(**expected)
+
+
+def test_assignments_alone_are_nested_mappings():
+    assert assigned(["a.b=1", "a.c=[x]", "d=null"]) == {"a": {"b": 1, "c": ["x"]}, "d": None}
+    with pytest.raises(KinfeasError, match=r"--set gain: must be of the form key=value or"):
+        assigned(["gain"])
+    with pytest.raises(
+        KinfeasError, match=r"--set a\.b=2: unknown key 'a\.b', for 'a' has no keys"
+    ):
+        assigned(["a=1", "a.b=2"])
 
 
 def test_override_keeps_the_rest_of_the_files_block(tmp_path):

@@ -1,7 +1,5 @@
 """Columns are found by name, and what is wrong is named with its line."""
 
-import csv
-
 import pytest
 
 from kinfeas.csv_table import read_csv
@@ -42,8 +40,8 @@ def test_names_what_is_wrong(tmp_path, text, problem):
     assert str(caught.value) == f"{path}, {problem}"
 
 
-def test_what_is_no_csv_stays_the_callers_affair(tmp_path):
-    with pytest.raises(OSError, match="No such file"):
+def test_what_cannot_be_read_as_csv_is_named(tmp_path):
+    with pytest.raises(KinfeasError, match=r"none\.csv: cannot be read: No such file"):
         read_csv(tmp_path / "none.csv", lambda names: names)
-    with pytest.raises(csv.Error):
+    with pytest.raises(KinfeasError, match=r"\.csv: is no CSV file: unexpected end of data"):
         read_csv(write(tmp_path, 'a\n"1'), lambda names: names)

@@ -153,7 +153,7 @@ def test_bad_archives_are_refused(tmp_path, replaced, message):
     ("name", "content", "message"),
     [
         ("one.csv", b"", "column 'time' is missing"),
-        ("one.csv", b"\xff\xfe\x00", "is no CSV file"),
+        ("one.csv", b"\xff\xfe\x00", "not a text file in UTF-8"),
         ("one.csv", b'time,"ee_x\n', "is no CSV file"),
         ("one.npz", b"PK\x03\x04 cut", "is no NPZ file"),
         ("one.npz", b"", "is no NPZ file"),

@@ -19,12 +19,21 @@ needs_sphinx = pytest.mark.skipif(
 def site(tmp_path_factory):
     """The built site."""
     out = tmp_path_factory.mktemp("site")
-    build = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet"]
+    build = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "--fail-on-warning",
+        "--keep-going",
+        "--quiet",
+        "--jobs",
+        "2",
+    ]
     done = subprocess.run(
         [*build, "--doctree-dir", out / "doctrees", DOCS, out / "html"],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
         env={**os.environ, "PYTHONWARNINGS": "ignore"},
         check=False,
     )

@@ -57,6 +57,11 @@ def killed_while_writing(monkeypatch, folder, text, after):
     return False
 
 
+def test_a_folder_without_a_name_is_found_where_it_is():
+    assert find_folder(Path()) == Path()
+    assert find_folder(Path("/")) == Path("/")
+
+
 def test_takes_the_place_of_what_was_there(tmp_path):
     folder = tmp_path / "some" / "last"
     write(folder, "1")

@@ -19,8 +19,8 @@ def raising(error, package="outside"):
     return lambda: module.work(error)
 
 
-@pytest.mark.parametrize("error", [OwnError("oh"), KeyError("oh"), SystemExit("oh")])
-def test_anything_becomes_one_sentence_with_its_line(error):
+@pytest.mark.parametrize("error", [OwnError("oh"), KeyError("oh"), StopIteration("oh")])
+def test_any_exception_becomes_one_sentence_with_its_line(error):
     with pytest.raises(KinfeasError) as caught, Blaming("it fails:", "outside"):
         raising(error)()
     assert str(caught.value).startswith(f"it fails: {type(error).__name__}: ")
@@ -28,7 +28,9 @@ def test_anything_becomes_one_sentence_with_its_line(error):
     assert caught.value.__cause__ is error
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError(), KinfeasError("known")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), SystemExit(1), MemoryError(), KinfeasError("known")]
+)
 def test_what_is_nobodys_mistake_passes(error):
     with pytest.raises(type(error)) as caught, Blaming("it fails:", "outside"):
         raise error

@@ -19,6 +19,7 @@ LAYERS = (
             "errors",
             "foreign",
             "docstrings",
+            "files",
             "folders",
             "strict_yaml",
             "schema",
@@ -33,6 +34,7 @@ LAYERS = (
             "robots",
             "motion",
             "motion_checks",
+            "motion_rules",
             "motion_trial",
             "single_motion",
             "backend",
@@ -41,6 +43,7 @@ LAYERS = (
             "demonstrations",
             "csv_table",
             "record",
+            "rows",
         },
     ),
     (
@@ -77,11 +80,7 @@ CONFINED = {
     "onnx": ("kinfeas.sim2real.export",),
     "onnxruntime": ("kinfeas.sim2real.policy_file",),
     "movement_primitives": ("kinfeas.plugins.forcing",),
-    "viser": (
-        "kinfeas.evaluation.scene_page",
-        "kinfeas.evaluation.replay_page",
-        "kinfeas.evaluation.film_page",
-    ),
+    "viser": ("kinfeas.evaluation.viser_page",),
 }
 
 # Where the packages lie in the tree; all others lie where their name says.

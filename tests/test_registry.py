@@ -20,6 +20,12 @@ SOUND = """
                 raise ValueError(f"height must be positive, not {height}")
             self.size = (height, width)
 
+    class Typed:
+        def __init__(self, height: float, shape: slice = slice(1)):
+            if height < 0.0:
+                raise ValueError(f"height must be positive, not {height}")
+            self.size = shape + "of a type that no file can hold"
+
     def anything(**parameters):
         return parameters
 
@@ -55,6 +61,7 @@ def install(tmp_path, monkeypatch):
 def sound(install):
     """A distribution of plugins that work."""
     motions = ["wave = sound_module:Wave", "any = sound_module:anything"]
+    motions += ["typed = sound_module:Typed"]
     motions += ["number = sound_module:NUMBER", "absent = sound_module:Absent"]
     robots = ["mine = sound_module:my_robot", "text = sound_module:no_path"]
     install("sound", "sound_module", SOUND, {MOTIONS: motions, "kinfeas.robots": robots})
@@ -105,6 +112,8 @@ def test_unknown_group():
         ("wave", {}, "the parameter 'height' is missing; known are height, width"),
         ("wave", {"height": -1}, "height must be positive, not -1"),
         ("wave", {"height": "x"}, "'<' not supported between instances of 'str' and 'float'"),
+        ("typed", {"height": "x"}, "'height' must be a finite number, not 'x'"),
+        ("typed", {"height": 1.0, "shape": 2}, "unsupported operand type(s) for +: 'int' and "),
     ],
 )
 def test_build_refuses_parameters(sound, name, parameters, expected):

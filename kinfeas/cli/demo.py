@@ -71,7 +71,7 @@ def free_folder(wanted: Path) -> Path:
     folder, number = wanted, 1
     while folder.exists():
         number += 1
-        folder = wanted.with_name(f"{wanted.name}-{number}")
+        folder = wanted.parent / f"{wanted.name}-{number}"
     if folder != wanted:
         sys.stderr.write(f"{wanted} is there already: this run goes to {folder}\n")
     return folder

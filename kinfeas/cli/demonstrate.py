@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import check_json_path, print_table, status, write_json
+from kinfeas.cli.output import check_file_path, print_table, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--picture",
             help="Draw the tries, and the shipped motions from other starts, into this PNG.",
-            callback=check_json_path,
+            callback=check_file_path,
         ),
     ] = None,
 ) -> None:
@@ -67,7 +67,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _make_folders(folder: Path) -> None:
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise KinfeasError(f"{folder}: is there already, --out needs a new or an empty folder")
@@ -106,7 +106,7 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
 def _draw(mechanism: str, exercise: "Exercise", takes: "Sequence[Take]", path: Path) -> None:
     from kinfeas.evaluation.demonstration_picture import demonstrations_figure
     from kinfeas.evaluation.pictures import png
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     figure = demonstrations_figure(mechanism, exercise, takes)
     with writing(path):

@@ -190,9 +190,13 @@ def _task(wanted: _Goal, config: "DeployConfig") -> "Task":
         for name in ("goal", "rpy", "quaternion", "generator"):
             if getattr(wanted, name) is not None:
                 raise KinfeasError(f"--{name} and --task exclude each other")
+        if config.generator:
+            raise KinfeasError("--set generator.KEY and --task exclude each other")
         return options.read_task(wanted.task, config.task)
     if wanted.goal is None:
         raise KinfeasError("say where to go: --goal X Y Z, or --task NAME or FILE")
+    if config.task:
+        raise KinfeasError("--set task.KEY needs --task")
     if wanted.rpy is not None and wanted.quaternion is not None:
         raise KinfeasError("--rpy and --quaternion exclude each other")
     return make_goal_task(
@@ -212,13 +216,18 @@ def _setup(wishes: _Wishes, robot: "Robot", config: "DeployConfig", task: "Task"
     from kinfeas.sim2real.warm_up import warm_up
 
     config.guards.check_rate(wishes.dt)
-    adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real else ()
+    adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
     warm_up(solver, policy, task, wishes.dt)
     if wishes.backend == _WORLD:
+        from kinfeas.config import from_mapping
+        from kinfeas.sim.physics import PhysicsConfig
         from kinfeas.sim.stage import Stage, task_scene
 
-        raw = build_backend(_WORLD, config.backend, robot=robot, scene=task_scene(task))
+        given = dict(config.backend)
+        if "physics" in given:
+            given["physics"] = from_mapping(PhysicsConfig, given["physics"], "backend.physics")
+        raw = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
         task = Stage(task, raw)
     else:
         raw = build_backend(wishes.backend, config.backend, robot=robot)
@@ -253,7 +262,7 @@ def _about(wishes: _Wishes, setup: "Setup") -> "About":
 
 def _record_path(about: "About") -> Path:
     """Return where a run is recorded if the user does not say it."""
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     folder = Path("runs/deploy")
     with writing(folder):

@@ -10,7 +10,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.filming import Episode, Replay, Video, show_episode
-from kinfeas.cli.output import check_json_path, print_table, progress, share, write_json
+from kinfeas.cli.output import check_file_path, print_table, progress, share, write_json
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from kinfeas.evaluation.physics_world import PhysicsTrial
     from kinfeas.evaluation.sim2real import Specs
     from kinfeas.policy import Policy
+    from kinfeas.robots.robot import Robot
 
     OnDone = Callable[[int], None]
     Run = Callable[[Specs, OnDone | None], Summary]
@@ -76,6 +77,14 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     without_objects: Annotated[
         bool, typer.Option("--without-objects", help="pybullet: an empty floor, no furniture.")
     ] = False,
+    look_ahead: Annotated[
+        bool,
+        typer.Option(
+            "--look-ahead",
+            help="Try the next 6 s out every 0.5 s, and deviate from the policy where it would "
+            "fail; many times slower.",
+        ),
+    ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
     sim2real: options.Sim2RealName = None,
     picture: Annotated[
@@ -84,7 +93,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--picture",
             help="Draw what --sim2real costs, and success against latency, noise and head start, "
             "into this PNG; takes fifteen evaluations more.",
-            callback=check_json_path,
+            callback=check_file_path,
         ),
     ] = None,
     video: Video = None,
@@ -106,10 +115,12 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     if picture is not None and sim2real is None:
         raise KinfeasError("--picture needs --sim2real")
-    adapters = _adapters(sim2real, robot) if sim2real else ()
+    if look_ahead:
+        policy = f"look_ahead:{policy}"
+    adapters = _adapters(sim2real, robot) if sim2real is not None else ()
     said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
-    said |= {"--video": video, "--replay": replay}
+    said |= {"--video": video, "--replay": replay, "--episode": episode or None}
     given = [name for name, value in said.items() if value is not None]
     count = episodes or _EPISODES[world]
     if world is WorldName.ANALYTIC:
@@ -142,12 +153,17 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _adapters(sim2real: str, robot: str) -> "Specs":
     """Return the adapters of a list, after a check that they can be built."""
+    adapters = options.read_adapters(sim2real)
+    _check_adapters(adapters, options.read_robot(robot))
+    return adapters
+
+
+def _check_adapters(adapters: "Specs", robot: "Robot") -> None:
+    """Raise if adapters cannot be built, before all that takes long."""
     from kinfeas.adapters import wrap
     from kinfeas.registry import build
 
-    adapters = options.read_adapters(sim2real)
-    wrap(build("kinfeas.backends", "analytic", {}), adapters, options.read_robot(robot))
-    return adapters
+    wrap(build("kinfeas.backends", "analytic", {}), adapters, robot)
 
 
 def _analytic(
@@ -159,13 +175,14 @@ def _analytic(
 ) -> "Run":
     from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, trial_ceiling
     from kinfeas.evaluation.evaluate import evaluate as judge
-    from kinfeas.evaluation.policies import load_policy
+    from kinfeas.evaluation.policies import load_driver
 
     policy, robot, task = names
     config = options.read_overrides(EvaluationConfig, overrides)
     known = options.read_robot(robot)
+    _check_adapters(config.world.adapters, known)
     trial = Trial(known, options.read_task(task, config.task), episodes, seed, config.world)
-    driver = load_policy(policy, known)
+    driver = load_driver(policy, known)
     with progress("ceiling") as advance:
         ceiling = trial_ceiling(trial, advance)
 
@@ -182,13 +199,14 @@ def _put_to(
 ) -> "tuple[PhysicsTrial, Policy]":
     """Return what a policy is put to with physics, and the policy."""
     from kinfeas.evaluation.physics_world import PhysicsTrial, physics_config
-    from kinfeas.evaluation.policies import load_policy
+    from kinfeas.evaluation.policies import load_driver
 
     policy, robot, task = names
     known = options.read_robot(robot)
     config = physics_config(known, overrides)
+    _check_adapters(config.world.adapters, known)
     read = options.read_task(task, config.task)
-    return PhysicsTrial(known, read, episodes, seed, config.world), load_policy(policy, known)
+    return PhysicsTrial(known, read, episodes, seed, config.world), load_driver(policy, known)
 
 
 def _physics(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli.output import check_json_path, progress, status
+from kinfeas.cli.output import check_file_path, progress, status
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -19,13 +19,13 @@ def _check_video(path: Path | None) -> Path | None:
         from kinfeas.evaluation.physics_film import check_film_path
 
         check_film_path(path)
-    return check_json_path(path)
+    return check_file_path(path)
 
 
 def _check_replay(path: Path | None) -> Path | None:
     if path is not None and path.suffix.lower() not in (".html", ".htm"):
         raise KinfeasError(f"{path}: a replay is a page and must end in .html")
-    return check_json_path(path)
+    return check_file_path(path)
 
 
 Video = Annotated[
@@ -75,7 +75,7 @@ def show_episode(
 
 def _write_page(film: "Film", path: Path) -> None:
     from kinfeas.evaluation.film_page import film_html
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     with status("page"), writing(path):
         path.write_text(film_html(film), encoding="utf-8")

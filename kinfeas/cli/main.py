@@ -4,6 +4,7 @@ Whatever is slow to import is imported within the commands, so that help appears
 """
 
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -32,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for _panel, _commands in {
+_PANELS: dict[str, dict[str, Callable[..., None]]] = {
     "See and train": {
         "demo": demo.demo,
         "train": train.train,
@@ -51,7 +52,8 @@ for _panel, _commands in {
         "deploy": deploy.deploy,
         "simulate": simulate.simulate,
     },
-}.items():
+}
+for _panel, _commands in _PANELS.items():
     for _name, _command in _commands.items():
         app.command(_name, rich_help_panel=_panel, epilog=epilog(_name))(_command)
 app.add_typer(plugins.app, name="plugins", rich_help_panel="Motions and scenes")

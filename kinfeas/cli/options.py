@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from kinfeas.cli import completion
-from kinfeas.cli.output import check_json_path
+from kinfeas.cli.output import check_file_path
 
 if TYPE_CHECKING:
     from kinfeas.adapters import AdapterSpec
@@ -68,7 +68,7 @@ Sim2RealName = Annotated[
 JsonPath = Annotated[
     Path | None,
     typer.Option(
-        "--json", help="Write the results as JSON to this file.", callback=check_json_path
+        "--json", help="Write the results as JSON to this file.", callback=check_file_path
     ),
 ]
 

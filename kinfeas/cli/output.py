@@ -1,7 +1,6 @@
 """What commands hand out: JSON, tables, and progress on the way."""
 
 import json
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,16 +10,21 @@ from typing import Any
 from kinfeas.errors import KinfeasError
 
 
-def check_json_path(path: Path | None) -> Path | None:
+def check_file_path(path: Path | None) -> Path | None:
     """Return `path` if a file can be written there, so that no work is done in vain.
+
+    A parameter's callback, for paths of any kind of file.
 
     Raises:
         KinfeasError: If it cannot.
     """
     if path is not None:
         if path.is_dir():
-            raise KinfeasError(f"{path}: is a folder, --json needs the path of a file")
-        _in_folder(path, lambda: tempfile.TemporaryFile(dir=path.parent).close())
+            raise KinfeasError(f"{path}: is a folder, not the path of a file")
+        try:
+            tempfile.TemporaryFile(dir=path.parent).close()
+        except OSError as error:
+            raise KinfeasError(f"{path}: cannot be written: {error.strerror}") from error
     return path
 
 
@@ -30,17 +34,10 @@ def write_json(data: object, path: Path) -> None:
     Raises:
         KinfeasError: If the file cannot be written.
     """
+    from kinfeas.files import write_file
 
-    def write() -> None:
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            text = json.dumps(data, indent=2, allow_nan=False) + "\n"
-            temporary.write_text(text, encoding="utf-8")
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-
-    _in_folder(path, write)
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    write_file(path, text.encode())
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -61,7 +58,9 @@ def progress(text: str, total: float = 1.0) -> Iterator[Callable[[float], None]]
     """Show a bar on standard error; yield a function that takes how much has just been done."""
     from rich.progress import Progress
 
-    with Progress(console=_console(), transient=True) as bar:
+    # Into a file or a pipe, a bar would leave empty lines.
+    console = _console()
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(text, total=total)
         yield lambda amount: bar.advance(task, amount)
 
@@ -83,10 +82,3 @@ def _console() -> Any:
     from rich.console import Console
 
     return Console(stderr=True)
-
-
-def _in_folder(path: Path, work: Callable[[], None]) -> None:
-    try:
-        work()
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,13 +1,12 @@
 """`kinfeas plugins check`: whether a motion generator keeps its contract."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinfeas.cli import completion, options
-from kinfeas.cli.output import check_json_path, print_table, progress, status, write_json
+from kinfeas.cli.output import check_file_path, print_table, progress, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -15,11 +14,6 @@ if TYPE_CHECKING:
     from kinfeas.testing import Finding
 
 _GROUP = "kinfeas.motion_generators"
-
-
-@dataclass(frozen=True)
-class _Settings:
-    parameters: dict[str, object] = field(default_factory=dict)
 
 
 def check(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -46,7 +40,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     picture: Annotated[
         Path | None,
         typer.Option(
-            "--picture", help="Draw sample motions into this PNG.", callback=check_json_path
+            "--picture", help="Draw sample motions into this PNG.", callback=check_file_path
         ),
     ] = None,
     json: options.JsonPath = None,
@@ -56,9 +50,10 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     Settings: the generator's own parameters, such as [bold]gain=0.2[/]. It ends with exit code 2
     if a rule is broken.
     """
+    from kinfeas.config import assigned
     from kinfeas.motion_trial import Trial
 
-    parameters = _parameters(overrides or [])
+    parameters = assigned(overrides or [])
     trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
     findings = _examine(name, parameters, trial)
     if json is not None:
@@ -67,13 +62,6 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     if picture is not None:
         _draw(name, parameters, trial, picture)
     _judge(name, findings)
-
-
-def _parameters(overrides: list[str]) -> dict[str, object]:
-    from kinfeas.config import from_mapping
-
-    under = [f"parameters.{text}" for text in overrides]
-    return from_mapping(_Settings, {}, "settings", under).parameters
 
 
 def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["Finding"]:
@@ -89,7 +77,7 @@ def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) 
     from kinfeas import registry
     from kinfeas.evaluation.motion_picture import motion_figure
     from kinfeas.evaluation.pictures import png
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
     from kinfeas.motion_checks import CheckedMotion
     from kinfeas.motion_trial import sample_motions
 

@@ -47,7 +47,7 @@ def weigh(
     if picture is not None:
         from kinfeas.evaluation.pictures import png
         from kinfeas.evaluation.sim2real_picture import sim2real_figure
-        from kinfeas.folders import writing
+        from kinfeas.files import writing
 
         title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)
         with status("drawing"), writing(picture):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import check_json_path, print_table, status, write_json
+from kinfeas.cli.output import check_file_path, print_table, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     json: options.JsonPath = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", help="Draw it into this PNG.", callback=check_json_path),
+        typer.Option("--picture", help="Draw it into this PNG.", callback=check_file_path),
     ] = None,
     html: Annotated[
         Path | None,
@@ -44,7 +44,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--html",
             help="Write a page in which to turn it about: the run as it went, or the scene with "
             "its doors opening and closing.",
-            callback=check_json_path,
+            callback=check_file_path,
         ),
     ] = None,
     live: Annotated[
@@ -56,7 +56,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Check a scene and show what stands in it, or replay a recorded run.
 
-    Settings: every key of the scene, such as [bold]objects.box.position=[1,0,0.5][/].
+    Settings: every key of the scene, such as [bold]objects.box.position=[1,0,0.115][/].
     """
     if record is not None:
         given = {"--scene": scene, "--set": overrides, "--live": live or None}
@@ -67,7 +67,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
         return
     from kinfeas.scenes.scene import read_scene
 
-    found = read_scene(scene or "room", overrides or ())
+    found = read_scene("room" if scene is None else scene, overrides or ())
     if json is not None:
         write_json(_facts(found), json)
     if picture is not None:
@@ -82,7 +82,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
     from kinfeas.record import read_record
 
     run = read_record(path)
@@ -104,7 +104,7 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
     from kinfeas.evaluation.pictures import png
     from kinfeas.evaluation.replay import replay_figure
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     with writing(path):
         path.write_bytes(png(replay_figure(run, robot), dpi=110))
@@ -178,7 +178,7 @@ def _facts(scene: "Scene") -> dict[str, object]:
 def _draw(scene: "Scene", path: Path) -> None:
     from kinfeas.evaluation.pictures import png
     from kinfeas.evaluation.scene_picture import scene_figure
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     figure = scene_figure(scene)
     with writing(path):
@@ -187,7 +187,7 @@ def _draw(scene: "Scene", path: Path) -> None:
 
 def _write_page(scene: "Scene", path: Path) -> None:
     from kinfeas.evaluation.scene_page import ScenePage
-    from kinfeas.folders import writing
+    from kinfeas.files import writing
 
     page = ScenePage(scene)
     try:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from kinfeas.evaluation.episode_picture import episodes_figure
 from kinfeas.evaluation.pictures import STYLE, png
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.evaluation.recording import Recording, record_episodes
-from kinfeas.folders import writing
+from kinfeas.files import writing
 from kinfeas.tasks.loading import load_task
 
 
@@ -52,12 +53,12 @@ class Findings:
     jobs: Sequence[Job]
     results: Sequence[Result]
 
-    @property
+    @cached_property
     def cells(self) -> list[Cell]:
         """The table of the analytic world."""
         return tabulate(*self._found(physical=False))
 
-    @property
+    @cached_property
     def physics(self) -> list[PhysicsCell]:
         """The table of the PyBullet world; empty if it was not asked for."""
         return tabulate_physics(*self._found(physical=True), self.cells)

@@ -20,7 +20,7 @@ from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics import is_judged, physics_figures, run_part
 from kinfeas.evaluation.physics_world import PhysicsSettings, PhysicsTrial, to_lists
 from kinfeas.evaluation.policies import BASELINES, load_policy
-from kinfeas.folders import writing
+from kinfeas.files import writing
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network
 from kinfeas.robots.robot import Robot
@@ -123,7 +123,7 @@ def run_jobs(
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    whole = [identity(job) for job in jobs]
+    whole = _identities(jobs)
     paths = [folder / f"{job.name}-{_key(one)}.json" for job, one in zip(jobs, whole, strict=True)]
     found: list[Result | None] = [
         _stored(path, one) for path, one in zip(paths, whole, strict=True)
@@ -174,6 +174,22 @@ def _compute_part(job: Job, robot: Robot, task: Task, settings: PhysicsSettings)
     records = run_part(trial, load_policy(job.source, robot), episodes)
     figures = physics_figures(records, judged=is_judged(trial))
     return {"figures": figures, "records": to_lists(records)}
+
+
+def _identities(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+    """Return the identities of jobs; robot, scene and policy are read once for parts of a cell."""
+    known: dict[tuple[object, ...], dict[str, Any]] = {}
+    found = []
+    for job in jobs:
+        if not job.physical:
+            found.append(identity(job))
+            continue
+        told = json.dumps([job.parameters, config.to_mapping(job.world)])
+        cell = (job.robot, job.task, job.policy, job.source, job.seed, told)
+        if cell not in known:
+            known[cell] = identity(job)
+        found.append({**known[cell], "episodes": job.episodes, "first": job.first})
+    return found
 
 
 def _physical_identity(job: Job) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from kinfeas.evaluation.physics_framing import Framing, frame, visible
 from kinfeas.evaluation.physics_recording import PhysicsRecording
 from kinfeas.evaluation.physics_world import PhysicsTrial, PhysicsWorld
 from kinfeas.evaluation.pictures import DESIRED, EE, FAILURE, GOAL, INK
-from kinfeas.folders import writing
+from kinfeas.files import writing
 from kinfeas.sim.camera import Picture, covered_floor, paint_floor, show_moment, take_picture
 from kinfeas.sim.physics import Physics
 from kinfeas.spatial import Array
@@ -29,9 +30,9 @@ SUFFIXES = (".gif", ".mp4", ".png")
 
 SIZE = (480, 360)
 _FINER = 2  # pixels in each direction that are averaged into one
-_GIF, _MP4 = (10.0, 70), (25.0, 300)  # pictures per second, and at most in all
+_GIF, _MP4 = (8.0, 56), (25.0, 300)  # pictures per second, and at most in all
 _REST_SECONDS = 1.5  # in which the end is shown
-_COLOURS = 64  # of a GIF
+_COLOURS = 96  # of a GIF
 _PANELS = (2, 2)  # of a PNG
 _OFF_THE_WALLS = 0.3  # m
 _HIDDEN = 0.3  # how opaque is what lies behind something
@@ -50,28 +51,29 @@ class Film:
         physics: A world with the same bodies.
         framing: Where the camera is.
         title: What stands below, before the time.
+        size: Width and height of its pictures in pixels.
     """
 
     recording: PhysicsRecording
     physics: Physics
     framing: Framing
     title: str
+    size: tuple[int, int] = SIZE
 
-    def picture(self, moment: int, size: tuple[int, int] = SIZE, speed: float = 1.0) -> Image.Image:
+    def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
         """Return the picture of one moment.
 
         Args:
             moment: Its number.
-            size: Width and height in pixels.
             speed: How many times faster than it happened it is shown.
         """
-        width, height = (_FINER * side for side in size)
+        width, height = (_FINER * side for side in self.size)
         show_moment(self.physics, self.recording.moments[moment])
         eye, target = self.framing.eye[moment], self.framing.target[moment]
         seen = take_picture(self.physics, eye, target, (width, height))
         image = Image.fromarray(_shaded(seen, self.physics, target)).convert("RGBA")
         image.alpha_composite(_paths(seen, self.recording, moment))
-        small = image.convert("RGB").resize(size, Image.Resampling.BOX)
+        small = image.convert("RGB").resize(self.size, Image.Resampling.BOX)
         _write_below(small, self._caption(moment, speed), self._failures(moment))
         return small
 
@@ -259,8 +261,8 @@ def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:
 def _write_gif(pictures: Iterator[Image.Image], path: Path, rate: float) -> None:
     shown = list(pictures)
     # One palette for all, of some of them, so that what stands still looks the same throughout.
-    some = shown[:: max(1, len(shown) // 8)]
-    width, height = SIZE
+    some = [*shown[:: max(1, len(shown) // 8)], shown[-1]]
+    width, height = shown[0].size
     sheet = Image.new("RGB", (width, height * (len(some) + 1)), "white")
     for number, picture in enumerate(some):
         sheet.paste(picture, (0, number * height))
@@ -276,15 +278,14 @@ def _write_gif(pictures: Iterator[Image.Image], path: Path, rate: float) -> None
 
 def _write_mp4(pictures: Iterator[Image.Image], path: Path, rate: float) -> None:
     av = _av()
+    shown = list(pictures)
+    shown += [shown[-1]] * round(_REST_SECONDS * rate)
     with av.open(str(path), "w") as file:
         stream = file.add_stream("libx264", rate=round(rate), options={"crf": "23"})
-        stream.width, stream.height = SIZE
+        stream.width, stream.height = shown[0].size
         stream.pix_fmt = "yuv420p"
-        last = None
-        for last in pictures:
-            file.mux(stream.encode(av.VideoFrame.from_image(last)))
-        for _ in range(round(_REST_SECONDS * rate) if last is not None else 0):
-            file.mux(stream.encode(av.VideoFrame.from_image(last)))
+        for picture in shown:
+            file.mux(stream.encode(av.VideoFrame.from_image(picture)))
         file.mux(stream.encode(None))
 
 
@@ -302,6 +303,7 @@ def _paint(physics: Physics, path: Path) -> None:
     paint_floor(physics, path)
 
 
+@cache
 def _rgba(colour: str, opaque: float) -> tuple[int, int, int, int]:
     red, green, blue = (round(255.0 * part) for part in to_rgb(colour))
     return red, green, blue, round(255.0 * opaque)

@@ -50,6 +50,8 @@ BASELINES: dict[str, Callable[[Robot], Policy]] = {
 }
 """Base motions that need no training."""
 
+_LOOK_AHEAD = "look_ahead:"
+
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Those that a trained policy is always set beside: they cost nothing and need no extra."""
 
@@ -76,3 +78,16 @@ def load_policy(name: str, robot: Robot) -> Policy:
 
         return read_policy_file(Path(name), robot)
     return policy.read_network(Path(name), robot)
+
+
+def load_driver(name: str, robot: Robot) -> Policy:
+    """Return what `load_policy` does, or for `look_ahead:NAME` that policy, looking ahead.
+
+    Raises:
+        KinfeasError: As `load_policy`.
+    """
+    if not name.startswith(_LOOK_AHEAD):
+        return load_policy(name, robot)
+    from kinfeas.look_ahead import LookAhead
+
+    return LookAhead(load_policy(name.removeprefix(_LOOK_AHEAD), robot))

@@ -1,25 +1,20 @@
 """A recorded run as a page that stands alone, by viser: the robot moves as it did."""
 
-from contextlib import redirect_stdout
-from io import StringIO
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas import spatial
-from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.pictures import BASE, DESIRED, EE, FAILURE, GOAL
 from kinfeas.evaluation.recording import Recording
 from kinfeas.evaluation.solids import bodies, parts
+from kinfeas.evaluation.viser_page import Paths, draw_paths, rgb, serving
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
-_BODY, _ARM, _FLOOR = "#c3c9d2", "#5b93cf", (245, 246, 248)
+_BODY, _ARM = "#c3c9d2", "#5b93cf"
 _RATE, _MOST = 15.0, 1200  # pictures per second of the run, and at most in all
-_AROUND = 1.5  # m, of floor beyond the paths
 _UP = np.array([0.0, 0.0, 1.0])
 _CAMERA = np.array([1.8, -2.6, 2.0])  # m, from the middle of the paths
 
@@ -35,21 +30,15 @@ def replay_html(recording: Recording, robot: Robot, times: Array) -> str:
     Raises:
         KinfeasError: If viser is not installed.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise KinfeasError(
-            "viser is not installed, which pages need: pip install 'kinfeas[view]'"
-        ) from error
-    with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-        server: Any = viser.ViserServer("127.0.0.1", 0, robot.name, verbose=False)
-    try:
-        _draw_paths(server, recording)
+    desired, ee = recording.desired[:, :3], recording.ee_pose[:, :3]
+    failures = desired[~recording.feasible]
+    paths = Paths(recording.base_pose[:, :3], desired, ee, recording.goals[:, :3], failures)
+    with serving(robot.name) as server:
+        middle, size = draw_paths(server, paths)
+        server.initial_camera.position = middle + _CAMERA * max(1.0, size / 4.0)
+        server.initial_camera.look_at = middle + 0.5 * _UP
         solids = _draw_robot(server, robot)
         return _film(server, solids, (recording, robot, times))
-    finally:
-        with redirect_stdout(StringIO()):
-            server.stop()
 
 
 def _film(server: Any, solids: dict[int, Any], run: tuple[Recording, Robot, Array]) -> str:
@@ -93,38 +82,6 @@ def _draw_robot(server: Any, robot: Robot) -> dict[int, Any]:
         ]
         colour = _ARM if any(face.arm for face in mine) else _BODY
         solids[body] = server.scene.add_mesh_simple(
-            f"/robot/{body}", corners, np.array(triangles), color=_rgb(colour), flat_shading=True
+            f"/robot/{body}", corners, np.array(triangles), color=rgb(colour), flat_shading=True
         )
     return solids
-
-
-def _draw_paths(server: Any, recording: Recording) -> None:
-    base, ee = recording.base_pose[:, :3], recording.ee_pose[:, :3]
-    points = np.concatenate([base, ee, recording.goals[:, :3]])
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, size = (low + high) / 2.0, high - low + 2.0 * _AROUND
-    middle[2] = 0.0
-    show = server.scene
-    server.initial_camera.position = middle + _CAMERA * max(1.0, float(size.max()) / 4.0)
-    server.initial_camera.look_at = middle + 0.5 * _UP
-    show.add_grid(
-        "/floor", size[0], size[1], cell_size=0.5, plane_color=_FLOOR, plane_opacity=1,
-        position=middle,
-    )  # fmt: skip
-    for name, path, colour in (
-        ("base", base + 0.01 * _UP, BASE),
-        ("desired", recording.desired[:, :3], DESIRED),
-        ("ee", ee, EE),
-    ):
-        if len(path) > 1:
-            lines = np.stack([path[:-1], path[1:]], axis=1)
-            show.add_line_segments(f"/paths/{name}", lines, _rgb(colour))
-    for number, goal in enumerate(recording.goals):
-        show.add_icosphere(f"/goals/{number}", 0.03, color=_rgb(GOAL), position=goal[:3])
-    failed = ee[~recording.feasible]
-    if len(failed):
-        show.add_point_cloud("/failures", failed, _rgb(FAILURE), point_size=0.02)
-
-
-def _rgb(colour: str) -> tuple[int, ...]:
-    return tuple(round(255.0 * part) for part in to_rgb(colour))

@@ -1,19 +1,15 @@
 """A scene to turn about in a browser, by viser: a page that stands alone, or one with sliders."""
 
 from collections.abc import Mapping
-from contextlib import redirect_stdout
-from io import StringIO
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
 
-from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.scene_picture import painted_shapes
+from kinfeas.evaluation.viser_page import rgb, start_server, stop_server, wxyz
 from kinfeas.robots.tree import Joint
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.spatial import Array
 
 _FRAMES, _RATE = 90, 30.0  # of the film in which everything opens and closes, and frames per second
 _TURN = 3.0  # rad, how far a joint without limits is turned
@@ -34,15 +30,7 @@ class ScenePage:
     """
 
     def __init__(self, scene: Scene, port: int = 0) -> None:
-        try:
-            import viser
-        except ImportError as error:
-            raise KinfeasError(
-                "viser is not installed, which pages need: pip install 'kinfeas[view]'"
-            ) from error
-        self._scene = scene
-        with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-            self._server: Any = viser.ViserServer("127.0.0.1", port, scene.name, verbose=False)
+        self._scene, self._server = scene, start_server(scene.name, port)
         self._solids = self._draw()
 
     @property
@@ -83,12 +71,11 @@ class ScenePage:
         moved = painted_shapes(self._scene.with_joints(positions))
         for solid, (name, shape, _) in zip(self._solids, moved, strict=True):
             if name in positions:
-                solid.position, solid.wxyz = shape.pose[:3], _wxyz(shape.pose)
+                solid.position, solid.wxyz = shape.pose[:3], wxyz(shape.pose)
 
     def close(self) -> None:
         """Stop the server."""
-        with redirect_stdout(StringIO()):
-            self._server.stop()
+        stop_server(self._server)
 
     def _draw(self) -> list[Any]:
         show, size = self._server.scene, self._scene.size
@@ -102,15 +89,14 @@ class ScenePage:
         }
         solids = []
         for number, (name, shape, colour) in enumerate(painted_shapes(self._scene)):
-            placed = {"position": shape.pose[:3], "wxyz": _wxyz(shape.pose)}
-            rgb = tuple(round(255.0 * part) for part in to_rgb(colour))
+            placed = {"position": shape.pose[:3], "wxyz": wxyz(shape.pose)}
             make, measures = kinds[shape.kind]
             sizes = (
                 dict(zip(measures, shape.size, strict=True))
                 if measures
                 else {"dimensions": shape.size}
             )
-            solids.append(make(f"/{name}/{number}", color=rgb, **sizes, **placed))
+            solids.append(make(f"/{name}/{number}", color=rgb(colour), **sizes, **placed))
         return solids
 
     def _joints(self) -> list[tuple[str, Joint]]:
@@ -132,7 +118,3 @@ class ScenePage:
 
 def _range(joint: Joint) -> tuple[float, float]:
     return max(joint.lower, -_TURN), min(joint.upper, _TURN)
-
-
-def _wxyz(pose: Array) -> Array:
-    return np.roll(pose[3:], 1)

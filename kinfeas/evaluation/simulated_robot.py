@@ -183,7 +183,7 @@ def set_stage(
     Raises:
         KinfeasError: If PyBullet is not installed, or the scene is unknown or broken.
     """
-    around = task_scene(task) if task else read_scene(scene) if scene else None
+    around = task_scene(task) if task else read_scene(scene) if scene is not None else None
     physics = physics_config(robot).world.physics
     backend = PyBulletBackend(robot, around, gui=gui, physics=physics)
     if task is None:

@@ -11,6 +11,7 @@ from defusedxml import DefusedXmlException, ElementTree
 from scipy.spatial.transform import Rotation
 
 from kinfeas.errors import KinfeasError
+from kinfeas.files import read_file
 from kinfeas.spatial import Array, make_pose
 
 MAX_BYTES = 10_000_000
@@ -111,13 +112,7 @@ def read_xml(path: Path, tag: str) -> Element:
         KinfeasError: If `path` is not a readable file of at most `MAX_BYTES`, is not XML, declares
             a document type, or begins with another element.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(content) > MAX_BYTES:
-        raise KinfeasError(f"{path}: too large, at most {MAX_BYTES} bytes are allowed")
+    content = read_file(path, MAX_BYTES)
     try:
         xml = ElementTree.fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:

@@ -10,7 +10,7 @@ from string import Template
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.folders import writing
+from kinfeas.files import writing
 from kinfeas.schema import no_such
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")

@@ -14,7 +14,8 @@ from kinfeas import config as configuration
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.folders import find_folder, write_folder, writing
+from kinfeas.files import writing
+from kinfeas.folders import find_folder, write_folder
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network, write_network
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner

@@ -101,3 +101,43 @@ def test_publishing_needs_runs(kinfeas, study, tmp_path, monkeypatch):
     outcome = run(kinfeas, "--config", study, *arguments)
     assert is_one_line(outcome), outcome.err
     assert "--publish needs policies" in outcome.err
+
+
+PHYSICS = """
+robots: [hsr]
+tasks: [ggr]
+policies: pretrained
+baselines: {follow_ee: [ggr]}
+physics:
+  settings: ["world.max_seconds=0.3"]
+"""
+
+
+def test_physics_stand_beside_the_same_without(kinfeas, tmp_path):
+    pytest.importorskip("pybullet")
+    (tmp_path / "physics.yaml").write_text(PHYSICS)
+    arguments = ("--config", "physics.yaml", "--world", "pybullet", "--episodes", "2")
+    outcome = run(kinfeas, *arguments, "--json", "out.json")
+    assert outcome.code == 0, outcome.err
+    assert outcome.out.splitlines()[-3:] == ["out/table.md", "out/table.json", "out/table.png"]
+    entries = json.loads((tmp_path / "out.json").read_text())
+    assert [(entry["policy"], entry["world"]) for entry in entries] == [
+        ("pretrained", "pybullet"),
+        ("follow_ee", "pybullet"),
+    ]
+    assert entries[0]["analytic_success"] > entries[0]["success"] == 0.0
+    assert entries[0]["paper_success"] == 0.644
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--config", "benchmark/physics"), "needs --world pybullet"),
+        (("--config", "benchmark/study", "--world", "pybullet"), "has no 'physics'"),
+        (("--world", "pybullet", "--publish", "ship"), "is for studies of the analytic world"),
+    ],
+)
+def test_each_study_has_its_world(kinfeas, arguments, words):
+    outcome = run(kinfeas, *arguments)
+    assert is_one_line(outcome), outcome.err
+    assert words in outcome.err

@@ -5,22 +5,7 @@ from tests.cli.conftest import TINY, is_one_line
 QUICK = ("--minutes", "0.01", "--episodes", "3", *TINY)
 
 
-def test_demo_reports_beside_baselines_and_ceiling(kinfeas, tmp_path):
-    outcome = kinfeas("demo", *QUICK)
-    assert outcome.code == 0, outcome.err
-    for name in ("trained policy", "follow_ee", "follow_ee_feedback", "ceiling", "paper"):
-        assert name in outcome.out
-    run = tmp_path / "runs" / "demo"
-    assert f"report: {run.relative_to(tmp_path) / 'report.html'}" in outcome.out
-    page = (run / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 2
-    assert "kinfeas demo --robot pr2 --minutes 0.01 --seed 0" in page
-    assert json.loads((run / "evaluation.json").read_text())["ceiling"] > 0.0
-    for picture in ("learning_curve.png", "episodes.png"):
-        assert (run / picture).read_bytes().startswith(b"\x89PNG")
-
-
-def test_demo_overwrites_nothing(kinfeas, tmp_path):
+def test_demo_reports_beside_baselines_and_ceiling_and_overwrites_nothing(kinfeas, tmp_path):
     taken = tmp_path / "runs" / "demo"
     taken.mkdir(parents=True)
     (taken / "mine").write_text("keep")
@@ -29,7 +14,16 @@ def test_demo_overwrites_nothing(kinfeas, tmp_path):
     assert outcome.code == 0, outcome.err
     assert "runs/demo is there already: this run goes to runs/demo-3" in outcome.err
     assert [path.name for path in taken.iterdir()] == ["mine"]
-    assert (tmp_path / "runs" / "demo-3" / "report.html").is_file()
+    for name in ("trained policy", "follow_ee", "follow_ee_feedback", "ceiling", "paper"):
+        assert name in outcome.out
+    run = tmp_path / "runs" / "demo-3"
+    assert f"report: {run.relative_to(tmp_path) / 'report.html'}" in outcome.out
+    page = (run / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 2
+    assert "kinfeas demo --robot pr2 --minutes 0.01 --seed 0" in page
+    assert json.loads((run / "evaluation.json").read_text())["ceiling"] > 0.0
+    for picture in ("learning_curve.png", "episodes.png"):
+        assert (run / picture).read_bytes().startswith(b"\x89PNG")
 
 
 def test_bad_input_is_one_line(kinfeas, tmp_path):

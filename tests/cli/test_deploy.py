@@ -7,6 +7,7 @@ import time
 import pytest
 
 from kinfeas.record import REACHED, read_record
+from tests.cli.conftest import is_one_line
 
 QUICK = ("--set", "generator.gain=1", "--set", "slow_down=1")
 GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")
@@ -17,7 +18,8 @@ from kinfeas.cli import main
 try:
     main.main()
 finally:
-    heavy = {"torch", "stable_baselines3", "sklearn", "matplotlib", "pybullet"}
+    heavy = {"torch", "stable_baselines3", "sklearn", "matplotlib", "pybullet", "onnxruntime",
+             "scipy.stats", "scipy.optimize", "kinfeas.baselines"}
     print("imported:", sorted(heavy & set(sys.modules)))
 """
 
@@ -76,6 +78,16 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     ((*GOAL, "--set", "guards.sped=1"), "guards.sped"),
     ((*GOAL, "--set", "guards.speed=-1"), "'guards.speed' must be a number > 0"),
     ((*GOAL, "--set", "backend.wheels=3"), "unknown parameter 'wheels'"),
+    ((*GOAL, "--set", "task.orientation=so3"), "--set task.KEY needs --task"),
+    ((*GOAL[:2], "--task", "ggr", *QUICK), "--set generator.KEY and --task exclude each other"),
+    ((*GOAL[:2], "--task", "ggr", "--rpy", "0", "0", "0"), "--rpy and --task exclude each other"),
+    ((*GOAL, "--sim2real", ""), "unknown configuration 'sim2real/'"),
+    (("--backend", "pybullet", *GOAL[2:], "--set", "backend.scene=room"),
+     "backend 'pybullet': the parameter 'scene' follows from the run"),
+    (("--backend", "pybullet", *GOAL[2:], "--set", "backend.physics={gravity: -1}"),
+     "backend.physics: 'gravity' must be a number >= 0, not -1"),
+    (("--backend", "ros1", *GOAL[2:], "--set", "backend.patience=soon"),
+     "'patience' must be a finite number, not 'soon'"),
     ((*GOAL, "--generator", "linea"), "unknown motion generator 'linea'"),
     ((*GOAL, "--rate", "5"), "guards.max_age of 0.2 s needs a rate of at least 7.5 Hz, not 5 Hz"),
     ((*GOAL, "--record", "/nowhere/run.csv"), "cannot be written"),
@@ -87,6 +99,19 @@ def test_bad_input_is_one_line(kinfeas, arguments, message):
     assert message in done.err
     assert done.err.startswith("error: ")
     assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("policy", ["", "."])
+def test_a_folder_without_a_policy_is_none(kinfeas, policy):
+    done = kinfeas("deploy", policy, *GOAL)
+    assert is_one_line(done)
+    assert ".: not a training run or checkpoint" in done.err
+
+
+def test_a_run_that_cannot_begin_leaves_no_record(kinfeas, tmp_path):
+    done = kinfeas("deploy", "pretrained", "--backend", "ros1", *GOAL[2:])
+    assert is_one_line(done)
+    assert not list(tmp_path.rglob("*.csv"))
 
 
 def test_a_policy_of_another_robot_is_refused(kinfeas):

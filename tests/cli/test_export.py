@@ -81,6 +81,8 @@ def test_words_of_a_file_do_nothing_to_the_terminal(kinfeas, file):
         (("nowhere", "--out", "x.onnx"), "nowhere: not a training run or checkpoint"),
         (("run", "--out", "none/x.onnx"), "none/x.onnx: cannot be written"),
         (("run", "--out", "run"), "run: cannot be written"),
+        (("run", "--out", ""), ".: cannot be written"),
+        (("", "--out", "x.onnx"), ".: not a training run or checkpoint"),
         (("run", "--out", "x.onnx", "--robot", "hsr"), "a policy for robot 'pr2'"),
         (("run", "--out", "x.onnx", "--robot", "pr3"), "unknown robot 'pr3'"),
         (("pretrained", "--out", "x.onnx", "--json", "none/x.json"), "cannot be written"),

@@ -24,7 +24,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("use", [output.check_json_path, lambda path: output.write_json(1, path)])
+@pytest.mark.parametrize("use", [output.check_file_path, lambda path: output.write_json(1, path)])
 def test_a_place_that_cannot_be_written(tmp_path, use):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "missing" / "out.json", tmp_path / "file" / "out.json"):
@@ -34,14 +34,14 @@ def test_a_place_that_cannot_be_written(tmp_path, use):
 
 def test_a_folder_is_no_file(tmp_path):
     with pytest.raises(KinfeasError, match="is a folder"):
-        output.check_json_path(tmp_path)
+        output.check_file_path(tmp_path)
 
 
 def test_checking_leaves_nothing_behind(tmp_path):
     path = tmp_path / "out.json"
-    assert output.check_json_path(path) == path
-    assert output.check_json_path(None) is None
-    assert output.check_json_path(Path("out.json")) == Path("out.json")
+    assert output.check_file_path(path) == path
+    assert output.check_file_path(None) is None
+    assert output.check_file_path(Path("out.json")) == Path("out.json")
     assert list(tmp_path.iterdir()) == []
 
 

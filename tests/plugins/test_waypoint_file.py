@@ -64,7 +64,7 @@ def test_names_what_is_wrong(tmp_path, name, text, problem):
 def test_names_a_file_that_is_not_there(tmp_path, name):
     with pytest.raises(KinfeasError, match=f"{name}: cannot be read: No such file"):
         read_waypoints(tmp_path / name)
-    with pytest.raises(KinfeasError, match="is no CSV file"):
+    with pytest.raises(KinfeasError, match="not a text file in UTF-8"):
         path = tmp_path / "w.csv"
         path.write_bytes(b"\xff\xfe\x00")
         read_waypoints(path)

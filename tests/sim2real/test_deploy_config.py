@@ -24,6 +24,11 @@ def test_a_backend_is_given_what_it_asks_for(monkeypatch):
     assert build_backend("mine", {"wheels": 4}, robot="pr2", scene="room") == ("pr2", 4)
 
 
+def test_what_follows_from_the_run_is_not_to_be_set():
+    with pytest.raises(KinfeasError, match="'pybullet': the parameter 'robot' follows from the"):
+        build_backend("pybullet", {"robot": "hsr"}, robot="pr2")
+
+
 def test_the_analytic_world_asks_for_nothing():
     build_backend("analytic", {}, robot="pr2", scene=None).close()
     with pytest.raises(KinfeasError, match="unknown parameter 'gravity'"):

@@ -102,7 +102,7 @@ def change(folder, key, values):
         ("world.steps", None),
         ("world.steps", lambda t: t[:3]),
         ("world.desired", None),
-        ("world.base_noise_seeds.unsigned", None),
+        ("world.BaseNoise.0.seeds.unsigned", None),
     ],
 )
 def test_a_foreign_tensor_is_a_clear_error(tiny, tmp_path, key, values):

@@ -8,7 +8,14 @@ from kinfeas import registry
 from kinfeas.envs.world import World
 from kinfeas.observation import scaled
 from kinfeas.policy import read_network, write_network
-from kinfeas.training.learner import explore, make_learner, network_of, without_denormals
+from kinfeas.training.learner import (
+    DEVIATION,
+    explore,
+    make_learner,
+    network_of,
+    take_network,
+    without_denormals,
+)
 from kinfeas.training.vec_env import WorldVecEnv
 
 
@@ -129,3 +136,20 @@ def test_denormals_are_flushed_for_a_while_only():
     with without_denormals():
         assert (tiny * 1.0).item() == 0.0
     assert (tiny * 1.0).item() == 1e-310
+
+
+def test_a_learner_acts_as_the_network_that_it_takes(config, env):
+    network = network_of(make_learner(config, env, 0), env.scale)
+    learner = make_learner(config, env, 1)
+    take_network(learner, network)
+    seen = observations(env)
+    np.testing.assert_array_equal(network_of(learner, env.scale)(seen), network(seen))
+    if config.algorithm == "td3":
+        for own, target in zip(
+            learner.actor.parameters(), learner.actor_target.parameters(), strict=True
+        ):
+            np.testing.assert_array_equal(own.detach(), target.detach())
+    else:
+        explored = np.arctanh(explore(learner, config, scaled(seen, env.scale), random=False))
+        spread = np.std(explored - np.arctanh(network(seen)))
+        assert spread == pytest.approx(DEVIATION, rel=0.3)

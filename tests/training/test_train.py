@@ -16,6 +16,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.policy import read_network
 from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
+from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import resume, train
 
 LEARNERS = {
@@ -412,3 +413,48 @@ def test_metrics_are_replaced_not_overwritten(half, monkeypatch):
         patch.setattr(logs.csv.DictWriter, "writerows", killed)
         resume(half)
     assert (half / "metrics.csv").read_bytes() == before
+
+
+def weights(out, name="last"):
+    return load_file(out / "checkpoints" / name / "policy.safetensors")
+
+
+def test_a_run_goes_on_from_a_policy_whose_shape_it_takes(finished, tiny, tmp_path):
+    # The critics learn all the time, the actor never does.
+    settings = tiny(f"init={finished}", "learner.hidden=[8]", "learner.critic_steps=9999")
+    out = tmp_path / "run"
+    assert train(settings, out).evaluations == 3
+    tuned = config.load(TrainConfig, out / "config.yaml")
+    assert tuned.learner.hidden == (16, 16)
+    for name, values in weights(finished, "best").items():
+        np.testing.assert_array_equal(weights(out)[name], values)
+    critics = [row["train/critic_loss"] for row in rows(out) if row["train/critic_loss"]]
+    assert critics
+
+
+def test_the_actor_learns_after_the_critics(finished, tiny, tmp_path):
+    out = tmp_path / "run"
+    train(tiny(f"init={finished}", "learner.critic_steps=200"), out)
+    assert not np.array_equal(weights(out)["weight.0"], weights(finished, "best")["weight.0"])
+
+
+@pytest.mark.parametrize(
+    ("init", "message"),
+    [
+        ("follow_ee", "init: follow_ee has no weights to go on from"),
+        ("nowhere", "unknown policy 'nowhere'"),
+    ],
+)
+def test_what_has_no_weights_is_a_clear_error(tiny, tmp_path, init, message):
+    with pytest.raises(KinfeasError, match=message):
+        train(tiny(f"init={init}"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_checkpoint_from_before_a_key_was_there_resumes(half):
+    path = half / "checkpoints" / "last" / "state.json"
+    about = state(half)
+    del about["config"]["physics"], about["config"]["init"]
+    del about["config"]["learner"]["critic_steps"]
+    path.write_text(json.dumps(about))
+    assert resume(half).steps == 1600

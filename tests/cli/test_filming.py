@@ -1,0 +1,35 @@
+import pytest
+
+from tests.cli.conftest import is_one_line
+
+pytest.importorskip("pybullet")
+
+EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "1")
+
+
+def test_an_episode_is_shown_as_picture_and_page(kinfeas, tmp_path):
+    pytest.importorskip("viser")
+    outcome = kinfeas(
+        *EVALUATE, "--world", "pybullet", "--set", "world.max_seconds=0.5",
+        "--video", "four.png", "--replay", "page.html", "--episode", "3",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    assert outcome.out.splitlines()[-2:] == ["four.png", "page.html"]
+    assert (tmp_path / "four.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "page.html").stat().st_size < 3_000_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--video", "film.gif"), "--video needs --world pybullet"),
+        (("--replay", "page.html"), "--replay needs --world pybullet"),
+        (("--world", "pybullet", "--video", "film.avi"), "must end in one of: .gif, .mp4, .png"),
+        (("--world", "pybullet", "--video", "none/film.gif"), "cannot be written"),
+        (("--world", "pybullet", "--replay", "page.gif"), "must end in .html"),
+    ],
+)
+def test_bad_input_is_one_line(kinfeas, arguments, words):
+    outcome = kinfeas(*EVALUATE, *arguments)
+    assert is_one_line(outcome), outcome.err
+    assert words in outcome.err

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from kinfeas.envs.world import World
+from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.policies import load_driver, load_policy
+from kinfeas.look_ahead import Foresight, LookAhead
+from kinfeas.registry import load_robot
+from kinfeas.tasks.loading import load_task
+
+EPISODES = 8
+NEAR = Foresight(seconds=2.0, every=1.0, tries=8)
+
+
+class Still:
+    """Leaves the base where it is."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def act(self, situation):
+        return np.zeros((len(situation.observation), self.size))
+
+
+class Spy(Still):
+    """Notes how many rows it is asked for."""
+
+    def __init__(self, size):
+        super().__init__(size)
+        self.asked = []
+
+    def act(self, situation):
+        self.asked.append(len(situation.observation))
+        return super().act(situation)
+
+
+@pytest.fixture(scope="module")
+def task():
+    return load_task("ggr_restricted", {})
+
+
+def run(robot, task, policy, episodes=EPISODES, first=0):
+    world = World(robot, task, evaluation_world(), seed=3)
+    return run_episodes(world, policy, episodes, first=first)
+
+
+def test_fails_less_than_the_policy_alone(task):
+    robot = load_robot("tiago")
+    policy = load_policy("follow_ee", robot)
+
+    alone = run(robot, task, policy)
+    ahead = run(robot, task, LookAhead(policy, NEAR))
+
+    assert ahead.failures.sum() < 0.8 * alone.failures.sum()
+    assert (ahead.failures == 0).sum() > (alone.failures == 0).sum()
+
+
+def test_episodes_do_not_depend_on_each_other(task):
+    robot = load_robot("pr2")
+    policy = load_policy("follow_ee", robot)
+
+    together = run(robot, task, LookAhead(policy, NEAR), 4)
+    alone = run(robot, task, LookAhead(policy, NEAR), 1, first=2)
+
+    for name in ("failures", "steps", "mean_deviation", "jumps"):
+        assert getattr(alone, name)[0] == getattr(together, name)[2]
+
+
+def test_leaves_alone_what_will_not_fail(task):
+    robot = load_robot("pr2")
+    world = World(robot, task, evaluation_world(), seed=3)
+    world.start([0])
+    spy = Spy(world.action_size)
+    ahead = LookAhead(spy, Foresight(seconds=0.1, every=0.1, tries=8))
+    ahead.watch(world.loop)
+
+    action = ahead.act(world.loop.situation)
+
+    np.testing.assert_array_equal(action, np.zeros((1, world.action_size)))
+    assert spy.asked == [1, 1]
+
+
+def test_is_loaded_by_name():
+    robot = load_robot("pr2")
+
+    assert isinstance(load_driver("look_ahead:follow_ee", robot), LookAhead)
+    assert not isinstance(load_driver("follow_ee", robot), LookAhead)
