@@ -112,7 +112,8 @@ def test_the_task_of_the_page_on_tasks(tmp_path):
 
 def test_pictures_are_small():
     for path in (ROOT / "docs" / "images").iterdir():
-        assert path.stat().st_size < 300_000, path
+        most = 1_000_000 if path.suffix == ".gif" else 300_000
+        assert path.stat().st_size < most, path
 
 
 def test_a_page_that_is_run_elsewhere_is_run_there():
