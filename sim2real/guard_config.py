@@ -1,6 +1,7 @@
 """What the guards allow, as YAML says it."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from kinfeas.config import Interval
@@ -53,6 +54,10 @@ class Guards:
     joint_jump: Positive = 3.2
     infeasible_steps: Annotated[int, Interval(low=1)] = 50
     watchdog: Positive | None = 0.2
+
+    def timeless(self) -> "Guards":
+        """Return the same without what asks a clock, for worlds that do not keep to one."""
+        return replace(self, max_age=math.inf, max_stall=math.inf, clock_jump=math.inf)
 
     def check_rate(self, dt: float) -> None:
         """Do nothing if control periods of `dt` seconds leave the guards quiet.

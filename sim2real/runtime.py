@@ -50,11 +50,11 @@ class _Run:
         self.live = setup.raw if isinstance(setup.raw, Live) else None
         self.metronome = Metronome(setup.dt, now=setup.clocks.steady)
         self.waits = setup.real_time and self.live is None
+        self.keeps_time = self.waits or self.live is not None
         if self.waits:
             backend = Timed(backend, self.metronome)
-        self.guarded = Guarded(
-            backend, self.robot, setup.guards, live=self.live, clocks=setup.clocks
-        )
+        guards = setup.guards if self.keeps_time else setup.guards.timeless()
+        self.guarded = Guarded(backend, self.robot, guards, live=self.live, clocks=setup.clocks)
         pace = paced(setup.backend, setup.pace)
         self.loop = Loop(setup.solver, build_legs(setup.task.legs), self.guarded, setup.dt, pace)
         self.steps = self.failures = 0
@@ -148,10 +148,9 @@ class _Run:
         """
         loop, guarded, state = self.loop, self.guarded, self.guarded.state
         took = self.setup.clocks.steady() - self.began
-        keeps_time = self.waits or self.live is not None
         self.recorder.write(
             Moment(
-                time=took if keeps_time else self.steps * self.setup.dt,
+                time=took if self.keeps_time else self.steps * self.setup.dt,
                 age=float("nan") if state.age is None else float(np.max(state.age)),
                 base_pose=state.base_pose[0],
                 joint_positions=state.joint_positions[0],

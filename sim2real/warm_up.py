@@ -13,7 +13,6 @@ from kinfeas.start import Start
 from kinfeas.tasks.task import Task, build_legs
 
 _STEPS = 5
-_PATIENT = Guards(max_age=1e6, max_stall=1e6, clock_jump=1e6)
 _AWAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to what the legs lead to
 
 
@@ -23,7 +22,8 @@ def warm_up(solver: IkSolver, policy: Policy, task: Task, dt: float) -> None:
     joints = robot.home["home"][np.newaxis]
     target = forward(solver.chain, joints) + _AWAY
     start = Start(spatial.IDENTITY[np.newaxis], joints, np.stack([target] * len(task.legs), axis=1))
-    backend = Guarded(registry.build("kinfeas.backends", "analytic", {}), robot, _PATIENT)
+    analytic = registry.build("kinfeas.backends", "analytic", {})
+    backend = Guarded(analytic, robot, Guards().timeless())
     loop = Loop(solver, build_legs(task.legs), backend, dt)
     loop.start(start, [rng])
     for _ in range(_STEPS):

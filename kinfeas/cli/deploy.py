@@ -4,50 +4,17 @@ import sys
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinfeas.cli import completion, options
+from kinfeas.cli.deploy_setup import Four, Goal, Three, Wishes, make_setup, make_task, read_settings
 from kinfeas.cli.output import print_table, status, write_json
-from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.record import About
-    from kinfeas.robots.robot import Robot
-    from kinfeas.sim2real.deploy_config import DeployConfig
     from kinfeas.sim2real.deployment import Outcome, Setup
-    from kinfeas.tasks.task import Task
-
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
-
-
-_WORLD = "pybullet"
-"""The backend that holds a task's furniture, too."""
-
-
-class _Wishes(NamedTuple):
-    """What was said of the run."""
-
-    policy: str
-    robot: str
-    backend: str
-    sim2real: str | None
-    dt: float
-    seconds: float
-    seed: int
-    real_time: bool
-
-
-class _Goal(NamedTuple):
-    """What was said of where the EE shall go."""
-
-    task: str | None
-    generator: str | None
-    goal: Three | None
-    rpy: Three | None
-    quaternion: Four | None
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -147,12 +114,12 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.record import Recorder
     from kinfeas.sim2real.runtime import deploy as run
 
-    wishes = _Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
-    goal_wishes = _Goal(task, generator, goal, rpy, quaternion)
+    wishes = Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
+    goal_wishes = Goal(task, generator, goal, rpy, quaternion)
     with status("getting ready"):
         known = options.read_robot(robot)
-        config = _settings(known, guards, overrides or [])
-        setup = _setup(wishes, known, config, _task(goal_wishes, config))
+        config = read_settings(known, guards, overrides or [])
+        setup = make_setup(wishes, known, config, make_task(goal_wishes, config))
         about = _about(wishes, setup)
         recorder = Recorder(record or _record_path(about), about)
     with recorder:
@@ -167,86 +134,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     raise typer.Exit(int(outcome.code))
 
 
-def _settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
-    """Return the settings for a robot, with the user's guards."""
-    from kinfeas import config, strict_yaml
-    from kinfeas.recipes import default_recipe
-    from kinfeas.sim2real.deploy_config import DeployConfig
-    from kinfeas.sim2real.guard_config import Guards
-
-    path = default_recipe("deploy", robot.name)
-    data = strict_yaml.read(path)
-    if guards is not None:
-        data["guards"] = config.to_mapping(config.load(Guards, guards))
-    return config.from_mapping(DeployConfig, data, str(path), overrides)
-
-
-def _task(wanted: _Goal, config: "DeployConfig") -> "Task":
-    """Return the task that was named, or that of a single goal."""
-    from kinfeas.sim2real.goal_task import make_goal_task
-    from kinfeas.tasks.task import MotionSpec
-
-    if wanted.task is not None:
-        for name in ("goal", "rpy", "quaternion", "generator"):
-            if getattr(wanted, name) is not None:
-                raise KinfeasError(f"--{name} and --task exclude each other")
-        if config.generator:
-            raise KinfeasError("--set generator.KEY and --task exclude each other")
-        return options.read_task(wanted.task, config.task)
-    if wanted.goal is None:
-        raise KinfeasError("say where to go: --goal X Y Z, or --task NAME or FILE")
-    if config.task:
-        raise KinfeasError("--set task.KEY needs --task")
-    if wanted.rpy is not None and wanted.quaternion is not None:
-        raise KinfeasError("--rpy and --quaternion exclude each other")
-    return make_goal_task(
-        wanted.goal,
-        wanted.quaternion or wanted.rpy,
-        MotionSpec(wanted.generator or "linear", config.generator),
-    )
-
-
-def _setup(wishes: _Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
-    """Return what the run is made of, once each part has computed something."""
-    from kinfeas.adapters import read_sim2real, wrap
-    from kinfeas.evaluation.policies import load_policy
-    from kinfeas.kinematics.ik import IkSolver
-    from kinfeas.sim2real.deploy_config import build_backend
-    from kinfeas.sim2real.deployment import Setup
-    from kinfeas.sim2real.warm_up import warm_up
-
-    config.guards.check_rate(wishes.dt)
-    adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
-    policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
-    warm_up(solver, policy, task, wishes.dt)
-    if wishes.backend == _WORLD:
-        from kinfeas.config import from_mapping
-        from kinfeas.sim.physics import PhysicsConfig
-        from kinfeas.sim.stage import Stage, task_scene
-
-        given = dict(config.backend)
-        if "physics" in given:
-            given["physics"] = from_mapping(PhysicsConfig, given["physics"], "backend.physics")
-        raw = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
-        task = Stage(task, raw)
-    else:
-        raw = build_backend(wishes.backend, config.backend, robot=robot)
-    return Setup(
-        solver=solver,
-        policy=policy,
-        task=task,
-        raw=raw,
-        backend=wrap(raw, adapters, robot),
-        dt=wishes.dt,
-        seconds=wishes.seconds,
-        seed=wishes.seed,
-        pace=config.pace,
-        guards=config.guards,
-        real_time=wishes.real_time,
-    )
-
-
-def _about(wishes: _Wishes, setup: "Setup") -> "About":
+def _about(wishes: Wishes, setup: "Setup") -> "About":
     from kinfeas.record import About
 
     return About(

@@ -74,7 +74,7 @@ def show_episode(
 
 
 def _write_page(film: "Film", path: Path) -> None:
-    from kinfeas.evaluation.film_page import film_html
+    from kinfeas.evaluation.physics_film_page import film_html
     from kinfeas.files import writing
 
     with status("page"), writing(path):

@@ -93,8 +93,8 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
         with status("drawing"):
             _draw_run(run, robot, picture)
     if html is not None:
-        from kinfeas.evaluation.replay import recording
-        from kinfeas.evaluation.replay_page import replay_html
+        from kinfeas.evaluation.deployed_run import recording
+        from kinfeas.evaluation.deployed_run_page import replay_html
 
         with status("drawing"), writing(html):
             html.write_text(replay_html(recording(run, robot), robot, run.time), encoding="utf-8")
@@ -102,8 +102,8 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
 
 
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
+    from kinfeas.evaluation.deployed_run import replay_figure
     from kinfeas.evaluation.pictures import png
-    from kinfeas.evaluation.replay import replay_figure
     from kinfeas.files import writing
 
     with writing(path):

@@ -1,6 +1,6 @@
 """What all pages share that viser makes: a server, and the paths of an episode."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -90,7 +90,9 @@ def draw_paths(server: Any, paths: Paths) -> tuple[Array, float]:
         ("ee", paths.ee, EE),
     ):  # fmt: skip
         if len(lines := _pieces(path)):
-            show.add_line_segments(f"/paths/{name}", lines, rgb(colour), line_width=_LINE)
+            show.add_line_segments(
+                f"/paths/{name}", lines, rgb(colour), thickness=_LINE, thickness_units="screen"
+            )
     for number, goal in enumerate(paths.goals):
         show.add_icosphere(f"/goals/{number}", 0.025, color=rgb(GOAL), position=goal)
     if len(paths.failures):
@@ -98,9 +100,10 @@ def draw_paths(server: Any, paths: Paths) -> tuple[Array, float]:
     return middle, float(size.max())
 
 
-def rgb(colour: str | tuple[float, ...]) -> tuple[int, ...]:
-    """Return a colour as three numbers up to 255."""
-    return tuple(round(255.0 * part) for part in to_rgb(colour))
+def rgb(colour: str | Sequence[float]) -> tuple[int, ...]:
+    """Return a colour, by name or as shares of 1, as three numbers up to 255."""
+    shares = to_rgb(colour) if isinstance(colour, str) else colour
+    return tuple(round(255.0 * share) for share in shares)
 
 
 def wxyz(pose: Array) -> Array:

@@ -56,6 +56,9 @@ def test_evaluate_a_robot_by_its_path():
         (["--policy", "follow_ee", "--set", "word.dt=0.1"], "did you mean 'world'"),
         (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
         (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
+        (["--policy", ""], "not a training run"),
+        (["--policy", "follow_ee", "--sim2real", ""], "unknown configuration 'sim2real/'"),
+        (["--policy", "follow_ee", "--set", "world.adapters=[{name: nois}]"], "adapter 'nois'"),
     ],
 )
 def test_evaluate_refuses(arguments, message):
@@ -94,7 +97,14 @@ def test_a_window_needs_a_screen(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "option", [["--head-start", "3"], ["--slow-down", "2"], ["--without-objects"], ["--gui"]]
+    "option",
+    [
+        ["--head-start", "3"],
+        ["--slow-down", "2"],
+        ["--without-objects"],
+        ["--gui"],
+        ["--episode", "3"],
+    ],
 )
 def test_the_analytic_world_has_no_such_options(option):
     with pytest.raises(KinfeasError, match=f"{option[0]} needs --world pybullet"):

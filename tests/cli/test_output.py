@@ -64,3 +64,9 @@ def test_progress_goes_to_standard_error(capsys):
     with output.status("now") as show:
         show("then")
     assert capsys.readouterr().out == ""
+
+
+def test_a_bar_leaves_nothing_in_a_file(capfd):
+    with output.progress("work", 2.0) as advance:
+        advance(1.0)
+    assert capfd.readouterr() == ("", "")

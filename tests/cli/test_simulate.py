@@ -14,6 +14,8 @@ from tests.cli.conftest import is_one_line
         (("--robot", "pr3"), "unknown robot 'pr3'"),
         (("--topics", "pr3"), "unknown topics 'pr3'"),
         (("--scene", "attic"), "attic"),
+        (("--scene", ""), "unknown scene ''"),
+        (("--topics", ""), "unknown topics ''"),
     ],
 )
 def test_bad_input_is_one_line(kinfeas, arguments, said):

@@ -28,6 +28,8 @@ def test_draws_a_user_s_scene(kinfeas, tmp_path):
     [
         (["--scene", "rom"], "unknown scene 'rom' (did you mean 'room'?)"),
         (["--scene", "none.yaml"], "none.yaml: cannot be read"),
+        (["--scene", ""], "unknown scene ''"),
+        (["--picture", "."], ".: is a folder, not the path of a file"),
         (["--set", "objects.boxx.fixed=true"], "objects.boxx.urdf"),
         (["--set", "objects.box.position=[3, 0, 0.5]"], "'pick_table' and 'box' stand within"),
         (["--picture", "/nowhere/a.png"], "/nowhere/a.png: cannot be written"),

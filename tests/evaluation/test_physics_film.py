@@ -11,8 +11,8 @@ from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")
 
-from kinfeas.evaluation.film_page import film_html
 from kinfeas.evaluation.physics_film import check_film_path, count_pictures, make_film, write_film
+from kinfeas.evaluation.physics_film_page import film_html
 from kinfeas.evaluation.physics_recording import record
 from kinfeas.evaluation.physics_world import PhysicsTrial, PhysicsWorld, physics_config
 from kinfeas.evaluation.pictures import FAILURE

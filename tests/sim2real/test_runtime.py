@@ -245,6 +245,15 @@ def test_a_clock_that_is_set_stops_the_base(run):
     assert not robot.commands[-1][1].any()
 
 
+def test_a_world_without_a_clock_may_be_slow(run):
+    def stall():
+        time.sleep(0.3)
+
+    driver = Drive(at=3, do=stall)
+    outcome, _ = run(AnalyticBackend(), driver, seconds=0.2, real_time=False)
+    assert outcome.code is Code.TIME_OVER
+
+
 @pytest.mark.parametrize(("number", "code"), [
     (signal.SIGINT, Code.INTERRUPTED),
     (signal.SIGTERM, Code.TERMINATED),
