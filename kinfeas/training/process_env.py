@@ -1,7 +1,6 @@
 """Episodes with physics, each in a process of its own that holds a PyBullet world."""
 
 import multiprocessing
-import signal
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -12,10 +11,10 @@ from numpy.typing import NDArray
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.training.batch import Batch, StepResult
+from kinfeas.training.batch import StepResult
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.process_world import serve
 from kinfeas.training.vec_env import EpisodesVecEnv
-from kinfeas.training.worlds import physics_world
 
 SHARE = 10**9
 """Episodes of the seed that each process takes, one after the other, from its own part on."""
@@ -44,7 +43,7 @@ class ProcessVecEnv(EpisodesVecEnv):
         self._next = np.arange(config.environments) * SHARE
         for _ in range(config.environments):
             pipe, end = context.Pipe()
-            process = context.Process(target=_serve, args=(end, config), daemon=True)
+            process = context.Process(target=serve, args=(end, config), daemon=True)
             process.start()
             end.close()
             self._pipes.append(pipe)
@@ -131,23 +130,3 @@ def _alive(count: int) -> Iterator[None]:
             f"one of {count} training processes died, as if killed or out of memory; "
             "try fewer --processes"
         ) from error
-
-
-def _serve(pipe: Connection, config: TrainConfig) -> None:
-    """Answer until nobody asks any more; each answer to a question tells what comes next, too."""
-    # Ctrl-C is for the process that asks.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        batch = Batch(physics_world(config), 1, config.hold)
-        pipe.send(None)
-        while True:
-            kind, what = pipe.recv()
-            if kind == "begin":
-                batch.next_episode = what
-                pipe.send((batch.start(), batch.next_episode))
-            else:
-                pipe.send((batch.step(what), batch.next_episode))
-    except KinfeasError as error:
-        pipe.send(error)
-    except (EOFError, BrokenPipeError):
-        return  # nobody is there

@@ -73,7 +73,7 @@ def test_a_snapshot_of_others_and_a_dead_process_are_clear_errors(env):
 @pytest.mark.slow
 def test_a_policy_is_tuned_judged_and_taken_up_again(tmp_path):
     out = tmp_path / "run"
-    progress = train(settings("init=pretrained"), out)
+    progress = train(settings("init=pretrained", "environments=1"), out)
     assert progress.steps == 200
     assert progress.evaluations == 2  # what it went on from was judged, too
     text = (out / "config.yaml").read_text()

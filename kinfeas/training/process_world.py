@@ -1,0 +1,29 @@
+"""What runs in each process of a training with physics: a world, without any learning library."""
+
+import signal
+from multiprocessing.connection import Connection
+
+from kinfeas.errors import KinfeasError
+from kinfeas.training.batch import Batch
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.worlds import physics_world
+
+
+def serve(pipe: Connection, config: TrainConfig) -> None:
+    """Answer until nobody asks any more; each answer to a question tells what comes next, too."""
+    # Ctrl-C is for the process that asks.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        batch = Batch(physics_world(config), 1, config.hold)
+        pipe.send(None)
+        while True:
+            kind, what = pipe.recv()
+            if kind == "begin":
+                batch.next_episode = what
+                pipe.send((batch.start(), batch.next_episode))
+            else:
+                pipe.send((batch.step(what), batch.next_episode))
+    except KinfeasError as error:
+        pipe.send(error)
+    except (EOFError, BrokenPipeError):
+        return  # nobody is there
