@@ -3,6 +3,7 @@
 import os
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 # Before anything imports them: one thread a library, and no display.
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import settings
 
 from kinfeas import registry
+from kinfeas.baselines.reach_ellipses import fit_ellipses
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 
 # Numba compiles within the first example, and a busy machine takes long over any.
@@ -36,6 +38,17 @@ def solver(robot):
 def exact_solver(robot):
     """Its solver without leeway."""
     return IkSolver(robot, IkOptions(leeway=False))
+
+
+@cache
+def _fitted(name):
+    return fit_ellipses(registry.load_robot(name))
+
+
+@pytest.fixture(scope="session")
+def ellipses(robot):
+    """Where each robot's base should stand about its EE; fitting it takes about two seconds."""
+    return _fitted(robot.name)
 
 
 @pytest.fixture

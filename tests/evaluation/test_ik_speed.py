@@ -10,18 +10,18 @@ from kinfeas.kinematics.self_collision import self_collides
 
 @pytest.fixture(scope="module")
 def cold(robot):
-    return cold_targets(robot, 200, np.random.default_rng(0))
+    return cold_targets(robot, 100, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
 def warm(robot):
-    return warm_targets(robot, 200, np.random.default_rng(1))
+    return warm_targets(robot, 100, np.random.default_rng(1))
 
 
 def test_seeds_are_free_of_self_collision(solver, cold, warm):
     for targets in (cold, warm):
-        assert targets.pose.shape == (200, 7)
-        assert targets.seed.shape == (200, len(solver.robot.arm))
+        assert targets.pose.shape == (100, 7)
+        assert targets.seed.shape == (100, len(solver.robot.arm))
         assert not self_collides(solver.collision, targets.seed).any()
 
 
@@ -36,7 +36,7 @@ def test_warm_targets_are_one_step_away(solver, warm):
 
 
 def test_the_same_rng_gives_the_same_targets(robot, warm):
-    again = warm_targets(robot, 200, np.random.default_rng(1))
+    again = warm_targets(robot, 100, np.random.default_rng(1))
     np.testing.assert_array_equal(again.pose, warm.pose)
     np.testing.assert_array_equal(again.seed, warm.seed)
 

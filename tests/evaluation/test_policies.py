@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas import pretrained
+from kinfeas.baselines import geometric_modulation
 from kinfeas.baselines.demonstrated_base import DemonstratedBase
 from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.baselines.geometric_modulation import GeometricModulation
@@ -15,6 +16,12 @@ from kinfeas.evaluation.policies import BASELINES, QUICK_BASELINES, load_policy
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
 from tests.baselines.situations import situations
+
+
+@pytest.fixture
+def fitted(monkeypatch, ellipses):
+    """Spare the baseline its fit."""
+    monkeypatch.setattr(geometric_modulation, "fit_ellipses", lambda robot: ellipses)
 
 
 @pytest.mark.parametrize("name", QUICK_BASELINES)
@@ -30,12 +37,12 @@ def test_quick_baselines_by_name(robot, name):
         ("whole_body_qp", WholeBodyQp),
     ],
 )
-def test_other_baselines_by_name(robot, name, kind):
+def test_other_baselines_by_name(fitted, robot, name, kind):
     assert isinstance(load_policy(name, robot), kind)
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_baselines_survive_the_way_to_a_worker_process(robot, name):
+def test_baselines_survive_the_way_to_a_worker_process(fitted, robot, name):
     situation = situations(robot, 4)
     policy = load_policy(name, robot)
     action = policy.act(situation)

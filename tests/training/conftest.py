@@ -16,7 +16,7 @@ TINY = {
         "batch_size": 32,
         "random_steps": 200,
         "buffer_size": 1_000,
-        "gradient_steps": 2,
+        "gradient_steps": 1,
     },
     "schedule": {
         "steps": 1_600,
