@@ -23,6 +23,8 @@ class Timing:
         p99: What one in a hundred of them exceeds.
         longest: The longest of them.
         misses: How many ended after their deadline.
+        work_p50: Median of what there was to do in a period; None where another keeps the time.
+        work_p99: What one in a hundred of them exceeds; None likewise.
     """
 
     periods: int
@@ -30,6 +32,8 @@ class Timing:
     p99: float
     longest: float
     misses: int
+    work_p50: float | None = None
+    work_p99: float | None = None
 
 
 class Metronome:
@@ -61,6 +65,7 @@ class Metronome:
         self.dt, self._now, self._sleep = dt, now, sleep
         self._deadline = self._last = math.nan
         self._periods: list[float] = []
+        self._work: list[float] = []
         self._misses = 0
 
     def wait(self) -> float:
@@ -72,6 +77,7 @@ class Metronome:
         if math.isnan(self._last):
             self._last, self._deadline = now, now + self.dt
             return 0.0
+        self._work.append(now - self._last)
         if now > self._deadline:
             self._misses += 1
         while now < self._deadline:
@@ -97,10 +103,16 @@ class Metronome:
         """Return how regular the periods were so far; zeros if none was measured."""
         if not self._periods:
             return Timing(0, 0.0, 0.0, 0.0, 0)
-        p50, p99 = np.percentile(self._periods, (50.0, 99.0)).tolist()
-        return Timing(len(self._periods), p50, p99, max(self._periods), self._misses)
+        p50, p99 = _median_and_tail(self._periods)
+        longest, work = max(self._periods), _median_and_tail(self._work) if self._work else ()
+        return Timing(len(self._periods), p50, p99, longest, self._misses, *work)
 
     def _measure(self, now: float) -> float:
         period, self._last = now - self._last, now
         self._periods.append(period)
         return period
+
+
+def _median_and_tail(seconds: list[float]) -> tuple[float, float]:
+    p50, p99 = np.percentile(seconds, (50.0, 99.0)).tolist()
+    return p50, p99

@@ -15,6 +15,7 @@ from kinfeas.cli.output import print_table, status, write_json
 if TYPE_CHECKING:
     from kinfeas.record import About
     from kinfeas.sim2real.deployment import Outcome, Setup
+    from kinfeas.sim2real.metronome import Timing
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -159,7 +160,18 @@ def _record_path(about: "About") -> Path:
     return folder / f"{date}-{Path(about.robot).stem}-{about.task}.csv"
 
 
+def _work_rows(timing: "Timing") -> list[list[str]]:
+    if timing.work_p50 is None or timing.work_p99 is None:
+        return []
+    return [
+        ["work in a period, median", f"{1000.0 * timing.work_p50:.2f} ms"],
+        ["work exceeded by one in a hundred", f"{1000.0 * timing.work_p99:.2f} ms"],
+    ]
+
+
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
+    from kinfeas.evaluation.timing import peak_memory_mb
+
     timing = outcome.timing
     rows = [
         ["ended", outcome.reason],
@@ -169,6 +181,8 @@ def _show(outcome: "Outcome", about: "About", record: Path) -> None:
         ["exceeded by one in a hundred", f"{1000.0 * timing.p99:.1f} ms"],
         ["longest", f"{1000.0 * timing.longest:.1f} ms"],
         ["missed deadlines", f"{timing.misses} of {timing.periods}"],
+        *_work_rows(timing),
+        ["most memory held", f"{peak_memory_mb():.0f} MB"],
         ["record", str(record)],
     ]
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"

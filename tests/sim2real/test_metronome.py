@@ -36,6 +36,8 @@ def test_late_awakenings_do_not_add_up():
     timing = metronome.timing()
     assert (timing.periods, timing.misses) == (1000, 0)
     assert timing.p50 == pytest.approx(0.02)
+    assert timing.work_p50 == pytest.approx(0.005)
+    assert timing.work_p99 == pytest.approx(0.005)
 
 
 def test_a_late_period_is_counted_and_does_not_shift_the_next():
@@ -67,6 +69,7 @@ def test_measures_what_another_waits_for():
     timing = metronome.timing()
     assert (timing.periods, timing.misses) == (4, 1)
     assert timing.longest == pytest.approx(0.031)
+    assert timing.work_p50 is None
 
 
 def test_nothing_measured_is_no_error():
