@@ -95,6 +95,7 @@ class PyBulletBackend:
         if self.furniture is not None:
             self.furniture.place()
         self.body.reset(base_pose[0], joint_positions[0])
+        self.physics.look_at(base_pose[0])
         self._base.reset()
         self._arm.reset(joint_positions[0])
         self._reaches = False

@@ -20,6 +20,9 @@ Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 ROOT = -1
 """PyBullet's index of a body's root link."""
 
+_DISTANCE, _YAW, _PITCH, _HEIGHT = 3.2, 50.0, -30.0, 0.6
+"""How the window looks at a robot: metres, degrees, degrees, and metres above the floor."""
+
 
 @dataclass(frozen=True)
 class PhysicsConfig:
@@ -76,7 +79,9 @@ class Physics:
         Raises:
             KinfeasError: If PyBullet is not installed.
         """
-        self.config, self.client = config, _connect(gui)
+        self.config, self.client, self._gui = config, _connect(gui), gui
+        # The panels hide most of the world. Without a window nothing happens.
+        self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
         self.client.setGravity(0.0, 0.0, -config.gravity)
         # Pairs in an order of their own, not in that of their history: a reset forgets everything.
         self.client.setPhysicsEngineParameter(
@@ -172,6 +177,13 @@ class Physics:
         """Let a physics step pass."""
         self.client.stepSimulation()
 
+    def look_at(self, base_pose: Array) -> None:
+        """Turn the window, if there is one, to a robot whose base has a pose of shape (7,)."""
+        if self._gui:
+            self.client.resetDebugVisualizerCamera(
+                _DISTANCE, _YAW, _PITCH, [*base_pose[:2], _HEIGHT]
+            )
+
     def keep(self) -> None:
         """Remember the whole world for `rewind`; no body may be added after that."""
         self._kept = self.client.saveState()
@@ -201,5 +213,12 @@ def _connect(gui: bool) -> Any:
     # PyBullet ends the process where there is no screen.
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise KinfeasError("a window needs a screen, and DISPLAY names none")
+
+    class Client(BulletClient):
+        def __getattr__(self, name: str) -> Any:
+            # It binds functions anew at each use, and a physics step uses thirty.
+            found = self.__dict__[name] = super().__getattr__(name)
+            return found
+
     with silence():
-        return BulletClient(pybullet.GUI if gui else pybullet.DIRECT)
+        return Client(pybullet.GUI if gui else pybullet.DIRECT)
