@@ -214,10 +214,10 @@ def _connect(gui: bool) -> Any:
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise KinfeasError("a window needs a screen, and DISPLAY names none")
 
-    class Client(BulletClient):
+    class Client(BulletClient):  # type: ignore[misc]  # it has no types
         def __getattr__(self, name: str) -> Any:
             # It binds functions anew at each use, and a physics step uses thirty.
-            found = self.__dict__[name] = super().__getattr__(name)
+            self.__dict__[name] = found = super().__getattr__(name)
             return found
 
     with silence():
