@@ -31,7 +31,7 @@ from kinfeas.evaluation.benchmark_text import to_markdown
 from kinfeas.evaluation.benchmark_workspace import Covered, covered, workspace_figure
 from kinfeas.evaluation.episode_picture import episodes_figure
 from kinfeas.evaluation.pictures import STYLE, png
-from kinfeas.evaluation.policies import load_policy
+from kinfeas.evaluation.policies import LOOK_AHEAD, load_policy
 from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.files import writing
 from kinfeas.tasks.loading import load_task
@@ -92,7 +92,9 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
         baselines: list[Source] = [
             (name, name, None) for name, on in study.baselines.items() if task in on
         ]
-        sources = [(CEILING, CEILING, None), *learned, *baselines]
+        looks = task in study.look_ahead.get(robot, ()) and not variant
+        ahead = _looking_ahead(learned) if looks else []
+        sources = [(CEILING, CEILING, None), *learned, *ahead, *baselines]
         jobs += [
             Job(
                 robot=robot,
@@ -120,6 +122,14 @@ def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source
     if not own and takes_pretrained(study, robot):
         return [(pretrained.NAME, pretrained.NAME, None)]
     return [(run.algorithm, str(run.folder), run.seed) for run in own]
+
+
+def _looking_ahead(learned: Sequence[Source]) -> list[Source]:
+    return [
+        (f"{LOOK_AHEAD}{policy}", f"{LOOK_AHEAD}{source}", seed)
+        for policy, source, seed in learned
+        if policy != "td3"
+    ]
 
 
 def write_tables(
@@ -176,7 +186,8 @@ def figures_of_runs(findings: Findings) -> dict[Path, dict[str, Any]]:
     """Return for each run's folder its figures by task, variants left out."""
     found: dict[Path, dict[str, Any]] = {}
     for job, result in zip(findings.jobs, findings.results, strict=True):
-        if job.training_seed is not None and not job.variant and not job.physical:
+        own = not (job.variant or job.physical or job.source.startswith(LOOK_AHEAD))
+        if job.training_seed is not None and own:
             told = {"seed": job.seed, **result["figures"]}
             found.setdefault(Path(job.source), {})[job.task] = told
     return found

@@ -19,8 +19,9 @@ from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics import is_judged, physics_figures, run_part
 from kinfeas.evaluation.physics_world import PhysicsSettings, PhysicsTrial, to_lists
-from kinfeas.evaluation.policies import BASELINES, load_policy
+from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD, load_driver, load_policy
 from kinfeas.files import writing
+from kinfeas.look_ahead import Foresight
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network
 from kinfeas.robots.robot import Robot
@@ -76,7 +77,8 @@ class Job:
         seed = "" if self.training_seed is None else f"-{self.training_seed}"
         variant = "" if not self.variant else "-variant"
         part = f"-pybullet-{self.first}" if self.physical else ""
-        return f"{Path(self.robot).stem}-{self.task}{variant}-{self.policy}{seed}{part}"
+        policy = self.policy.replace(":", "-")
+        return f"{Path(self.robot).stem}-{self.task}{variant}-{policy}{seed}{part}"
 
 
 CEILING = "ceiling"
@@ -159,7 +161,7 @@ def compute(job: Job) -> Result:
         ceiling = measure_ceiling(robot, task, job.episodes, job.seed, job.world.ik)
         share = ceiling.share
         return {"figures": {"success": share.value, "low": share.low, "high": share.high}}
-    policy = load_policy(job.source, robot)
+    policy = load_driver(job.source, robot)
     world = World(robot, task, job.world, job.seed)
     samples = WorkspaceSamples() if isinstance(policy, Network) else None
     records = run_episodes(world, policy, job.episodes, watch=samples)
@@ -232,9 +234,11 @@ def _key(whole: dict[str, Any]) -> str:
 def _policy_digest(job: Job, robot: Robot) -> str:
     if job.policy == CEILING or job.source in BASELINES:
         return job.source
-    network = load_policy(job.source, robot)
+    network = load_policy(job.source.removeprefix(LOOK_AHEAD), robot)
     assert isinstance(network, Network)
     digest = hashlib.sha256()
+    if job.source.startswith(LOOK_AHEAD):
+        digest.update(repr(Foresight()).encode())
     for values in (network.scale, *network.weights, *network.biases):
         digest.update(f"{values.shape}".encode())
         digest.update(np.ascontiguousarray(values).tobytes())

@@ -107,6 +107,8 @@ class StudyConfig:
         robots: Names or YAML files.
         tasks: Entry-point names.
         baselines: On which of the tasks each baseline is judged.
+        look_ahead: On which of the tasks each robot's learned policies are judged a second time,
+            looking ahead; of several algorithms SAC's alone.
         policies: Whether to `train` the learned policies, to take those that come with the package
             (`pretrained`), or to train only where none comes with it (`either`).
         trainings: How they are learned.
@@ -123,6 +125,7 @@ class StudyConfig:
     robots: tuple[str, ...] = ("pr2", "tiago", "hsr")
     tasks: tuple[str, ...] = ("ggr", "ggr_restricted")
     baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    look_ahead: dict[str, tuple[str, ...]] = field(default_factory=dict)
     policies: Literal["train", "pretrained", "either"] = "train"
     trainings: tuple[Training, ...] = ()
     seeds: tuple[Seed, ...] = (0,)
@@ -150,11 +153,12 @@ def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
         KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task.
     """
     study = config.load(StudyConfig, find_recipe(name, "benchmark"), overrides)
-    named = [*study.robots, *(training.robot for training in study.trainings)]
+    named = [*study.robots, *study.look_ahead, *(training.robot for training in study.trainings)]
     named += [robot for variant in study.variants for robot in variant.robots]
     for robot in dict.fromkeys(named):
         registry.load_robot(robot)
-    judged = [task for tasks in study.baselines.values() for task in tasks]
+    both = (study.baselines, study.look_ahead)
+    judged = [task for by_name in both for tasks in by_name.values() for task in tasks]
     for task in dict.fromkeys([*study.tasks, *judged]):
         load_task(task)
     for variant in study.variants:

@@ -10,6 +10,7 @@ from scipy import stats
 from kinfeas import pretrained, registry
 from kinfeas.evaluation.benchmark_cells import CEILING, Job, Result
 from kinfeas.evaluation.benchmark_paper import LEARNED, PaperFigures, paper_figures
+from kinfeas.evaluation.policies import LOOK_AHEAD
 from kinfeas.metrics import Share, wilson
 
 WORLD = "analytic"
@@ -26,7 +27,8 @@ class Cell:
         robot: Name of the robot.
         variant: What is different about the task; empty if nothing is.
         task: Name of the task.
-        policy: `sac`, `td3`, `pretrained`, or a baseline.
+        policy: `sac`, `td3`, `pretrained`, or a baseline; `look_ahead:sac` for one that looks
+            ahead.
         world: Where it was measured.
         seeds: How many policies, each from another training seed, it is the mean of.
         training_seeds: These seeds, as far as they are known.
@@ -83,7 +85,7 @@ class Cell:
     @property
     def learned(self) -> bool:
         """Whether it is of a learned policy."""
-        return self.policy in ("sac", "td3", pretrained.NAME)
+        return self.policy.removeprefix(LOOK_AHEAD) in ("sac", "td3", pretrained.NAME)
 
 
 def tabulate(jobs: Sequence[Job], results: Sequence[Result]) -> list[Cell]:

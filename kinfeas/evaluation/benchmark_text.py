@@ -5,6 +5,7 @@ from typing import TypeVar
 
 from kinfeas.evaluation.benchmark_paper import LEARNED, paper_figures
 from kinfeas.evaluation.benchmark_table import WORLD, Cell
+from kinfeas.evaluation.policies import LOOK_AHEAD
 
 C = TypeVar("C", bound=Cell)
 
@@ -74,7 +75,8 @@ def title(robot: str, variant: str) -> str:
 def label(cell: Cell) -> str:
     """Return what the row of a cell is called: its policy, and what else is told of it."""
     policy, also = cell.row
-    name = _LEARNED.get(policy, policy)
+    learned = policy.removeprefix(LOOK_AHEAD)
+    name = _LEARNED.get(learned, learned) + ", looking ahead" * (learned != policy)
     return f"{name}, {also}" if also else name
 
 

@@ -50,7 +50,8 @@ BASELINES: dict[str, Callable[[Robot], Policy]] = {
 }
 """Base motions that need no training."""
 
-_LOOK_AHEAD = "look_ahead:"
+LOOK_AHEAD = "look_ahead:"
+"""What stands before the name of a policy that is to look ahead."""
 
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Those that a trained policy is always set beside: they cost nothing and need no extra."""
@@ -86,8 +87,8 @@ def load_driver(name: str, robot: Robot) -> Policy:
     Raises:
         KinfeasError: As `load_policy`.
     """
-    if not name.startswith(_LOOK_AHEAD):
+    if not name.startswith(LOOK_AHEAD):
         return load_policy(name, robot)
     from kinfeas.look_ahead import LookAhead
 
-    return LookAhead(load_policy(name.removeprefix(_LOOK_AHEAD), robot))
+    return LookAhead(load_policy(name.removeprefix(LOOK_AHEAD), robot))

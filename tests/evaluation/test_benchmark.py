@@ -75,8 +75,17 @@ def test_runs_go_before_what_is_shipped():
     assert ("pr2", "pretrained", None) not in learned
 
 
+def test_looking_ahead_is_a_row_of_its_own():
+    runs = [Run(Path(f"run-{name}"), "pr2", name, 4, "ggr") for name in ("sac", "td3")]
+    jobs = plan_jobs(study("policies=either", "look_ahead={pr2: [ggr]}"), runs)
+    ahead = [job for job in jobs if job.policy.startswith("look_ahead:")]
+    assert [(job.robot, job.task, job.variant) for job in ahead] == [("pr2", "ggr", "")]
+    assert [(job.policy, job.source) for job in ahead] == [("look_ahead:sac", "look_ahead:run-sac")]
+    assert ahead[0].name == "pr2-ggr-look_ahead-sac-4"
+
+
 def test_everything_is_written(shipped, tmp_path):
-    asked = study()
+    asked = study("look_ahead={pr2: [ggr]}")
     jobs = plan_jobs(asked, [])
     findings = Findings(asked, [], jobs, run_jobs(jobs, tmp_path / "cells"))
     pictures = write_pictures(findings, tmp_path)
@@ -84,16 +93,17 @@ def test_everything_is_written(shipped, tmp_path):
     assert [path.name for path in pictures] == names
     write_tables(findings, ["kinfeas benchmark"], pictures, tmp_path)
     entries = json.loads((tmp_path / "table.json").read_text())
-    assert len(entries) == len(findings.cells) == 8
+    assert len(entries) == len(findings.cells) == 9
     text = (tmp_path / "table.md").read_text()
     assert "learned, pretrained" in text
+    assert "learned, pretrained, looking ahead" in text
     for path in pictures:
         assert f"({path.name})" in text
 
 
 def test_figures_of_runs_are_told_by_task():
     runs = [Run(Path("run"), "pr2", "sac", 0, "ggr")]
-    asked = study("robots=[pr2]", "variants=[]")
+    asked = study("robots=[pr2]", "variants=[]", "look_ahead={pr2: [ggr]}")
     jobs = plan_jobs(asked, runs)
     results = [{"figures": {"success": 0.5}} for _ in jobs]
     assert figures_of_runs(Findings(asked, runs, jobs, results)) == {

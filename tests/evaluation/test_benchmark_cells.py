@@ -52,6 +52,12 @@ def test_what_is_done_is_not_done_again(tmp_path, run, counted):
     assert [one.policy for one in counted[3:]] == ["follow_ee_feedback"]
 
 
+def test_looking_ahead_is_another_cell(tmp_path, run):
+    plain, ahead = (job("sac", f"{before}{run}") for before in ("", "look_ahead:"))
+    assert identity(plain)["policy"] != identity(ahead)["policy"]
+    assert 0.0 <= compute(ahead)["figures"]["success"] <= 1.0
+
+
 def test_a_stop_keeps_the_cells_before_it(tmp_path, monkeypatch, counted):
     jobs = [job(), job("follow_ee_feedback"), job(CEILING)]
 
