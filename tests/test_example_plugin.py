@@ -20,7 +20,7 @@ from kinfeas.testing import check_motion_generator
 
 EXAMPLE = Path(__file__).parent / "example_plugin"
 MOTIONS = "kinfeas.motion_generators"
-SHORT = ["--policy", "follow_ee", "--episodes", "2", "--set", "world.max_steps=20"]
+SHORT = ["--policy", "follow_ee", "--episodes", "2", "--set", "world.max_seconds=2.0"]
 
 
 def run(command, **changes) -> str:

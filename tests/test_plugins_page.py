@@ -19,7 +19,7 @@ FILES = {block.split("\n")[0].removeprefix("# "): block for kind, block in BLOCK
 COMMANDS = [shlex.split(line) for kind, block in BLOCKS if not kind for line in block.splitlines()]
 # Enough to see that they run; the last word on an option counts.
 SHORTER = {
-    "evaluate": ["--episodes", "2", "--set", "world.max_steps=20"],
+    "evaluate": ["--episodes", "2", "--set", "world.max_seconds=2.0"],
     "ceiling": ["--episodes", "2"],
 }
 HOURS = "train"  # takes minutes, and what comes after it needs what it learned

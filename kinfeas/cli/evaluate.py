@@ -105,7 +105,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
-    Settings: [bold]world.KEY[/] (dt, max_failures, max_steps, adapters, ik; with physics dt,
+    Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik; with physics dt,
     max_failures, max_seconds, adapters, ik, physics, patience) and [bold]task.KEY[/], the task's
     own parameters, such as [bold]task.orientation=so3[/].
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what

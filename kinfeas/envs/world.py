@@ -31,7 +31,8 @@ class WorldConfig:
     Attributes:
         dt: Control period, seconds.
         max_failures: Kinematic failures in one episode beyond which it ends.
-        max_steps: Steps of one leg, its wait included, after which an episode is truncated.
+        max_seconds: Of motion time in one leg, its wait included, after which an episode is
+            truncated.
         adapters: Wrapped around the backend, the first one innermost.
         reward: What a step earns.
         ik: How hard IK searches.
@@ -39,7 +40,7 @@ class WorldConfig:
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
     max_failures: Annotated[int, Interval(low=0)] = 19
-    max_steps: Annotated[int, Interval(low=1)] = 1500
+    max_seconds: Annotated[float, Interval(low=0.0, open_low=True)] = 150.0
     adapters: tuple[AdapterSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)
@@ -98,10 +99,9 @@ class World:
         """
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
-        wrapped, planned = _backend(config, robot, backend), pace or Pace()
-        pace = paced(wrapped, planned)
-        # What slows motions down gives them as much more time.
-        self._max_steps = round(config.max_steps * pace.slow_down / planned.slow_down)
+        wrapped = _backend(config, robot, backend)
+        pace = paced(wrapped, pace or Pace())
+        self._max_steps = max(1, round(config.max_seconds * pace.slow_down / config.dt))
         self.loop = Loop(self.solver, build_legs(task.legs), wrapped, config.dt, pace)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)

@@ -84,8 +84,7 @@ class PhysicsSettings:
     @property
     def world(self) -> WorldConfig:
         """What the loop's world is made of."""
-        steps = round(self.max_seconds * self.slow_down / self.dt)
-        return WorldConfig(self.dt, self.max_failures, max(steps, 1), self.adapters, ik=self.ik)
+        return WorldConfig(self.dt, self.max_failures, self.max_seconds, self.adapters, ik=self.ik)
 
     @property
     def place(self) -> Place:

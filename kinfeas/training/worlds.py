@@ -76,7 +76,7 @@ def physics_judge(config: TrainConfig) -> Judge:
         head_start=place.head_start,
         objects=place.objects,
         max_failures=MAX_FAILURES,
-        max_seconds=world.max_steps * world.dt / place.slow_down,
+        max_seconds=world.max_seconds,
         physics=place.physics,
     )
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)

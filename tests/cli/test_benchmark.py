@@ -15,7 +15,7 @@ trainings:
   - {{robot: pr2, steps: 64, settings: {json.dumps(list(TINY[1::2]))}}}
 seeds: [0, 1]
 episodes: 2
-world: {{max_steps: 25}}
+world: {{max_seconds: 2.5}}
 """
 
 

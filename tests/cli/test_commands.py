@@ -11,7 +11,7 @@ from kinfeas.evaluation import speed as speed_module
 from kinfeas.evaluation.speed import Figure, random_network
 from kinfeas.policy import write_network
 
-SHORT = ["--set", "world.max_steps=30", "--episodes", "3"]
+SHORT = ["--set", "world.max_seconds=3.0", "--episodes", "3"]
 
 
 def kinfeas(*arguments):

@@ -48,7 +48,14 @@ def test_the_shipped_policy_of_a_robot(kinfeas):
 
 def test_evaluate_takes_the_file(kinfeas, file, tmp_path):
     for policy in ("run", "pr2.onnx"):
-        arguments = ("--episodes", "2", "--set", "world.max_steps=30", "--json", f"{policy}.json")
+        arguments = (
+            "--episodes",
+            "2",
+            "--set",
+            "world.max_seconds=3.0",
+            "--json",
+            f"{policy}.json",
+        )
         outcome = kinfeas("evaluate", "--policy", policy, *arguments)
         assert outcome.code == 0, outcome.err
     one, two = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("run", "pr2.onnx"))

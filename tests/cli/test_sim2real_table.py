@@ -4,7 +4,7 @@ import pytest
 
 from tests.cli.conftest import is_one_line
 
-SHORT = ("--policy", "follow_ee", "--episodes", "2", "--set", "world.max_steps=5")
+SHORT = ("--policy", "follow_ee", "--episodes", "2", "--set", "world.max_seconds=0.5")
 
 
 def test_the_table_says_what_each_adapter_costs(kinfeas, tmp_path):

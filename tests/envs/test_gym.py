@@ -18,7 +18,7 @@ from kinfeas.observation import scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(
-    max_steps=40, max_failures=5, adapters=(AdapterSpec("base_noise", {"linear": 0.05}),)
+    max_seconds=4.0, max_failures=5, adapters=(AdapterSpec("base_noise", {"linear": 0.05}),)
 )
 SEED, EPISODES = 7, 8
 
@@ -160,7 +160,7 @@ print({{k: v.hex() for k, v in module["trace_single"]("pr2").items()}} )
 
 
 def test_time_limit_truncates_and_does_not_terminate():
-    env = BaseMotionEnv(world=WorldConfig(max_steps=3, max_failures=100))
+    env = BaseMotionEnv(world=WorldConfig(max_seconds=0.3, max_failures=100))
     env.reset(seed=0)
     ends = [env.step(np.zeros(3, dtype=np.float32))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
@@ -176,7 +176,7 @@ def test_too_many_failures_terminate_and_do_not_truncate():
         _, _, terminated, truncated, info = env.step(np.array([-1.0, 0.0, 1.0]))
         steps += 1
     assert (terminated, truncated, info["failures"], info["is_success"]) == (True, False, 5, False)
-    limited = BaseMotionEnv(world=WorldConfig(max_failures=4, max_steps=steps))
+    limited = BaseMotionEnv(world=WorldConfig(max_failures=4, max_seconds=steps / 10))
     limited.reset(seed=0)
     for _ in range(steps):
         end = limited.step(np.array([-1.0, 0.0, 1.0]))

@@ -8,7 +8,7 @@ from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 
-SHORT = WorldConfig(max_steps=4, max_failures=1)
+SHORT = WorldConfig(max_seconds=0.4, max_failures=1)
 
 
 def run(env, steps):
@@ -79,7 +79,7 @@ def test_who_ends_begins_anew_in_the_same_step():
 
 
 def test_truncation_is_told_apart_from_termination():
-    env = BaseMotionVectorEnv(8, world=WorldConfig(max_steps=3, max_failures=0))
+    env = BaseMotionVectorEnv(8, world=WorldConfig(max_seconds=0.3, max_failures=0))
     env.reset(seed=0)
     results = run(env, 3)
     failed = [infos["final_info"]["failures"][t] for _, _, t, _, infos in results if t.any()]

@@ -86,7 +86,7 @@ def quiet(robot):
 
 @pytest.fixture
 def world(robot):
-    return World(robot, ggr(), WorldConfig(max_steps=50), seed=0)
+    return World(robot, ggr(), WorldConfig(max_seconds=5.0), seed=0)
 
 
 def test_sizes(quiet):
@@ -155,7 +155,7 @@ def test_goes_on_within_a_chain_to_the_bit(robot):
 
 
 def test_the_time_limit_is_that_of_a_leg(robot):
-    world = World(robot, CHAIN, WorldConfig(max_steps=40, max_failures=999), seed=0)
+    world = World(robot, CHAIN, WorldConfig(max_seconds=4.0, max_failures=999), seed=0)
     world.start([0, 1])
     real = world.loop.course.advance
     # The first row ends each leg, wait and all, on the last step allowed, the second one none.
@@ -230,9 +230,16 @@ def test_the_time_limit_truncates(world):
     assert not last.terminated.any()
 
 
+def test_the_time_limit_is_the_same_at_any_control_rate(robot):
+    world = World(robot, ggr(), WorldConfig(dt=0.02, max_seconds=0.5), seed=0)
+    world.start([0])
+    pretend(world, feasible=True, finished=False)
+    assert [bool(world.step(idle(world)).truncated[0]) for _ in range(25)] == [False] * 24 + [True]
+
+
 @pytest.mark.parametrize("end", [{"finished": True}, {"feasible": False, "finished": False}])
 def test_an_end_on_the_last_step_is_no_truncation(robot, end):
-    world = World(robot, ggr(), WorldConfig(max_steps=1, max_failures=0), seed=0)
+    world = World(robot, ggr(), WorldConfig(max_seconds=0.1, max_failures=0), seed=0)
     world.start([0])
     pretend(world, **({"feasible": True} | end))
     last = world.step(idle(world))

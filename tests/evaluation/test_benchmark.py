@@ -25,7 +25,7 @@ SMALL = {
     "baselines": {"follow_ee": ["ggr"]},
     "policies": "pretrained",
     "episodes": 2,
-    "world": {"max_steps": 25},
+    "world": {"max_seconds": 2.5},
     "variants": [
         {"label": "low", "task": "ggr", "parameters": {"heights": [0.5, 0.6]}, "robots": ["hsr"]}
     ],

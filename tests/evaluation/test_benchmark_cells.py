@@ -11,7 +11,7 @@ from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
 
-WORLD = replace(evaluation_world(), max_steps=30)
+WORLD = replace(evaluation_world(), max_seconds=3.0)
 
 
 def job(policy="follow_ee", source=None, **changes):
@@ -83,7 +83,7 @@ def test_a_stop_keeps_the_cells_before_it(tmp_path, monkeypatch, counted):
         {"parameters": {"orientation": "so3"}},
         {"robot": "hsr"},
         {"source": "follow_ee_feedback"},
-        {"world": replace(WORLD, max_steps=31)},
+        {"world": replace(WORLD, max_seconds=3.1)},
     ],
 )
 def test_everything_that_matters_tells_cells_apart(changes):

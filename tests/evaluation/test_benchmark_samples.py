@@ -12,7 +12,7 @@ from kinfeas.tasks.ggr import ggr
 @pytest.fixture(scope="module")
 def seen():
     robot = registry.load_robot("tiago")
-    world = World(robot, ggr(), WorldConfig(max_failures=9, max_steps=100), seed=1)
+    world = World(robot, ggr(), WorldConfig(max_failures=9, max_seconds=10.0), seed=1)
     samples = WorkspaceSamples()
     return run_episodes(world, load_policy("follow_ee", robot), 6, watch=samples), samples.kept()
 

@@ -9,7 +9,7 @@ from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 
 CONFIG = WorldConfig(
-    max_failures=9, max_steps=120, adapters=(AdapterSpec("base_noise", {"linear": 0.05}),)
+    max_failures=9, max_seconds=12.0, adapters=(AdapterSpec("base_noise", {"linear": 0.05}),)
 )
 NEAR = ggr(distance=(0.3, 0.9), heights=(0.6, 0.9))
 
@@ -91,7 +91,7 @@ def test_progress_and_what_is_watched(world, policy, records, monkeypatch):
 
 
 def test_who_never_begins_the_last_leg_is_not_near_its_end(robot):
-    config = WorldConfig(max_failures=10**6, max_steps=30)
+    config = WorldConfig(max_failures=10**6, max_seconds=3.0)
     records = run_episodes(World(robot, pick_place(), config, seed=0), FollowEe(robot.base), 3)
     assert np.all(np.isinf(records.final_distance))
     assert not records.within.any()

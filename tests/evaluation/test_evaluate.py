@@ -30,7 +30,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def trial():
-    world = replace(evaluation_world(), max_steps=60)
+    world = replace(evaluation_world(), max_seconds=6.0)
     near = ggr(distance=(0.5, 0.8))
     return Trial(registry.load_robot("pr2"), near, episodes=20, seed=3, world=world)
 

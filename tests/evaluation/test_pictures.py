@@ -29,7 +29,7 @@ def run(tmp_path):
 def recorded(name):
     robot = registry.load_robot(name)
     task = registry.build("kinfeas.tasks", "ggr", {})
-    world = World(robot, task, WorldConfig(max_failures=9, max_steps=150), seed=1)
+    world = World(robot, task, WorldConfig(max_failures=9, max_seconds=15.0), seed=1)
     return robot, record_episodes(world, FollowEe(robot.base), 2)
 
 

@@ -11,10 +11,10 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.tasks.chain import pick_place
 
 
-def world(max_steps=60):
+def world(max_seconds=6.0):
     robot = registry.load_robot("pr2")
     task = registry.build("kinfeas.tasks", "ggr", {})
-    return World(robot, task, WorldConfig(max_failures=99, max_steps=max_steps), seed=4)
+    return World(robot, task, WorldConfig(max_failures=99, max_seconds=max_seconds), seed=4)
 
 
 @pytest.fixture(scope="module")

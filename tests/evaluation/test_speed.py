@@ -44,7 +44,7 @@ def test_a_missing_peer_has_no_figure(quick, monkeypatch):
 
 def test_ended_episodes_are_followed_by_others(monkeypatch):
     robot = registry.load_robot("pr2")
-    monkeypatch.setattr(speed, "WorldConfig", lambda: WorldConfig(max_steps=4))
+    monkeypatch.setattr(speed, "WorldConfig", lambda: WorldConfig(max_seconds=0.4))
     assert environment_rate(robot, FollowEe(robot.base), batch=3, steps=20, repeats=1) > 0.0
 
 

@@ -17,8 +17,8 @@ def test_factors_multiply(pr2):
 
 
 def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
-    slow = World(pr2, ggr(), WorldConfig(max_steps=20, adapters=(SLOW,)), seed=0)
-    plain = World(pr2, ggr(), WorldConfig(max_steps=20), seed=0)
+    slow = World(pr2, ggr(), WorldConfig(max_seconds=2.0, adapters=(SLOW,)), seed=0)
+    plain = World(pr2, ggr(), WorldConfig(max_seconds=2.0), seed=0)
     for world in (slow, plain):
         world.start([0])
     ways = []

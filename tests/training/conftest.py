@@ -10,7 +10,7 @@ from kinfeas.training.config import TrainConfig
 
 TINY = {
     "environments": 8,
-    "world": {"max_steps": 50, "adapters": [{"name": "base_noise"}]},
+    "world": {"max_seconds": 5.0, "adapters": [{"name": "base_noise"}]},
     "learner": {
         "hidden": [16, 16],
         "batch_size": 32,

@@ -16,7 +16,7 @@ PHYSICAL = {
     "robot": "hsr",
     "environments": 2,
     "hold": 5,
-    "world": {"dt": 0.02, "max_steps": 60},
+    "world": {"dt": 0.02, "max_seconds": 1.2},
     "physics": {},
     "learner": {"batch_size": 16, "random_steps": 40, "critic_steps": 40, "buffer_size": 500},
     "schedule": {"steps": 200, "minutes": None, "evaluations": 1, "evaluation_episodes": 1},

@@ -7,7 +7,7 @@ from kinfeas.envs.world import AdapterSpec, World, WorldConfig
 from kinfeas.observation import CLIP, scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
-NOISY = WorldConfig(max_steps=12, max_failures=3, adapters=(AdapterSpec("base_noise"),))
+NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(AdapterSpec("base_noise"),))
 
 
 def make(robot, n, config=NOISY, seed=4):
@@ -72,7 +72,7 @@ def test_terminal_observation_is_the_last_one_before_the_restart(robot):
 
 
 def test_a_time_limit_truncates_and_a_failure_does_not(robot):
-    env = make(robot, 16, WorldConfig(max_steps=6, max_failures=1))
+    env = make(robot, 16, WorldConfig(max_seconds=0.6, max_failures=1))
     env.reset()
     kinds = set()
     for _, _, dones, infos in run(env, 30):
