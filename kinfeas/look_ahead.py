@@ -17,6 +17,9 @@ from kinfeas.spatial import Array
 from kinfeas.spread import spread
 
 _RESTARTS = 2
+_FEW = 8
+"""Deviations that are tried first; the others only where none of them helps."""
+
 _LATER = 0.99
 """Worth of a failure one period of `HORIZON` later."""
 
@@ -77,18 +80,22 @@ class LookAhead:
     def _plan(self, rows: Rows) -> Array:
         """Return what to add to the policy's actions in the m `rows`, shape (m, a)."""
         best = np.zeros((len(rows), self._loop.action_size))
-        cost = self._cost(rows, best[:, np.newaxis])[:, 0]
-        bad = np.flatnonzero(cost > 0.0)
-        if bad.size:
-            tried = np.broadcast_to(self._tries, (len(bad), *self._tries.shape))
-            costs = self._cost(rows[bad], tried)
+        costs, at_once = self._try(rows, best[:, np.newaxis])
+        cost, stuck = costs[:, 0], at_once[:, 0]
+        # Who fails already finds a way out nearby or, as a rule, nowhere.
+        for tries, worth in ((self._tries[:_FEW], cost > 0.0), (self._tries[_FEW:], ~stuck)):
+            bad = np.flatnonzero((cost > 0.0) & worth)
+            if not (bad.size and len(tries)):
+                continue
+            costs, _ = self._try(rows[bad], np.broadcast_to(tries, (len(bad), *tries.shape)))
             chosen = costs.argmin(axis=1)
-            better = costs[np.arange(len(bad)), chosen] < cost[bad]
-            best[bad[better]] = self._tries[chosen[better]]
+            least = costs[np.arange(len(bad)), chosen]
+            better = least < cost[bad]
+            best[bad[better]], cost[bad[better]] = tries[chosen[better]], least[better]
         return best
 
-    def _cost(self, rows: Rows, deviations: Array) -> Array:
-        """Return what the failures to come cost, shape (m, k).
+    def _try(self, rows: Rows, deviations: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return what the failures to come cost, and whether they begin at once, shapes (m, k).
 
         Args:
             rows: The m rows to look ahead of.
@@ -98,16 +105,18 @@ class LookAhead:
         self._twin.restore(_twins(self._loop, rows, k))
         added = deviations.reshape(m * k, size)
         cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
+        stuck = np.zeros(m * k, dtype=np.bool_)
         for period in range(round(self.foresight.seconds / HORIZON)):
             action = self.policy.act(self._twin.situation) + added
             step = self._twin.step(np.clip(action, -1.0, 1.0))
             failed = ~step.feasible & ~over
             missing = 1.0 + step.position_error + step.rotation_error
             cost += np.where(failed, missing * _LATER**period, 0.0)
+            stuck |= failed & (period == 0)
             over |= step.finished
             if over.all():
                 break
-        return cost.reshape(m, k)
+        return cost.reshape(m, k), stuck.reshape(m, k)
 
 
 def _deviations(size: int, foresight: Foresight) -> Array:
