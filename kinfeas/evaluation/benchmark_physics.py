@@ -83,7 +83,8 @@ def plan_physics(
     robot, task = trial
     jobs = []
     for name, row in physics.rows.items():
-        if (row.tasks and task not in row.tasks) or (row.robots and robot not in row.robots):
+        chosen = ((row.tasks, task), (row.robots, robot))
+        if any(names is not None and one not in names for names, one in chosen):
             continue
         world, plain = row_settings(physics, row, robot), name == PLAIN
         for policy, source, seed in [*learned, *(baselines if plain else ())]:

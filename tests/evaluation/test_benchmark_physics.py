@@ -114,6 +114,11 @@ def test_cells_put_parts_together_and_stand_beside_the_paper():
     assert {"success_std", "ceiling", "task_success", "arm_collisions"} <= set(entries[0])
 
 
+def test_a_row_may_have_no_tasks():
+    jobs = plan("physics.rows.plain.tasks=[]", "robots=[pr2]")
+    assert {job.variant for job in jobs if job.physical} == {"head_start", "no_objects"}
+
+
 def test_the_table_and_the_picture_show_all_rows():
     text = physics_markdown(cells(), "A note.", ["kinfeas benchmark"], ["table.png"])
     for words in ("A note.", "2 times longer", "head start", "*80.2 (83.6)*", "without physics"):
