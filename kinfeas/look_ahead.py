@@ -17,6 +17,8 @@ from kinfeas.spatial import Array
 from kinfeas.spread import spread
 
 _RESTARTS = 2
+"""Of IK while it looks ahead, in place of as many as it has when it matters."""
+
 _FEW = 8
 """Deviations that are tried first; the others only where none of them helps."""
 
@@ -83,8 +85,9 @@ class LookAhead:
         costs, at_once = self._try(rows, best[:, np.newaxis])
         cost, stuck = costs[:, 0], at_once[:, 0]
         # Who fails already finds a way out nearby or, as a rule, nowhere.
-        for tries, worth in ((self._tries[:_FEW], cost > 0.0), (self._tries[_FEW:], ~stuck)):
-            bad = np.flatnonzero((cost > 0.0) & worth)
+        everyone = np.ones_like(stuck)
+        for tries, whom in ((self._tries[:_FEW], everyone), (self._tries[_FEW:], ~stuck)):
+            bad = np.flatnonzero(whom & (cost > 0.0))
             if not (bad.size and len(tries)):
                 continue
             costs, _ = self._try(rows[bad], np.broadcast_to(tries, (len(bad), *tries.shape)))

@@ -81,6 +81,31 @@ def test_leaves_alone_what_will_not_fail(task):
     assert spy.asked == [1, 1]
 
 
+def test_looks_widely_only_where_it_may_help(task, monkeypatch):
+    robot = load_robot("pr2")
+    world = World(robot, task, evaluation_world(), seed=3)
+    world.start(range(4))
+    ahead = LookAhead(Still(world.action_size), Foresight(tries=12))
+    ahead.watch(world.loop)
+    # Row 0 never fails, 1 is helped by the second deviation, 2 by the last one, 3 fails already.
+    asked = []
+
+    def outcome(rows, deviations):
+        asked.append((rows.tolist(), deviations.shape[1]))
+        cost = np.where(rows == 0, 0.0, 5.0)[:, np.newaxis].repeat(deviations.shape[1], axis=1)
+        if deviations.shape[1] > 1:
+            cost[rows == 1, 1] = 0.0
+            cost[rows == 2, -1] = 3.0 if deviations.shape[1] == 4 else 5.0
+        return cost, (rows == 3)[:, np.newaxis].repeat(deviations.shape[1], axis=1)
+
+    monkeypatch.setattr(ahead, "_try", outcome)
+    deviation = ahead.act(world.loop.situation)
+
+    assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 8), ([2], 4)]
+    np.testing.assert_array_equal(deviation.any(axis=1), [False, True, True, False])
+    np.testing.assert_array_equal(deviation[2], np.clip(ahead._tries[-1], -1.0, 1.0))
+
+
 def test_is_loaded_by_name():
     robot = load_robot("pr2")
 
