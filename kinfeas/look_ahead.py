@@ -86,7 +86,7 @@ class LookAhead:
         cost, stuck = costs[:, 0], at_once[:, 0]
         # Who fails already finds a way out nearby or, as a rule, nowhere.
         everyone = np.ones_like(stuck)
-        for tries, whom in ((self._tries[:_FEW], everyone), (self._tries[_FEW:], ~stuck)):
+        for tries, whom in ((self._tries[1:_FEW], everyone), (self._tries[_FEW:], ~stuck)):
             bad = np.flatnonzero(whom & (cost > 0.0))
             if not (bad.size and len(tries)):
                 continue
@@ -123,7 +123,10 @@ class LookAhead:
 
 
 def _deviations(size: int, foresight: Foresight) -> Array:
-    """Return normally distributed constants that fill the space evenly, shape (tries, size)."""
+    """Return normally distributed constants that fill the space evenly, shape (tries, size).
+
+    The first of them is 0, the policy alone.
+    """
     deviations: Array = ndtri(spread(foresight.tries, size)) * foresight.spread
     return deviations
 

@@ -101,7 +101,7 @@ def test_looks_widely_only_where_it_may_help(task, monkeypatch):
     monkeypatch.setattr(ahead, "_try", outcome)
     deviation = ahead.act(world.loop.situation)
 
-    assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 8), ([2], 4)]
+    assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 7), ([2], 4)]
     np.testing.assert_array_equal(deviation.any(axis=1), [False, True, True, False])
     np.testing.assert_array_equal(deviation[2], np.clip(ahead._tries[-1], -1.0, 1.0))
 
