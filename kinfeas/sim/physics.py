@@ -20,6 +20,9 @@ Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 ROOT = -1
 """PyBullet's index of a body's root link."""
 
+_AWAY = 1000.0
+"""Height at which there is nothing to touch, metres."""
+
 _DISTANCE, _YAW, _PITCH, _HEIGHT = 3.2, 50.0, -30.0, 0.6
 """How the window looks at a robot: metres, degrees, degrees, and metres above the floor."""
 
@@ -90,6 +93,7 @@ class Physics:
         plane = self.client.createCollisionShape(self.client.GEOM_PLANE)
         self.floor: int = self.client.createMultiBody(0.0, plane)
         self.step_time = 0.0
+        self._free: list[int] = []
         self._kept: int | None = None
 
     def load(self, urdf: Path, *, fixed: bool) -> int:
@@ -102,6 +106,8 @@ class Physics:
         client = self.client
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
         body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
+        if not fixed:
+            self._free.append(body)
         return body
 
     def load_text(self, urdf: str, folder: Path) -> int:
@@ -143,14 +149,13 @@ class Physics:
         state = self.client.getLinkState(body, link, computeForwardKinematics=True)
         return np.concatenate(state[0:2])
 
-    def velocity(self, body: int, link: int) -> tuple[Array, Array]:
-        """Return how a link's inertia moves: m/s and rad/s, shapes (3,) and (3,)."""
+    def motion(self, body: int, link: int) -> tuple[Array, Array, Array]:
+        """Return the pose (7,) of a link's inertia, and how it moves: m/s, rad/s, (3,) and (3,)."""
         if link == ROOT:
             linear, angular = self.client.getBaseVelocity(body)
-        else:
-            state = self.client.getLinkState(body, link, computeLinkVelocity=True)
-            linear, angular = state[6:8]
-        return np.array(linear), np.array(angular)
+            return self.mass_pose(body, ROOT), np.array(linear), np.array(angular)
+        state = self.client.getLinkState(body, link, 1, 1)  # velocity, and where it is now
+        return np.concatenate(state[0:2]), np.array(state[6]), np.array(state[7])
 
     def place(self, body: int, pose: Array) -> None:
         """Put the root link of a body at rest at a world pose, shape (7,)."""
@@ -190,6 +195,11 @@ class Physics:
 
     def rewind(self) -> None:
         """Return to what `keep` remembered, contacts and all."""
+        # The impulses of the corners that something lies on would stay with it, wherever it goes.
+        for number, body in enumerate(self._free):
+            place = [0.0, 0.0, _AWAY * (number + 1.0)]
+            self.client.resetBasePositionAndOrientation(body, place, IDENTITY[3:])
+        self.client.performCollisionDetection()
         self.client.restoreState(self._kept)
 
     def close(self) -> None:

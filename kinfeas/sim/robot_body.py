@@ -18,7 +18,7 @@ class RobotBody:
         robot: What is known of it.
         body: PyBullet's number of it.
         joints: Indices of the joints that move, by name, in PyBullet's order.
-        links: Indices of all links, by name.
+        links: By the name of each of the robot's links the index of what it is a part of.
         base: Indices of the planar joints x, y and yaw.
         arm: Indices of the arm's joints.
         arm_links: Indices of the links that the arm's joints carry.
@@ -29,8 +29,10 @@ class RobotBody:
     def __init__(self, physics: Physics, robot: Robot) -> None:
         """Put a robot into the world, at the origin and in the configuration `home`."""
         self.physics, self.robot = physics, robot
-        self.body = physics.load_text(physics_urdf(robot), robot.urdf_path.parent)
-        self.joints, self.links = physics.joints(self.body), physics.links(self.body)
+        urdf, part_of = physics_urdf(robot)
+        self.body = physics.load_text(urdf, robot.urdf_path.parent)
+        self.joints, links = physics.joints(self.body), physics.links(self.body)
+        self.links = {name: links[of] for name, of in part_of.items()}
         self.base = [self.joints[name] for name in PLANAR_JOINTS]
         self.arm = [self.joints[joint.name] for joint in robot.arm]
         self._order = list(self.joints.values())
@@ -47,7 +49,7 @@ class RobotBody:
         home = robot.home["home"]
         self.reset(planar_pose(np.zeros(()), np.zeros(()), np.zeros(())), home)
         client = physics.client
-        masses = (client.getDynamicsInfo(self.body, link)[0] for link in self.links.values())
+        masses = (client.getDynamicsInfo(self.body, link)[0] for link in {*self.links.values()})
         self.mass = float(sum(masses))
         inertia = client.calculateMassMatrix(self.body, self.positions())
         self.yaw_inertia = float(inertia[2][2])

@@ -1,13 +1,11 @@
 """The URDF that PyBullet gets: the robot's own, on planar joints and without idle ones."""
 
-import warnings
-from typing import Any
 from xml.etree import ElementTree
 
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.robot import Robot
 from kinfeas.sim.moving_joints import moving_joints
-from kinfeas.spatial import Array, rotation
+from kinfeas.sim.welding import set_origin, weld
 
 PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
 """What the base stands on: it slides along the world's x and y, then turns."""
@@ -16,11 +14,15 @@ _WORLD, _CARRIERS = "planar_world_link", ("planar_x_link", "planar_y_link")
 _AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 
-def physics_urdf(robot: Robot) -> str:
+def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
     """Return the robot's URDF with three planar joints below its root.
 
     Joints that do not move here are fixed where the robot holds them, which is also how a brake
-    holds them, and none is left that follows another: PyBullet knows no such thing.
+    holds them, and what they join is one link, but for the EE frame. None is left that follows
+    another: PyBullet knows no such thing.
+
+    Returns:
+        The URDF, and in which of its links each of the robot's links is, by name.
     """
     xml = read_xml(robot.urdf_path, "robot").xml
     moving = moving_joints(robot)
@@ -29,21 +31,12 @@ def physics_urdf(robot: Robot) -> str:
         for mimic in element.findall("mimic"):
             element.remove(mimic)
         if robot.urdf.joints[name].moves and name not in moving:
-            _fix(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
+            element.set("type", "fixed")
+            set_origin(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
+    part_of = weld(xml, keep={robot.ee_frame})
     for element in reversed(_planar_base(robot.urdf.root)):
         xml.insert(0, element)
-    return ElementTree.tostring(xml, encoding="unicode")
-
-
-def _fix(joint: Any, origin: Array) -> None:
-    joint.set("type", "fixed")
-    for element in joint.findall("origin"):
-        joint.remove(element)
-    with warnings.catch_warnings():
-        # Of many angles for one rotation, in gimbal lock, any will do.
-        warnings.simplefilter("ignore", UserWarning)
-        rpy = rotation(origin).as_euler("xyz")
-    ElementTree.SubElement(joint, "origin", xyz=_text(origin[:3]), rpy=_text(rpy))
+    return ElementTree.tostring(xml, encoding="unicode"), part_of
 
 
 def _planar_base(root: str) -> list[ElementTree.Element]:
@@ -70,7 +63,3 @@ def _frame(name: str) -> ElementTree.Element:
     moment = {"ixx": "1e-6", "iyy": "1e-6", "izz": "1e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
     ElementTree.SubElement(inertial, "inertia", moment)
     return link
-
-
-def _text(numbers: Array) -> str:
-    return " ".join(repr(number) for number in numbers.tolist())
