@@ -32,7 +32,7 @@ class LegMotion:
     Attributes:
         generator: Moves the frame; legs may share one.
         frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
-        wait: Seconds that the EE stands still after its arrival.
+        wait: Seconds that the EE stands still after its arrival, unless it is the last leg.
         grip: What the gripper does then.
         name: What errors call the generator; its class by default.
     """

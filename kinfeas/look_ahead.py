@@ -22,6 +22,9 @@ _RESTARTS = 2
 _FEW = 8
 """Deviations that are tried first; the others only where none of them helps."""
 
+_ROUNDING = 1e-6
+"""Of a number of periods, which must not make one more of a whole one."""
+
 _LATER = 0.99
 """Worth of a failure one period of `HORIZON` later."""
 
@@ -135,5 +138,5 @@ def _twins(loop: Loop, rows: Rows, copies: int) -> dict[str, NDArray[np.generic]
     """Return the state of a loop's rows as a loop of twins, `copies` of each, goes on from it."""
     state = loop.imagined()
     away = state["waiting"] * loop.dt / HORIZON
-    state["waiting"] = (np.sign(away) * np.ceil(np.abs(away))).astype(np.intp)
+    state["waiting"] = (np.sign(away) * np.ceil(np.abs(away) - _ROUNDING)).astype(np.intp)
     return {key: np.repeat(values[rows], copies, axis=0) for key, values in state.items()}

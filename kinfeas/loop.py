@@ -252,9 +252,13 @@ class Loop:
         """Find where the motions lead from here, and what a policy sees of that."""
         self.goal = self.course.goal
         self._ahead = self.course.ahead(HORIZON)
-        self.planned = self._ahead[0]
+        planned, slow_down = self._ahead[0], self.pace.slow_down
         base, joints = self.state.base_pose, self.state.joint_positions
-        self.observation = observe(base, self._ee_in_base, self.planned, self.goal, joints)
+        self.observation = observe(base, self._ee_in_base, planned, self.goal, joints)
+        if slow_down != 1.0:
+            twist = spatial.twist_between(self.desired, planned, HORIZON)
+            planned = spatial.integrate(self.desired, twist, HORIZON / slow_down)
+        self.planned = planned
 
     def _hold(self) -> NDArray[np.bool_]:
         """Return which rows stand still in this period, shape (n,): their arms swing.

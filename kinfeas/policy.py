@@ -30,7 +30,9 @@ class Situation:
         base_pose: World pose of the base, shape (n, 7).
         ee_pose: Achieved world pose of the EE, shape (n, 7).
         desired: Desired world pose of the EE now, shape (n, 7).
-        planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7).
+        planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7). Where the motion
+            is slowed down it is nearer than what the observation shows, which is always at full
+            pace.
         demonstrated_base: World pose at which the base was demonstrated to be now, shape (n, 7);
             NaN where none was.
     """

@@ -19,8 +19,9 @@ class Inbox:
     """Merges measurements that arrive from other threads, in any order and in parts.
 
     Ages count from the arrival on the monotonic clock, so that no setting of a clock, here or on
-    the robot, makes old data look new. What lies before the last stamp of the same part is not
-    taken, and if it lies far before, the robot's clock was set back and `fault` says so.
+    the robot, makes old data look new. What bears the last stamp of the same part is as old as
+    that: a driver that hangs may repeat it for ever. What lies before it is not taken, and if it
+    lies far before, the robot's clock was set back and `fault` says so.
 
     Attributes:
         fault: What makes the measurements useless from now on; None while there is no such thing.
@@ -40,7 +41,7 @@ class Inbox:
         self._changed = threading.Condition()
         self._base: tuple[BaseReading, float] | None = None
         self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, arrival
-        self._stamps: dict[str, float] = {}
+        self._stamps: dict[str, tuple[float, float]] = {}  # stamp, arrival
 
     def readings(self) -> Readings:
         """Return what a transport hands measurements to."""
@@ -95,29 +96,33 @@ class Inbox:
 
     def _take_base(self, reading: BaseReading) -> None:
         with self._changed:
-            if self._later("the base", reading.stamp):
-                self._base = reading, time.monotonic() - reading.age
+            since = self._since("the base", reading.stamp, time.monotonic() - reading.age)
+            if since is not None:
+                self._base = reading, since
                 self._changed.notify_all()
 
     def _take_joints(self, reading: JointReading) -> None:
         now = time.monotonic()
         with self._changed:
             for name, position in reading.positions.items():
-                if self._later(name, reading.stamp):
+                since = self._since(name, reading.stamp, now)
+                if since is not None:
                     velocity = reading.velocities.get(name, np.nan)
-                    self._joints[name] = position, velocity, now
+                    self._joints[name] = position, velocity, since
             self._changed.notify_all()
 
-    def _later(self, part: str, stamp: float | None) -> bool:
-        """Return whether a stamp is none or not before the last one of this part."""
+    def _since(self, part: str, stamp: float | None, arrival: float) -> float | None:
+        """Return when a measurement of a part arrived first; None if it was overtaken."""
         if stamp is None:
-            return True
-        before = self._stamps.get(part, stamp)
-        if stamp >= before:
-            self._stamps[part] = stamp
-        elif before - stamp > BACKWARDS and self.fault is None:
-            self.fault = (
-                f"the stamps of {part} went back by {before - stamp:.2f} s: was the robot's clock "
-                "set, or do two robots report?"
-            )
-        return stamp >= before
+            return arrival
+        last, since = self._stamps.get(part, (stamp, arrival))
+        if stamp < last:
+            if last - stamp > BACKWARDS and self.fault is None:
+                self.fault = (
+                    f"the stamps of {part} went back by {last - stamp:.2f} s: was the robot's "
+                    "clock set, or do two robots report?"
+                )
+            return None
+        since = arrival if stamp > last else min(since, arrival)
+        self._stamps[part] = stamp, since
+        return since

@@ -45,7 +45,7 @@ class MeasurementGuard:
 
         Args:
             state: Of one robot.
-            elapsed: Seconds since the last one.
+            elapsed: Seconds since the command went out that led here from the last one.
 
         Raises:
             Fault: If it cannot.

@@ -110,11 +110,12 @@ class Ros1Link:
         return next(silent, None)
 
     def check(self) -> None:
-        """Do nothing while the master lives and the robot's frames are the expected ones.
+        """Do nothing while node and master live and the robot's frames are the expected ones.
 
         Raises:
             Fault: If not.
         """
+        _check_node()
         if self._master is not None:
             self._master.check()
         if self._frame_fault is not None:
@@ -122,10 +123,12 @@ class Ros1Link:
 
     def drive(self, velocity: Array) -> None:
         """Command the base: x, y and turning in its own frame, shape (3,), m/s and rad/s."""
+        _check_node()
         self._publishers[self._topics.base.command].publish(messages.twist(velocity))
 
     def move(self, positions: Mapping[str, float], seconds: float) -> None:
         """Send each controller its share of the joints."""
+        _check_node()
         for one in self._topics.joints.controllers:
             share = {name: positions[name] for name in one.joints}
             self._publishers[one.command].publish(messages.trajectory(share, seconds))
@@ -175,6 +178,12 @@ class Ros1Link:
         # Of transforms, every message counts: each has others.
         self._subscribers.append(rospy.Subscriber("/tf", kind, take, tcp_nodelay=True))
         self._subscribers.append(rospy.Subscriber("/tf_static", kind, take_static))
+
+
+def _check_node() -> None:
+    """Raise Fault if this node was shut down: from then on what is published is silently lost."""
+    if ros("rospy").is_shutdown():
+        raise Fault("this node was shut down, as rosnode kill does it")
 
 
 def _joints(readings: Readings) -> Any:

@@ -22,12 +22,16 @@ class TfTree:
 
     def take(self, message: Any, *, static: bool = False) -> None:
         """Take a tf2_msgs/TFMessage; `static` transforms never grow old."""
-        arrival = math.inf if static else time.monotonic()
+        now = math.inf if static else time.monotonic()
         for one in message.transforms:
             child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
             p, q = one.transform.translation, one.transform.rotation
             pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-            self._edges[child] = parent, pose, one.header.stamp.to_sec(), arrival
+            stamp = one.header.stamp.to_sec()
+            _, _, last, since = self._edges.get(child, (parent, pose, 0.0, now))
+            # What is sent again is no news.
+            arrival = min(since, now) if stamp and stamp == last else now
+            self._edges[child] = parent, pose, stamp, arrival
 
     def reading(self) -> BaseReading | None:
         """Return where the base is, as old as the oldest transform on the way; None if unknown."""

@@ -109,14 +109,18 @@ def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Ceiling:
     reached = [np.zeros(group.poses.shape[:2], dtype=np.bool_) for group in groups]
     episodes, work = len(reached[0]), len(groups) * len(STAGES)
     convergence = []
-    for stage in STAGES:
+    for tried, stage in zip((0, *STAGES), STAGES, strict=False):
         for group, found in zip(groups, reached, strict=True):
             still_open = ~found
             if stage > group.most or not still_open.any():
                 report(1.0 / work)
                 continue
             found[still_open] = reachable(
-                group.solver, group.poses[still_open], (stage,), lambda done: report(done / work)
+                group.solver,
+                group.poses[still_open],
+                (stage,),
+                lambda done: report(done / work),
+                tried,
             ).reached
         all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
         convergence.append(float(all_reached.mean()))

@@ -40,6 +40,7 @@ def reachable(
     goals: Array,
     stages: Sequence[int] = STAGES,
     on_done: Callable[[float], None] | None = None,
+    tried: int = 0,
 ) -> Ceiling:
     """Return which of `goals` the EE reaches from some base pose.
 
@@ -53,11 +54,12 @@ def reachable(
         goals: World poses of the EE, shape (n, 7), n at least 1.
         stages: Ascending numbers of base poses; only goals still open go on to the next stage.
         on_done: Called with the share of all work, 0-1, that has just been done.
+        tried: Of the base poses, how many have been tried in vain already.
     """
     postures = _Postures(solver)
     reached = np.zeros(len(goals), dtype=np.bool_)
     convergence = []
-    for first, last in zip((0, *stages), stages, strict=False):
+    for first, last in zip((tried, *stages), stages, strict=False):
         still_open = np.flatnonzero(~reached)
         for row in still_open:
             reached[row] = postures.reach(goals[row], first, last)

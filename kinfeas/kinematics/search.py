@@ -127,6 +127,7 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
     error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
     if cost > WARM_COST:
         return False
+    metres_here, radians_here = error[0], error[1]
     for attempt in range(2 if len(moves) > 0 else 1):
         bounds = limits
         if attempt == 0 and len(moves) > 0:
@@ -143,12 +144,13 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
         elif _improves(problem, metres, radians, error, q, touching):
             error[0], error[1] = metres, radians
     # Where there is leeway, staying may be an answer that every descent has left.
-    if not _close_enough(problem, error[0], error[1]):
+    if not _close_enough(problem, metres_here, radians_here):
         return False
     for j in range(len(q)):
         q[j] = min(max(solution[j], limits.lower[j]), limits.upper[j])
     if not _free(problem, q, touching):
         return False
+    error[0], error[1] = metres_here, radians_here
     solution[:] = q
     return True
 

@@ -37,7 +37,8 @@ class Leg:
         motion: What moves the frame.
         frame: Whether that is the EE frame or the tool tip in the common gripper convention, whose
             x is the approach and whose y the finger axis.
-        wait: Seconds that the EE stands still after its arrival, while the base may move.
+        wait: Seconds that the EE stands still after its arrival, while the base may move; the last
+            leg ends with the arrival.
         grip: What the gripper does then, in worlds that have one.
     """
 

@@ -75,6 +75,7 @@ def physics_judge(config: TrainConfig) -> Judge:
         slow_down=place.slow_down,
         head_start=place.head_start,
         objects=place.objects,
+        patience=place.patience,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,
         physics=place.physics,

@@ -35,7 +35,7 @@ def test_the_papers_numbers(path):
     learner, reward, schedule = recipe.learner, recipe.world.reward, recipe.schedule
     assert (recipe.environments, learner.gradient_steps, recipe.task) == (1, 1, "ggr")
     assert (schedule.steps, schedule.minutes, learner.buffer_size) == (1_000_000, None, 100_000)
-    assert (reward.failure, reward.limit_penalty) == ("indicator", 0.0)
+    assert (reward.failure, reward.limit_penalty, reward.jump_penalty) == ("indicator", 0.0, 0.0)
     assert reward.action_penalty in {0.0, 0.01, 0.1}
     assert recipe.world.max_failures in {1, 19, 99}
     assert learner.batch_size in {64, 256}
