@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backend import Backend, Live, RobotState
+from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
 from kinfeas.sim2real.fault import Fault
@@ -150,7 +151,11 @@ class Guarded(Passing):
     def close(self) -> None:
         """Stop the base and close the backend; it may be called twice."""
         self.stop()
-        self.backend.close()
+        try:
+            self.backend.close()
+        except KinfeasError:
+            if not self.unstopped:  # or else it is known already that nothing can be sent
+                raise
 
     def _allowed(self, base_twist: Array, joint_targets: Array, dt: float) -> tuple[Array, Array]:
         """Return what is sent of a command, of the same shapes."""

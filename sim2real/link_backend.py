@@ -139,9 +139,11 @@ class LinkBackend:
     def close(self) -> None:
         """Stop the robot and let go of the link; it may be called twice."""
         if self._opened:
-            self.stop()
-            self.link.close()
-            self._opened = False
+            try:
+                self.stop()
+            finally:
+                self.link.close()
+                self._opened = False
 
     def _send(self, targets: Array) -> None:
         """Send the arm to joint positions, shape (j,)."""

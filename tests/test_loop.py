@@ -431,6 +431,11 @@ def test_slowed_down_motions_are_seen_as_they_are_planned(solver):
         loops.append(loop)
     plain, slow = loops
     np.testing.assert_array_equal(slow.observation, plain.observation)
+    # What drives without having learned is told the motion as it will be.
+    metres, radians = spatial.distance(slow.desired, slow.planned)
+    full_metres, full_radians = spatial.distance(plain.desired, plain.planned)
+    np.testing.assert_allclose(2.0 * metres, full_metres)
+    np.testing.assert_allclose(2.0 * radians, full_radians)
     start = plain.desired
     for loop, steps in ((plain, 5), (slow, 10)):
         for _ in range(steps):

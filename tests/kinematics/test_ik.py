@@ -256,6 +256,24 @@ def test_leeway(robot, judge, draw):
     np.testing.assert_allclose(radians, reported[:, 1], atol=1e-7)
 
 
+def test_an_arm_that_may_stay_is_never_without_a_solution(robot, draw):
+    if robot.leeway is None:
+        pytest.skip("has no leeway")
+    solver = IkSolver(robot, IkOptions(restarts=0))
+    rng = np.random.default_rng(2)
+    joints = draw(robot, 20_000)
+    joints = joints[~self_collides(solver.collision, joints)]
+    targets = forward(solver.chain, joints)
+    targets[:, :3] += rng.normal(scale=0.05, size=(len(joints), 3))
+    targets[:, 3:] += rng.normal(scale=0.05, size=(len(joints), 4))
+    targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)
+    metres, radians = distance(forward(solver.chain, joints), targets)
+    may_stay = (metres <= robot.leeway.position) & (radians <= robot.leeway.rotation)
+    assert may_stay.sum() > 5000
+    for moves in (None, 0.1 * np.array([joint.velocity for joint in robot.arm])):
+        assert solver.solve(targets[may_stay], joints[may_stay], moves).feasible.all()
+
+
 def test_spread_configurations_cover_the_limits(robot):
     joints = spread_configurations(robot, 512)
     lower, upper = lower_upper(robot)

@@ -133,6 +133,16 @@ class Bus:
         os.kill(pid, signal.SIGKILL)
         return now
 
+    def kill_node(self, of: Process) -> float:
+        """Shut down the node of a process, as rosnode kill does it, and return when."""
+        master = ServerProxy(self.uri)
+        topics, _, _ = master.getSystemState("/test")[2]
+        names = {name for _, nodes in topics for name in nodes}
+        (name,) = (name for name in names if f"_{of.process.pid}_" in name)
+        now = time.monotonic()
+        ServerProxy(master.lookupNode("/test", name)[2]).shutdown("/test", "killed")
+        return now
+
     def close(self) -> None:
         for one in self.started:
             one.kill()

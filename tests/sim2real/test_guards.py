@@ -288,6 +288,26 @@ def test_a_stop_that_fails_hides_no_reason():
     assert guard.unstopped == "the link is broken"
 
 
+def test_a_stop_that_fails_in_any_way_is_told():
+    guard, backend = guarded()
+
+    def breaks(*_):
+        raise RuntimeError("the bus is gone")
+
+    guard.step(twist(0.01), stays(guard), DT)
+    backend.step = breaks
+    guard.stop()
+    assert guard.unstopped == "the bus is gone"
+
+
+def test_what_has_not_moved_yet_needs_no_stop():
+    guard, backend = guarded()
+    guard.stop()
+    assert guard.stopped
+    assert not backend.sent
+    assert guard.unstopped == ""
+
+
 def test_a_policys_action_is_looked_at():
     action = np.zeros((1, 3))
     assert check_action(action, 3) is action

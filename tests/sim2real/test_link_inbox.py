@@ -95,6 +95,23 @@ def test_what_was_overtaken_is_dropped(pr2, inbox):
     assert inbox.fault is None
 
 
+def test_what_is_repeated_is_not_new(pr2, inbox, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    readings = inbox.readings()
+    for _ in range(5):
+        readings.base(BaseReading(0.0, 0.0, 0.0, stamp=10.0))
+        readings.joints(JointReading(joints_at(pr2).positions, stamp=10.0))
+        now[0] += 0.1
+    assert inbox.state().age[0] == pytest.approx(0.5)
+    readings.base(BaseReading(0.0, 0.0, 0.0, stamp=10.5))
+    readings.joints(JointReading(joints_at(pr2).positions, stamp=10.5))
+    assert inbox.state().age[0] == 0.0
+    readings.base(BaseReading(0.0, 0.0, 0.0))
+    readings.joints(joints_at(pr2))
+    assert inbox.state().age[0] == 0.0
+
+
 def test_stamps_of_different_joints_are_not_compared(pr2, inbox):
     readings = inbox.readings()
     first, second = (joint.name for joint in pr2.arm[:2])

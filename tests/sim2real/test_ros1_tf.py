@@ -53,6 +53,18 @@ def test_is_as_old_as_the_oldest_transform_on_the_way(monkeypatch):
     assert tree.reading().age == 0.0
 
 
+def test_what_is_sent_again_grows_old(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    tree = TfTree("map", "base")
+    for _ in range(4):
+        tree.take(message(("map", "base", pose(0, 0, 0), 7.0)))
+        now[0] += 0.5
+    assert tree.reading().age == pytest.approx(2.0)
+    tree.take(message(("map", "base", pose(0, 0, 0), 8.0)))
+    assert tree.reading().age == 0.0
+
+
 def test_static_transforms_do_not_age(monkeypatch):
     now = [0.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
