@@ -222,8 +222,12 @@ def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
         with training_bar() as report:
             progress = work(report)
     except KeyboardInterrupt:
+        begun = (folder / "config.yaml").is_file()
+        resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
         sys.stderr.write(
-            f"interrupted: the run is kept, go on with: kinfeas train --resume {folder}\n"
+            f"interrupted: the run is kept, go on with: {resume}\n"
+            if begun
+            else "interrupted before the run began: nothing was kept\n"
         )
         raise typer.Exit(130) from None
     write_json(best_figures(folder), folder / "evaluation.json")

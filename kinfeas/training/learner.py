@@ -12,6 +12,7 @@ from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
+from kinfeas.errors import KinfeasError
 from kinfeas.policy import Network
 from kinfeas.training.config import LearnerConfig
 from kinfeas.training.vec_env import EpisodesVecEnv
@@ -98,6 +99,22 @@ def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
     )
 
 
+def learn(learner: Learner, config: LearnerConfig) -> None:
+    """Take the gradient steps that belong to one step of all environments.
+
+    Raises:
+        KinfeasError: If a weight is no finite number any more.
+    """
+    try:
+        learner.train(config.gradient_steps, config.batch_size)
+    except ValueError:  # where a weight is no number, chance has no distribution
+        if not _diverged(learner):
+            raise
+    if _diverged(learner):
+        rate = config.learning_rate
+        raise KinfeasError(f"learning diverged: learner.learning_rate is {rate:g}, try a lower one")
+
+
 def take_network(learner: Learner, network: Network) -> None:
     """Let a fresh learner's actor act as a network does; SAC's with the deviation `DEVIATION`.
 
@@ -117,6 +134,10 @@ def take_network(learner: Learner, network: Network) -> None:
             spread.bias.fill_(math.log(DEVIATION))
         else:
             learner.actor_target.load_state_dict(learner.actor.state_dict())
+
+
+def _diverged(learner: Learner) -> bool:
+    return not all(bool(torch.isfinite(one).all()) for one in learner.policy.parameters())
 
 
 def _layers(learner: Learner) -> list[nn.Linear]:

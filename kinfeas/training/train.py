@@ -23,6 +23,7 @@ from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import (
     explore,
+    learn,
     make_learner,
     network_of,
     take_network,
@@ -148,8 +149,10 @@ class _Run:
 
     def load(self) -> None:
         """Take up the last checkpoint, or begin if there is none."""
-        last = find_folder(self.out / "checkpoints" / "last")
+        last, best = (find_folder(self.out / "checkpoints" / name) for name in ("last", "best"))
         if not last.is_dir():
+            if best.is_dir():
+                raise KinfeasError(f"{last}: missing, and there is no other checkpoint to resume")
             self.begin()
             return
         state = read_state(last)
@@ -222,7 +225,7 @@ class _Run:
             patient = progress.steps < config.random_steps + config.critic_steps
             learner.actor.requires_grad_(not patient)
             learner._current_progress_remaining = 1.0 - progress.share
-            learner.train(config.gradient_steps, config.batch_size)
+            learn(learner, config)
         seen, rewards, dones, infos = self.env.step_wait()
         after = seen.copy()
         for row in np.flatnonzero(dones):

@@ -73,6 +73,17 @@ def test_interruption_says_how_to_go_on(kinfeas, monkeypatch):
     assert kinfeas("train", "--resume", "run").code == 0
 
 
+def test_interruption_before_the_run_begins_promises_nothing(kinfeas, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training._Run, "__init__", interrupted)
+    outcome = kinfeas("train", "--steps", "64", "--out", "run", *TINY)
+    assert outcome.code == 130
+    assert outcome.err.splitlines()[-1] == "interrupted before the run began: nothing was kept"
+    assert not (tmp_path / "run").exists()
+
+
 def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
     outcome = kinfeas("train", "--steps", "64", "--out", "run", "--sim2real", "harsh", *TINY)
     assert outcome.code == 0, outcome.err

@@ -1,11 +1,13 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +169,21 @@ def test_a_run_resumed_without_a_checkpoint_begins_again(plain, tmp_path):
     config.dump(settings, tmp_path / "config.yaml")
     resume(tmp_path)
     assert_same(tmp_path, expected)
+
+
+def test_a_run_that_lost_its_checkpoint_does_not_begin_again(half, digest):
+    shutil.rmtree(half / "checkpoints" / "last")
+    before = digest(half)
+    with pytest.raises(KinfeasError, match="last: missing, and there is no other checkpoint"):
+        resume(half)
+    assert digest(half) == before
+
+
+def test_learning_that_diverges_is_a_clear_error(tiny, tmp_path):
+    settings = tiny()
+    learner = replace(settings.learner, learning_rate=1e20)
+    with pytest.raises(KinfeasError, match="learning diverged: learner"):
+        train(replace(settings, learner=learner), tmp_path / "run")
 
 
 def interrupt_at(monkeypatch, owner, name, call):
