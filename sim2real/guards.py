@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from kinfeas.backend import Backend, Live, RobotState
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import USUAL
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
 from kinfeas.sim2real.fault import Fault
@@ -143,9 +144,8 @@ class Guarded(Passing):
                 self.live.stop()
             elif drove and self._dt > 0.0:  # before the first step nothing moves
                 self.backend.step(self.base_twist, self.joint_targets, self._dt)
-        except Exception as error:
-            # What has led here is what the user must hear of, and whatever a plugin raises, the
-            # watchdog has to try again.
+        except (KinfeasError, *USUAL) as error:
+            # What has led here is what the user must hear of; the watchdog tries again.
             self.unstopped = str(error) or type(error).__name__
 
     def close(self) -> None:

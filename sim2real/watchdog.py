@@ -85,7 +85,10 @@ class Watchdog:
         """Return the watchdog."""
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """End the process; after an error that nobody has dealt with, it stops the base before."""
+        if kind is not None and not issubclass(kind, KinfeasError):
+            self.abandon()
         self.close()
 
     def beat(self) -> bool:

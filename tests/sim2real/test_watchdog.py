@@ -94,6 +94,15 @@ def test_a_run_that_cannot_stop_its_robot_leaves_that_to_the_watchdog(stops):
     assert stopped_at(stops)
 
 
+def test_an_error_that_nobody_has_dealt_with_stops_the_base(stops):
+    with (
+        pytest.raises(ZeroDivisionError),
+        Watchdog(StopCall("stand_in:connect", {"path": str(stops)}), 5.0),
+    ):
+        raise ZeroDivisionError
+    assert stopped_at(stops)
+
+
 @pytest.mark.parametrize("path", ["stand_in:conect", "no_such_module:stop"])
 def test_does_not_begin_without_a_way_to_stop(stops, path, capfd):
     with pytest.raises(KinfeasError, match=f"could not connect to the robot by '{path}'"):
