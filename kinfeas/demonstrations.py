@@ -5,7 +5,6 @@ demonstrations of one motion.
 """
 
 import csv
-import zipfile
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,9 @@ from numpy.typing import NDArray
 
 from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
-from kinfeas.files import reading, writing
+from kinfeas.files import writing
+from kinfeas.npz import read_npz
+from kinfeas.quantities import LONGEST, REMOTEST
 from kinfeas.spatial import Array
 
 _AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -119,15 +120,10 @@ def _read_csv(path: Path, optional: Collection[str]) -> Demonstration:
 
 
 def _read_npz(path: Path, optional: Collection[str]) -> Demonstration:
-    try:
-        with reading(path), np.load(path, allow_pickle=False) as archive:
-            names = [name for name in ("time", *_POSES) if name not in optional or name in archive]
-            missing = [name for name in names if name not in archive]
-            values = {name: archive[name] for name in names if name in archive}
-    except (ValueError, TypeError, zipfile.BadZipFile, EOFError) as error:
-        raise KinfeasError(f"{path}: is no NPZ file of plain arrays: {error}") from error
-    if missing:
-        raise KinfeasError(f"{path}: key {missing[0]!r} is missing")
+    values = read_npz(path, ("time", *_POSES))
+    for name in ("time", *_POSES):
+        if name not in values and name not in optional:
+            raise KinfeasError(f"{path}: key {name!r} is missing")
     samples = values["time"].size
     for name, value in values.items():
         shape = (samples,) if name == "time" else (samples, 7)
@@ -151,7 +147,9 @@ def _checked(
         _refuse(~np.isfinite(value).all(axis=1), name, "is not finite", place)
     stuck = np.concatenate([[False], np.diff(time) <= 0.0])
     _refuse(stuck, "time", "does not ascend from the sample before", place)
+    _refuse(time - time[0] > LONGEST, "time", f"is more than {LONGEST:g} s after the first", place)
     for name, pose in arrays.items():
+        _refuse(np.any(np.abs(pose) > REMOTEST, axis=1), name, f"is beyond {REMOTEST:g} m", place)
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
         _refuse(np.abs(norm - 1.0) > _NOT_UNIT, name, "has no unit quaternion (xyzw)", place)
         pose[:, 3:] /= norm[:, np.newaxis]

@@ -1,31 +1,37 @@
 """Single files: read up to a limit, written as a whole, and failures that name them."""
 
+import errno
 import os
+import shutil
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from kinfeas.errors import KinfeasError
 
+_STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
+
+
+def reading(path: Path) -> AbstractContextManager[None]:
+    """Turn a failure to read into a `KinfeasError` that names `path`."""
+    return _naming(path, "read")
+
+
+def writing(path: Path) -> AbstractContextManager[None]:
+    """Turn a failure to write into a `KinfeasError` that names `path`."""
+    return _naming(path, "written")
+
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turn a failure to read into a `KinfeasError` that names `path`."""
+def _naming(path: Path, done: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise KinfeasError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise KinfeasError(f"{path}: cannot be {done}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise KinfeasError(f"{path}: not a text file in UTF-8") from error
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turn a failure to write into a `KinfeasError` that names `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def read_file(path: Path, most: int) -> bytes:
@@ -42,15 +48,77 @@ def read_file(path: Path, most: int) -> bytes:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file, all of it or nothing.
+    """Write a file, all of it or nothing, as `replacing` does.
 
     Raises:
         KinfeasError: If it cannot be written.
     """
-    temporary = path.parent / f".{path.name}.{os.getpid()}"
+    with replacing(path) as fresh:
+        fresh.write_bytes(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield where to write a file of the same name, which takes the place of `path` when complete.
+
+    A link stays, and what it leads to is replaced. A device, a pipe or `/dev/stdout` stays too: it
+    is handed what was written.
+
+    Raises:
+        KinfeasError: If it cannot be written; what was there is still there.
+    """
+    target = replaced(path)
+    with writing(path), TemporaryDirectory(prefix=".", dir=target and target.parent) as folder:
+        fresh = Path(folder) / path.name
+        yield fresh
+        if target is None:
+            _hand_over(fresh, path)
+        else:
+            if target.exists():
+                shutil.copymode(target, fresh)
+            fresh.replace(target)
+
+
+def replaced(path: Path) -> Path | None:
+    """Return the file that writing to `path` begins or replaces, links followed.
+
+    None if `path` is a device, a pipe or an open file such as `/dev/stdout`, which all stay.
+
+    Raises:
+        KinfeasError: If it is a folder, or must not be written.
+    """
     with writing(path):
-        try:
-            temporary.write_bytes(content)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        stream = _stream(path)
+        if stream is not None:
+            os.fstat(stream)
+            return None
+        mode = _mode(path)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if mode and not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return path.resolve() if not mode or stat.S_ISREG(mode) else None
+
+
+def _mode(path: Path) -> int:
+    """Return the kind and the rights of what is there, 0 if there is nothing."""
+    try:
+        return path.stat().st_mode
+    except FileNotFoundError:
+        return 0
+
+
+def _stream(path: Path) -> int | None:
+    """Return the number of the open file of this process that `path` stands for, if it does."""
+    if str(path) in _STREAMS:
+        return _STREAMS[str(path)]
+    open_file = path.name.isdecimal() and path.exists()
+    own = open_file and path.parent.resolve() == Path("/dev/fd").resolve()
+    return int(path.name) if own else None
+
+
+def _hand_over(fresh: Path, path: Path) -> None:
+    stream = _stream(path)
+    sink = path.open("wb") if stream is None else os.fdopen(os.dup(stream), "wb")
+    with fresh.open("rb") as source, sink:
+        shutil.copyfileobj(source, sink)

@@ -8,8 +8,11 @@ from kinfeas.errors import KinfeasError
 
 _OWN = "kinfeas"
 
-# A sentence already, or the machine's trouble; what is no `Exception` is somebody's wish to end.
+# A sentence already, or the machine's trouble.
 _NOBODYS = (KinfeasError, MemoryError, SystemError)
+
+# Somebody at the keyboard may wish to end the program; a plugin may not.
+_BLAMED = (Exception, SystemExit)
 
 USUAL = (
     ArithmeticError,
@@ -20,18 +23,19 @@ USUAL = (
     NameError,
     OSError,
     RuntimeError,
+    SystemExit,
     TypeError,
     ValueError,
 )
-"""What code that calculates raises, for places in which a context would cost too much."""
+"""What code that calculates raises, and `sys.exit`, for places where a context would cost much."""
 
 
 class Blaming:
-    """A context in which any `Exception` becomes a `KinfeasError`.
+    """A context in which any `Exception`, and `SystemExit`, becomes a `KinfeasError`.
 
     It is for a single call into a plugin, whose author may raise what he likes. `KeyboardInterrupt`
-    and `SystemExit` pass as they are, and so do `MemoryError`, errors that are a sentence already,
-    and what our own package raises, which keeps its traceback. It may be entered again and again.
+    passes as it is, and so do `MemoryError`, errors that are a sentence already, and what our own
+    package raises, which keeps its traceback. It may be entered again and again.
 
     Args:
         subject: Whose code it is, and what it is asked for, as the sentence begins.
@@ -60,7 +64,7 @@ class Blaming:
         Raises:
             KinfeasError: Names the subject, what it raised, and the line.
         """
-        if not isinstance(error, Exception) or isinstance(error, _NOBODYS):
+        if not isinstance(error, _BLAMED) or isinstance(error, _NOBODYS):
             return
         # A library that is not installed is no mistake of ours.
         if self.package == _OWN and not isinstance(error, ImportError):

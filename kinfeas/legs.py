@@ -1,14 +1,15 @@
 """What a course is made of: legs, how near to their ends is there, and the pace of a robot."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from kinfeas import spatial
 from kinfeas.backend import Grip
-from kinfeas.config import Interval
+from kinfeas.errors import KinfeasError
 from kinfeas.motion import MotionGenerator
+from kinfeas.quantities import SLOWEST, Seconds, SlowDown
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
@@ -58,11 +59,18 @@ class Pace:
             another configuration that is further away than `SWING_SECONDS`.
     """
 
-    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
-    head_start: Annotated[float, Interval(low=0.0)] = 0.0
-    settle: Annotated[float, Interval(low=0.0)] = 0.0
-    spread: Annotated[float, Interval(low=0.0)] = 0.0
-    patience: Annotated[float, Interval(low=0.0)] = 0.0
+    slow_down: SlowDown = 1.0
+    head_start: Seconds = 0.0
+    settle: Seconds = 0.0
+    spread: Seconds = 0.0
+    patience: Seconds = 0.0
+
+    def __post_init__(self) -> None:
+        """Check what adapters may have multiplied."""
+        if self.slow_down not in SLOWEST:
+            raise KinfeasError(
+                f"slow_down must be a number {SLOWEST} in all, not {self.slow_down:g}"
+            )
 
 
 @runtime_checkable

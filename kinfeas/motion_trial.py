@@ -7,7 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.errors import KinfeasError
 from kinfeas.motion_checks import CheckedMotion
+from kinfeas.quantities import LONGEST
 from kinfeas.spatial import Array, integrate, make_pose
+
+_MOST_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,9 @@ class Trial:
         dt: Duration of a step in seconds.
         max_velocity: Speed that no twist may exceed, m/s; None lifts the limit.
         max_angular_velocity: Angular speed that no twist may exceed, rad/s; None lifts the limit.
+
+    Raises:
+        KinfeasError: If the times are not positive, or make more than a million steps.
     """
 
     target_poses: Array | None = None
@@ -29,6 +35,18 @@ class Trial:
     dt: float = 0.1
     max_velocity: float | None = 0.1
     max_angular_velocity: float | None = 0.1
+
+    def __post_init__(self) -> None:
+        """Check that the steps can be counted."""
+        if not (0.0 < self.duration <= LONGEST and 0.0 < self.dt <= LONGEST):
+            raise KinfeasError(
+                f"duration and dt must be times in (0, {LONGEST:g}] s, "
+                f"not {self.duration:g} and {self.dt:g}"
+            )
+        if self.steps > _MOST_STEPS:
+            raise KinfeasError(
+                f"duration / dt must be at most {_MOST_STEPS:,} steps, not {self.steps:,}"
+            )
 
     @property
     def steps(self) -> int:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kinfeas.errors import KinfeasError
 from kinfeas.files import reading, writing
+from kinfeas.quantities import REMOTEST
 from kinfeas.schema import Interval, Place, convert_dataclass
 from kinfeas.spatial import Array
 
@@ -29,7 +30,7 @@ class About:
     """What a record is of.
 
     Attributes:
-        robot: Name of the robot.
+        robot: Name of the robot, or the absolute path of its YAML.
         task: What it was to do.
         policy: What drove its base.
         backend: What moved it.
@@ -178,6 +179,8 @@ def _about(line: str, path: Path) -> About:
         data = json.loads(line.removeprefix(mark))
     except ValueError as error:
         raise KinfeasError(f"{place}: broken JSON: {error}") from error
+    except RecursionError as error:
+        raise KinfeasError(f"{place}: broken JSON: nested too deeply") from error
     about: About = convert_dataclass(About, data, Place(place))
     if not about.joints:
         raise KinfeasError(f"{place}: 'joints' must name one joint at least")
@@ -219,6 +222,8 @@ def _row(line: str, width: int, place: str) -> tuple[list[float], str]:
         raise KinfeasError(f"{place}: has {len(entries)} entries for {width} columns")
     if not np.isfinite([time, *numbers]).all():
         raise KinfeasError(f"{place}: holds a number that is not finite")
+    if np.nanmax(np.abs([time, age, *numbers])) > REMOTEST:
+        raise KinfeasError(f"{place}: holds a number beyond {REMOTEST:g}, which nothing can be")
     if numbers[-2] not in (0.0, 1.0) or numbers[-1] < 0.0 or numbers[-1] % 1.0:
         raise KinfeasError(f"{place}: 'feasible' must be 0 or 1 and 'leg' a whole number >= 0")
     return [time, age, *numbers], entries[-1]

@@ -134,7 +134,7 @@ def load_robot(name_or_path: str) -> Robot:
     Raises:
         KinfeasError: If there is no such robot, or its YAML or URDF is wrong.
     """
-    if os.sep in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+    if _is_path(name_or_path):
         return read_robot(Path(name_or_path))
     built = build("kinfeas.robots", name_or_path, {})
     if not isinstance(built, Path):
@@ -142,6 +142,15 @@ def load_robot(name_or_path: str) -> Robot:
             f"robot {name_or_path!r} must return the Path of its YAML, not {built!r}"
         )
     return read_robot(built)
+
+
+def from_anywhere(name_or_path: str) -> str:
+    """Return a path as an absolute one, to be read from another folder later, and a name as is."""
+    return str(Path(name_or_path).absolute()) if _is_path(name_or_path) else name_or_path
+
+
+def _is_path(name: str) -> bool:
+    return os.sep in name or name.endswith((".yaml", ".yml"))
 
 
 def _entries(group: str) -> list[EntryPoint]:

@@ -66,6 +66,15 @@ class Place:
         name = f"{self.key!r} " if self.key else ""
         return self.error(f"{name}must be {allowed}, not {reprlib.repr(value)}")
 
+    def was_begun(self, value: object) -> bool:
+        """Return whether overrides alone put the keys of the mapping `value` here, one by one."""
+        if not isinstance(value, Mapping):
+            return False
+        keys = [f"{self.inner(key).key}." for key in value]
+        return bool(keys) and all(
+            any(f"{one}.".startswith(key) for one in self.overrides) for key in keys
+        )
+
     def _origin(self) -> str:
         key = f"{self.key}."
         for assigned, text in self.overrides.items():
@@ -204,9 +213,19 @@ def _convert_tuple(kind: Any, value: object, place: Place) -> tuple[Any, ...]:
 
 
 def _convert_dict(kind: Any, value: object, place: Place) -> dict[str, Any]:
-    mapping = _string_keys(value, place)
-    inner = get_args(kind)[1]
+    mapping, inner = _string_keys(value, place), get_args(kind)[1]
+    _check_names(inner, mapping, place)
     return {key: _convert(inner, entry, place.inner(key)) for key, entry in mapping.items()}
+
+
+def _check_names(kind: Any, mapping: Mapping[str, object], place: Place) -> None:
+    """Raise if overrides change a part of an entry that is not there to be changed."""
+    begun = [key for key, value in mapping.items() if place.inner(key).was_begun(value)]
+    for key in begun if is_dataclass(kind) else ():
+        at, given = place.inner(key), _string_keys(mapping[key], place)
+        if any(default(one) is MISSING and one.name not in given for one in init_fields(kind)):
+            known = no_such(key, [other for other in mapping if other not in begun])
+            raise at.error(f"there is no {at.key!r}{known}")
 
 
 def _string_keys(value: object, place: Place) -> Mapping[str, object]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import read_file, reading, writing
+from kinfeas.files import read_file, reading, write_file
 
 MAX_BYTES = 1_000_000
 """More than any file written by hand; it keeps a wrong path from filling the memory."""
@@ -101,7 +101,7 @@ def read(path: Path) -> dict[str, object]:
 
 
 def write(data: object, path: Path, *, compact: bool = False) -> None:
-    """Write plain data as a YAML file that `read` reads back.
+    """Write plain data as a YAML file that `read` reads back, all of it or nothing.
 
     Args:
         data: Nested mappings and lists of plain values.
@@ -114,5 +114,4 @@ def write(data: object, path: Path, *, compact: bool = False) -> None:
     # Escaped to ASCII by default, for PyYAML folds some other characters that it writes.
     flow, width = (None, sys.maxsize) if compact else (False, None)
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
-    with writing(path):
-        path.write_text(text, encoding="utf-8")
+    write_file(path, text.encode())

@@ -24,8 +24,10 @@ from kinfeas.plugins.model import DURATIONS, FORMAT, Component, Kind, Model, Sou
 from kinfeas.plugins.path import below, tabulate
 from kinfeas.spatial import Array, canonical, distance, make_pose, relative, rotation, wrap, yaw
 
+MOST_COMPONENTS = 50
+"""Size of the largest mixture: four samples each, and a file that can still be read."""
+
 _SAMPLES = 200  # of each demonstration
-_MOST_COMPONENTS = 50  # four samples each, and a file that can still be read
 _CLOCK = 30.0  # seconds that a `gaussian_mixture` takes, as the authors' models do
 _METRES_PER_RADIAN = 0.2  # so that the index of `imitation` goes on in a turn on the spot too
 _STILL = 1e-3  # metres, below which a demonstration has no way to learn
@@ -76,6 +78,7 @@ def fit(
     components: int = 8,
     seed: int = 0,
     command: str = "",
+    names: Sequence[str] = (),
 ) -> Fit:
     """Return the motion that demonstrations show, by expectation maximization.
 
@@ -87,17 +90,19 @@ def fit(
         components: Size of the mixture.
         seed: Where the search for the mixture begins.
         command: What the model's file is to say it was made by.
+        names: What errors call the demonstrations, such as files; by default their numbers.
 
     Raises:
         KinfeasError: If there are none, one does not move or moves too far, or they turn too far.
     """
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to learn from")
-    if not 1 <= components <= _MOST_COMPONENTS:
+    if not 1 <= components <= MOST_COMPONENTS:
         raise KinfeasError(
-            f"components must be a number in [1, {_MOST_COMPONENTS}], not {components}"
+            f"components must be a number in [1, {MOST_COMPONENTS}], not {components}"
         )
-    ways = [_way(shown, kind, number) for number, shown in enumerate(demonstrations, 1)]
+    called = names or [f"demonstration {number}" for number in range(1, len(demonstrations) + 1)]
+    ways = [_way(shown, kind, name) for shown, name in zip(demonstrations, called, strict=True)]
     duration = float(np.mean([way.duration for way in ways]))
     goals = np.stack([way.ee_pose[-1] for way in ways])
     mean_orientation = rotation(np.concatenate([way.ee_pose for way in ways])).mean()
@@ -115,14 +120,14 @@ def fit(
     return Fit(model, duration, length, metres, radians)
 
 
-def _way(shown: Demonstration, kind: Kind, number: int) -> _Way:
-    """Return the demonstration of this number, counted from 1."""
+def _way(shown: Demonstration, kind: Kind, name: str) -> _Way:
+    """Return a demonstration as the model sees it; `name` is what errors call it."""
     frame = shown.object_pose[:1]
     ee_pose = relative(shown.ee_pose, frame)
     metres, radians = distance(ee_pose[:-1], ee_pose[1:])
     steps = metres + _METRES_PER_RADIAN * radians
     if steps.sum() < _STILL:
-        raise KinfeasError(f"demonstration {number}: the hand does not move")
+        raise KinfeasError(f"{name}: the hand does not move")
     if kind == "gaussian_mixture":
         steps = np.diff(shown.time)
     index = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
@@ -132,13 +137,11 @@ def _way(shown: Demonstration, kind: Kind, number: int) -> _Way:
     position = _interpolate(even, index, ee_pose[moves, :3])
     base = _interpolate(even, index, _planar(shown.base_pose, frame)[moves])
     if np.nanmax(np.abs([position, base])) > _FARTHEST:
-        raise KinfeasError(
-            f"demonstration {number}: leads more than {_FARTHEST:g} m from the object"
-        )
+        raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
     orientation = Slerp(index, rotation(ee_pose[moves]))(even)
     duration = float(shown.time[-1] - shown.time[0])
     if duration not in DURATIONS:
-        raise KinfeasError(f"demonstration {number}: its seconds must be a number {DURATIONS}")
+        raise KinfeasError(f"{name}: its seconds must be a number {DURATIONS}")
     return _Way(make_pose(position, orientation), base, duration, float(metres.sum()))
 
 

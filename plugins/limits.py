@@ -1,13 +1,12 @@
 """Limits that motions keep, and the numbers that describe them."""
 
-import math
-
 import numpy as np
 
 from kinfeas.errors import KinfeasError
 from kinfeas.spatial import Array
 
 _TINY = 1e-12  # keeps quotients finite; in m/s and in rad/s
+_LEAST, _MOST = 1e-9, 1e9  # of any number; beyond, motions would overflow or never end
 
 
 def slowed(twist: Array, max_velocity: float, max_angular_velocity: float) -> Array:
@@ -30,12 +29,13 @@ def norm(vector: Array) -> Array:
 
 
 def positive(name: str, value: float) -> float:
-    """Return `value` if it is a positive finite number.
+    """Return `value` if it is a positive number that a motion can have use for.
 
     Raises:
         KinfeasError: If it is not; the sentence begins with `name`.
     """
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or value <= 0.0:
-        raise KinfeasError(f"{name} must be a positive number, not {value!r}")
+    if not number or not _LEAST <= value <= _MOST:
+        allowed = f"{_LEAST:g} to {_MOST:g} is allowed"
+        raise KinfeasError(f"{name} must be a positive number, not {value!r}: {allowed}")
     return float(value)

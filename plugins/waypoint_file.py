@@ -24,6 +24,7 @@ from kinfeas import config
 from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
 from kinfeas.plugins.model import Number
+from kinfeas.quantities import LONGEST
 from kinfeas.spatial import Array
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -86,6 +87,8 @@ def _check(path: Path, poses: Array, time: Array | None) -> None:
     if time is not None:
         later = np.diff(time, prepend=-np.inf) > 0.0
         rules.append((np.isfinite(time) & later, "must be later than the one before"))
+        soon = np.abs(time - time[0]) <= LONGEST
+        rules.append((soon, f"must be at most {LONGEST:g} s later than the first"))
     for holds, rule in rules:
         if not holds.all():
             raise KinfeasError(f"{path}, waypoint {int(np.argmin(holds)) + 1}: {rule}")

@@ -101,7 +101,7 @@ def _at_full_speed(
     parameter = np.linspace(0.0, apart.sum(), max(_FINE, 20 * len(poses)) + 1)
     seconds = _seconds(spline.at(parameter), limits)
     # The pace of the slowest moment nearby: where a turn reverses, the hand would jerk instead.
-    nearby = max(1, round(ramp / parameter[1]))
+    nearby = max(1, round(min(ramp, 2.0 * parameter[-1]) / parameter[1]))
     spent = np.concatenate([[0.0], np.cumsum(maximum_filter1d(seconds, nearby))])
     ramp = min(ramp, spent[-1])
     duration = spent[-1] + ramp

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
+from kinfeas.files import reading
 from kinfeas.robots.urdf import Urdf, parse_urdf
 from kinfeas.scenes.check import check
 from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
@@ -138,9 +139,13 @@ def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -
 
 
 def _find_urdf(name: Path, beside: Path, where: str) -> Path:
-    for file in (beside / name, _FOLDER / name.name):
-        if file.is_file() and (file.parent == beside or name.name == str(name)):
-            return file
+    files = [beside / name]
+    if str(name) == name.name:
+        files.append(_FOLDER / name)
+    for file in files:
+        with reading(file):
+            if file.is_file():
+                return file
     shipped = ", ".join(sorted(file.name for file in _FOLDER.glob("*.urdf")))
     raise KinfeasError(f"{where}: there is no file {str(beside / name)!r}; shipped are {shipped}")
 

@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 from kinfeas.config import Interval
+from kinfeas.quantities import FARTHEST, Metres, Radians
 
-Vector = tuple[float, float, float]
-Side = Annotated[float, Interval(low=0.0, open_low=True)]
+Vector = tuple[Metres, Metres, Metres]
+Angles = tuple[Radians, Radians, Radians]
+Side = Annotated[float, Interval(low=0.0, high=FARTHEST, open_low=True)]
 
 
 @dataclass(frozen=True)
@@ -15,7 +17,7 @@ class ObjectSpec:
     """An object as its YAML block says it.
 
     Attributes:
-        urdf: File beside the scene's, or the name of a shipped one.
+        urdf: File, from the scene's folder on, or the name of a shipped one.
         position: Of its root link in the world, metres.
         rpy: Roll, pitch and yaw of it about the world's axes, one after the other, radians.
         fixed: Whether the root link stays where it is.
@@ -24,7 +26,7 @@ class ObjectSpec:
 
     urdf: Path
     position: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
     fixed: bool = True
     joints: dict[str, float] = field(default_factory=dict)
 
@@ -43,7 +45,7 @@ class HandleSpec:
     object: str
     link: str
     position: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from kinfeas.spatial import Array
 
 Memory = dict[str, NDArray[Any]]
 
+_MOST = 10_000.0  # of seconds, metres or radians: far more than any robot has use for
+
 
 class Adapter:
     """A backend around a backend. A subclass overrides what it changes, of these four.
@@ -56,14 +58,14 @@ class Adapter:
             backend: What is wrapped.
             robot: Whom it moves.
             numbers: Parameters by name: a number, or a range that each episode draws from.
-            within: What numbers are allowed; those >= 0 by default.
+            within: What numbers are allowed; those in [0, 10,000] by default.
 
         Raises:
             ValueError: If a number is not allowed.
         """
         self.backend, self.robot, self.memory = backend, robot, Memory()
         self.continuous = np.array([joint.continuous for joint in robot.arm])
-        allowed = within or Interval(low=0.0)
+        allowed = within or Interval(low=0.0, high=_MOST)
         self.ranges: dict[str, Range] = {
             name: draws.read_range(name, value, allowed) for name, value in (numbers or {}).items()
         }

@@ -6,7 +6,7 @@ from kinfeas.backend import Backend, RobotState
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapter import Adapter, Memory
 from kinfeas.sim2real.draws import Number
-from kinfeas.sim2real.line import filled, in_force, mixed, pushed, slots_for
+from kinfeas.sim2real.line import LATEST, filled, in_force, mixed, pushed, slots_for
 from kinfeas.spatial import Array
 
 
@@ -29,9 +29,9 @@ class CommandLatency(Adapter):
             jitter: By how much a command is later at most, s, uniformly and each for itself.
 
         Raises:
-            ValueError: If a time is negative or not finite.
+            ValueError: If a time is not in [0, 60] s.
         """
-        super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter})
+        super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, LATEST)
 
     def begin(self, state: RobotState) -> Memory:
         """Return a line that is full of the command to stand still."""

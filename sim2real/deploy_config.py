@@ -2,14 +2,13 @@
 
 import inspect
 from dataclasses import dataclass, field
-from typing import Annotated
 
 from kinfeas import registry
 from kinfeas.backend import Backend
-from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
+from kinfeas.quantities import Seconds, SlowDown
 from kinfeas.sim2real.guard_config import Guards
 
 
@@ -29,9 +28,9 @@ class DeployConfig:
         ik: How hard IK searches.
     """
 
-    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
-    head_start: Annotated[float, Interval(low=0.0)] = 0.0
-    patience: Annotated[float, Interval(low=0.0)] = PATIENCE_SECONDS
+    slow_down: SlowDown = 1.0
+    head_start: Seconds = 0.0
+    patience: Seconds = PATIENCE_SECONDS
     guards: Guards = field(default_factory=Guards)
     generator: dict[str, object] = field(default_factory=dict)
     task: dict[str, object] = field(default_factory=dict)

@@ -11,6 +11,7 @@ from kinfeas.backend import RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.quantities import REMOTEST
 from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.task import Leg, MotionSpec, Task
@@ -66,11 +67,11 @@ def make_goal_task(
         motion: What moves the EE.
 
     Raises:
-        KinfeasError: If a number is not finite, or the quaternion not of unit length.
+        KinfeasError: If a number is not finite or too large, or the quaternion not of unit length.
     """
     numbers = np.array([*position, *(orientation or ())])
-    if not np.isfinite(numbers).all():
-        raise KinfeasError("a goal must be made of finite numbers")
+    if not (np.abs(numbers) <= REMOTEST).all():
+        raise KinfeasError(f"a goal must be made of finite numbers of at most {REMOTEST:g} in size")
     if orientation is None:
         return GoalTask(numbers, None, motion)
     turn = numbers[3:]

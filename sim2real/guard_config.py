@@ -6,6 +6,7 @@ from typing import Annotated
 
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
+from kinfeas.quantities import PositiveSeconds
 
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 Share = Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
@@ -38,9 +39,9 @@ class Guards:
             for none.
     """
 
-    max_age: Positive = 0.2
-    max_stall: Positive = 0.2
-    clock_jump: Positive = 0.1
+    max_age: PositiveSeconds = 0.2
+    max_stall: PositiveSeconds = 0.2
+    clock_jump: PositiveSeconds = 0.1
     max_distance: Positive = 20.0
     max_tilt: Positive = 0.15
     pose_jump: Positive = 0.3
@@ -53,7 +54,7 @@ class Guards:
     joint_speed: Share = 1.0
     joint_jump: Positive = 3.2
     infeasible_steps: Annotated[int, Interval(low=1)] = 50
-    watchdog: Positive | None = 0.2
+    watchdog: PositiveSeconds | None = 0.2
 
     def timeless(self) -> "Guards":
         """Return the same without what asks a clock, for worlds that do not keep to one."""

@@ -6,10 +6,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from kinfeas.config import Interval
 from kinfeas.spatial import Array
 
 _EXACT = 1e-6  # of a control period: rounding must not make a whole number of them a fraction
 _INSTANT = 1e-7  # s, likewise
+
+LATEST = Interval(low=0.0, high=60.0)
+"""Seconds for which anything may be on its way: what is has to be remembered."""
 
 
 def filled(values: NDArray[Any], slots: int) -> NDArray[Any]:

@@ -7,7 +7,7 @@ from kinfeas.backend import Backend, RobotState
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapter import Adapter, Memory, seen
 from kinfeas.sim2real.draws import Number
-from kinfeas.sim2real.line import around, filled, pushed, slots_for
+from kinfeas.sim2real.line import LATEST, around, filled, pushed, slots_for
 from kinfeas.spatial import Array, integrate, twist_between
 
 _POSES, _JOINTS = ("base_pose", "ee_in_base"), "joint_positions"
@@ -33,9 +33,9 @@ class SensorLatency(Adapter):
             jitter: By how much a reading is later at most, s, uniformly and each for itself.
 
         Raises:
-            ValueError: If a time is negative or not finite.
+            ValueError: If a time is not in [0, 60] s.
         """
-        super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter})
+        super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, LATEST)
 
     def begin(self, state: RobotState) -> Memory:
         """Return a line that is full of the robot as it stands."""

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from kinfeas.backend import Backend
-from kinfeas.config import Interval
 from kinfeas.legs import Pace
+from kinfeas.quantities import SLOWEST
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapter import Adapter
 
@@ -18,13 +18,13 @@ class SlowDown(Adapter):
         Args:
             backend: Gets all commands as they are.
             robot: Whom it moves.
-            factor: How many times longer, at least 1; multiplied with any other. No range: motion
+            factor: How many times longer, 1 to 1000; multiplied with any other. No range: motion
                 generators advance all episodes by the same time.
 
         Raises:
-            ValueError: If it is below 1, not finite or a range.
+            ValueError: If it is not within these or a range.
         """
-        super().__init__(backend, robot, {"factor": factor}, Interval(low=1.0))
+        super().__init__(backend, robot, {"factor": factor}, SLOWEST)
         if self.ranges["factor"].low < self.ranges["factor"].high:
             raise ValueError(f"factor is {factor!r}, must be one number for all episodes")
 

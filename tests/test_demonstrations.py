@@ -138,6 +138,8 @@ def arrays(**replaced):
         ({"time": np.zeros((5, 1))}, r"time: must hold numbers of shape \(5,\)"),
         ({"time": np.array(list("abcde"))}, "time: must hold numbers"),
         ({"time": np.array([0, 1, 1, 2, 3])}, r"time\[2\]: does not ascend"),
+        ({"time": np.array([0, 1, 2, 3, 1e300])}, r"time\[4\]: is more than 100000 s after"),
+        ({"ee_pose": np.full((5, 7), 1e300)}, r"ee_pose\[0\]: is beyond 1e\+08 m"),
         ({"ee_pose": np.zeros((5, 7))}, r"ee_pose\[0\]: has no unit quaternion"),
         ({"ee_pose": np.array([None] * 5)}, "no NPZ file of plain arrays"),
     ],

@@ -1,7 +1,12 @@
+import os
+import stat
+from pathlib import Path
+from threading import Thread
+
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import read_file, reading, write_file
+from kinfeas.files import read_file, reading, replaced, replacing, write_file
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):
@@ -30,3 +35,88 @@ def test_what_cannot_be_read_is_named(tmp_path):
             read_file(tmp_path / wrong, 9)
     with pytest.raises(KinfeasError, match="odd: not a text file in UTF-8"), reading("odd"):
         b"\xff".decode()
+
+
+def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"old")
+    with (
+        pytest.raises(KinfeasError, match=r"film.gif: cannot be written: full"),
+        replacing(path) as new,
+    ):
+        assert new.name == path.name
+        new.write_bytes(b"ne")
+        raise OSError(28, "full")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+    (tmp_path / "folder").mkdir()
+    target, link = tmp_path / "folder" / "target", tmp_path / "link"
+    link.symlink_to("folder/target")
+    for content in (b"1", b"22"):
+        write_file(link, content)
+        assert target.read_bytes() == content
+        assert link.readlink() == Path("folder/target")
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_links_in_a_circle_are_refused(tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with pytest.raises(KinfeasError, match="a: cannot be written"):
+        write_file(tmp_path / "a", b"1")
+
+
+def test_a_pipe_is_written_to(tmp_path):
+    path, heard = tmp_path / "pipe", []
+    os.mkfifo(path)
+    reader = Thread(target=lambda: heard.append(path.read_bytes()), daemon=True)
+    reader.start()
+    write_file(path, b"content")
+    reader.join(10.0)
+    assert heard == [b"content"]
+    assert stat.S_ISFIFO(path.stat().st_mode)
+
+
+@pytest.mark.parametrize("folder", ["/dev/fd", "/proc/self/fd"])
+def test_an_open_file_is_written_on_where_it_stands(tmp_path, folder):
+    with (tmp_path / "log").open("wb", buffering=0) as file:
+        file.write(b"before, ")
+        write_file(Path(folder, str(file.fileno())), b"content")
+        file.write(b", after")
+    assert (tmp_path / "log").read_bytes() == b"before, content, after"
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]
+
+
+def test_standard_output_is_written_to(capfd):
+    # Not by the names of its device files, which a mistake here would replace.
+    write_file(Path("/dev/fd/1"), b"content")
+    write_file(Path("/dev/fd/2"), b"error")
+    assert capfd.readouterr() == ("content", "error")
+    assert replaced(Path("/dev/stdout")) is replaced(Path("/dev/stderr")) is None
+
+
+def test_a_file_that_is_not_open_is_refused(tmp_path):
+    for wrong in ("999", "99999999999999999999"):
+        with pytest.raises(KinfeasError, match=f"{wrong}: cannot be written"):
+            write_file(Path("/dev/fd") / wrong, b"1")
+
+
+def test_rights_are_kept(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"1")
+    path.chmod(0o640)
+    write_file(path, b"2")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_what_is_write_protected_stays(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    path.write_bytes(b"1")
+    # Nothing is write-protected to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(KinfeasError, match="file: cannot be written: Permission denied"):
+        write_file(path, b"2")
+    assert path.read_bytes() == b"1"

@@ -19,7 +19,7 @@ class Answers:
 
     def answer(self, name, sound):
         given = self.answers[name]
-        if isinstance(given, Exception):
+        if isinstance(given, BaseException):
             raise given
         return sound if given is None else given
 
@@ -80,6 +80,11 @@ def test_all_finite_numbers_pass(twist):
 def test_what_its_code_raises_names_it(method):
     with pytest.raises(KinfeasError, match=rf"^motion generator mine fails in {method}\w*: KeyErr"):
         ask(Answers(**{method: KeyError("x")}))
+
+
+def test_it_cannot_end_the_program():
+    with pytest.raises(KinfeasError, match="fails in twist: SystemExit: 5"):
+        ask(Answers(twist=SystemExit(5)))
 
 
 def test_answers_come_through_unchanged():

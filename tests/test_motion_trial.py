@@ -44,6 +44,20 @@ def test_motions_that_break_are_shown_as_far_as_they_came():
     assert samples.broken == "motion generator fades returns numbers from twist that are not finite"
 
 
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ({"duration": np.inf}, r"must be times in \(0, 100000\] s, not inf and 0.1"),
+        ({"duration": np.nan}, "not nan and 0.1"),
+        ({"dt": 0.0}, "not 120 and 0"),
+        ({"duration": 1e4, "dt": 1e-6}, "at most 1,000,000 steps, not 10,000,000,000"),
+    ],
+)
+def test_steps_that_nobody_can_count_are_refused(times, message):
+    with pytest.raises(KinfeasError, match=message):
+        Trial(**times)
+
+
 def test_targets_of_a_wrong_shape():
     with pytest.raises(KinfeasError, match="target_poses must have shape"):
         Trial(np.zeros((2, 6))).poses()

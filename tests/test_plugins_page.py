@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from kinfeas import registry
 from kinfeas.cli.main import app
 from kinfeas.robots.robot import read_robot
+from kinfeas.templates import write_distribution
 from kinfeas.testing import check_motion_generator
 
 PAGE = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text()
@@ -58,6 +59,13 @@ def test_a_first_motion_generator_is_short():
     assert len(lines) - 1 <= OWN_CODE
 
 
+@pytest.mark.parametrize("file", ["porter.yaml", "porter.py"])
+def test_the_robot_is_the_one_that_new_writes(tmp_path, file):
+    write_distribution("robot", "porter", tmp_path)
+    written = (tmp_path / "kinfeas_porter" / file).read_text()
+    assert written.endswith(FILES[f"porter/kinfeas_porter/{file}"].partition("\n")[2])
+
+
 def test_every_command_runs(followed):
     for program, *words in COMMANDS:
         if program == "pip":
@@ -70,7 +78,7 @@ def test_every_command_runs(followed):
 def test_what_the_blocks_offer_does_what_the_page_says(followed):
     for name in ("arc", "fast_arc"):
         check_motion_generator(registry.build("kinfeas.motion_generators", name, {}))
-    assert registry.load_robot("porter").base.drive == "omnidirectional"
+    assert registry.load_robot("porter").base.drive == "differential"
     assert read_robot(Path("porter/kinfeas_porter/porter.yaml")).name == "porter"
     for path in (*Path().glob("*/test_*.py"), Path("use_lagging.py")):
         for name, thing in runpy.run_path(str(path)).items():

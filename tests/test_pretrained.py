@@ -25,8 +25,10 @@ def test_a_robot_has_the_policy_in_its_folder(tmp_path):
 
 def test_a_robot_without_one_is_told_who_has_one(tmp_path):
     root = made(tmp_path, "pr2", "hsr")
-    with pytest.raises(KinfeasError, match=r"'tiago', only for: hsr, pr2; .*kinfeas train"):
+    with pytest.raises(KinfeasError, match=r"'tiago', only for: hsr, pr2; .*kinfeas train") as told:
         pretrained.find("tiago", root)
+    # The name of a robot that was given by its path means nothing to other commands.
+    assert "--robot tiago" not in str(told.value)
     with pytest.raises(KinfeasError, match="only for: none"):
         pretrained.find("tiago", tmp_path / "nowhere")
 

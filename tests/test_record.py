@@ -87,6 +87,7 @@ def test_never_writes_over_another_record(path):
         ('["shoulder", "elbow, the left"]', "5", "line 1: 'joints' must be a list"),
         ("elbow, the left\"]", "wrist\"]", "line 2: not the columns"),
         ("\n0.0200,", "\nnan,", "line 4: holds a number that is not finite"),
+        ("\n0.0200,", "\n1e300,", r"line 4: holds a number beyond 1e\+08"),
         ("\n0.0200,", "\nsoon,", "line 4: could not convert"),
         ("\n0.0200,", "\n0.0200,1,", "line 4: "),
     ],
@@ -104,6 +105,7 @@ def test_refuses_what_is_broken(path, old, new, message):
     (b"", "not the record of a run"),
     (b"\xff\xfe", "not a text file"),
     (b"time,x\n1,2\n", "not the record of a run"),
+    (b"# kinfeas record 1 " + b"[" * 100_000 + b"\n", "line 1: broken JSON: nested too deeply"),
 ])  # fmt: skip
 def test_refuses_other_files(tmp_path, content, message):
     (tmp_path / "run.csv").write_bytes(content)

@@ -164,6 +164,37 @@ def test_missing_key():
         from_mapping(Required, {"steps": 1, "range": {"low": 0}}, "f")
 
 
+@dataclass(frozen=True)
+class Named:
+    many: dict[str, Range]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["many.cap.low=1"], "there is no 'many.cap' (did you mean 'cup'?); known are cup, mug"),
+        (["many.a.low=1", "many.b.high=2"], "there is no 'many.a'; known are cup, mug"),
+        (["many.cap={low: 1}"], "'many.cap.high' is missing"),
+        (["many.cap={}"], "'many.cap.low' is missing"),
+    ],
+)
+def test_an_override_within_an_entry_that_is_not_there(overrides, message):
+    data = {"many": {"cup": {"low": 0, "high": 1}, "mug": {"low": 0, "high": 1}}}
+    with pytest.raises(KinfeasError) as caught:
+        from_mapping(Named, data, "f", overrides)
+    assert str(caught.value).startswith(f"--set {overrides[0]}: {message}")
+
+
+def test_overrides_may_make_an_entry_bit_by_bit():
+    made = from_mapping(Named, {"many": {}}, "f", ["many.cup.low=0", "many.cup.high=1"])
+    assert made == Named({"cup": Range(0, 1)})
+
+
+def test_an_entry_that_lacks_a_key_in_the_file_is_its_own_fault():
+    with pytest.raises(KinfeasError, match=r"^f: 'many.cup.high' is missing"):
+        from_mapping(Named, {"many": {"cup": {"low": 0}}}, "f", ["many.mug={low: 0, high: 1}"])
+
+
 def test_check_across_fields_names_the_block():
     with pytest.raises(KinfeasError, match=r"^f: 'range': low must not exceed high, not 2.0 and"):
         from_mapping(Required, {"steps": 1, "range": {"low": 2, "high": 1}}, "f")

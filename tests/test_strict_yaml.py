@@ -1,5 +1,6 @@
 import contextlib
 import math
+import resource
 
 import pytest
 import yaml
@@ -131,3 +132,17 @@ def test_compact_puts_a_row_on_a_line(tmp_path):
     strict_yaml.write({"name": "a: b", "matrix": matrix}, path, compact=True)
     assert strict_yaml.read(path) == {"name": "a: b", "matrix": matrix}
     assert path.read_text().count("\n") == 4
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("old")
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
+    try:
+        with pytest.raises(KinfeasError, match=r"file.yaml: cannot be written: File too large"):
+            strict_yaml.write({"numbers": list(range(1000))}, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -11,7 +11,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.evaluate import WorldName
-from kinfeas.cli.output import print_table, progress, status, write_json
+from kinfeas.cli.output import check_apart, print_table, progress, status, write_json
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
 
@@ -86,6 +86,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.evaluation.benchmark import check_out, write_pictures, write_tables
 
+    check_apart({"--out": out, "--publish": publish, "--json": json})
     name = config or _RECIPES[world, quick]
     said = [] if episodes is None else [f"episodes={episodes}"]
     study, taken = _read(name, policy, runs or [], [*said, *(overrides or [])])

@@ -37,6 +37,7 @@ def demo(
     from kinfeas.evaluation.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import Trial
     from kinfeas.evaluation.report import write_report
+    from kinfeas.files import write_file
 
     settings = read_settings(Wishes(robot, None, seed, minutes), None, overrides or [])
     folder = free_folder(out)
@@ -60,7 +61,7 @@ def demo(
     started += [part for text in overrides or [] for part in ("--set", text)]
     report = make_report(comparison, _commands(comparison, started))
     for name, picture in zip(PICTURES, report.pictures, strict=True):
-        (folder / name).write_bytes(picture.png)
+        write_file(folder / name, picture.png)
     write_report(report, folder / "report.html")
     _show(report)
     typer.echo(f"report: {folder / 'report.html'}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import check_file_path, print_table, status, write_json
+from kinfeas.cli.output import check_apart, check_file_path, print_table, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.scenes.demonstrate import load_habits
     from kinfeas.scenes.exercise import load_exercise
 
+    check_apart({"--out": out, "--json": json, "--picture": picture})
     _make_folders(out)
     exercise = load_exercise(mechanism)
     with status(f"opening a {mechanism}"):
@@ -106,11 +107,9 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
 def _draw(mechanism: str, exercise: "Exercise", takes: "Sequence[Take]", path: Path) -> None:
     from kinfeas.evaluation.demonstration_picture import demonstrations_figure
     from kinfeas.evaluation.pictures import png
-    from kinfeas.files import writing
+    from kinfeas.files import write_file
 
-    figure = demonstrations_figure(mechanism, exercise, takes)
-    with writing(path):
-        path.write_bytes(png(figure, dpi=130))
+    write_file(path, png(demonstrations_figure(mechanism, exercise, takes), dpi=130))
 
 
 def _show(title: str, figures: dict[str, Figures]) -> None:

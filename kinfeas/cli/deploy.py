@@ -10,7 +10,7 @@ import typer
 
 from kinfeas.cli import completion, options
 from kinfeas.cli.deploy_setup import Four, Goal, Three, Wishes, make_setup, make_task, read_settings
-from kinfeas.cli.output import print_table, status, write_json
+from kinfeas.cli.output import check_apart, print_table, status, write_json
 
 if TYPE_CHECKING:
     from kinfeas.record import About
@@ -115,6 +115,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.record import Recorder
     from kinfeas.sim2real.runtime import deploy as run
 
+    check_apart({"POLICY": Path(policy), "--guards": guards, "--record": record, "--json": json})
     wishes = Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
     goal_wishes = Goal(task, generator, goal, rpy, quaternion)
     with status("getting ready"):
@@ -137,9 +138,10 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _about(wishes: Wishes, setup: "Setup") -> "About":
     from kinfeas.record import About
+    from kinfeas.registry import from_anywhere
 
     return About(
-        robot=wishes.robot,
+        robot=from_anywhere(wishes.robot),
         task=setup.task.name,
         policy=wishes.policy,
         backend=wishes.backend,

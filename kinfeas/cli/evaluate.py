@@ -10,7 +10,14 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.filming import Episode, Replay, Video, show_episode
-from kinfeas.cli.output import check_file_path, print_table, progress, share, write_json
+from kinfeas.cli.output import (
+    check_apart,
+    check_file_path,
+    print_table,
+    progress,
+    share,
+    write_json,
+)
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 
@@ -115,6 +122,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     if picture is not None and sim2real is None:
         raise KinfeasError("--picture needs --sim2real")
+    outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
+    check_apart({"--policy": Path(policy), **outputs})
     if look_ahead:
         policy = f"look_ahead:{policy}"
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, share, status, write_json
+from kinfeas.cli.output import (
+    check_apart,
+    check_file_path,
+    print_table,
+    share,
+    status,
+    write_json,
+)
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -25,7 +32,12 @@ def export(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="ONNX file to write, such as pr2.onnx.", show_default=False),
+        typer.Option(
+            "--out",
+            help="ONNX file to write, such as pr2.onnx.",
+            show_default=False,
+            callback=check_file_path,
+        ),
     ] = None,
     check: Annotated[
         Path | None,
@@ -49,6 +61,8 @@ def export(
     """
     if (check is None) == (policy is None) or (check is None) != (out is not None):
         raise KinfeasError("give a policy and --out FILE to export, or --check FILE to verify one")
+    policy_path = Path(policy) if policy is not None else None
+    check_apart({"POLICY": policy_path, "--out": out, "--check": check, "--json": json})
     if check is not None:
         _check(check, options.read_robot(robot) if robot else None, json)
     elif policy is not None and out is not None:
@@ -121,11 +135,11 @@ def _show(title: str, policy: "PolicyFile", first: list[list[str]]) -> None:
         *_training(about),
         ["golden pairs answered", str(len(about.golden.action))],
     ]
-    _print(title, ["", "value"], rows)
-    _print("observation", [" number", "field", "frame", "unit"], _observed(about))
+    print_table(title, ["", "value"], rows)
+    print_table("observation", [" number", "field", "frame", "unit"], _observed(about))
     numbers = enumerate(about.action)
     actions = [[str(i), one.name, f"{one.limit:g} {one.unit}"] for i, one in numbers]
-    _print("action, in [-1, 1]", [" number", "field", "1 means"], actions)
+    print_table("action, in [-1, 1]", [" number", "field", "1 means"], actions)
 
 
 def _observed(about: "About") -> list[list[str]]:
@@ -136,16 +150,6 @@ def _observed(about: "About") -> list[list[str]]:
         rows.append([numbers, field.name, field.frame, field.unit])
         first += field.size
     return rows
-
-
-def _print(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """Print a table whose words come from a file: none of them is markup or moves the cursor."""
-    from rich.markup import escape
-
-    def plain(word: str) -> str:
-        return escape("".join(letter if letter.isprintable() else "?" for letter in word))
-
-    print_table(escape(title), columns, [[plain(word) for word in row] for row in rows])
 
 
 def _training(about: "About") -> list[list[str]]:

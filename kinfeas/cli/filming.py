@@ -75,8 +75,8 @@ def show_episode(
 
 def _write_page(film: "Film", path: Path) -> None:
     from kinfeas.evaluation.physics_film_page import film_html
-    from kinfeas.files import writing
+    from kinfeas.files import write_file
 
-    with status("page"), writing(path):
-        path.write_text(film_html(film), encoding="utf-8")
+    with status("page"):
+        write_file(path, film_html(film).encode())
     typer.echo(str(path))

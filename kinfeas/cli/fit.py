@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, status, write_json
+from kinfeas.cli.output import check_apart, check_file_path, print_table, status, write_json
 
 if TYPE_CHECKING:
     from kinfeas.plugins.fit import Fit
@@ -17,13 +17,18 @@ def fit(
     demonstrations: Annotated[
         Path, typer.Option("--demonstrations", help="Folder of *.csv or *.npz files.")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Model file to write, such as model.yaml.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", help="Model file to write, such as model.yaml.", callback=check_file_path
+        ),
+    ],
     kind: Annotated[
         Literal["imitation", "gaussian_mixture"],
         typer.Option("--kind", help="Motion generator that is to follow the model."),
     ] = "imitation",
     components: Annotated[
-        int, typer.Option("--components", min=1, help="Size of the Gaussian mixture.")
+        int, typer.Option("--components", min=1, max=50, help="Size of the Gaussian mixture.")
     ] = 8,
     seed: options.Seed = 0,
     json: options.JsonPath = None,
@@ -42,6 +47,7 @@ def fit(
     from kinfeas.plugins.fit import fit as run
     from kinfeas.plugins.model import write_model
 
+    check_apart({"--out": out, "--json": json})
     # The folder's name only: where it lies on this machine says nothing to others.
     folder = shlex.quote(demonstrations.resolve().name)
     command = (
@@ -49,12 +55,18 @@ def fit(
         f"--components {components} --seed {seed}"
     )
     with status("learning"):
-        found = run(read_demonstrations(demonstrations), kind, components, seed, command)
+        shown, names = read_demonstrations(demonstrations), _names(demonstrations)
+        found = run(shown, kind, components, seed, command, names)
     write_model(found.model, out)
     summary = _summary(found)
     if json is not None:
         write_json(summary, json)
     _show(found, out)
+
+
+def _names(folder: Path) -> list[str]:
+    """Return the names of the files that `read_demonstrations` reads, in its order."""
+    return [str(path) for path in sorted(folder.iterdir()) if path.suffix in (".csv", ".npz")]
 
 
 def _summary(found: "Fit") -> dict[str, object]:

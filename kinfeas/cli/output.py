@@ -1,13 +1,17 @@
 """What commands hand out: JSON, tables, and progress on the way."""
 
 import json
+import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 
 def check_file_path(path: Path | None) -> Path | None:
@@ -18,14 +22,36 @@ def check_file_path(path: Path | None) -> Path | None:
     Raises:
         KinfeasError: If it cannot.
     """
+    from kinfeas.files import replaced, writing
+
     if path is not None:
-        if path.is_dir():
-            raise KinfeasError(f"{path}: is a folder, not the path of a file")
-        try:
-            tempfile.TemporaryFile(dir=path.parent).close()
-        except OSError as error:
-            raise KinfeasError(f"{path}: cannot be written: {error.strerror}") from error
+        with writing(path):
+            if path.is_dir():
+                raise KinfeasError(f"{path}: is a folder, not the path of a file")
+            target = replaced(path)
+            if target is not None:
+                tempfile.TemporaryFile(dir=target.parent).close()
     return path
+
+
+def check_apart(paths: Mapping[str, Path | None]) -> None:
+    """Check that no two options name the same file, so that what one wrote is not overwritten.
+
+    A device or a pipe may be named twice.
+
+    Args:
+        paths: What each option names, by the option; None if it was not given.
+
+    Raises:
+        KinfeasError: If two do.
+    """
+    named: dict[str, str] = {}
+    for option, path in paths.items():
+        if path is None:
+            continue
+        first = named.setdefault(os.path.realpath(path), option)
+        if first != option and (path.is_file() or not path.exists()):
+            raise KinfeasError(f"{first} and {option} must differ, but both name {path}")
 
 
 def write_json(data: object, path: Path) -> None:
@@ -40,42 +66,55 @@ def write_json(data: object, path: Path) -> None:
     write_file(path, text.encode())
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print rows of text; columns whose name begins with a blank are set flush right."""
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str | Text"]]) -> None:
+    """Print rows of text; columns whose name begins with a blank are set flush right.
+
+    A string is shown as it stands: no part of it is markup or moves the cursor.
+    """
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=_plain(title, "table.title"), title_justify="left")
     for column in columns:
-        table.add_column(column.strip(), justify="right" if column.startswith(" ") else "left")
+        side: Literal["left", "right"] = "right" if column.startswith(" ") else "left"
+        table.add_column(_plain(column.strip()), justify=side)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(_plain(cell) if isinstance(cell, str) else cell for cell in row))
     Console().print(table)
 
 
 @contextmanager
 def progress(text: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
     """Show a bar on standard error; yield a function that takes how much has just been done."""
+    from rich.markup import escape
     from rich.progress import Progress
 
     # Into a file or a pipe, a bar would leave empty lines.
     console = _console()
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(text, total=total)
+        task = bar.add_task(escape(text), total=total)
         yield lambda amount: bar.advance(task, amount)
 
 
 @contextmanager
 def status(text: str) -> Iterator[Callable[[str], None]]:
     """Show what is being done on standard error; yield a function that takes what is next."""
-    with _console().status(text) as shown:
-        yield shown.update
+    from rich.markup import escape
+
+    with _console().status(escape(text)) as shown:
+        yield lambda news: shown.update(escape(news))
 
 
 def share(value: float, low: float | None = None, high: float | None = None) -> str:
     """Return a share in 0-1 as per cent, with its interval if there is one."""
     interval = "" if low is None or high is None else f"  ({100 * low:.1f} - {100 * high:.1f})"
     return f"{100 * value:.1f} %{interval}"
+
+
+def _plain(words: str, style: str = "") -> "Text":
+    from rich.text import Text
+
+    return Text("".join(one if one.isprintable() else "?" for one in words), style)
 
 
 def _console() -> Any:

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import completion, options
-from kinfeas.cli.output import check_file_path, print_table, progress, status, write_json
+from kinfeas.cli.output import (
+    check_apart,
+    check_file_path,
+    print_table,
+    progress,
+    status,
+    write_json,
+)
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -53,6 +60,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.config import assigned
     from kinfeas.motion_trial import Trial
 
+    check_apart({"--picture": picture, "--json": json})
     parameters = assigned(overrides or [])
     trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
     findings = _examine(name, parameters, trial)
@@ -77,15 +85,14 @@ def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) 
     from kinfeas import registry
     from kinfeas.evaluation.motion_picture import motion_figure
     from kinfeas.evaluation.pictures import png
-    from kinfeas.files import writing
+    from kinfeas.files import write_file
     from kinfeas.motion_checks import CheckedMotion
     from kinfeas.motion_trial import sample_motions
 
     motion = CheckedMotion(registry.build(_GROUP, name, parameters), name)
     with status("drawing"):
         figure = motion_figure(name, sample_motions(motion, trial), trial)
-        with writing(path):
-            path.write_bytes(png(figure, dpi=110))
+        write_file(path, png(figure, dpi=110))
 
 
 def _plain(
@@ -108,13 +115,13 @@ def _result(one: "Finding") -> str:
 
 
 def _show(name: str, findings: list["Finding"]) -> None:
-    from rich.markup import escape
+    from rich.text import Text
 
     from kinfeas.testing import RULES
 
     colours = {"kept": "green", "broken": "red", "not checked": "yellow"}
-    rows = [
-        [RULES[one.rule], f"[{colours[_result(one)]}]{_result(one)}[/]", escape(one.broken or "")]
+    rows: list[list[str | Text]] = [
+        [RULES[one.rule], Text(_result(one), colours[_result(one)]), one.broken or ""]
         for one in findings
     ]
     print_table(f"motion generator {name}", ["rule", "", "how"], rows)

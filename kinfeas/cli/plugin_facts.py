@@ -11,6 +11,7 @@ import numpy as np
 from kinfeas import registry
 from kinfeas.docstrings import Docstring, read_docstring, unit
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import Blaming
 from kinfeas.registry import GROUPS, Plugin
 from kinfeas.schema import no_such
 from kinfeas.tasks.loading import load_task
@@ -42,15 +43,14 @@ class Parameter:
 def summary(plugin: Plugin) -> tuple[str, str | None]:
     """Return what a plugin is, in a line, and why it is broken, if it is."""
     try:
-        loaded = registry.load(plugin.group, plugin.name)
+        loaded = _load(plugin)
         if plugin.group == "kinfeas.robots":
             robot = registry.load_robot(plugin.name)
             return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
-        if not callable(loaded):
-            registry.build(plugin.group, plugin.name, {})
+        with _blaming(plugin):
+            return read_docstring(loaded).summary, None
     except KinfeasError as error:
         return "", " ".join(str(error).split())
-    return read_docstring(loaded).summary, None
 
 
 def find(name: str) -> list[Plugin]:
@@ -75,12 +75,14 @@ def facts(plugin: Plugin) -> dict[str, Any]:
     Raises:
         KinfeasError: If it is broken.
     """
-    loaded = registry.load(plugin.group, plugin.name)
-    said = read_docstring(loaded)
+    loaded = _load(plugin)
+    with _blaming(plugin):
+        said = read_docstring(loaded)
     known: dict[str, Any] = {**vars(plugin), "kind": GROUPS[plugin.group], "text": said.text}
     if plugin.group == "kinfeas.robots":
         return known | {"robot": _robot(plugin.name)}
-    found = parameters(loaded, said, _HANDED_IN.get(plugin.group, ()))
+    with _blaming(plugin):
+        found = parameters(loaded, said, _HANDED_IN.get(plugin.group, ()))
     if plugin.group == "kinfeas.tasks" and all(one.default is not None for one in found):
         task = load_task(plugin.name)
         found = found or fields_of(task)
@@ -116,6 +118,23 @@ def fields_of(built: object) -> list[Parameter]:
         for one in fields(built)
         if one.init
     ]
+
+
+def _load(plugin: Plugin) -> Any:
+    """Return the class or function of a plugin.
+
+    Raises:
+        KinfeasError: If it cannot be loaded, or is neither.
+    """
+    loaded = registry.load(plugin.group, plugin.name)
+    if not callable(loaded):
+        registry.build(plugin.group, plugin.name, {})  # which says so
+    return loaded
+
+
+def _blaming(plugin: Plugin) -> Blaming:
+    package = plugin.target.partition(":")[0].partition(".")[0].strip()
+    return Blaming(f"{plugin} cannot be described:", package)
 
 
 def _parameter(name: str, kind: Any, default: str | None, said: Docstring) -> Parameter:

@@ -9,6 +9,8 @@ from kinfeas.cli.examples import epilog
 from kinfeas.cli.output import print_table, write_json
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from kinfeas.registry import Plugin
 
 app = typer.Typer(
@@ -30,18 +32,18 @@ def list_plugins(json: options.JsonPath = None) -> None:
             for plugin, text, error in found
         ]
         write_json(entries, json)
-    rows = [
+    rows: list[list[str | Text]] = [
         [GROUPS[plugin.group], plugin.name, _origin(plugin), error_or(text, error)]
         for plugin, text, error in found
     ]
     print_table("plugins", ["kind", "name", "from", "what it is"], rows)
 
 
-def error_or(text: str, error: str | None) -> str:
+def error_or(text: str, error: str | None) -> "Text":
     """Return a plugin's description, or in red what is wrong with it."""
-    from rich.markup import escape
+    from rich.text import Text
 
-    return escape(text) if error is None else f"[red]broken: {escape(error)}[/]"
+    return Text(text) if error is None else Text(f"broken: {error}", "red")
 
 
 @app.command("info", epilog=epilog("plugins info"))
@@ -73,18 +75,16 @@ def _show(known: dict[str, Any]) -> None:
 
 
 def _show_parameters(parameters: list[dict[str, Any]]) -> None:
-    from rich.markup import escape
-
     if not parameters:
         typer.echo("It has no parameters.")
         return
     rows = [
         [
             one["name"],
-            escape(one["type"]),
+            one["type"],
             one["unit"],
-            "must be given" if one["default"] is None else escape(one["default"]),
-            escape(one["description"]),
+            "must be given" if one["default"] is None else one["default"],
+            one["description"],
         ]
         for one in parameters
     ]

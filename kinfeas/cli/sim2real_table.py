@@ -47,11 +47,12 @@ def weigh(
     if picture is not None:
         from kinfeas.evaluation.pictures import png
         from kinfeas.evaluation.sim2real_picture import sim2real_figure
-        from kinfeas.files import writing
+        from kinfeas.files import write_file
 
         title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)
-        with status("drawing"), writing(picture):
-            picture.write_bytes(png(sim2real_figure(f"{title}, {name}", costs, sweeps), dpi=130))
+        with status("drawing"):
+            figure = sim2real_figure(f"{title}, {name}", costs, sweeps)
+            write_file(picture, png(figure, dpi=130))
     held = {"sim2real": name, **to_json(costs, sweeps)}
     return costs[-1].figures, held, lambda: _show(name, costs)
 

@@ -4,7 +4,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -176,6 +176,7 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     from kinfeas.config import load
     from kinfeas.envs.world import World
     from kinfeas.recipes import default_recipe, find_recipe
+    from kinfeas.registry import from_anywhere
     from kinfeas.training.config import TrainConfig
 
     folder = "train_physics" if wishes.pybullet else "train"
@@ -193,7 +194,7 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     # What names something unknown is refused before there is a folder.
     robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
     World(options.read_robot(robot), task, settings.world, settings.seed)
-    return settings
+    return replace(settings, robot=from_anywhere(robot), task=from_anywhere(settings.task))
 
 
 def default_folder(settings: "TrainConfig") -> Path:

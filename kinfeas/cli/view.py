@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import check_file_path, print_table, status, write_json
+from kinfeas.cli.output import check_apart, check_file_path, print_table, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Settings: every key of the scene, such as [bold]objects.box.position=[1,0,0.115][/].
     """
+    check_apart({"--record": record, "--json": json, "--picture": picture, "--html": html})
     if record is not None:
         given = {"--scene": scene, "--set": overrides, "--live": live or None}
         for name, value in given.items():
@@ -82,7 +83,6 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
-    from kinfeas.files import writing
     from kinfeas.record import read_record
 
     run = read_record(path)
@@ -93,21 +93,25 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
         with status("drawing"):
             _draw_run(run, robot, picture)
     if html is not None:
-        from kinfeas.evaluation.deployed_run import recording
-        from kinfeas.evaluation.deployed_run_page import replay_html
-
-        with status("drawing"), writing(html):
-            html.write_text(replay_html(recording(run, robot), robot, run.time), encoding="utf-8")
+        with status("drawing"):
+            _write_run_page(run, robot, html)
     _show_run(run)
 
 
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
     from kinfeas.evaluation.deployed_run import replay_figure
     from kinfeas.evaluation.pictures import png
-    from kinfeas.files import writing
+    from kinfeas.files import write_file
 
-    with writing(path):
-        path.write_bytes(png(replay_figure(run, robot), dpi=110))
+    write_file(path, png(replay_figure(run, robot), dpi=110))
+
+
+def _write_run_page(run: "Record", robot: "Robot", path: Path) -> None:
+    from kinfeas.evaluation.deployed_run import recording
+    from kinfeas.evaluation.deployed_run_page import replay_html
+    from kinfeas.files import write_file
+
+    write_file(path, replay_html(recording(run, robot), robot, run.time).encode())
 
 
 def _run_facts(run: "Record") -> dict[str, object]:
@@ -178,21 +182,18 @@ def _facts(scene: "Scene") -> dict[str, object]:
 def _draw(scene: "Scene", path: Path) -> None:
     from kinfeas.evaluation.pictures import png
     from kinfeas.evaluation.scene_picture import scene_figure
-    from kinfeas.files import writing
+    from kinfeas.files import write_file
 
-    figure = scene_figure(scene)
-    with writing(path):
-        path.write_bytes(png(figure, dpi=110))
+    write_file(path, png(scene_figure(scene), dpi=110))
 
 
 def _write_page(scene: "Scene", path: Path) -> None:
     from kinfeas.evaluation.scene_page import ScenePage
-    from kinfeas.files import writing
+    from kinfeas.files import write_file
 
     page = ScenePage(scene)
     try:
-        with writing(path):
-            path.write_text(page.html(), encoding="utf-8")
+        write_file(path, page.html().encode())
     finally:
         page.close()
 

@@ -16,6 +16,7 @@ from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.legs import Pace
 from kinfeas.loop import Loop, Rows, Step
+from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.start import Start
@@ -40,7 +41,7 @@ class WorldConfig:
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
     max_failures: Annotated[int, Interval(low=0)] = 19
-    max_seconds: Annotated[float, Interval(low=0.0, open_low=True)] = 150.0
+    max_seconds: PositiveSeconds = 150.0
     adapters: tuple[AdapterSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)

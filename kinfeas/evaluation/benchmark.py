@@ -33,7 +33,7 @@ from kinfeas.evaluation.episode_picture import episodes_figure
 from kinfeas.evaluation.pictures import STYLE, png
 from kinfeas.evaluation.policies import LOOK_AHEAD, load_policy
 from kinfeas.evaluation.recording import Recording, record_episodes
-from kinfeas.files import writing
+from kinfeas.files import write_file, writing
 from kinfeas.tasks.loading import load_task
 
 
@@ -145,12 +145,14 @@ def write_tables(
     """
     physics, note = findings.physics, findings.study.note
     cells: Sequence[Cell] = physics or findings.cells
-    _write(out / "table.json", json.dumps(to_json(cells), indent=2, allow_nan=False) + "\n")
+    data = json.dumps(to_json(cells), indent=2, allow_nan=False) + "\n"
     shown = [path.relative_to(out).as_posix() for path in pictures]
     if physics:
-        _write(out / "table.md", physics_markdown(physics, note, commands, shown))
+        text = physics_markdown(physics, note, commands, shown)
     else:
-        _write(out / "table.md", to_markdown(cells, note, commands, shown))
+        text = to_markdown(cells, note, commands, shown)
+    write_file(out / "table.json", data.encode())
+    write_file(out / "table.md", text.encode())
 
 
 def write_pictures(findings: Findings, out: Path) -> list[Path]:
@@ -177,8 +179,7 @@ def write_pictures(findings: Findings, out: Path) -> list[Path]:
 
 def _keep(pictures: dict[str, bytes], out: Path) -> list[Path]:
     for name, picture in pictures.items():
-        with writing(out / f"{name}.png"):
-            (out / f"{name}.png").write_bytes(picture)
+        write_file(out / f"{name}.png", picture)
     return [out / f"{name}.png" for name in pictures]
 
 
@@ -250,11 +251,6 @@ def _titled(figure: Figure, tasks: Sequence[str]) -> Figure:
         for axes, task in zip(figure.axes, tasks, strict=False):
             axes.set_title(f"{task}: {axes.get_title(loc='left').partition(': ')[2]}")
     return figure
-
-
-def _write(path: Path, text: str) -> None:
-    with writing(path):
-        path.write_text(text, encoding="utf-8")
 
 
 def check_out(out: Path) -> None:

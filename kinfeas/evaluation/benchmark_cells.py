@@ -20,7 +20,7 @@ from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics import is_judged, physics_figures, run_part
 from kinfeas.evaluation.physics_world import PhysicsSettings, PhysicsTrial, to_lists
 from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD, load_driver, load_policy
-from kinfeas.files import writing
+from kinfeas.files import write_file, writing
 from kinfeas.look_ahead import Foresight
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network
@@ -220,10 +220,7 @@ def _stored(path: Path, wanted: dict[str, Any]) -> Result | None:
 
 
 def _write(path: Path, result: Result) -> None:
-    fresh = path.with_suffix(".new")
-    with writing(path):
-        fresh.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
-        fresh.replace(path)
+    write_file(path, json.dumps(result, allow_nan=False).encode())
 
 
 def _key(whole: dict[str, Any]) -> str:

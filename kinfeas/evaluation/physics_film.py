@@ -17,7 +17,7 @@ from kinfeas.evaluation.physics_overlay import paths, shaded, write_below
 from kinfeas.evaluation.physics_recording import PhysicsRecording
 from kinfeas.evaluation.physics_world import PhysicsTrial, PhysicsWorld
 from kinfeas.evaluation.pictures import DESIRED, EE, FAILURE, GOAL
-from kinfeas.files import writing
+from kinfeas.files import replacing
 from kinfeas.sim.camera import paint_floor, show_moment, take_picture
 from kinfeas.sim.physics import Physics
 
@@ -115,15 +115,15 @@ def write_film(film: Film, path: Path, on_done: OnDone | None = None) -> None:
     """
     check_film_path(path)
     moments = _moments(film.recording, path)
-    with writing(path), tempfile.TemporaryDirectory() as folder:
+    with replacing(path) as fresh, tempfile.TemporaryDirectory() as folder:
         _paint(film.physics, Path(folder) / "floor.png")
         if path.suffix.lower() == ".png":
-            _write_png(list(_pictures(film, moments, 1.0, on_done)), path)
+            _write_png(list(_pictures(film, moments, 1.0, on_done)), fresh)
             return
         rate, _ = _GIF if path.suffix.lower() == ".gif" else _MP4
         speed = max(1.0, film.recording.times[-1] * rate / len(moments))
         write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
-        write(_pictures(film, moments, speed, on_done), path, rate)
+        write(_pictures(film, moments, speed, on_done), fresh, rate)
 
 
 def count_pictures(recording: PhysicsRecording, path: Path) -> int:

@@ -16,6 +16,7 @@ from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
 from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
+from kinfeas.quantities import PositiveSeconds, Seconds, SlowDown
 from kinfeas.recipes import default_recipe
 from kinfeas.robots.robot import Robot
 from kinfeas.sim.backend import PyBulletBackend
@@ -40,11 +41,11 @@ class Place:
             configuration.
     """
 
-    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
-    head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    slow_down: SlowDown = 1.0
+    head_start: Seconds = 0.0
     objects: bool = True
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
-    patience: Annotated[float, Interval(low=0.0)] = PATIENCE_SECONDS
+    patience: Seconds = PATIENCE_SECONDS
 
     @property
     def pace(self) -> Pace:
@@ -71,15 +72,15 @@ class PhysicsSettings:
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.02
-    slow_down: Annotated[float, Interval(low=1.0)] = 1.0
-    head_start: Annotated[float, Interval(low=0.0)] = 0.0
+    slow_down: SlowDown = 1.0
+    head_start: Seconds = 0.0
     objects: bool = True
     max_failures: Annotated[int, Interval(low=0)] = 99
-    max_seconds: Annotated[float, Interval(low=0.0, open_low=True)] = 150.0
+    max_seconds: PositiveSeconds = 150.0
     adapters: tuple[AdapterSpec, ...] = ()
     ik: IkOptions = field(default_factory=IkOptions)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
-    patience: Annotated[float, Interval(low=0.0)] = PATIENCE_SECONDS
+    patience: Seconds = PATIENCE_SECONDS
 
     @property
     def world(self) -> WorldConfig:

@@ -15,6 +15,9 @@ _LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])
 
 _DARKEST = 0.55
 
+_MOST_CELLS = 2000
+"""More cells of the floor's grid, one way, cannot be told apart."""
+
 Colour = str | tuple[float, float, float]
 
 
@@ -82,12 +85,17 @@ def draw_solids(axes: Axes, view: View, faces: Iterable[Painted]) -> None:
 
 
 def draw_floor(axes: Axes, view: View, points: Array, cell: float = 0.5) -> None:
-    """Draw a grid, along the view, on the floor below `points`, shape (k, 3), metres."""
+    """Draw a grid, along the view, on the floor below `points`, shape (k, 3), metres.
+
+    None is drawn where it would be too fine to see.
+    """
     along = view.right
     across = np.array([-along[1], along[0], 0.0])
     seen = points @ np.stack([along, across], axis=1)
     low = np.floor((seen.min(axis=0) - 0.1) / cell) * cell
     high = np.ceil((seen.max(axis=0) + 0.1) / cell) * cell
+    if np.max(high - low) > _MOST_CELLS * cell:
+        return
     xs, ys = (np.arange(a, b + cell / 2.0, cell) for a, b in zip(low, high, strict=True))
     ends = [((x, low[1]), (x, high[1])) for x in xs] + [((low[0], y), (high[0], y)) for y in ys]
     lines = [view.flat(np.array(pair) @ np.stack([along, across])) for pair in ends]

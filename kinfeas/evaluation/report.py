@@ -9,8 +9,8 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 
-from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark_paper import paper_figures
+from kinfeas.files import write_file
 from kinfeas.metrics import Share
 
 _VERSIONS = ("kinfeas", "numpy", "numba", "torch", "stable-baselines3")
@@ -68,10 +68,7 @@ def write_report(report: Report, path: Path) -> None:
     Raises:
         KinfeasError: If the file cannot be written.
     """
-    try:
-        path.write_text(to_html(report), encoding="utf-8")
-    except OSError as error:
-        raise KinfeasError(f"{path}: cannot be written: {error.strerror}") from error
+    write_file(path, to_html(report).encode())
 
 
 def to_html(report: Report) -> str:

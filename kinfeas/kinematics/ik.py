@@ -41,13 +41,13 @@ class IkOptions:
     """
 
     library: Annotated[int, Interval(low=1, high=65536)] = 2048
-    restarts: Annotated[int, Interval(low=0)] = 24
-    candidates: Annotated[int, Interval(low=1)] = 3
+    restarts: Annotated[int, Interval(low=0, high=65536)] = 24
+    candidates: Annotated[int, Interval(low=1, high=65536)] = 3
     self_collision: bool = True
     leeway: bool = True
     position_tolerance: Positive = 1e-4
     rotation_tolerance: Positive = 1e-3
-    max_iterations: Annotated[int, Interval(low=1)] = 40
+    max_iterations: Annotated[int, Interval(low=1, high=10_000)] = 40
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ def find(robot: str, root: Path | None = None) -> Path:
     if robot not in known:
         raise KinfeasError(
             f"there is no pretrained policy for robot {robot!r}, only for: "
-            f"{', '.join(known) or 'none'}; train one with: kinfeas train --robot {robot}"
+            f"{', '.join(known) or 'none'}; train one with kinfeas train and the same --robot"
         )
     return (_shipped() if root is None else root) / robot
 

@@ -12,10 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.errors import KinfeasError
 from kinfeas.files import read_file
+from kinfeas.quantities import FARTHEST
 from kinfeas.spatial import Array, make_pose
 
 MAX_BYTES = 10_000_000
 """More than any URDF; it keeps a wrong path from filling the memory."""
+
+LARGEST = 1e16
+"""What some URDFs write for no limit; the squares and sums of such numbers are still finite."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,11 @@ class Element:
         return value
 
     def vector(
-        self, attribute: str, size: int, default: tuple[float, ...] | None = None
+        self,
+        attribute: str,
+        size: int,
+        default: tuple[float, ...] | None = None,
+        most: float = LARGEST,
     ) -> tuple[float, ...]:
         """Return an attribute of `size` finite numbers.
 
@@ -62,6 +70,7 @@ class Element:
             attribute: Name of the attribute.
             size: How many numbers it holds.
             default: What an absent attribute means; without a default it has to be there.
+            most: The largest number that is allowed, of either sign.
         """
         if default is not None and self.xml.get(attribute) is None:
             return default
@@ -75,22 +84,26 @@ class Element:
         if len(numbers) != size or not all(map(math.isfinite, numbers)):
             allowed = "a finite number" if size == 1 else f"{size} finite numbers"
             raise self.error(f"{attribute!r} must be {allowed}, not {text[:40]!r}")
+        if largest := next((number for number in numbers if abs(number) > most), None):
+            raise self.error(f"{attribute!r} must be at most {most:g} in size, not {largest:g}")
         return numbers
 
-    def number(self, attribute: str, default: float | None = None) -> float:
-        """Return an attribute that is one finite number."""
-        return self.vector(attribute, 1, None if default is None else (default,))[0]
+    def number(self, attribute: str, default: float | None = None, most: float = LARGEST) -> float:
+        """Return an attribute that is one finite number, of a size of at most `most`."""
+        return self.vector(attribute, 1, None if default is None else (default,), most)[0]
 
-    def not_negative(self, attribute: str, default: float | None = None) -> float:
-        """Return an attribute that is one finite number of at least 0."""
-        value = self.number(attribute, default)
+    def not_negative(
+        self, attribute: str, default: float | None = None, most: float = LARGEST
+    ) -> float:
+        """Return an attribute that is one finite number of at least 0 and at most `most`."""
+        value = self.number(attribute, default, most)
         if value < 0.0:
             raise self.error(f"{attribute!r} must be at least 0, not {value:g}")
         return value
 
     def positive(self, attribute: str, size: int = 1) -> tuple[float, ...]:
-        """Return an attribute of `size` finite numbers above 0."""
-        numbers = self.vector(attribute, size)
+        """Return an attribute of `size` finite numbers above 0, metres."""
+        numbers = self.vector(attribute, size, most=FARTHEST)
         if min(numbers) <= 0.0:
             raise self.error(f"{attribute!r} must be above 0, not {min(numbers):g}")
         return numbers
@@ -100,7 +113,7 @@ class Element:
         found = self.child("origin")
         if found is None:
             return make_pose(np.zeros(3), Rotation.identity())
-        xyz = np.array(found.vector("xyz", 3, (0.0, 0.0, 0.0)))
+        xyz = np.array(found.vector("xyz", 3, (0.0, 0.0, 0.0), FARTHEST))
         rpy = found.vector("rpy", 3, (0.0, 0.0, 0.0))
         return make_pose(xyz, Rotation.from_euler("xyz", rpy))
 

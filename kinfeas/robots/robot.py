@@ -170,6 +170,10 @@ def _arm_joint(spec: RobotSpec, joint: Joint, source: str) -> ArmJoint:
             raise KinfeasError(f"{where}: a continuous joint has no 'soft_limits'")
         return ArmJoint(joint.name, -math.inf, math.inf, velocity, continuous=True)
     lower, upper = block.soft_limits or (joint.soft_lower, joint.soft_upper)
+    if lower >= upper:
+        raise KinfeasError(
+            f"{where}: the lower limit must be below the upper one, not {lower:g} and {upper:g}"
+        )
     if not joint.lower <= lower < upper <= joint.upper:
         raise KinfeasError(
             f"{where}: the soft limits {lower:g} to {upper:g} must lie in the URDF's "

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from kinfeas.config import Interval
+from kinfeas.quantities import Metres
 
 Drive = Literal["omnidirectional", "differential"]
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
@@ -83,12 +84,12 @@ class RobotSpec:
     name: str
     urdf: Path
     ee_frame: str
-    tool_tip: tuple[float, float, float]
+    tool_tip: tuple[Metres, Metres, Metres]
     gripper_rotation: tuple[float, float, float, float]
     base: BaseSpec
     arm: dict[str, ArmJointSpec]
     home: dict[str, tuple[float, ...]]
-    goal_heights: dict[str, tuple[float, float]]
+    goal_heights: dict[str, tuple[Metres, Metres]]
     fixed_joints: dict[str, float] = field(default_factory=dict)
     leeway: Leeway | None = None
     ignored_collisions: tuple[tuple[str, str], ...] = ()

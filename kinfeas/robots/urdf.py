@@ -22,6 +22,8 @@ from kinfeas.robots.tree import (
 
 __all__ = ["Joint", "JointKind", "Link", "Mimic", "Shape", "ShapeKind", "Urdf", "parse_urdf"]
 
+_HEAVIEST, _MOST_INERTIA = 1e5, 1e7  # kg and kg m^2
+
 
 def parse_urdf(path: Path) -> Urdf:
     """Return the robot that a URDF file describes.
@@ -70,12 +72,12 @@ def _mass(link: Element) -> float:
     if inertial is None:
         return 0.0
     inertial.origin()
-    if inertia := inertial.child("inertia"):
-        for product in ("ixy", "ixz", "iyz"):
-            inertia.number(product, 0.0)
-        for moment in ("ixx", "iyy", "izz"):
-            inertia.not_negative(moment)
-    return inertial.need("mass").not_negative("value")
+    inertia = inertial.need("inertia")
+    for product in ("ixy", "ixz", "iyz"):
+        inertia.number(product, 0.0, _MOST_INERTIA)
+    for moment in ("ixx", "iyy", "izz"):
+        inertia.not_negative(moment, most=_MOST_INERTIA)
+    return inertial.need("mass").not_negative("value", most=_HEAVIEST)
 
 
 def _shapes(elements: Iterable[Element]) -> list[Shape]:
@@ -92,7 +94,9 @@ def _shape(element: Element) -> Shape | None:
         return Shape("cylinder", size, pose)
     if sphere := geometry.child("sphere"):
         return Shape("sphere", sphere.positive("radius"), pose)
-    if geometry.child("mesh"):
+    if mesh := geometry.child("mesh"):
+        mesh.text("filename")
+        mesh.vector("scale", 3, (1.0, 1.0, 1.0))
         return None
     raise geometry.error("must hold a <box>, <cylinder>, <sphere> or <mesh>")
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
-from kinfeas.sim.silence import silence
+from kinfeas.sim.complaints import complaint, unread_mesh
+from kinfeas.sim.silence import overhear, silence
 from kinfeas.spatial import IDENTITY, Array, compose, relative
 
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
@@ -49,9 +50,9 @@ class PhysicsConfig:
         grasp_limit: Force at which a held object slips out of the hand, N.
     """
 
-    rate: Positive = 240.0
+    rate: Annotated[float, Interval(low=0.0, high=1e5, open_low=True)] = 240.0
     gravity: Annotated[float, Interval(low=0.0)] = 9.81
-    iterations: Annotated[int, Interval(low=1)] = 50
+    iterations: Annotated[int, Interval(low=1, high=10_000)] = 50
     drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
     wheel_grip: Annotated[float, Interval(low=0.0)] = 0.12
     arm_horizon: Positive = 0.1
@@ -102,26 +103,30 @@ class Physics:
         Args:
             urdf: A file that `parse_urdf` has checked.
             fixed: Whether its root link stays where it is put.
+
+        Raises:
+            KinfeasError: If PyBullet cannot load it, or one of its meshes.
         """
-        client = self.client
-        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
-        body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
+        body = self._load(urdf, urdf, fixed=fixed)
         if not fixed:
             self._free.append(body)
         return body
 
-    def load_text(self, urdf: str, folder: Path) -> int:
+    def load_text(self, urdf: str, source: Path) -> int:
         """Return the number of a new body with a fixed root.
 
         Args:
-            urdf: Content of a URDF file.
-            folder: Where its meshes lie.
+            urdf: Content of a URDF file whose meshes go by their absolute paths.
+            source: The file that it was made from, beside which its textures lie.
+
+        Raises:
+            KinfeasError: If PyBullet cannot load it, or one of its meshes.
         """
-        self.client.setAdditionalSearchPath(str(folder))
+        self.client.setAdditionalSearchPath(str(source.absolute().parent))
         with tempfile.TemporaryDirectory() as temporary:
             path = Path(temporary) / "body.urdf"
             path.write_text(urdf, encoding="utf-8")
-            return self.load(path, fixed=True)
+            return self._load(path, source, fixed=True)
 
     def links(self, body: int) -> dict[str, int]:
         """Return the indices of a body's links by name."""
@@ -206,6 +211,24 @@ class Physics:
         """End the world; it may be called twice."""
         if self.client.isConnected():
             self.client.disconnect()
+
+    def _load(self, urdf: Path, source: Path, *, fixed: bool) -> int:
+        """Return the number of a new body; errors name the file `source`."""
+        client = self.client
+        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
+        try:
+            with overhear() as heard:
+                body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
+        except client.error as error:
+            reason = complaint(heard.getvalue()) or str(error)
+            raise KinfeasError(f"{source}: PyBullet cannot load it: {reason}") from error
+        if mesh := unread_mesh(heard.getvalue()):
+            raise KinfeasError(
+                f"{source}: PyBullet finds no triangles in the mesh {mesh!r}; binary STL, OBJ and "
+                "DAE files are allowed"
+            )
+        sys.stderr.write(heard.getvalue())
+        return body
 
     def _mass_in_root(self, body: int) -> Array:
         return np.concatenate(self.client.getDynamicsInfo(body, ROOT)[3:5])

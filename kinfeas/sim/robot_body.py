@@ -30,7 +30,7 @@ class RobotBody:
         """Put a robot into the world, at the origin and in the configuration `home`."""
         self.physics, self.robot = physics, robot
         urdf, part_of = physics_urdf(robot)
-        self.body = physics.load_text(urdf, robot.urdf_path.parent)
+        self.body = physics.load_text(urdf, robot.urdf_path)
         self.joints, links = physics.joints(self.body), physics.links(self.body)
         self.links = {name: links[of] for name, of in part_of.items()}
         self.base = [self.joints[name] for name in PLANAR_JOINTS]

@@ -4,6 +4,7 @@ from xml.etree import ElementTree
 
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.robot import Robot
+from kinfeas.sim.meshes import place_meshes
 from kinfeas.sim.moving_joints import moving_joints
 from kinfeas.sim.welding import set_origin, weld
 
@@ -19,12 +20,16 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
 
     Joints that do not move here are fixed where the robot holds them, which is also how a brake
     holds them, and what they join is one link, but for the EE frame. None is left that follows
-    another: PyBullet knows no such thing.
+    another: PyBullet knows no such thing. Meshes go by their absolute paths.
 
     Returns:
         The URDF, and in which of its links each of the robot's links is, by name.
+
+    Raises:
+        KinfeasError: If a mesh is not there or PyBullet cannot read it.
     """
     xml = read_xml(robot.urdf_path, "robot").xml
+    place_meshes(xml, robot.urdf_path)
     moving = moving_joints(robot)
     for element in xml.findall("joint"):
         name = element.get("name")

@@ -111,9 +111,9 @@ def _mass(link: Any) -> _Mass | None:
     if inertial is None:
         return None
     pose, moments = inertial.origin(), np.zeros((3, 3))
-    if inertia := inertial.child("inertia"):
-        for name, (row, column) in _MOMENTS.items():
-            moments[row, column] = moments[column, row] = inertia.number(name, 0.0)
+    inertia = inertial.need("inertia")
+    for name, (row, column) in _MOMENTS.items():
+        moments[row, column] = moments[column, row] = inertia.number(name, 0.0)
     turn = rotation(pose).as_matrix()
     return _Mass(inertial.need("mass").number("value"), pose[:3], turn @ moments @ turn.T)
 

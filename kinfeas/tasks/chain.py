@@ -11,14 +11,18 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config, strict_yaml
 from kinfeas.config import Interval, no_such
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.quantities import Distance, Metres, Radians
 from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.scene import TaskScene
-from kinfeas.tasks.task import Leg, NotNegative
+from kinfeas.tasks.task import Leg
 
-Drawn = float | tuple[float, float]
+Length = Metres | tuple[Metres, Metres]
 """A number, or the lowest and the highest to draw from uniformly."""
+
+Angle = Radians | tuple[Radians, Radians]
+"""The same in radians."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +34,8 @@ class Place:
         rpy: Roll, pitch and yaw about the world's x, y and z axes, one after the other, radians.
     """
 
-    position: tuple[Drawn, Drawn, Drawn]
-    rpy: tuple[Drawn, Drawn, Drawn] = (0.0, 0.0, 0.0)
+    position: tuple[Length, Length, Length]
+    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check that the ranges ascend."""
@@ -59,7 +63,7 @@ class BaseStart:
         heading: How far it may be turned away from the first leg's target, radians.
     """
 
-    square: NotNegative = 1.5
+    square: Distance = 1.5
     heading: Annotated[float, Interval(low=0.0, high=float(np.pi))] = float(np.pi / 2.0)
 
 
@@ -73,7 +77,7 @@ class ChainLeg(Leg):
     """
 
     place: str
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -142,10 +146,14 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
         changes: What to take instead of the file's entries; a mapping changes its own keys only.
 
     Raises:
-        KinfeasError: If the file is broken, or an entry is not what `ChainTask` allows.
+        KinfeasError: If the file is broken, or an entry or a change is not what `ChainTask` allows.
     """
-    data = _changed(strict_yaml.read(path), changes or {})
-    return config.from_mapping(ChainTask, data, str(path))
+    data = strict_yaml.read(path)
+    task = config.from_mapping(ChainTask, data, str(path))
+    if not changes:
+        return task
+    # The file is in order: what is wrong from here on is not its fault.
+    return config.from_mapping(ChainTask, _changed(data, changes), "the task's parameters")
 
 
 def pick_place(**parameters: object) -> ChainTask:
@@ -178,7 +186,7 @@ def _changed(data: Mapping[str, object], changes: Mapping[str, object]) -> dict[
     return changed
 
 
-def _draw(number: Drawn, rng: np.random.Generator) -> float:
+def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> float:
     return float(rng.uniform(*number)) if isinstance(number, tuple) else number
 
 

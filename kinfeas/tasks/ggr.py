@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.quantities import Distance, Metres
 from kinfeas.spatial import Array, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
-from kinfeas.tasks.task import Leg, MotionSpec, NotNegative
+from kinfeas.tasks.task import Leg, MotionSpec
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class GoalReaching:
 
     name: str = "ggr"
     motion: MotionSpec = field(default_factory=MotionSpec)
-    distance: tuple[NotNegative, NotNegative] = (1.0, 5.0)
-    heights: tuple[float, float] | None = None
+    distance: tuple[Distance, Distance] = (1.0, 5.0)
+    heights: tuple[Metres, Metres] | None = None
     restrict_start: bool = False
     orientation: Literal["rpy", "so3"] = "rpy"
 

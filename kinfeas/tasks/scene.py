@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas.quantities import Metres, Radians
 from kinfeas.spatial import Array, compose, make_pose
 
 
@@ -19,8 +20,8 @@ class Move:
     """
 
     place: str
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn: float = 0.0
+    offset: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    turn: Radians = 0.0
 
     def carry(self, place: Array) -> Array:
         """Return the world pose of the object, shape (7,), where the place is at a pose (7,)."""

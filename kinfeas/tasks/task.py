@@ -2,18 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from kinfeas import registry
 from kinfeas.backend import Grip
-from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.legs import Frame, LegMotion
+from kinfeas.quantities import Seconds
 from kinfeas.start import Start
-
-NotNegative = Annotated[float, Interval(low=0.0)]
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Leg:
 
     motion: MotionSpec = field(default_factory=MotionSpec)
     frame: Frame = "ee"
-    wait: NotNegative = 0.0
+    wait: Seconds = 0.0
     grip: Grip | None = None
 
 

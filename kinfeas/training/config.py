@@ -41,7 +41,7 @@ class LearnerConfig:
     gradient_steps: Count = 1
     discount: Share = 0.99
     smoothing: Share = 0.005
-    buffer_size: Count = 1_000_000
+    buffer_size: Annotated[int, Interval(low=1, high=10_000_000)] = 1_000_000
     random_steps: Annotated[int, Interval(low=0)] = 3_000
     critic_steps: Annotated[int, Interval(low=0)] = 0
     hidden: tuple[Count, ...] = (256, 256)

@@ -1,8 +1,10 @@
 import json
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,7 @@ from tests.cli.conftest import is_one_line
 
 QUICK = ("--set", "generator.gain=1", "--set", "slow_down=1")
 GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")
+OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot"
 MAIN = "from kinfeas.cli.main import main; main()"
 HEAVY = """
 import sys
@@ -47,6 +50,17 @@ def test_records_every_run_and_says_where(kinfeas, tmp_path):
     assert len(read_record(record).time) == 5 + 2
 
 
+def test_a_record_names_an_own_robot_for_readers_elsewhere(kinfeas, tmp_path, monkeypatch):
+    shutil.copytree(OWN_ROBOT, tmp_path / "own")
+    done = kinfeas("deploy", "follow_ee", "--robot", "own/scout.yaml", *GOAL, "--seconds", "0.1",
+                   "--as-fast-as-possible", "--record", "run.csv")  # fmt: skip
+    assert done.code == 4, done.err
+    assert read_record(tmp_path / "run.csv").about.robot == str(tmp_path / "own" / "scout.yaml")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert kinfeas("view", "--record", "../run.csv").code == 0
+
+
 def test_adapters_stand_between(kinfeas, tmp_path):
     (tmp_path / "mine.yaml").write_text(
         "adapters: [{name: base_noise, parameters: {linear: 0.05}}]"
@@ -77,6 +91,8 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     (("--backend", "analytik", *GOAL[2:]), "unknown backend 'analytik' (did you mean 'analytic'?)"),
     ((*GOAL, "--set", "guards.sped=1"), "guards.sped"),
     ((*GOAL, "--set", "guards.speed=-1"), "'guards.speed' must be a number > 0"),
+    ((*GOAL, "--set", "head_start=1e300"), "'head_start' must be a number in [0, 100000], not 1e"),
+    ((*GOAL, "--set", "guards.watchdog=1e300"), "'guards.watchdog' must be a number in (0, 100000"),
     ((*GOAL, "--set", "backend.wheels=3"), "unknown parameter 'wheels'"),
     ((*GOAL, "--set", "task.orientation=so3"), "--set task.KEY needs --task"),
     ((*GOAL[:2], "--task", "ggr", *QUICK), "--set generator.KEY and --task exclude each other"),

@@ -27,6 +27,14 @@ def test_an_episode_is_shown_as_picture_and_page(kinfeas, tmp_path):
         (("--world", "pybullet", "--video", "film.avi"), "must end in one of: .gif, .mp4, .png"),
         (("--world", "pybullet", "--video", "none/film.gif"), "cannot be written"),
         (("--world", "pybullet", "--replay", "page.gif"), "must end in .html"),
+        (
+            ("--world", "pybullet", "--video", "a.png", "--json", "a.png"),
+            "--json and --video must differ",
+        ),
+        (
+            ("--world", "pybullet", "--replay", "a.html", "--json", "a.html"),
+            "--json and --replay must differ",
+        ),
     ],
 )
 def test_bad_input_is_one_line(kinfeas, arguments, words):

@@ -1,8 +1,11 @@
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from kinfeas.demonstrations import write_demonstration
+from kinfeas.plugins.fit import MOST_COMPONENTS
 from kinfeas.plugins.gaussian_mixture import GaussianMixture
 from kinfeas.plugins.imitation import Imitation
 from tests.cli.conftest import is_one_line
@@ -51,7 +54,10 @@ def test_learns_the_other_kind(kinfeas, shown):
         (["--demonstrations", "."], "holds no demonstrations"),
         (["--demonstrations", "shown", "--kind", "spline"], "spline"),
         (["--demonstrations", "shown", "--components", "0"], "--components"),
-        (["--demonstrations", "shown", "--components", "99"], "components must be a number in"),
+        (
+            ["--demonstrations", "shown", "--components", "99"],
+            f"less than or equal to {MOST_COMPONENTS}",
+        ),
         (["--demonstrations", "shown", "--out", "missing/door.yaml"], "cannot be written"),
         ([], "--demonstrations"),
     ],
@@ -62,5 +68,27 @@ def test_bad_input_is_one_line(arguments, message, kinfeas, shown):
     assert message in outcome.err
 
 
-def test_help_shows_the_format(kinfeas):
-    assert "ee_qx" in kinfeas("fit", "--help").out
+def test_help_shows_the_format_and_the_largest_size(kinfeas):
+    told = kinfeas("fit", "--help").out
+    assert "ee_qx" in told
+    assert f"x<={MOST_COMPONENTS}" in told
+
+
+def test_an_error_names_the_file(kinfeas, shown, tmp_path):
+    (tmp_path / "shown" / "notes.txt").touch()
+    still = tmp_path / "shown" / "1.csv"
+    write_demonstration(_still(door_demonstrations(1)[0]), still)
+    outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml")
+    assert is_one_line(outcome)
+    assert outcome.err == "error: shown/1.csv: the hand does not move\n"
+
+
+def _still(one):
+    return replace(one, **{name: np.tile(getattr(one, name)[:1], (len(one.time), 1))
+                           for name in ("ee_pose", "base_pose", "object_pose")})  # fmt: skip
+
+
+def test_brackets_in_a_name_are_shown(kinfeas, shown):
+    outcome = kinfeas("fit", "--demonstrations", shown, "--out", "m[bold].yaml")
+    assert outcome.code == 0, outcome.err
+    assert "model in m[bold].yaml" in " ".join(outcome.out.split())

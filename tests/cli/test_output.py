@@ -1,10 +1,14 @@
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from kinfeas.cli import output
+from kinfeas.demonstrations import write_demonstration
 from kinfeas.errors import KinfeasError
+from tests.cli.conftest import is_one_line
+from tests.plugins.conftest import door_demonstrations
 
 
 def test_json_is_written_whole(tmp_path):
@@ -70,3 +74,112 @@ def test_a_bar_leaves_nothing_in_a_file(capfd):
     with output.progress("work", 2.0) as advance:
         advance(1.0)
     assert capfd.readouterr() == ("", "")
+
+
+ODD = "a[/b] [bold]c[/] :cat: \x1b[31m\n"
+
+
+def test_a_table_shows_text_as_it_stands(capsys):
+    output.print_table(ODD, ["", f" {ODD}"], [[ODD, "1"]])
+    assert capsys.readouterr().out.count("a[/b] [bold]c[/] :cat: ?[31m") == 3
+
+
+def test_what_is_being_done_is_shown_as_it_stands(capsys):
+    with output.progress(ODD) as advance, output.status(ODD) as show:
+        advance(1.0)
+        show(ODD)
+
+
+def test_a_place_for_a_file_may_be_a_pipe_a_link_or_the_output(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("target")
+    for path in (tmp_path / "pipe", tmp_path / "link", Path("/dev/stdout"), Path("/dev/fd/1")):
+        assert output.check_file_path(path) == path
+    (tmp_path / "lost").symlink_to("missing/target")
+    for wrong in (tmp_path / "lost", tmp_path / ("a" * 300)):
+        with pytest.raises(KinfeasError, match="cannot be written"):
+            output.check_file_path(wrong)
+
+
+def test_two_options_may_name_two_files_or_one_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    apart = {"--json": tmp_path / "a", "--picture": tmp_path / "b", "--html": None}
+    for paths in (apart, dict.fromkeys(("--json", "--picture"), tmp_path / "pipe")):
+        output.check_apart(paths)
+
+
+@pytest.mark.parametrize("same", ["a", "../{}/a", "link"])
+def test_two_options_must_not_name_one_file(tmp_path, same):
+    (tmp_path / "link").symlink_to("a")
+    other = tmp_path / same.format(tmp_path.name)
+    with pytest.raises(KinfeasError, match=r"^--json and --picture must differ, but both name .*"):
+        output.check_apart({"--json": tmp_path / "a", "--html": None, "--picture": other})
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "deploy pretrained --backend analytic --goal 1 0 1 --record same --json ./same",
+        "deploy same --backend analytic --goal 1 0 1 --json same",
+        "export pretrained --out same --json same",
+        "export --check same --json same",
+        "evaluate --policy pretrained --sim2real ideal --picture same --json same",
+        "view --picture same --html same",
+        "view --record same --json same",
+        "plugins check linear --picture same --json same",
+        "demonstrate door --out same --json same",
+        "demonstrate door --out other --picture same --json same",
+        "fit --demonstrations . --out same --json same",
+        "benchmark --quick --out same --json same",
+        "benchmark --quick --publish same --json same",
+    ],
+)
+def test_every_command_refuses_one_file_for_two(kinfeas, tmp_path, line):
+    done = kinfeas(*line.split())
+    assert is_one_line(done), done.err
+    assert "must differ, but both name" in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("model.yaml", "fit --demonstrations shown --out model.yaml"),
+        ("room.png", "view --picture room.png"),
+        ("run.png", "view --record run.csv --picture run.png"),
+        ("motions.png", "plugins check linear --duration 5 --picture motions.png"),
+        ("door.png", "demonstrate door --count 1 --out new --picture door.png"),
+    ],
+)
+def test_a_full_disk_leaves_what_was_there(kinfeas, inputs, monkeypatch, file, line):
+    (inputs / file).write_text("old")
+    for name in ("write_text", "write_bytes"):
+        monkeypatch.setattr(Path, name, full_disk)
+    done = kinfeas(*line.split())
+    assert is_one_line(done), done.err
+    assert f"{file}: cannot be written: No space left on device" in done.err
+    assert (inputs / file).read_text() == "old"
+
+
+@pytest.fixture
+def inputs(kinfeas, tmp_path):
+    """The folder that commands run in, with what some of them read."""
+    (tmp_path / "shown").mkdir()
+    write_demonstration(door_demonstrations(1)[0], tmp_path / "shown" / "0.csv")
+    about = ("--backend", "analytic", "--goal", "1", "0", "1", "--record", "run.csv")
+    kinfeas("deploy", "pretrained", *about, "--as-fast-as-possible", "--seconds", "0.1")
+    return tmp_path
+
+
+def full_disk(path, content, **_):
+    with path.open("wb") as file:
+        file.write(b"the first bytes")
+    raise OSError(28, "No space left on device")
+
+
+def test_results_may_go_to_the_output(kinfeas):
+    done = kinfeas("view", "--json", "/dev/fd/1")
+    assert done.code == 0, done.err
+    data, end = json.JSONDecoder().raw_decode(done.out)
+    assert data["scene"] == "room"
+    assert "scene room" in done.out[end:]

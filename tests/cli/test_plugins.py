@@ -96,6 +96,62 @@ def test_bad_input_is_one_line(kinfeas, arguments, sentence):
     assert sentence in outcome.err
 
 
+BROKEN = {
+    "leaves": "import sys\nsys.exit(7)\n",
+    "number": "target = 3\n",
+    "odd": """class Odd:
+    def __repr__(self):
+        raise RuntimeError("no words")
+
+
+class target:
+    def __init__(self, *, way=Odd()):
+        pass
+""",
+}
+SENTENCES = {
+    "leaves": "cannot be loaded: SystemExit: 7 (__init__.py, line 2)",
+    "number": "must be a class or a function, not int",
+    "odd": "cannot be described: RuntimeError: no words (__init__.py, line 3)",
+}
+
+
+@pytest.fixture
+def broken(offer, tmp_path):
+    """The name of each broken plugin, which is installed."""
+
+    def make(name):
+        folder = tmp_path / name
+        (folder / f"kinfeas_{name}").mkdir(parents=True)
+        (folder / f"kinfeas_{name}" / "__init__.py").write_text(BROKEN[name])
+        entries = f'[project.entry-points."kinfeas.motion_generators"]\n{name} = '
+        project = f'[project]\nname = "kinfeas-{name}"\nversion = "1"\n'
+        (folder / "pyproject.toml").write_text(f'{project}{entries}"kinfeas_{name}:target"\n')
+        offer(folder)
+        return name
+
+    return make
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_plugin_disturbs_no_other(kinfeas, broken, tmp_path, name):
+    broken(name)
+    outcome = kinfeas("plugins", "list", "--json", "plugins.json")
+    assert outcome.code == 0
+    found = {one["name"]: one for one in json.loads((tmp_path / "plugins.json").read_text())}
+    assert found["linear"]["error"] is None
+    if name != "odd":  # which can be used
+        assert SENTENCES[name] in found[name]["error"]
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_info_on_a_broken_plugin_is_one_line(kinfeas, broken, name):
+    outcome = kinfeas("plugins", "info", broken(name))
+    assert outcome.code == 2
+    assert SENTENCES[name] in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
 def test_new_writes_a_distribution_here(kinfeas, tmp_path):
     outcome = kinfeas("plugins", "new", "my_motion")
     assert "pytest kinfeas-my-motion" in outcome.out

@@ -47,7 +47,7 @@ def test_a_robot_by_path_and_a_recipe_by_path(kinfeas, tmp_path):
     (tmp_path / "recipe.yaml").write_text("robot: ./pr2.yaml\nenvironments: 8\n")
     outcome = kinfeas("train", "--config", "recipe.yaml", "--steps", "16", "--out", "run", *TINY)
     assert outcome.code == 0, outcome.err
-    assert "--robot ./pr2.yaml" in outcome.out
+    assert f"--robot {tmp_path / 'pr2.yaml'}" in outcome.out
 
 
 def test_resume_of_a_finished_run_does_no_harm(kinfeas, run_folder):

@@ -30,7 +30,7 @@ def test_draws_a_user_s_scene(kinfeas, tmp_path):
         (["--scene", "none.yaml"], "none.yaml: cannot be read"),
         (["--scene", ""], "unknown scene ''"),
         (["--picture", "."], ".: is a folder, not the path of a file"),
-        (["--set", "objects.boxx.fixed=true"], "objects.boxx.urdf"),
+        (["--set", "objects.boxx.fixed=true"], "no 'objects.boxx' (did you mean 'box'?); known"),
         (["--set", "objects.box.position=[3, 0, 0.5]"], "'pick_table' and 'box' stand within"),
         (["--picture", "/nowhere/a.png"], "/nowhere/a.png: cannot be written"),
     ],
@@ -90,3 +90,12 @@ def test_a_record_that_is_none_is_one_line(kinfeas, arguments, message):
     assert done.code == 2
     assert message in done.err
     assert done.err.count("\n") == 1
+
+
+def test_names_are_shown_as_they_stand(kinfeas, tmp_path):
+    scene = BROKEN.replace("tabel", "table").replace("mine", "'m[/x]'").replace("table:", "'t[b]':")
+    (tmp_path / "mine.yaml").write_text(scene)
+    done = kinfeas("view", "--scene", "mine.yaml")
+    assert done.code == 0, done.err
+    assert "scene m[/x]" in done.out
+    assert "t[b]" in done.out

@@ -16,6 +16,11 @@ from kinfeas.evaluation.benchmark_study import (
 OUT = Path("out")
 
 
+@pytest.mark.parametrize("name", ["study", "quick", "physics", "physics_quick"])
+def test_the_note_of_a_study_says_nothing_that_options_change(name):
+    assert not any(letter.isdigit() for letter in read_study(f"benchmark/{name}").note)
+
+
 def study(*overrides):
     return config.from_mapping(StudyConfig, {}, "study", overrides)
 

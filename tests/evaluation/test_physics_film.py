@@ -98,6 +98,19 @@ def test_films_are_written(film, tmp_path, suffix):
         assert image.size == ((96, 72) if suffix == ".gif" else (2 * 96 + 6, 2 * 72 + 6))
 
 
+def test_a_film_that_is_not_finished_leaves_the_one_before(film, tmp_path, monkeypatch):
+    def cut(_, path, __):
+        path.write_bytes(b"the first bytes")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("kinfeas.evaluation.physics_film._write_gif", cut)
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"old")
+    with pytest.raises(KinfeasError, match=r"film.gif: cannot be written: No space left on device"):
+        write_film(film, path)
+    assert path.read_bytes() == b"old"
+
+
 def test_a_page_stands_alone(film):
     pytest.importorskip("viser")
     page = film_html(film)

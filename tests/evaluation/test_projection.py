@@ -44,3 +44,9 @@ def test_the_floor_lies_under_all_points():
     flat = view.flat(points)
     assert np.all(lines.min(axis=0) <= flat.min(axis=0))
     assert np.all(lines.max(axis=0) >= flat.max(axis=0))
+
+
+def test_a_floor_too_wide_for_a_grid_has_none():
+    axes = Figure().subplots()
+    draw_floor(axes, look(0.3, 0.4), np.array([[0.0, 0.0, 0.0], [1e8, 0.0, 0.0]]))
+    assert not axes.collections

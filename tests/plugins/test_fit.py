@@ -133,6 +133,13 @@ def test_refuses_a_demonstration_without_a_motion(change, message):
         fit([*shown[:2], replace(shown[2], **{**still, **change})])
 
 
+def test_an_error_names_the_demonstration_as_it_is_told_to():
+    shown = door_demonstrations(2)
+    shown[1].base_pose[-1, 0] += 50.0
+    with pytest.raises(KinfeasError, match=r"^b: leads more than"):
+        fit(shown, names=["a", "b"])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_learns_a_way_across_a_hall(kind, tmp_path):
     shown = door_demonstrations()

@@ -44,6 +44,7 @@ def test_reads_both_forms(tmp_path, name, text, time):
         ("w.yaml", YAML + "speed: 2\n", "unknown key 'speed'"),
         ("w.yaml", YAML + "time: [1]\n", "'time' has 1 entries for 2 waypoints"),
         ("w.yaml", YAML + "time: [1, 1]\n", "waypoint 2: must be later than the one before"),
+        ("w.yaml", YAML + "time: [0, 1e300]\n", "waypoint 2: must be at most 100000 s later"),
         ("w.yaml", YAML.replace("0.7071]", "0.9]"), "waypoint 2: must have a unit quaternion"),
         ("w.csv", "x,y,z,qx,qy,qz\n", "line 1: column 'qw' is missing"),
         ("w.csv", CSV.replace("4,0", "far,0"), "line 3, z: 'far' is not a number"),

@@ -119,6 +119,11 @@ def test_two_waypoints_make_a_straight_line(tmp_path):
     assert np.linalg.norm(np.cross(poses[:, :3] - POSES[0, :3], way), axis=-1).max() < 1e-9
 
 
+def test_a_ramp_longer_than_the_path_is_all_of_it(file):
+    knots = [Waypoints(file=file, ramp=ramp)._control.path.knots for ramp in (1e3, 1e9)]
+    assert np.array_equal(*knots)
+
+
 def test_refuses_what_it_cannot_follow(tmp_path, file):
     with pytest.raises(KinfeasError, match="waypoint 2: must differ from the one before"):
         Waypoints(file=write(tmp_path / "w.csv", POSES[[0, 0, 1]]))

@@ -123,7 +123,7 @@ def test_reads_leeway_and_ignored_collisions(tmp_path):
     [
         ({"wheels": 4}, "unknown key 'wheels'"),
         ({"tool_tip": [0.1, 0.0]}, "'tool_tip' must be a list of 3 entries"),
-        ({"tool_tip": [0.1, 0.0, math.nan]}, "'tool_tip.2' must be a finite number"),
+        ({"tool_tip": [0.1, 0.0, math.nan]}, r"'tool_tip.2' must be a number in \[-10000, 10000\]"),
         ({"urdf": "none.urdf"}, "none.urdf: cannot be read"),
         ({"ee_frame": "hok"}, "'ee_frame': there is no link 'hok' .did you mean 'hook'"),
         ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation' must be a unit quaternion"),
@@ -151,6 +151,10 @@ def test_reads_leeway_and_ignored_collisions(tmp_path):
         (
             {"arm": crane()["arm"] | {"swing": {"soft_limits": [-3, 1]}}},
             "'arm.swing': the soft limits -3 to 1 must lie in the URDF's -2 to 2",
+        ),
+        (
+            {"tool_tip": [1e300, 0, 0]},
+            r"'tool_tip.0' must be a number in \[-10000, 10000\], not 1e",
         ),
         ({"arm": {"swing": {"soft_limits": [1, -1]}}}, "'arm.swing': 'soft_limits' must ascend"),
         ({"home": {"low": [0.5, 0, 0]}}, "'home' must hold a configuration of the name 'home'"),
@@ -187,6 +191,16 @@ def test_every_key_is_needed(tmp_path, key):
     del spec[key]
     with pytest.raises(KinfeasError, match=f"'{key}' is missing"):
         read_robot(write(tmp_path, spec))
+
+
+def test_limits_without_a_way_between_them_are_named(tmp_path):
+    joint = URDF[URDF.index('<joint name="swing"') : URDF.index('<joint name="spin"')]
+    stuck = joint.replace('"-2" upper="2"', '"0" upper="0"').replace("1.5", "0")
+    spec = crane() | {"arm": crane()["arm"] | {"swing": {}}}
+    with pytest.raises(
+        KinfeasError, match=r"'arm\.swing': the lower limit must be below the upper"
+    ):
+        read_robot(write(tmp_path, spec, URDF.replace(joint, stuck)))
 
 
 def test_a_fixed_joint_has_no_position(tmp_path):

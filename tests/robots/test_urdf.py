@@ -147,6 +147,12 @@ def test_reads_links_and_joints(tmp_path):
     assert (elbow.soft_lower, elbow.soft_upper, elbow.mimic) == (-1.0, 2.0, None)
 
 
+def test_what_stands_for_no_limit_is_allowed(tmp_path):
+    text = ARM.replace('lower="-1" upper="2"', 'lower="-1e16" upper="1e16"')
+    elbow = parse_urdf(write(tmp_path, text)).joints["elbow"]
+    assert (elbow.lower, elbow.upper) == (-1e16, 1e16)
+
+
 def test_reads_soft_limits(tmp_path):
     soft = '<safety_controller soft_lower_limit="-0.5" soft_upper_limit="1.5"/></joint>'
     elbow = parse_urdf(write(tmp_path, ARM.replace("</joint>", soft))).joints["elbow"]
@@ -193,6 +199,15 @@ def test_reads_mimic(tmp_path):
         ('mass value="0.5"', "mass", "<mass>: the attribute 'value' is missing"),
         ('ixx="1"', 'ixx="inf"', "<inertia>: 'ixx' must be a finite number, not 'inf'"),
         ('ixx="1"', 'ixx="-1"', "'ixx' must be at least 0"),
+        ('mass value="0.5"', 'mass value="1e308"', "must be at most 100000 in size, not 1e.308"),
+        ('ixx="1"', 'ixx="1e9"', "'ixx' must be at most 1e.07 in size, not 1e.09"),
+        ('<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>', "", "<inertia> is missing"),
+        ('filename="hand.stl"', "", "<mesh>: the attribute 'filename' is missing"),
+        ('filename="hand.stl"', 'filename="a.stl" scale="1"', "'scale' must be 3 finite numbers"),
+        ('size="1 2 3"', 'size="1 2e5 3"', "'size' must be at most 10000 in size, not 200000"),
+        ('xyz="1 2 3"', 'xyz="1 -2e5 3"', "'xyz' must be at most 10000 in size, not -200000"),
+        ('xyz="0 3 4"', 'xyz="0 0 1e200"', "'xyz' must be at most 1e.16 in size, not 1e.200"),
+        ('lower="-1"', 'lower="-1e308"', "'lower' must be at most 1e.16 in size, not -1e.308"),
         ('size="1 2 3"', 'size="1 2"', "'size' must be 3 finite numbers, not '1 2'"),
         ('size="1 2 3"', 'size="1 -2 3"', "'size' must be above 0, not -2"),
         ('size="1 2 3"', 'size="1 two 3"', "'size' must be 3 finite numbers"),

@@ -141,6 +141,23 @@ def test_a_user_brings_furniture(write, tmp_path, room):
     assert scene.objects["table"].mass == own.mass
 
 
+@pytest.mark.parametrize("folder", ["parts", "parts/../parts", "."])
+def test_furniture_may_lie_in_another_folder(write, tmp_path, room, folder):
+    own = room.objects["pick_table"].urdf_path.read_text()
+    (tmp_path / "parts").mkdir()
+    (tmp_path / folder / "bench.urdf").write_text(own)
+    for name in (f"{folder}/bench.urdf", f"{tmp_path}/{folder}/bench.urdf"):
+        found = read_scene(write("table.urdf", name)).objects["table"].urdf_path
+        assert found.samefile(tmp_path / folder / "bench.urdf")
+
+
+def test_only_a_bare_name_is_that_of_a_shipped_urdf(write):
+    with pytest.raises(KinfeasError, match=r"there is no file '.*parts/table\.urdf'"):
+        read_scene(write("table.urdf", "parts/table.urdf"))
+    with pytest.raises(KinfeasError, match="cannot be read: File name too long"):
+        read_scene(write("table.urdf", f"{'a' * 300}.urdf"))
+
+
 def test_overrides_win(write):
     scene = read_scene(write(), ["objects.shelf.joints.hinge=0.5"])
     assert scene.objects["shelf"].joint_positions == {"hinge": 0.5}
@@ -164,8 +181,8 @@ def test_overrides_win(write):
         ("urdf: table.urdf, ", "", "'objects.table.urdf' is missing"),
         ("position: [1.0,", "place: [1.0,", "unknown key 'objects.table.place'"),
         ("[1.0, 0.0, 0.0]", "[1.0, 0.0]", "'objects.table.position' must be a list of 3"),
-        ("[1.0, 0.0, 0.0]", "[[0.0, 1.0], 0.0, 0.0]", "must be a finite number"),
-        ("4.0, 3.0", "4.0, 0.0", "size.1' must be a number > 0"),
+        ("[1.0, 0.0, 0.0]", "[[0.0, 1.0], 0.0, 0.0]", "must be a number in"),
+        ("4.0, 3.0", "4.0, 0.0", r"size.1' must be a number in \(0, 10000\]"),
         ("0.4]}", "0.4], joints: {hinge: -1}}", r"joints': hinge must be in \[0, 1.92\], not -1"),
         ("0.4]}", "0.4], joints: {slide: 0}}", "no moving joint 'slide'; known are hinge"),
         ("0.4]}", "0.4], joints: {door_to_handle: 0}}", "no moving joint 'door_to_handle'"),

@@ -40,6 +40,21 @@ def test_what_is_placed_is_there_although_its_mass_is_elsewhere(physics, scene):
     assert np.abs(physics.mass_pose(body, -1)[:3] - pose[:3]).max() > 0.1
 
 
+def test_what_pybullet_cannot_load_is_one_sentence(physics, tmp_path, capfd):
+    mesh = "<visual><geometry><mesh filename='none.stl'/></geometry></visual>"
+    path = tmp_path / "thing.urdf"
+    path.write_text(f"<robot name='a'><link name='a'>{mesh}</link></robot>")
+    message = r"thing\.urdf: PyBullet cannot load it: cannot find 'none\.stl' in any directory"
+    with pytest.raises(KinfeasError, match=message) as caught:
+        physics.load(path, fixed=False)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(KinfeasError, match=message):
+        physics.load_text(path.read_text(), path)
+    assert capfd.readouterr() == ("", "")
+    physics.keep()
+    physics.rewind()
+
+
 def test_says_so_where_there_is_no_pybullet(monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(KinfeasError, match=r"the PyBullet world needs Python 3\.11"):

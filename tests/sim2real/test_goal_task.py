@@ -43,6 +43,7 @@ def test_angles_and_quaternion_say_the_same():
 
 @pytest.mark.parametrize(("position", "turn"), [
     ((np.nan, 0.0, 0.0), None),
+    ((1e300, 0.0, 0.0), None),
     ((0.0, 0.0, 0.0), (np.inf, 0.0, 0.0)),
     ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
 ])  # fmt: skip

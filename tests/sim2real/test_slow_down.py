@@ -31,7 +31,16 @@ def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
     assert ways[0] == pytest.approx(ways[1], rel=1e-3)
 
 
-@pytest.mark.parametrize(("factor", "message"), [(0.5, ">= 1"), ([1.0, 2.0], "one number for all")])
+def test_all_factors_together_have_a_bound(pr2):
+    backend = wrap(AnalyticBackend(), [AdapterSpec("slow_down", {"factor": 100.0})] * 2, pr2)
+    with pytest.raises(KinfeasError, match=r"slow_down must be a number in \[1, 1000\] in all"):
+        paced(backend, Pace())
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [(0.5, r"in \[1, 1000\]"), (1e300, r"in \[1, 1000\]"), ([1.0, 2.0], "one number for all")],
+)
 def test_it_slows_down_by_one_number(pr2, factor, message):
     with pytest.raises(KinfeasError, match=message):
         wrap(AnalyticBackend(), [AdapterSpec("slow_down", {"factor": factor})], pr2)

@@ -120,14 +120,23 @@ def test_least_that_a_file_needs(exact_solver, tmp_path):
         ("legs: [{place: cap}]", "did you mean 'cup'"),
         ("legs: [{offset: [0, 0, 1]}]", "'legs.0.place' is missing"),
         ("legs: [{place: cup, weight: 2}]", "unknown key 'legs.0.weight'"),
-        ("legs: [{place: cup, wait: -1}]", "'legs.0.wait' must be a number >= 0, not -1"),
+        (
+            "legs: [{place: cup, wait: -1}]",
+            r"'legs.0.wait' must be a number in \[0, 100000\], not -1",
+        ),
+        ("legs: [{place: cup, wait: 1e300}]", r"wait' must be a number in \[0, 100000\], not 1e"),
+        ("legs: [{place: cup, offset: [0, 0, 1e300]}]", "'legs.0.offset.2' must be a number in"),
+        ("places: {cup: {position: [1, 2, [-1e308, 1e308]]}}", "'places.cup.position.2' must be"),
+        ("places: {cup: {position: [1, 2, 1e300]}}", "'places.cup.position.2' must be a number in"),
+        ("places: {cup: {position: [1, 2, 3], rpy: [0, 1e300, 0]}}", "'places.cup.rpy.1' must be"),
+        ("start: {square: 1e300}", r"'start.square' must be a number in \[0, 10000\], not 1e"),
         ("legs: [{place: cup, frame: tool}]", "'legs.0.frame' must be one of 'ee', 'tip'"),
         ("legs: [{place: cup, offset: [1, 2]}]", "'legs.0.offset' must be a list of 3 entries"),
         ("places: {cup: {position: [1, 2]}}", "'places.cup.position' must be a list of 3"),
         ("places: {cup: {position: [1, 2, [3]]}}", "'places.cup.position.2' must be"),
         ("places: {cup: {position: [1, 2, [4, 3]]}}", "'position' must not descend from 4 to 3"),
         ("places: {cup: {position: [1, 2, 3], rpy: [0, [1, 0], 0]}}", "'rpy' must not descend"),
-        ("start: {square: -1}", "'start.square' must be a number >= 0"),
+        ("start: {square: -1}", "'start.square' must be a number in"),
         ("start: {heading: 4}", "'start.heading' must be a number in"),
         ("start: {centre: 0}", "unknown key 'start.centre'"),
         ("colour: red", "unknown key 'colour'"),
@@ -148,9 +157,18 @@ def test_wrong_files_are_one_sentence(tmp_path, text, message):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_wrong_parameters_are_one_sentence(name):
-    with pytest.raises(KinfeasError, match="unknown key 'colour'"):
-        build(name, colour="red")
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"colour": "red"}, "unknown key 'colour'"),
+        ({"legs": []}, "'legs' must have at least one entry"),
+        ({"start": {"square": -1}}, "'start.square' must be a number"),
+    ],
+)
+def test_wrong_parameters_are_one_sentence_and_not_the_file_s_fault(name, parameters, message):
+    with pytest.raises(KinfeasError, match=f"the task's parameters: {message}") as caught:
+        build(name, **parameters)
+    assert ".yaml" not in str(caught.value)
 
 
 def test_objects_stand_where_the_places_are(exact_solver):

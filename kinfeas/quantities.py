@@ -1,0 +1,25 @@
+"""Numbers of files and options by what they measure: as large as a robot can have a use for.
+
+Larger ones are mistakes, and would end in an overflow, or never.
+"""
+
+from typing import Annotated
+
+from kinfeas.config import Interval
+
+FARTHEST, LONGEST = 1e4, 1e5
+"""Metres and seconds: ten kilometres, and a little more than a day."""
+
+REMOTEST = 1e8
+"""What a recorded number may be: metres from the origin of any map on earth."""
+
+Metres = Annotated[float, Interval(low=-FARTHEST, high=FARTHEST)]
+Distance = Annotated[float, Interval(low=0.0, high=FARTHEST)]
+Radians = Annotated[float, Interval(low=-1e4, high=1e4)]
+Seconds = Annotated[float, Interval(low=0.0, high=LONGEST)]
+PositiveSeconds = Annotated[float, Interval(low=0.0, high=LONGEST, open_low=True)]
+
+SLOWEST = Interval(low=1.0, high=1000.0)
+"""How many times longer than planned a motion may last."""
+
+SlowDown = Annotated[float, SLOWEST]
