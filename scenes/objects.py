@@ -53,10 +53,8 @@ class SceneObject:
                 yield link.name, replace(shape, pose=compose(poses[link.name], shape.pose))
 
     def _position(self, joint: Joint) -> float:
-        if joint.mimic is not None:
-            lead = self._position(self.urdf.joints[joint.mimic.joint])
-            return lead * joint.mimic.multiplier + joint.mimic.offset
-        return self.joint_positions.get(joint.name, 0.0)
+        leader, scale, offset = self.urdf.followed(joint)
+        return scale * self.joint_positions.get(leader.name, 0.0) + offset
 
 
 @dataclass(frozen=True, eq=False)

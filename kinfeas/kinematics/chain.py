@@ -78,8 +78,7 @@ class _Segment(NamedTuple):
 def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mount]]:
     """Return the moving joints of `robot` and where each of its links is mounted.
 
-    Joints that the arm does not drive stand at `robot.fixed_joints`, else at the position nearest
-    to zero within their limits.
+    Joints that the arm does not drive stand at `robot.fixed_joints`.
 
     Args:
         robot: The robot.
@@ -136,19 +135,12 @@ def _z_onto(axis: Array) -> Array:
 
 
 def _drive(robot: Robot, joint: Joint) -> _Drive:
-    """Return what moves `joint`, following mimic tags to the joint that leads."""
+    """Return what moves `joint`."""
     names = [arm_joint.name for arm_joint in robot.arm]
-    if joint.name in names:
-        return _Drive(names.index(joint.name), 1.0, 0.0)
-    if joint.name in robot.fixed_joints:
-        return _Drive(FIXED, 0.0, robot.fixed_joints[joint.name])
-    if joint.mimic is not None:
-        lead = _drive(robot, robot.urdf.joints[joint.mimic.joint])
-        scale = joint.mimic.multiplier
-        return _Drive(
-            lead.variable, lead.multiplier * scale, lead.bias * scale + joint.mimic.offset
-        )
-    return _Drive(FIXED, 0.0, float(np.clip(0.0, joint.lower, joint.upper)))
+    leader, multiplier, bias = robot.urdf.followed(joint)
+    if leader.name in names:
+        return _Drive(names.index(leader.name), multiplier, bias)
+    return _Drive(FIXED, 0.0, robot.fixed_joints[joint.name])
 
 
 def _from_root(robot: Robot) -> list[Joint]:

@@ -7,7 +7,6 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.robots.positions import free_leader
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.tree import Joint
 
@@ -48,15 +47,10 @@ def _position(robot: Robot, joint: Joint) -> list[object]:
     """Return what the joint's position is, or what it follows: the arm's joint, times, plus."""
     if not joint.moves:
         return []
-    names = {one.name for one in robot.arm}
-    if free_leader(robot.urdf, joint, names) not in names:
+    leader, scale, offset = robot.urdf.followed(joint)
+    if leader.name not in {one.name for one in robot.arm}:
         return _rounded(robot.fixed_joints[joint.name])
-    scale, offset = 1.0, 0.0
-    while joint.mimic is not None and joint.name not in names:
-        offset += scale * joint.mimic.offset
-        scale *= joint.mimic.multiplier
-        joint = robot.urdf.joints[joint.mimic.joint]
-    return [joint.name, *_rounded(scale, offset)]
+    return [leader.name, *_rounded(scale, offset)]
 
 
 def _rounded(*values: float) -> list[object]:

@@ -27,15 +27,8 @@ def fixed_positions(
     return {
         joint.name: _position(urdf, joint, given)
         for joint in urdf.joints.values()
-        if joint.moves and free_leader(urdf, joint, arm) not in arm
+        if joint.moves and urdf.followed(joint)[0].name not in arm
     }
-
-
-def free_leader(urdf: Urdf, joint: Joint, arm: Collection[str]) -> str:
-    """Return the name of the joint that `joint` follows in the end; its own if it follows none."""
-    while joint.mimic is not None and joint.name not in arm:
-        joint = urdf.joints[joint.mimic.joint]
-    return joint.name
 
 
 def _check_given(urdf: Urdf, arm: Collection[str], name: str, position: float, where: str) -> None:
@@ -54,9 +47,5 @@ def _check_given(urdf: Urdf, arm: Collection[str], name: str, position: float, w
 
 
 def _position(urdf: Urdf, joint: Joint, given: Mapping[str, float]) -> float:
-    scale, offset = 1.0, 0.0
-    while joint.mimic is not None:
-        offset += scale * joint.mimic.offset
-        scale *= joint.mimic.multiplier
-        joint = urdf.joints[joint.mimic.joint]
-    return scale * given.get(joint.name, min(max(0.0, joint.lower), joint.upper)) + offset
+    leader, scale, offset = urdf.followed(joint)
+    return scale * given.get(leader.name, min(max(0.0, leader.lower), leader.upper)) + offset

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
-from kinfeas.robots.positions import fixed_positions, free_leader
+from kinfeas.robots.positions import fixed_positions
 from kinfeas.robots.spec import Drive, Gripper, Leeway, RobotSpec
 from kinfeas.robots.tree import Joint, Urdf
 from kinfeas.robots.urdf import parse_urdf
@@ -153,7 +153,7 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
         known = ", ".join(joint.name for joint in moving) or "none"
         raise KinfeasError(f"{source}: the joints of 'arm' must be {way}, in order, of {known}")
     for joint in moving:
-        if free_leader(urdf, joint, spec.arm) not in (*spec.arm, *spec.fixed_joints):
+        if urdf.followed(joint)[0].name not in (*spec.arm, *spec.fixed_joints):
             raise KinfeasError(
                 f"{source}: joint {joint.name!r}, on the way to {spec.ee_frame!r}, must stand in "
                 "'arm' or 'fixed_joints', or follow one that does"

@@ -136,6 +136,18 @@ class Urdf:
         parents = {one.child: one.parent for one in self.joints.values()}
         return frozenset(_below([self.joints[joint].child], parents))
 
+    def followed(self, joint: Joint) -> tuple[Joint, float, float]:
+        """Return the joint that `joint` follows in the end, or itself, with scale and offset.
+
+        The position of `joint` is scale * position of that one + offset.
+        """
+        scale, offset = 1.0, 0.0
+        while joint.mimic is not None:
+            offset += scale * joint.mimic.offset
+            scale *= joint.mimic.multiplier
+            joint = self.joints[joint.mimic.joint]
+        return joint, scale, offset
+
 
 def find_root(links: Collection[str], joints: Iterable[Joint], source: str) -> str:
     """Return the one link without a parent.

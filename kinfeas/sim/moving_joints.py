@@ -30,11 +30,11 @@ def arm_followers(robot: Robot) -> tuple[Follower, ...]:
     """Return the joints that follow the arm's, as the torso of the HSR does."""
     arm = [joint.name for joint in robot.arm]
     return tuple(
-        Follower(joint.name, leader, multiplier, offset)
+        Follower(joint.name, leader.name, multiplier, offset)
         for joint in _mimics(robot.urdf)
         if joint.name not in robot.fixed_joints
-        for leader, multiplier, offset in [_followed(robot.urdf, joint)]
-        if leader in arm
+        for leader, multiplier, offset in [robot.urdf.followed(joint)]
+        if leader.name in arm
     )
 
 
@@ -48,10 +48,10 @@ def finger_followers(robot: Robot) -> tuple[Follower, ...]:
     found = []
     for finger in robot.gripper.fingers:
         links = robot.urdf.below(finger)
-        motor, scale, shift = _followed(robot.urdf, robot.urdf.joints[finger])
+        motor, scale, shift = robot.urdf.followed(robot.urdf.joints[finger])
         for joint in _mimics(robot.urdf):
-            leader, multiplier, offset = _followed(robot.urdf, joint)
-            if leader == motor and joint.parent in links:
+            leader, multiplier, offset = robot.urdf.followed(joint)
+            if leader is motor and joint.parent in links:
                 ratio = multiplier / scale
                 found.append(Follower(joint.name, finger, ratio, offset - ratio * shift))
     return tuple(found)
@@ -59,13 +59,3 @@ def finger_followers(robot: Robot) -> tuple[Follower, ...]:
 
 def _mimics(urdf: Urdf) -> Iterator[Joint]:
     return (joint for joint in urdf.joints.values() if joint.moves and joint.mimic is not None)
-
-
-def _followed(urdf: Urdf, joint: Joint) -> tuple[str, float, float]:
-    """Return the joint that `joint` follows in the end, with multiplier and offset."""
-    multiplier, offset = 1.0, 0.0
-    while joint.mimic is not None:
-        offset += multiplier * joint.mimic.offset
-        multiplier *= joint.mimic.multiplier
-        joint = urdf.joints[joint.mimic.joint]
-    return joint.name, multiplier, offset

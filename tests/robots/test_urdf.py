@@ -176,6 +176,17 @@ def test_reads_mimic(tmp_path):
     assert urdf.path_to("base") == ()
 
 
+def test_followers_lead_to_the_joint_that_moves_by_itself(tmp_path):
+    tip = FINGER.replace("finger", "tip").replace("hand", "finger").replace("knuckle", "end")
+    tip = tip.replace('joint="elbow" multiplier="2"', 'joint="knuckle" multiplier="-3" offset="1"')
+    finger = FINGER.replace('"2"/>', '"2" offset="0.5"/>').replace("</robot>", tip)
+    urdf = parse_urdf(write(tmp_path, ARM.replace("</robot>", finger)))
+    elbow = urdf.joints["elbow"]
+    assert urdf.followed(elbow) == (elbow, 1.0, 0.0)
+    assert urdf.followed(urdf.joints["knuckle"]) == (elbow, 2.0, 0.5)
+    assert urdf.followed(urdf.joints["end"]) == (elbow, -6.0, -0.5)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
