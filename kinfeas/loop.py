@@ -93,8 +93,6 @@ class Loop:
         self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.sent: Array = np.empty((0, len(self.robot.arm)))
-        self._velocity = np.array([joint.velocity for joint in self.robot.arm])
-        self._continuous = np.array([joint.continuous for joint in self.robot.arm])
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -144,7 +142,7 @@ class Loop:
         commanded = spatial.integrate(self.state.base_pose, command, self.dt)
         before = self.sent
         target = spatial.relative(course.desired, commanded)
-        arm = self.solver.solve(target, before, self._velocity * self.dt)
+        arm = self.solver.solve(target, before, self.robot.max_joint_velocity * self.dt)
         self.sent = arm.joint_positions
         self._measured(self.backend.step(command, self.sent, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)
@@ -267,7 +265,7 @@ class Loop:
         EE far from where it should be, and let the base run after it.
         """
         way = np.abs(self._way(self.state.joint_positions, self.sent))
-        swings = np.any(way > self._velocity * SWING_SECONDS, axis=1)
+        swings = np.any(way > self.robot.max_joint_velocity * SWING_SECONDS, axis=1)
         self._stood = np.where(swings, self._stood + 1, 0)
         held: NDArray[np.bool_] = swings & (self._stood <= self._patience)
         return held
@@ -275,9 +273,10 @@ class Loop:
     def _jumped(self, before: Array, after: Array) -> NDArray[np.bool_]:
         move = self._way(before, after)
         # Rounding must not turn a motion at the very limit into a jump.
-        jumped: NDArray[np.bool_] = np.any(np.abs(move) > self._velocity * self.dt * 1.001, axis=1)
+        longest = self.robot.max_joint_velocity * self.dt * 1.001
+        jumped: NDArray[np.bool_] = np.any(np.abs(move) > longest, axis=1)
         return jumped
 
     def _way(self, before: Array, after: Array) -> Array:
         """Return how far joints go between two configurations, shape (n, j), radians or metres."""
-        return np.where(self._continuous, spatial.wrap(after - before), after - before)
+        return np.where(self.robot.continuous, spatial.wrap(after - before), after - before)

@@ -64,7 +64,7 @@ class Adapter:
             ValueError: If a number is not allowed.
         """
         self.backend, self.robot, self.memory = backend, robot, Memory()
-        self.continuous = np.array([joint.continuous for joint in robot.arm])
+        self.continuous = robot.continuous
         allowed = within or Interval(low=0.0, high=_MOST)
         self.ranges: dict[str, Range] = {
             name: draws.read_range(name, value, allowed) for name, value in (numbers or {}).items()

@@ -56,5 +56,6 @@ class CommandLatency(Adapter):
         self.remember(clock=clock, arrivals=arrivals, twists=twists, targets=sent)
         shares = in_force(arrivals, now, dt)
         straight = np.zeros(6, dtype=np.bool_)
-        joints = self.joints(mixed(sent, shares, self.continuous))
+        # A copy, for kernels are compiled anew for arrays that are read-only.
+        joints = self.joints(mixed(sent, shares, self.continuous.copy()))
         return mixed(twists, shares, straight), joints

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinfeas import spatial
-from kinfeas.robots.robot import ArmJoint, Base
+from kinfeas.robots.robot import Base, Robot
 from kinfeas.spatial import Array
 
 
@@ -83,17 +83,15 @@ def from_drive(base: Base, base_pose: Array, velocity: Array, dt: float) -> Arra
     return np.array([x * forward - y * left, y * forward + x * left, 0.0, 0.0, 0.0, turning])
 
 
-def arm_move(arm: tuple[ArmJoint, ...], before: Array, after: Array) -> Array:
+def arm_move(robot: Robot, before: Array, after: Array) -> Array:
     """Return how far each joint has to go, shape (j,), the short way round where it has no end."""
-    continuous = np.array([joint.continuous for joint in arm])
-    return np.where(continuous, spatial.wrap(after - before), after - before)
+    return np.where(robot.continuous, spatial.wrap(after - before), after - before)
 
 
-def arm_go(arm: tuple[ArmJoint, ...], before: Array, move: Array) -> Array:
+def arm_go(robot: Robot, before: Array, move: Array) -> Array:
     """Return where joints come to that go so far, shape (j,), within their limits."""
-    continuous = np.array([joint.continuous for joint in arm])
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in arm]).T
-    after = np.where(continuous, spatial.wrap(before + move), before + move)
+    lower, upper = robot.joint_limits
+    after = np.where(robot.continuous, spatial.wrap(before + move), before + move)
     # A joint that begins beyond a limit is not made to jump there.
     return np.clip(after, np.minimum(lower, before), np.maximum(upper, before))
 

@@ -70,7 +70,7 @@ class Guarded(Passing):
         self.robot, self.guards = robot, guards or Guards()
         self.live, self._clocks = live, clocks or Clocks()
         self._limits = _limits(robot, self.guards)
-        self._joint_speed = self.guards.joint_speed * np.array([j.velocity for j in robot.arm])
+        self._joint_speed = self.guards.joint_speed * robot.max_joint_velocity
         self._measured = MeasurementGuard(robot, self.guards, needs_age=live is not None)
         self._velocity, self._dt = np.zeros(3), 0.0
         self._steady = self._wall = np.nan
@@ -176,12 +176,12 @@ class Guarded(Passing):
     def _arm(self, targets: Array, dt: float) -> Array:
         """Return how far toward targets, shape (j,), the arm can follow."""
         before = self.joint_targets[0]
-        move = arm_move(self.robot.arm, before, targets)
+        move = arm_move(self.robot, before, targets)
         self._held = bool(np.abs(move).max() > self.guards.joint_jump)
         if self._held:
             return before
         share = np.max(np.abs(move) / (self._joint_speed * dt), initial=1.0)
-        return arm_go(self.robot.arm, before, move / share)
+        return arm_go(self.robot, before, move / share)
 
     def _check_delay(self) -> None:
         """Raise if the measurement that a command is made of has become too old meanwhile."""

@@ -24,8 +24,7 @@ class JointLimitClamp(Adapter):
             ValueError: If it is negative, not finite or leaves nothing of a joint's range.
         """
         super().__init__(backend, robot, {"margin": margin})
-        self._lower = np.array([joint.lower for joint in robot.arm])
-        self._upper = np.array([joint.upper for joint in robot.arm])
+        self._lower, self._upper = robot.joint_limits
         half = float((self._upper - self._lower).min()) / 2.0
         if self.ranges["margin"].high > half:
             raise ValueError(f"margin is {margin}, at most {half:.4g} is half a joint's range")

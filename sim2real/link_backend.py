@@ -59,7 +59,6 @@ class LinkBackend:
         self._names = robot_names(robot, names or {})
         self._inbox = Inbox(robot, self._names)
         self._seconds, self._patience = seconds, patience
-        self._continuous = np.array([joint.continuous for joint in robot.arm])
         self._opened = False
 
     def reset(
@@ -149,7 +148,7 @@ class LinkBackend:
         """Send the arm to joint positions, shape (j,)."""
         raw = self._inbox.raw()
         # A robot counts the turns of a continuous joint: the shorter way from where it is.
-        nearest = np.where(self._continuous, raw + wrap(targets - raw), targets)
+        nearest = np.where(self.robot.continuous, raw + wrap(targets - raw), targets)
         names = self._names.values()
         self.link.move(dict(zip(names, nearest.tolist(), strict=True)), self._seconds)
 

@@ -37,7 +37,6 @@ class Inbox:
         self.fault: str | None = None
         self._robot = robot
         self._names = [names[joint.name] for joint in robot.arm]
-        self._continuous = np.array([joint.continuous for joint in robot.arm])
         self._changed = threading.Condition()
         self._base: tuple[BaseReading, float] | None = None
         self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, arrival
@@ -85,7 +84,7 @@ class Inbox:
         oldest = min(since, float(arrival.min()))
         return RobotState(
             base_pose=pose,
-            joint_positions=np.where(self._continuous, wrap(position), position)[np.newaxis],
+            joint_positions=np.where(self._robot.continuous, wrap(position), position)[np.newaxis],
             base_twist=twist,
             joint_velocities=velocity[np.newaxis] if np.isfinite(velocity).all() else None,
             age=np.array([time.monotonic() - oldest]),

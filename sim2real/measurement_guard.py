@@ -26,7 +26,7 @@ class MeasurementGuard:
             needs_age: Whether a measurement must say how old it is.
         """
         self._robot, self._guards, self._needs_age = robot, guards, needs_age
-        self._lower, self._upper = np.array([(one.lower, one.upper) for one in robot.arm]).T
+        self._lower, self._upper = robot.joint_limits
         self._start: Array | None = None
         self._last: Array = np.empty(7)
 

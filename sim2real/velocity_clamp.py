@@ -44,7 +44,6 @@ class VelocityClamp(Adapter):
             "joints": joints,
         }
         super().__init__(backend, robot, limits, Interval(low=0.0, open_low=True))
-        self._fastest = np.array([joint.velocity for joint in robot.arm])
 
     def begin(self, state: RobotState) -> Memory:
         """Return where the arm is."""
@@ -56,7 +55,8 @@ class VelocityClamp(Adapter):
         clamped[:, :3] = shortened(twist[:, :3], self.number("linear"))
         clamped[:, 3:] = shortened(twist[:, 3:], self.number("angular"))
         before = self.memory["joints"]
-        way, longest = self.turned(before, targets), self._fastest * self.number("joints") * dt
+        way = self.turned(before, targets)
+        longest = self.robot.max_joint_velocity * self.number("joints") * dt
         short = self.joints(before + np.clip(way, -longest, longest))
         joints = np.where(np.abs(way) <= longest, targets, short)
         self.remember(joints=joints)

@@ -259,7 +259,7 @@ def test_control_rate_reaches_the_backend(solver):
 
 def test_jumps_are_moves_beyond_the_velocity_limit(solver):
     loop = make_loop(solver, 1)
-    velocity = np.array([joint.velocity for joint in solver.robot.arm])
+    velocity = solver.robot.max_joint_velocity
     before = np.tile(solver.robot.home["home"], (3, 1))
     after = before.copy()
     after[1] += velocity * HORIZON  # at the limit
@@ -268,7 +268,7 @@ def test_jumps_are_moves_beyond_the_velocity_limit(solver):
 
 
 def test_continuous_joints_jump_the_short_way(solver):
-    endless = [i for i, joint in enumerate(solver.robot.arm) if joint.continuous]
+    endless = solver.robot.continuous
     loop, before = make_loop(solver, 1), np.tile(solver.robot.home["home"], (1, 1))
     after = before.copy()
     before[:, endless], after[:, endless] = np.pi - 0.001, -np.pi + 0.001

@@ -52,8 +52,7 @@ def observation_space(robot: Robot) -> "spaces.Box[np.float32]":
         "goal_position": _FARTHEST,
     }
     fields = np.concatenate([np.full(count, bounds.get(name, 1.0)) for name, count in FIELDS])
-    low = [-np.pi if joint.continuous else joint.lower for joint in robot.arm]
-    high = [np.pi if joint.continuous else joint.upper for joint in robot.arm]
+    low, high = robot.finite_joint_limits
     return spaces.Box(
         np.concatenate([-fields, low]).astype(np.float32),
         np.concatenate([fields, high]).astype(np.float32),

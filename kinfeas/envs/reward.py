@@ -67,11 +67,10 @@ def limit_distance(robot: Robot, joint_positions: Array) -> Array:
 
     Continuous joints have no limit; without any other joint the distance is 1.
     """
-    bounded = [i for i, joint in enumerate(robot.arm) if not joint.continuous]
-    if not bounded:
+    bounded = ~robot.continuous
+    if not bounded.any():
         return np.ones(len(joint_positions))
-    lower = np.array([robot.arm[i].lower for i in bounded])
-    upper = np.array([robot.arm[i].upper for i in bounded])
+    lower, upper = (limit[bounded] for limit in robot.joint_limits)
     positions = joint_positions[:, bounded]
     inside = np.minimum(positions - lower, upper - positions)
     distance: Array = np.min(inside / ((upper - lower) / 2.0), axis=1)

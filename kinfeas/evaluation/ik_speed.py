@@ -98,20 +98,17 @@ def time_peer(robot: Robot, peer: Peer, targets: Targets, repeats: int = 2) -> I
 
 def _verified(solver: IkSolver, targets: Targets, joints: Array) -> NDArray[np.bool_]:
     metres, radians = spatial.distance(forward(solver.chain, joints), targets.pose)
-    lower = np.array([joint.lower for joint in solver.robot.arm])
-    upper = np.array([joint.upper for joint in solver.robot.arm])
+    lower, upper = solver.robot.joint_limits
     within: NDArray[np.bool_] = np.all((joints >= lower - 1e-9) & (joints <= upper + 1e-9), axis=1)
     return within & (metres <= METRES) & (radians <= RADIANS)
 
 
 def _free_configurations(solver: IkSolver, count: int, rng: np.random.Generator) -> Array:
     """Return random configurations free of self-collision, shape (count, v)."""
-    arm = solver.robot.arm
-    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in arm])
-    upper = np.array([np.pi if joint.continuous else joint.upper for joint in arm])
-    kept = np.empty((0, len(arm)))
+    lower, upper = solver.robot.finite_joint_limits
+    kept = np.empty((0, len(lower)))
     while len(kept) < count:
-        joints = rng.uniform(lower, upper, (count, len(arm)))
+        joints = rng.uniform(lower, upper, (count, len(lower)))
         kept = np.concatenate([kept, joints[~self_collides(solver.collision, joints)]])
     return kept[:count]
 

@@ -52,8 +52,8 @@ def pinocchio_peer(robot: Robot) -> Peer | None:
 
     model = pin.buildModelFromXML(arm_urdf(robot))
     data, frame = model.createData(), model.getFrameId(robot.ee_frame)
-    lower, upper = (np.array(bound) for bound in zip(*_limits(robot), strict=True))
-    lowest, highest = _bounds(robot)
+    lower, upper = robot.joint_limits
+    lowest, highest = robot.finite_joint_limits
 
     def descend(target: Any, q: Array) -> tuple[Array, bool]:
         for _ in range(_ITERATIONS):
@@ -101,7 +101,7 @@ def pybullet_peer(robot: Robot) -> Peer | None:
         path.write_text(arm_urdf(robot), encoding="utf-8")
         body = pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client)
     count = pybullet.getNumJoints(body, physicsClientId=client)
-    lower, upper = _bounds(robot)
+    lower, upper = robot.finite_joint_limits
     limits = {
         "lowerLimits": lower.tolist(),
         "upperLimits": upper.tolist(),
@@ -165,16 +165,6 @@ def _damped_step(jacobian: Array, error: Array, damping: float) -> Array:
     normal = jacobian @ jacobian.T
     normal.flat[::7] += damping
     return jacobian.T @ np.linalg.solve(normal, error)
-
-
-def _limits(robot: Robot) -> list[tuple[float, float]]:
-    return [(joint.lower, joint.upper) for joint in robot.arm]
-
-
-def _bounds(robot: Robot) -> tuple[Array, Array]:
-    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
-    upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
-    return lower, upper
 
 
 def _mimics(robot: Robot) -> bool:

@@ -106,8 +106,9 @@ class IkSolver:
 def _make_problem(
     robot: Robot, options: IkOptions, chain: Chain, collision: CollisionModel
 ) -> Problem:
-    lower = np.array([joint.lower for joint in robot.arm])
-    upper = np.array([joint.upper for joint in robot.arm])
+    # Copies, for kernels are compiled anew for arrays that are read-only.
+    lower, upper = (limit.copy() for limit in robot.joint_limits)
+    velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     leeway = robot.leeway if options.leeway else None
     weight = ROTATION_WEIGHT if leeway is None else leeway.position / leeway.rotation
     library = spread_configurations(robot, options.library)
@@ -122,8 +123,8 @@ def _make_problem(
         descent=Descent(lower, upper, *aim, weight, options.max_iterations),
         collision=collision,
         check_collision=options.self_collision and len(collision.pairs) > 0,
-        velocity=np.array([joint.velocity for joint in robot.arm]),
-        continuous=np.array([joint.continuous for joint in robot.arm]),
+        velocity=velocity,
+        continuous=continuous,
         reach=_reach(chain, lower, upper),
         library=library,
         features=library_features(ee_pose[:, :3], rotation(ee_pose).as_matrix(), weight),
@@ -139,8 +140,7 @@ def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
 
     Each seed has others, as long as they are fewer than 65536.
     """
-    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
-    upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
+    lower, upper = robot.finite_joint_limits
     return lower + (upper - lower) * spread(count, len(robot.arm), seed * 65536)
 
 

@@ -3,9 +3,12 @@
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
@@ -62,6 +65,8 @@ class ArmJoint:
 class Robot:
     """All that is known of a robot.
 
+    The arrays that its properties return are read-only.
+
     Attributes:
         name: Short name.
         urdf_path: File that physics engines load.
@@ -96,6 +101,29 @@ class Robot:
     ignored_collisions: frozenset[frozenset[str]]
     gripper: Gripper | None
     counterbalanced: frozenset[str]
+
+    @cached_property
+    def continuous(self) -> NDArray[np.bool_]:
+        """Whether each arm joint turns without end, shape (j,)."""
+        return _read_only([joint.continuous for joint in self.arm])
+
+    @cached_property
+    def max_joint_velocity(self) -> Array:
+        """Largest speed of each arm joint, shape (j,), rad/s or m/s."""
+        return _read_only([joint.velocity for joint in self.arm])
+
+    @cached_property
+    def joint_limits(self) -> tuple[Array, Array]:
+        """Soft limits, lower and upper, each of shape (j,), rad or m; infinite if continuous."""
+        lower = _read_only([joint.lower for joint in self.arm])
+        return lower, _read_only([joint.upper for joint in self.arm])
+
+    @cached_property
+    def finite_joint_limits(self) -> tuple[Array, Array]:
+        """The same, but -pi and pi for continuous joints."""
+        lower, upper = self.joint_limits
+        lowest = np.where(self.continuous, -np.pi, lower)
+        return _read_only(lowest), _read_only(np.where(self.continuous, np.pi, upper))
 
 
 def read_robot(path: Path) -> Robot:
@@ -248,6 +276,12 @@ def _counterbalanced(spec: RobotSpec, source: str) -> frozenset[str]:
                 f"{source}: 'counterbalanced': {name!r} is no joint of 'arm', which are {known}"
             )
     return frozenset(spec.counterbalanced)
+
+
+def _read_only(values: ArrayLike) -> NDArray[Any]:
+    array = np.array(values)
+    array.setflags(write=False)
+    return array
 
 
 def _check_link(links: Collection[str], name: str, where: str) -> None:

@@ -42,8 +42,7 @@ class ArmDrive:
         robot = body.robot
         joints = [robot.urdf.joints[joint.name] for joint in robot.arm]
         self._body, self._horizon = body, body.physics.config.arm_horizon
-        self._speed = np.array([joint.velocity for joint in robot.arm])
-        self._continuous = np.array([joint.continuous for joint in robot.arm])
+        self._speed, self._continuous = robot.max_joint_velocity, robot.continuous
         self._efforts = [joint.effort for joint in joints]
         self._names = [joint.name for joint in joints]
         self._followers = arm_followers(robot)

@@ -41,7 +41,6 @@ class RobotBody:
             for name in moving_joints(robot)
             if name in robot.fixed_joints
         }
-        self._continuous = np.array([joint.continuous for joint in robot.arm])
         self._followers = arm_followers(robot)
         above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
         self.arm_links = frozenset(self.links[name] for name in above)
@@ -86,7 +85,7 @@ class RobotBody:
         joints = position[:, 3:]
         return RobotState(
             base_pose=planar_pose(*position[:, :3].T),
-            joint_positions=np.where(self._continuous, wrap(joints), joints),
+            joint_positions=np.where(self.robot.continuous, wrap(joints), joints),
             base_twist=twist,
             joint_velocities=velocity[:, 3:],
         )

@@ -40,8 +40,7 @@ def random_arm(
         KinfeasError: If 1,600 draws hold no such configuration.
     """
     robot = solver.robot
-    lower = np.array([-np.pi if joint.continuous else joint.lower for joint in robot.arm])
-    upper = np.array([np.pi if joint.continuous else joint.upper for joint in robot.arm])
+    lower, upper = robot.finite_joint_limits
     tip = np.concatenate([robot.tool_tip, [0.0, 0.0, 0.0, 1.0]])
     for _ in range(_ROUNDS):
         joints = rng.uniform(lower, upper, (_DRAWS, len(lower)))

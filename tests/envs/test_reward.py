@@ -89,7 +89,7 @@ def test_limit_penalty_falls_from_the_limit_to_the_margin(exact_robot):
 def test_continuous_joints_have_no_limit(robot):
     joints = middle(robot)
     np.testing.assert_allclose(limit_distance(robot, joints), 1.0)
-    joints[:, [joint.continuous for joint in robot.arm]] = 3.1
+    joints[:, robot.continuous] = 3.1
     np.testing.assert_allclose(limit_distance(robot, joints), 1.0)
     endless = tuple(
         replace(joint, continuous=True, lower=-np.inf, upper=np.inf) for joint in robot.arm

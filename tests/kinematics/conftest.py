@@ -105,8 +105,7 @@ def draw():
     """Return a function that draws n configurations within the limits of a robot, shape (n, v)."""
 
     def within_limits(robot: Robot, n: int, seed: int = 0) -> Array:
-        lower = [-np.pi if joint.continuous else joint.lower for joint in robot.arm]
-        upper = [np.pi if joint.continuous else joint.upper for joint in robot.arm]
+        lower, upper = robot.finite_joint_limits
         return np.random.default_rng(seed).uniform(lower, upper, (n, len(lower)))
 
     return within_limits

@@ -11,10 +11,6 @@ from kinfeas.spatial import distance, wrap
 METRES, RADIANS = 1e-4, 1e-3
 
 
-def lower_upper(robot):
-    return np.array([(joint.lower, joint.upper) for joint in robot.arm]).T
-
-
 def draw_free(solver, draw, n, seed=0):
     """Return n random configurations, free of self-collision."""
     joints = draw(solver.robot, 3 * n, seed)
@@ -29,17 +25,16 @@ def shuffled(joints, seed=0):
 
 def moves(robot, start, end):
     """Return how far joints move, the short way about, shape (n, v)."""
-    continuous = [joint.continuous for joint in robot.arm]
-    return np.abs(np.where(continuous, wrap(end - start), end - start))
+    return np.abs(np.where(robot.continuous, wrap(end - start), end - start))
 
 
 def check_solutions(solver, joint_positions):
     robot = solver.robot
-    lower, upper = lower_upper(robot)
+    lower, upper = robot.joint_limits
     assert np.all(joint_positions >= lower)
     assert np.all(joint_positions <= upper)
     assert not np.any(self_collides(solver.collision, joint_positions))
-    endless = joint_positions[:, [joint.continuous for joint in robot.arm]]
+    endless = joint_positions[:, robot.continuous]
     assert np.all((endless > -np.pi) & (endless <= np.pi))
 
 
@@ -107,7 +102,7 @@ def test_a_solution_from_the_seed_comes_first(robot, exact_solver, draw):
     """Small EE motions: where a descent from the seed alone solves them, it is the answer."""
     rng = np.random.default_rng(1)
     joints = draw_free(exact_solver, draw, 2000)
-    lower, upper = lower_upper(robot)
+    lower, upper = robot.joint_limits
     moved = np.clip(joints + rng.normal(scale=0.01, size=joints.shape), lower, upper)
     free = ~self_collides(exact_solver.collision, moved)
     joints, targets = joints[free], forward(exact_solver.chain, moved[free])
@@ -126,8 +121,8 @@ def test_a_solution_in_time_comes_before_any_other(robot, exact_solver, draw):
     """Where joints that move as far as they may reach the target, none is asked to move farther."""
     rng = np.random.default_rng(2)
     joints = draw_free(exact_solver, draw, 1000)
-    lower, upper = lower_upper(robot)
-    reach = 0.1 * np.array([joint.velocity for joint in robot.arm])
+    lower, upper = robot.joint_limits
+    reach = 0.1 * robot.max_joint_velocity
     moved = np.clip(joints + rng.uniform(-0.2, 0.2, joints.shape) * reach, lower, upper)
     free = ~self_collides(exact_solver.collision, moved)
     joints, targets = joints[free], forward(exact_solver.chain, moved[free])
@@ -154,12 +149,12 @@ def test_of_several_solutions_a_near_one_is_taken(robot, exact_solver, draw):
     """More candidates bring the answer nearer, by the time that the slowest joint needs."""
     joints = draw_free(exact_solver, draw, 500)
     targets, seeds = forward(exact_solver.chain, joints), shuffled(joints)
-    velocity = np.array([joint.velocity for joint in robot.arm])
     seconds = []
     for candidates in (1, 3):
         solver = IkSolver(robot, IkOptions(leeway=False, candidates=candidates))
         solution = solver.solve(targets, seeds)
-        needed = (moves(robot, seeds, solution.joint_positions) / velocity).max(axis=1)
+        travelled = moves(robot, seeds, solution.joint_positions)
+        needed = (travelled / robot.max_joint_velocity).max(axis=1)
         seconds.append(needed[solution.feasible])
     assert len(seconds[0]) == len(seconds[1])
     assert np.all(seconds[1] <= seconds[0])
@@ -270,15 +265,13 @@ def test_an_arm_that_may_stay_is_never_without_a_solution(robot, draw):
     metres, radians = distance(forward(solver.chain, joints), targets)
     may_stay = (metres <= robot.leeway.position) & (radians <= robot.leeway.rotation)
     assert may_stay.sum() > 5000
-    for moves in (None, 0.1 * np.array([joint.velocity for joint in robot.arm])):
+    for moves in (None, 0.1 * robot.max_joint_velocity):
         assert solver.solve(targets[may_stay], joints[may_stay], moves).feasible.all()
 
 
 def test_spread_configurations_cover_the_limits(robot):
     joints = spread_configurations(robot, 512)
-    lower, upper = lower_upper(robot)
-    endless = [joint.continuous for joint in robot.arm]
-    lower[endless], upper[endless] = -np.pi, np.pi
+    lower, upper = robot.finite_joint_limits
     assert np.all((joints >= lower) & (joints <= upper))
     np.testing.assert_array_equal(joints, spread_configurations(robot, 512))
     assert not np.array_equal(joints, spread_configurations(robot, 512, seed=1))

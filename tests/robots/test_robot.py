@@ -1,6 +1,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import fcl
@@ -80,6 +81,28 @@ def test_reads_a_robot(tmp_path):
     np.testing.assert_array_equal(robot.tool_tip, [0.1, 0.0, 0.0])
     assert robot.goal_heights == {"ggr": (0.2, 1.2), "ggr_restricted": (0.4, 1.0)}
     assert (robot.leeway, robot.ignored_collisions) == (None, frozenset())
+
+
+def test_says_what_the_arm_can_in_arrays_that_nobody_can_change(tmp_path):
+    robot = read_robot(write(tmp_path, crane()))
+    expected = (
+        (robot.continuous, [False, False, True]),
+        (robot.max_joint_velocity, [0.1, 0.5, 3.0]),
+        (robot.joint_limits[0], [0.2, -1.5, -math.inf]),
+        (robot.joint_limits[1], [1.0, 1.5, math.inf]),
+        (robot.finite_joint_limits[0], [0.2, -1.5, -math.pi]),
+        (robot.finite_joint_limits[1], [1.0, 1.5, math.pi]),
+    )
+    for found, values in expected:
+        np.testing.assert_array_equal(found, values, strict=True)
+        with pytest.raises(ValueError, match="read-only"):
+            found[0] = 0.0
+
+
+def test_another_arm_can_other_things(tmp_path):
+    robot = read_robot(write(tmp_path, crane()))
+    assert robot.continuous.any()
+    assert not replace(robot, arm=robot.arm[:2]).continuous.any()
 
 
 def test_other_joints_are_as_near_zero_as_they_can_or_follow(tmp_path):

@@ -65,7 +65,7 @@ def test_the_hand_keeps_up_with_a_motion(world, begin, exact_solver):
     solver = exact_solver
     state = begin()
     desired = ee_pose(solver, state)
-    reach = DT * np.array([joint.velocity for joint in solver.robot.arm])
+    reach = DT * solver.robot.max_joint_velocity
     for _ in range(100):
         desired = spatial.integrate(desired, np.array([[0.0, 0.0, 0.1, 0.0, 0.0, 0.0]]), DT)
         target = spatial.relative(desired, state.base_pose)
@@ -79,8 +79,7 @@ def test_the_hand_keeps_up_with_a_motion(world, begin, exact_solver):
 
 
 def test_joints_that_turn_on_and_on_are_measured_within_a_turn(world, begin):
-    state = begin()
-    continuous = np.array([joint.continuous for joint in world.body.robot.arm])
+    state, continuous = begin(), world.body.robot.continuous
     for _ in range(150):
         targets = state.joint_positions + 0.05 * continuous
         state = world.step(twist(), targets, DT)

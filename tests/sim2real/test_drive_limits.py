@@ -26,21 +26,20 @@ def test_a_differential_base_is_never_sent_sideways():
 
 
 def test_an_arm_goes_the_short_way_and_not_beyond_its_limits():
-    arm = registry.load_robot("pr2").arm
-    before, after = np.zeros((2, len(arm)))
+    robot = registry.load_robot("pr2")
+    before, after = np.zeros((2, len(robot.arm)))
     before[[0, 4]], after[[0, 4]] = [0.5, 3.0], [0.7, -3.0]
-    move = arm_move(arm, before, after)
+    move = arm_move(robot, before, after)
     assert move[4] == pytest.approx(2.0 * np.pi - 6.0)
-    there = arm_go(arm, before, move)
-    assert there[0] == arm[0].upper
+    there = arm_go(robot, before, move)
+    assert there[0] == robot.arm[0].upper
     assert there[4] == pytest.approx(-3.0)
 
 
 def test_an_arm_that_begins_beyond_a_limit_does_not_jump():
-    arm = registry.load_robot("pr2").arm
-    before = np.zeros(len(arm))
-    before[1] = arm[1].upper + 0.05
-    move = np.zeros(len(arm))
-    assert arm_go(arm, before, move)[1] == before[1]
+    robot = registry.load_robot("pr2")
+    before, move = np.zeros((2, len(robot.arm)))
+    before[1] = robot.arm[1].upper + 0.05
+    assert arm_go(robot, before, move)[1] == before[1]
     move[1] = 0.1
-    assert arm_go(arm, before, move)[1] == before[1]
+    assert arm_go(robot, before, move)[1] == before[1]

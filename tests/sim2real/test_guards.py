@@ -132,7 +132,7 @@ def test_no_setting_exceeds_the_robots_own_limits():
 
 def test_a_jump_of_the_arm_is_slowed():
     guard, backend = guarded(guards=Guards(joint_speed=0.5))
-    before, velocity = stays(guard), np.array([j.velocity for j in ROBOTS["pr2"].arm])
+    before, velocity = stays(guard), ROBOTS["pr2"].max_joint_velocity
     targets = before.copy()
     targets[0, [1, 3]] -= [0.8, 0.4]
     for _ in range(100):
@@ -351,8 +351,7 @@ def test_whatever_happens_what_goes_out_obeys_the_limits_or_is_zero(name, steps)
             guard.step(np.array([command]), np.array([targets[:j]]), DT)
         except Fault:
             break
-    lower, upper = np.array([(one.lower, one.upper) for one in robot.arm]).T
-    velocity = np.array([one.velocity for one in robot.arm])
+    lower, upper = robot.joint_limits
     before, arm = np.zeros(3), home(robot).joint_positions[0]
     for (sent, joints), pose in zip(backend.sent, [*poses, poses[-1]], strict=False):
         assert np.isfinite(sent).all()
@@ -367,8 +366,8 @@ def test_whatever_happens_what_goes_out_obeys_the_limits_or_is_zero(name, steps)
             assert change[2] <= robot.base.max_rotation_acceleration * DT + near
         if robot.base.drive == "differential":
             assert abs(drive[1]) <= near
-        moved = np.abs(arm_move(robot.arm, arm, joints[0]))
-        assert np.all(moved <= velocity * DT + near)
+        moved = np.abs(arm_move(robot, arm, joints[0]))
+        assert np.all(moved <= robot.max_joint_velocity * DT + near)
         assert np.all((joints[0] >= lower - near) & (joints[0] <= upper + near))
         before, arm = drive, joints[0]
     if guard.stopped and backend.sent:
