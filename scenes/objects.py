@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kinfeas.robots.tree import Joint, Shape, Urdf
-from kinfeas.spatial import Array, compose, make_pose
+from kinfeas.spatial import Array, compose
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +41,7 @@ class SceneObject:
             for joint in self.urdf.joints.values():
                 if joint.parent in poses and joint.child not in poses:
                     origin = compose(poses[joint.parent], joint.origin)
-                    poses[joint.child] = compose(origin, _motion(joint, self._position(joint)))
+                    poses[joint.child] = compose(origin, joint.motion_at(self._position(joint)))
         return poses
 
     def shapes(self) -> Iterator[tuple[str, Shape]]:
@@ -91,11 +90,3 @@ def moving_joint(urdf: Urdf, link: str) -> str | None:
     """Return the nearest joint above `link` that moves, or None."""
     moving = [joint.name for joint in urdf.path_to(link) if joint.moves]
     return moving[-1] if moving else None
-
-
-def _motion(joint: Joint, position: float) -> Array:
-    """Return the pose that a joint at `position` takes its child to, shape (7,)."""
-    along = position * np.array(joint.axis)
-    if joint.kind == "prismatic":
-        return make_pose(along, Rotation.identity())
-    return make_pose(np.zeros(3), Rotation.from_rotvec(along))

@@ -100,10 +100,14 @@ class Joint:
 
     def pose_at(self, position: float) -> Array:
         """Return the pose of the child in the parent's frame at `position`, shape (7,)."""
-        motion = position * np.array(self.axis)
+        return compose(self.origin, self.motion_at(position))
+
+    def motion_at(self, position: float) -> Array:
+        """Return the pose of the child at `position`, seen from its `origin`, shape (7,)."""
+        along = position * np.array(self.axis)
         if self.kind == "prismatic":
-            return compose(self.origin, make_pose(motion, Rotation.identity()))
-        return compose(self.origin, make_pose(np.zeros(3), Rotation.from_rotvec(motion)))
+            return make_pose(along, Rotation.identity())
+        return make_pose(np.zeros(3), Rotation.from_rotvec(along))
 
 
 @dataclass(frozen=True, eq=False)
