@@ -3,12 +3,15 @@
 import numpy as np
 
 from kinfeas.motion import State
-from kinfeas.plugins.learned import Learned
 from kinfeas.plugins.limits import slowed
+from kinfeas.plugins.model import read_model
+from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.path_motion import PathMotion
+from kinfeas.plugins.phase import PhaseControl
 from kinfeas.spatial import Array, compose, twist_between
 
 
-class GaussianMixture(Learned):
+class GaussianMixture(PathMotion):
     """A time-indexed mixture of hand and base poses, in the frame of the handled object.
 
     Gaussian mixture regression turns time into a reference pose, which the hand follows as fast
@@ -31,7 +34,14 @@ class GaussianMixture(Learned):
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
-        super().__init__("gaussian_mixture", model, max_velocity, max_angular_velocity)
+        learned = read_model(model, "gaussian_mixture")
+        control = PhaseControl(
+            path=tabulate(learned),
+            duration=learned.duration,
+            max_velocity=max_velocity,
+            max_angular_velocity=max_angular_velocity,
+        )
+        super().__init__(control, in_world=False)
 
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
@@ -41,9 +51,16 @@ class GaussianMixture(Learned):
             ee_pose: World pose that the motion has come to, shape (n, 7).
             dt: Duration of the step in seconds.
         """
-        target = state["object_pose"]
-        phase = np.minimum(state["phase"] + dt / self._duration, 1.0)
-        reference = compose(target, self._path.at(phase))
+        frame, control = state["frame"], self._control
+        phase = np.minimum(state["phase"] + dt / control.duration, 1.0)
+        reference = compose(frame, control.path.at(phase))
         wanted = twist_between(ee_pose, reference, dt)
-        share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
-        return wanted * share[:, np.newaxis], {"object_pose": target, "phase": phase}
+        share = slowed(wanted, control.max_velocity, control.max_angular_velocity)
+        return wanted * share[:, np.newaxis], {"frame": frame, "phase": phase}
+
+    def base_pose(self, state: State) -> Array:
+        """Return where the base was demonstrated to be now, shape (n, 7), in the world.
+
+        Not-a-number if the model was fitted from demonstrations without a base.
+        """
+        return self._control.path.base_at(state["phase"], state["frame"])

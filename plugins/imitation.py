@@ -1,12 +1,14 @@
 """The `imitation` motion: a demonstrated path, followed from wherever the hand starts."""
 
 from kinfeas.motion import State
-from kinfeas.plugins.learned import Learned
+from kinfeas.plugins.model import read_model
+from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.path_motion import PathMotion
 from kinfeas.plugins.phase import PhaseControl
 from kinfeas.spatial import Array
 
 
-class Imitation(Learned):
+class Imitation(PathMotion):
     """Phase dynamic system on R^3 x S^3, in the frame of the handled object.
 
     The hand first comes to the beginning of the learned path, then moves as was demonstrated, from
@@ -34,25 +36,21 @@ class Imitation(Learned):
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
-        super().__init__("imitation", model, max_velocity, max_angular_velocity)
-        self._control = PhaseControl(
-            path=self._path,
-            duration=self._duration,
+        learned = read_model(model, "imitation")
+        control = PhaseControl(
+            path=tabulate(learned),
+            duration=learned.duration,
             gain=gain,
             position_scale=position_scale,
             rotation_scale=rotation_scale,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
+        super().__init__(control, in_world=False)
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
-        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
+    def base_pose(self, state: State) -> Array:
+        """Return where the base was demonstrated to be now, shape (n, 7), in the world.
 
-        Args:
-            state: State of n motions.
-            ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+        Not-a-number if the model was fitted from demonstrations without a base.
         """
-        target = state["object_pose"]
-        twist, phase = self._control.step(target, state["phase"], ee_pose, dt)
-        return twist, {"object_pose": target, "phase": phase}
+        return self._control.path.base_at(state["phase"], state["frame"])

@@ -1,4 +1,4 @@
-"""What motions along a path from a file share: where it lies, and how far along it they are."""
+"""What motions along a path share: where it lies, and how far along it they are."""
 
 import math
 from collections.abc import Sequence
