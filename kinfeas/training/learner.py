@@ -137,7 +137,8 @@ def take_network(learner: Learner, network: Network) -> None:
 
 
 def _diverged(learner: Learner) -> bool:
-    return not all(bool(torch.isfinite(one).all()) for one in learner.policy.parameters())
+    weights = [*learner.actor.parameters(), *learner.critic.parameters()]
+    return not bool(torch.isfinite(nn.utils.get_total_norm(weights)))
 
 
 def _layers(learner: Learner) -> list[nn.Linear]:
