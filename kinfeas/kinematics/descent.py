@@ -66,6 +66,7 @@ class Scratch(NamedTuple):
     solved: Array
     step: Array
     wanted: Array
+    pull: Array
     side: Array
     released: Array
     trial: Array
@@ -82,6 +83,7 @@ def make_scratch(joints, variables):
         np.empty(6),
         np.empty(variables),
         np.empty(variables),
+        np.zeros(variables),
         np.empty(variables, dtype=np.intp),
         np.empty(variables, dtype=np.bool_),
         np.empty(variables),
@@ -93,7 +95,8 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
     """Move `q` to the target as far as its limits allow.
 
     Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
-    least-squares problem within the joint limits.
+    least-squares problem within the joint limits. The first is damped towards `scratch.pull`, which
+    so moves what the target leaves free, and which is zero again afterwards.
 
     Args:
         chain: From base to EE, driven by v variables.
@@ -123,6 +126,8 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
         _step_within_limits(options, q, DAMPING_FLOOR + DAMPING_GAIN * cost, scratch)
         for j in range(len(q)):
             q[j] += scratch.step[j]
+        scratch.pull[:] = 0.0
+    scratch.pull[:] = 0.0
     return metres, radians
 
 
@@ -197,9 +202,10 @@ def _half_turn(target, current, error):
 def _step_within_limits(options, q, damping, scratch):
     """Write the damped least-squares step that keeps `q` within its limits.
 
-    Of min |J s - e|^2 + damping |s|^2 within bounds, the free joints' part is s = J' y. A joint
-    whose share of J' y passes a bound is held there. When no other does, a held joint whose share
-    has come back within its bounds is let go, each joint once, and the rest is solved again.
+    Of min |J s - e|^2 + damping |s - p|^2 within bounds, with the pull p, the free joints' part is
+    s = p + J' y. A joint whose share passes a bound is held there. When no other does, a held joint
+    whose share has come back within its bounds is let go, each joint once, and the rest is solved
+    again.
     """
     step, wanted, side, released = scratch.step, scratch.wanted, scratch.side, scratch.released
     side[:], released[:] = 0, False
@@ -207,7 +213,7 @@ def _step_within_limits(options, q, damping, scratch):
         _solve_damped(scratch, damping)
         blocked = False
         for j in range(len(q)):
-            wanted[j] = 0.0
+            wanted[j] = scratch.pull[j]
             for i in range(6):
                 wanted[j] += scratch.columns[j, i] * scratch.solved[i]
             if side[j] == 0:
@@ -235,13 +241,14 @@ def _release(scratch):
 
 @inlined
 def _solve_damped(scratch, damping):
-    """Write y of (J J' + damping) y = e over the free joints, less what held ones do."""
+    """Write y of (J J' + damping) y = e over the free joints, less what pull and held ones do."""
     columns, low, y = scratch.columns, scratch.normal, scratch.solved
     y[:] = scratch.error
     low[:] = 0.0
     for j in range(len(columns)):
         if scratch.side[j] == 0:
             for i in range(6):
+                y[i] -= columns[j, i] * scratch.pull[j]
                 for k in range(6):
                     low[i, k] += columns[j, i] * columns[j, k]
         else:

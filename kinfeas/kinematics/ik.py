@@ -22,6 +22,8 @@ ROTATION_WEIGHT = 0.4
 AIM = 0.2
 """Share of the tolerances at which a descent is content; it may end anywhere within them."""
 
+POSE_DIMENSIONS = 6
+
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 
 
@@ -38,6 +40,8 @@ class IkOptions:
         position_tolerance: Metres within which a pose counts as reached.
         rotation_tolerance: Radians within which a pose counts as reached.
         max_iterations: Steps of one descent at most.
+        centering: How strongly the spare freedom of the arm draws its joints to the middle of their
+            ranges, as a share of what they can move in time; 0 for not at all.
     """
 
     library: Annotated[int, Interval(low=1, high=65536)] = 2048
@@ -48,6 +52,7 @@ class IkOptions:
     position_tolerance: Positive = 1e-4
     rotation_tolerance: Positive = 1e-3
     max_iterations: Annotated[int, Interval(low=1, high=10_000)] = 40
+    centering: Annotated[float, Interval(low=0.0, high=1.0)] = 1.0
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,7 @@ def _make_problem(
     # Copies, for kernels are compiled anew for arrays that are read-only.
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
+    middle, half = _ranges(lower, upper)
     leeway = robot.leeway if options.leeway else None
     weight = ROTATION_WEIGHT if leeway is None else leeway.position / leeway.rotation
     library = spread_configurations(robot, options.library)
@@ -125,7 +131,9 @@ def _make_problem(
         check_collision=options.self_collision and len(collision.pairs) > 0,
         velocity=velocity,
         continuous=continuous,
-        reach=_reach(chain, lower, upper),
+        middle=middle,
+        centering=_centering(half, options.centering),
+        reach=_reach(chain, middle, half),
         library=library,
         features=library_features(ee_pose[:, :3], rotation(ee_pose).as_matrix(), weight),
         restarts=min(options.restarts, len(library)),
@@ -144,17 +152,33 @@ def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
     return lower + (upper - lower) * spread(count, len(robot.arm), seed * 65536)
 
 
-def _reach(chain: Chain, lower: Array, upper: Array) -> Array:
+def _ranges(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return middles and half widths of the joint ranges; 0 and inf where there is no limit."""
+    bounded = np.isfinite(upper - lower)
+    middle, half = np.zeros_like(lower), np.full_like(lower, np.inf)
+    middle[bounded] = (lower[bounded] + upper[bounded]) / 2.0
+    half[bounded] = (upper - lower)[bounded] / 2.0
+    return middle, half
+
+
+def _centering(half: Array, strength: float) -> Array:
+    """Return what draws joints to their middles, shape (v,), or (0,) if nothing is to.
+
+    An arm of no more joints than a pose has dimensions has nothing to spare.
+    """
+    if strength == 0.0 or len(half) <= POSE_DIMENSIONS:
+        return np.empty(0)
+    inverse = np.divide(1.0, half, out=np.zeros_like(half), where=half > 0.0)
+    return strength * np.sqrt(inverse)
+
+
+def _reach(chain: Chain, middle: Array, half: Array) -> Array:
     """Return a ball that no position of the last joint can leave: centre (3,) and radius.
 
     The sum of the link lengths after the first joint that turns bounds the distance from it; the
     sliding joints before it move that joint along a line, whose half length adds to the radius.
     """
     tree = chain.tree
-    bounded = np.isfinite(upper - lower)
-    middle, half = np.zeros_like(lower), np.zeros_like(lower)
-    middle[bounded] = (lower[bounded] + upper[bounded]) / 2.0
-    half[bounded] = (upper - lower)[bounded] / 2.0
     turning = np.flatnonzero(~tree.prismatic)
     first = int(turning[0]) if len(turning) else len(tree.variable) - 1
     centre, turn, radius = np.zeros(3), np.eye(3), 0.0

@@ -1,5 +1,6 @@
 """The search of the inverse kinematics: a descent from where the arm is, then from a library."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ WARM_COST = 0.3**2
 HOPEFUL, HOPELESS_COST = 6, 0.02**2
 """After so many restarts none of which came nearer than this squared distance, m^2, it gives up."""
 
+DRAWN, NEAR, WIDE = range(3)
+"""Descents from the seed: within what joints can move, drawn to their middles or not; then freely."""
+
 
 class Problem(NamedTuple):
     """Everything that does not change from target to target.
@@ -29,6 +33,9 @@ class Problem(NamedTuple):
         check_collision: Whether that is looked at.
         velocity: Joint velocity limits, shape (v,).
         continuous: Which joints turn without end, shape (v,).
+        middle: The middles of the joint ranges, shape (v,).
+        centering: How strongly joints are drawn there: times the root of the distance, it is a
+            share of what they can move in time. Shape (v,), or (0,) if they are not.
         reach: Ball that the last joint cannot leave: centre and radius, shape (4,), metres.
         library: Configurations to restart from, shape (l, v).
         features: What ranks them for a target, shape (13, l); see `library_features`.
@@ -44,6 +51,8 @@ class Problem(NamedTuple):
     check_collision: bool
     velocity: Array
     continuous: NDArray[np.bool_]
+    middle: Array
+    centering: Array
     reach: Array
     library: Array
     features: NDArray[np.float32]
@@ -111,12 +120,12 @@ def solve_batch(problem: Problem, targets, moves, solution, feasible, errors):
 def _solve_from_seed(problem, target, moves, near, solution, error, scratch, touching):
     """Descend from the seed if it is near enough; return whether that solved it.
 
-    First within `moves` of it, for the arm gets there in time; then from there as far as it takes.
+    First within `moves` of it, for the arm gets there in time: drawn to the middle of the joint
+    ranges, and where that fails, without. Then from there as far as it takes.
     """
     q = scratch.trial
     limits = problem.descent
-    for j in range(len(q)):
-        q[j] = min(max(solution[j], limits.lower[j]), limits.upper[j])
+    _start(limits, solution, q)
     place_chain(problem.chain, q, scratch.frames)
     cost, trace = 0.0, 0.0
     for i in range(3):
@@ -128,13 +137,15 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
     if cost > WARM_COST:
         return False
     metres_here, radians_here = error[0], error[1]
-    for attempt in range(2 if len(moves) > 0 else 1):
-        bounds = limits
-        if attempt == 0 and len(moves) > 0:
-            for j in range(len(q)):
-                near[0, j] = max(limits.lower[j], q[j] - moves[j])
-                near[1, j] = min(limits.upper[j], q[j] + moves[j])
-            bounds = within(limits, near[0], near[1])
+    first = WIDE if len(moves) == 0 else NEAR if len(problem.centering) == 0 else DRAWN
+    if first != WIDE:
+        for j in range(len(q)):
+            near[0, j] = max(limits.lower[j], q[j] - moves[j])
+            near[1, j] = min(limits.upper[j], q[j] + moves[j])
+    for attempt in range(first, WIDE + 1):
+        bounds = limits if attempt == WIDE else within(limits, near[0], near[1])
+        if attempt == DRAWN:
+            _draw(problem, moves, q, scratch.pull)
         metres, radians = descend(problem.chain, bounds, target[0], target[1], q, scratch)
         if _close_enough(problem, metres, radians):
             if _free(problem, q, touching):
@@ -143,16 +154,33 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
                 return True
         elif _improves(problem, metres, radians, error, q, touching):
             error[0], error[1] = metres, radians
+        if attempt == DRAWN:
+            _start(limits, solution, q)
     # Where there is leeway, staying may be an answer that every descent has left.
     if not _close_enough(problem, metres_here, radians_here):
         return False
-    for j in range(len(q)):
-        q[j] = min(max(solution[j], limits.lower[j]), limits.upper[j])
+    _start(limits, solution, q)
     if not _free(problem, q, touching):
         return False
     error[0], error[1] = metres_here, radians_here
     solution[:] = q
     return True
+
+
+@inlined
+def _start(limits, seed, q):
+    """Write the seed, within the joint limits."""
+    for j in range(len(q)):
+        q[j] = min(max(seed[j], limits.lower[j]), limits.upper[j])
+
+
+@inlined
+def _draw(problem, moves, q, pull):
+    """Write where the joints are drawn: to the middle of their ranges, and not beyond it."""
+    for j in range(len(q)):
+        away = q[j] - problem.middle[j]
+        length = problem.centering[j] * math.sqrt(abs(away)) * moves[j]
+        pull[j] = -math.copysign(min(length, abs(away)), away)
 
 
 @inlined
