@@ -88,10 +88,11 @@ class IkSolver:
         """Return the solutions nearest to `seed`.
 
         A descent from the seed comes first if the EE is near the target there: within `moves`,
-        and where that fails, as far as the limits allow. Where that fails, too, others start from
-        those configurations of a fixed library that bring the EE nearest, and of up to
-        `candidates` solutions the one that the arm reaches soonest is taken. The answer is a
-        function of the arguments alone, row by row.
+        where what the arm has to spare draws its joints to the middle of their ranges, and where
+        that fails, as far as the limits allow. Where that fails, too, others start from those
+        configurations of a fixed library that bring the EE nearest, and of up to `candidates`
+        solutions the one that the arm reaches soonest is taken. The answer is a function of the
+        arguments alone, row by row.
 
         Args:
             ee_pose_in_base: Targets, shape (n, 7).

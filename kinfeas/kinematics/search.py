@@ -20,7 +20,7 @@ HOPEFUL, HOPELESS_COST = 6, 0.02**2
 """After so many restarts none of which came nearer than this squared distance, m^2, it gives up."""
 
 DRAWN, NEAR, WIDE = range(3)
-"""Descents from the seed: within what joints can move, drawn to their middles or not; then freely."""
+"""Descents from the seed: within what joints can move, drawn to their middles or not; or freely."""
 
 
 class Problem(NamedTuple):

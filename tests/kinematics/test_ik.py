@@ -138,6 +138,71 @@ def test_a_solution_in_time_comes_before_any_other(robot, exact_solver, draw):
     assert late(hasty).mean() <= late(patient).mean()
 
 
+def tremble(solver, joints, steps):
+    """Return where the arms end whose EEs tremble by a millimetre about where they are."""
+    home, rng = forward(solver.chain, joints), np.random.default_rng(3)
+    reach = 0.1 * solver.robot.max_joint_velocity
+    for _ in range(steps):
+        targets = home.copy()
+        targets[:, :3] += rng.uniform(-1e-3, 1e-3, (len(joints), 3))
+        solution = solver.solve(targets, joints, reach)
+        assert solution.feasible.all()
+        check_solutions(solver, solution.joint_positions)
+        joints = solution.joint_positions
+    return joints
+
+
+def well_conditioned(judge, joints):
+    """Return which arms are far from singular, so that their EEs can go anywhere in time."""
+    strength = [np.linalg.svd(judge.jacobian(q), compute_uv=False) for q in joints]
+    return np.array([values[min(6, joints.shape[1]) - 1] > 0.05 for values in strength])
+
+
+def test_spare_freedom_goes_to_the_middle_of_the_joint_ranges(robot, judge, draw):
+    """Of arms with more joints than a pose has dimensions; others have nothing to give."""
+    drawn, free = (IkSolver(robot, IkOptions(centering=centering)) for centering in (1.0, 0.0))
+    inner = draw(robot, 400)
+    bounded = np.isfinite(np.subtract(*robot.joint_limits))
+    lower, upper = (limit[bounded] for limit in robot.joint_limits)
+    room = np.minimum(inner[:, bounded] - lower, upper - inner[:, bounded]) > 0.05 * (upper - lower)
+    inner = inner[room.all(axis=1) & ~self_collides(drawn.collision, inner)][:60]
+    start = inner[well_conditioned(judge, inner)]
+    assert len(start) > 20
+    ends = [tremble(solver, start, steps=40) for solver in (drawn, free)]
+    if len(robot.arm) <= 6:
+        np.testing.assert_array_equal(*ends)
+        return
+
+    def away(joints):
+        return np.abs(2.0 * (joints[:, bounded] - lower) / (upper - lower) - 1.0).mean(axis=1)
+
+    assert away(ends[0]).mean() < away(start).mean() - 0.05
+    assert abs(away(ends[1]).mean() - away(start).mean()) < 0.02
+
+
+def test_drawing_misses_no_solution_in_time(robot, draw):
+    drawn, free = (IkSolver(robot, IkOptions(centering=centering)) for centering in (1.0, 0.0))
+    reach = 0.1 * robot.max_joint_velocity
+    joints = draw_free(drawn, draw, 2000)
+    targets = forward(drawn.chain, joints)
+    targets[:, :3] += np.random.default_rng(4).normal(scale=0.01, size=(2000, 3))
+    found, others = (solver.solve(targets, joints, reach) for solver in (drawn, free))
+    in_time = [
+        one.feasible & np.all(moves(robot, joints, one.joint_positions) <= reach * 1.001, axis=1)
+        for one in (found, others)
+    ]
+    assert in_time[1].mean() > 0.3
+    assert np.all(in_time[0][in_time[1]])
+    np.testing.assert_array_equal(found.feasible, others.feasible)
+
+
+def test_an_ee_at_rest_leaves_the_arm_at_rest(solver, draw):
+    joints = draw_free(solver, draw, 200)
+    targets = forward(solver.chain, joints)
+    solution = solver.solve(targets, joints, 0.1 * solver.robot.max_joint_velocity)
+    np.testing.assert_array_equal(solution.joint_positions, joints)
+
+
 def test_the_seed_itself_is_an_answer(robot, exact_solver, draw):
     joints = draw_free(exact_solver, draw, 500)
     solution = exact_solver.solve(forward(exact_solver.chain, joints), joints)
