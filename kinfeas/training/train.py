@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
-from kinfeas import registry
+from kinfeas import pretrained, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.files import writing
@@ -103,7 +103,7 @@ def resume(out: Path, report: Report | None = None) -> Progress:
 
 
 def _fitted(config: TrainConfig) -> TrainConfig:
-    """Return the configuration with the hidden layers of the policy that it goes on from.
+    """Return the configuration with the layers and the lasting name of what it goes on from.
 
     Raises:
         KinfeasError: If that policy cannot be read, or is no network.
@@ -111,7 +111,8 @@ def _fitted(config: TrainConfig) -> TrainConfig:
     if config.init is None:
         return config
     hidden = tuple(len(bias) for bias in _first_policy(config).biases[:-1])
-    return replace(config, learner=replace(config.learner, hidden=hidden))
+    init = config.init if config.init == pretrained.NAME else str(Path(config.init).absolute())
+    return replace(config, init=init, learner=replace(config.learner, hidden=hidden))
 
 
 def _first_policy(config: TrainConfig) -> Network:

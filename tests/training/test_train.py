@@ -464,6 +464,15 @@ def test_the_actor_learns_after_the_critics(finished, tiny, tmp_path):
     assert not np.array_equal(weights(out)["weight.0"], weights(finished, "best")["weight.0"])
 
 
+def test_what_it_goes_on_from_may_be_named_from_any_folder(finished, tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(finished.parent)
+    out = tmp_path / "run"
+    train(tiny(f"init={finished.name}"), out)
+    monkeypatch.chdir(tmp_path)
+    assert config.load(TrainConfig, out / "config.yaml").init == str(finished)
+    assert resume(out).evaluations == 3
+
+
 @pytest.mark.parametrize(
     ("init", "message"),
     [
