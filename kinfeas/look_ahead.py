@@ -26,9 +26,10 @@ _ROUNDING = 1e-6
 """Of a number of periods, which must not make one more of a whole one."""
 
 _LATER = 0.99
-"""Worth of a failure one period of `HORIZON` later."""
+"""Worth of a failure or a jump one period of `HORIZON` later."""
 
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+Share = Annotated[float, Interval(low=0.0, high=1.0)]
 
 
 @dataclass(frozen=True)
@@ -40,20 +41,23 @@ class Foresight:
         every: Seconds between looks.
         tries: Deviations from the policy that are tried where it would fail.
         spread: Their standard deviation, in units of the action.
+        jump: What an arm jump costs, in kinematic failures.
     """
 
     seconds: Positive = 6.0
     every: Positive = 0.5
     tries: Annotated[int, Interval(low=1)] = 32
     spread: Positive = 0.8
+    jump: Share = 0.1
 
 
 class LookAhead:
     """Follows a policy, and deviates from it where it would fail and a deviation would not.
 
     Every now and then it carries the policy out in a world without dynamics or noise. Where a
-    kinematic failure shows, it tries the policy plus each of the same few constants, and adds the
-    one that fails last and least until the next look. No row depends on the others.
+    kinematic failure or an arm jump shows, it tries the policy plus each of the same few constants,
+    and adds the one with the last and least of them until the next look. No row depends on the
+    others.
     """
 
     def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
@@ -101,7 +105,7 @@ class LookAhead:
         return best
 
     def _try(self, rows: Rows, deviations: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what the failures to come cost, and whether they begin at once, shapes (m, k).
+        """Return what failures and jumps to come cost, and who fails at once, shapes (m, k).
 
         Args:
             rows: The m rows to look ahead of.
@@ -117,7 +121,8 @@ class LookAhead:
             step = self._twin.step(np.clip(action, -1.0, 1.0))
             failed = ~step.feasible & ~over
             missing = 1.0 + step.position_error + step.rotation_error
-            cost += np.where(failed, missing * _LATER**period, 0.0)
+            price = np.where(failed, missing, self.foresight.jump * (step.jumped & ~over))
+            cost += price * _LATER**period
             stuck |= failed & (period == 0)
             over |= step.finished
             if over.all():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,18 @@ def test_fails_less_than_the_policy_alone(task):
 
     assert ahead.failures.sum() < 0.8 * alone.failures.sum()
     assert (ahead.failures == 0).sum() > (alone.failures == 0).sum()
+
+
+def test_jumps_less_where_that_costs_no_failure():
+    robot, door = load_robot("tiago"), load_task("door", {})
+    policy = load_policy("pretrained", robot)
+
+    careless, careful = (
+        run(robot, door, LookAhead(policy, replace(NEAR, jump=jump))) for jump in (0.0, 0.1)
+    )
+
+    assert careful.jumps.sum() < 0.8 * careless.jumps.sum()
+    assert careful.failures.sum() <= careless.failures.sum()
 
 
 def test_episodes_do_not_depend_on_each_other(task):
