@@ -32,6 +32,10 @@ Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 Share = Annotated[float, Interval(low=0.0, high=1.0)]
 
 
+State = dict[str, NDArray[np.generic]]
+"""What `Loop.imagined` returns of n rows."""
+
+
 @dataclass(frozen=True)
 class Foresight:
     """How far and how widely to look.
@@ -58,11 +62,15 @@ class LookAhead:
     kinematic failure or an arm jump shows, it tries the policy plus each of the same few constants,
     and adds the one with the last and least of them until the next look. No row depends on the
     others.
+
+    Attributes:
+        deviation: What is added to the policy's actions, shape (n, a).
     """
 
     def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
         """Wrap a policy; `watch` must follow before it acts."""
         self.policy, self.foresight = policy, foresight or Foresight()
+        self.deviation: Array = np.zeros((0, 0))
 
     def watch(self, loop: Loop) -> None:
         """Look ahead of the motions of `loop` from now on."""
@@ -74,22 +82,29 @@ class LookAhead:
         self._twin = Loop(solver, loop.course.legs, analytic, HORIZON, pace)
         self._every = max(1, round(self.foresight.every / loop.dt))
         self._tries = _deviations(loop.action_size, self.foresight)
-        self._deviation: Array = np.zeros((0, loop.action_size))
+        self.deviation = np.zeros((0, loop.action_size))
 
     def act(self, situation: Situation) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         action = self.policy.act(situation)
-        if len(action) != len(self._deviation):
-            self._deviation = np.zeros_like(action)
+        if len(action) != len(self.deviation):
+            self.deviation = np.zeros_like(action)
         due = np.flatnonzero(self._loop.periods % self._every == 0)
         if due.size:
-            self._deviation[due] = self._plan(due)
-        return np.clip(action + self._deviation, -1.0, 1.0)
+            self.look(self._now(), due)
+        return np.clip(action + self.deviation, -1.0, 1.0)
 
-    def _plan(self, rows: Rows) -> Array:
-        """Return what to add to the policy's actions in the m `rows`, shape (m, a)."""
-        best = np.zeros((len(rows), self._loop.action_size))
-        costs, at_once = self._try(rows, best[:, np.newaxis])
+    def look(self, now: State, due: Rows) -> None:
+        """Find new deviations for the rows that are due."""
+        self.deviation[due] = self.plan(now, due)
+
+    def plan(self, now: State, due: Rows) -> Array:
+        """Return what to add to the policy's actions in the m rows that are due, shape (m, a).
+
+        It touches nothing that the loop does.
+        """
+        best = np.zeros((len(due), self._loop.action_size))
+        costs, at_once = self._try(now, due, best[:, np.newaxis])
         cost, stuck = costs[:, 0], at_once[:, 0]
         # Who fails already finds a way out nearby or, as a rule, nowhere.
         everyone = np.ones_like(stuck)
@@ -97,28 +112,37 @@ class LookAhead:
             bad = np.flatnonzero(whom & (cost > 0.0))
             if not (bad.size and len(tries)):
                 continue
-            costs, _ = self._try(rows[bad], np.broadcast_to(tries, (len(bad), *tries.shape)))
+            costs, _ = self._try(now, due[bad], np.broadcast_to(tries, (len(bad), *tries.shape)))
             chosen = costs.argmin(axis=1)
             least = costs[np.arange(len(bad)), chosen]
             better = least < cost[bad]
             best[bad[better]], cost[bad[better]] = tries[chosen[better]], least[better]
         return best
 
-    def _try(self, rows: Rows, deviations: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _now(self) -> State:
+        """Return the state that a loop of `HORIZON` periods goes on from, as copies."""
+        loop, state = self._loop, self._loop.imagined()
+        away = state["waiting"] * loop.dt / HORIZON
+        state["waiting"] = (np.sign(away) * np.ceil(np.abs(away) - _ROUNDING)).astype(np.intp)
+        return {key: values.copy() for key, values in state.items()}
+
+    def _try(self, now: State, rows: Rows, deviations: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return what failures and jumps to come cost, and who fails at once, shapes (m, k).
 
         Args:
+            now: Where all rows are.
             rows: The m rows to look ahead of.
             deviations: What is added to their actions, shape (m, k, a).
         """
         m, k, size = deviations.shape
-        self._twin.restore(_twins(self._loop, rows, k))
+        twin = self._twin
+        twin.restore({key: np.repeat(values[rows], k, axis=0) for key, values in now.items()})
         added = deviations.reshape(m * k, size)
         cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
         stuck = np.zeros(m * k, dtype=np.bool_)
         for period in range(round(self.foresight.seconds / HORIZON)):
-            action = self.policy.act(self._twin.situation) + added
-            step = self._twin.step(np.clip(action, -1.0, 1.0))
+            action = self.policy.act(twin.situation) + added
+            step = twin.step(np.clip(action, -1.0, 1.0))
             failed = ~step.feasible & ~over
             missing = 1.0 + step.position_error + step.rotation_error
             price = np.where(failed, missing, self.foresight.jump * (step.jumped & ~over))
@@ -137,11 +161,3 @@ def _deviations(size: int, foresight: Foresight) -> Array:
     """
     deviations: Array = ndtri(spread(foresight.tries, size)) * foresight.spread
     return deviations
-
-
-def _twins(loop: Loop, rows: Rows, copies: int) -> dict[str, NDArray[np.generic]]:
-    """Return the state of a loop's rows as a loop of twins, `copies` of each, goes on from it."""
-    state = loop.imagined()
-    away = state["waiting"] * loop.dt / HORIZON
-    state["waiting"] = (np.sign(away) * np.ceil(np.abs(away) - _ROUNDING)).astype(np.intp)
-    return {key: np.repeat(values[rows], copies, axis=0) for key, values in state.items()}

@@ -10,6 +10,7 @@ from kinfeas.adapters import paced
 from kinfeas.backend import Live
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
+from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
 from kinfeas.record import REACHED, Moment, Recorder
 from kinfeas.sim2real.deployment import Code, Outcome, Setup
@@ -57,6 +58,8 @@ class _Run:
         self.guarded = Guarded(backend, self.robot, guards, live=self.live, clocks=setup.clocks)
         pace = paced(setup.backend, setup.pace)
         self.loop = Loop(setup.solver, build_legs(setup.task.legs), self.guarded, setup.dt, pace)
+        if isinstance(setup.policy, LookAhead):
+            setup.policy.watch(self.loop)
         self.steps = self.failures = 0
         self.began = 0.0
 

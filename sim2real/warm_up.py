@@ -5,6 +5,7 @@ import numpy as np
 from kinfeas import registry, spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
 from kinfeas.policy import Policy
 from kinfeas.sim2real.guard_config import Guards
@@ -25,6 +26,8 @@ def warm_up(solver: IkSolver, policy: Policy, task: Task, dt: float) -> None:
     analytic = registry.build("kinfeas.backends", "analytic", {})
     backend = Guarded(analytic, robot, Guards().timeless())
     loop = Loop(solver, build_legs(task.legs), backend, dt)
+    if isinstance(policy, LookAhead):
+        policy.watch(loop)
     loop.start(start, [rng])
     for _ in range(_STEPS):
         loop.step(policy.act(loop.situation))

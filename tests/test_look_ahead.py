@@ -104,7 +104,7 @@ def test_looks_widely_only_where_it_may_help(task, monkeypatch):
     # Row 0 never fails, 1 is helped by the second deviation, 2 by the last one, 3 fails already.
     asked = []
 
-    def outcome(rows, deviations):
+    def outcome(now, rows, deviations):
         asked.append((rows.tolist(), deviations.shape[1]))
         cost = np.where(rows == 0, 0.0, 5.0)[:, np.newaxis].repeat(deviations.shape[1], axis=1)
         if deviations.shape[1] > 1:

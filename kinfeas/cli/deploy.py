@@ -100,6 +100,14 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             help="Whether a simulated world waits for the clock.",
         ),
     ] = True,
+    look_ahead: Annotated[
+        bool,
+        typer.Option(
+            "--look-ahead",
+            help="Try the next 6 s out every 0.5 s, beside the control loop, and deviate from the "
+            "policy where it would fail or the arm jump.",
+        ),
+    ] = False,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -116,7 +124,9 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.sim2real.runtime import deploy as run
 
     check_apart({"POLICY": Path(policy), "--guards": guards, "--record": record, "--json": json})
-    wishes = Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
+    wishes = Wishes(
+        policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time, look_ahead
+    )
     goal_wishes = Goal(task, generator, goal, rpy, quaternion)
     with status("getting ready"):
         known = options.read_robot(robot)
@@ -137,13 +147,14 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _about(wishes: Wishes, setup: "Setup") -> "About":
+    from kinfeas.evaluation.policies import LOOK_AHEAD
     from kinfeas.record import About
     from kinfeas.registry import from_anywhere
 
     return About(
         robot=from_anywhere(wishes.robot),
         task=setup.task.name,
-        policy=wishes.policy,
+        policy=LOOK_AHEAD + wishes.policy if wishes.look_ahead else wishes.policy,
         backend=wishes.backend,
         dt=wishes.dt,
         joints=tuple(joint.name for joint in setup.solver.robot.arm),

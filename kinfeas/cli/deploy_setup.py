@@ -30,6 +30,7 @@ class Wishes(NamedTuple):
     seconds: float
     seed: int
     real_time: bool
+    look_ahead: bool
 
 
 class Goal(NamedTuple):
@@ -84,16 +85,18 @@ def make_task(wanted: Goal, config: "DeployConfig") -> "Task":
 def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
     """Return what the run is made of, once each part has computed something."""
     from kinfeas.adapters import read_sim2real, wrap
+    from kinfeas.backend import Live
     from kinfeas.evaluation.policies import load_policy
     from kinfeas.kinematics.ik import IkSolver
+    from kinfeas.look_ahead import LookAhead
     from kinfeas.sim2real.deploy_config import build_backend
     from kinfeas.sim2real.deployment import Setup
+    from kinfeas.sim2real.look_ahead_thread import LookAheadThread
     from kinfeas.sim2real.warm_up import warm_up
 
     config.guards.check_rate(wishes.dt)
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
-    warm_up(solver, policy, task, wishes.dt)
     if wishes.backend == _WORLD:
         from kinfeas.config import from_mapping
         from kinfeas.sim.physics import PhysicsConfig
@@ -103,13 +106,18 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         if "physics" in given:
             given["physics"] = from_mapping(PhysicsConfig, given["physics"], "backend.physics")
         raw = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
-        task = Stage(task, raw)
+        staged: Task = Stage(task, raw)
     else:
-        raw = build_backend(wishes.backend, config.backend, robot=robot)
+        raw, staged = build_backend(wishes.backend, config.backend, robot=robot), task
+    if wishes.look_ahead:
+        # A world without a clock waits, and so comes out the same each time.
+        ticks = wishes.real_time or isinstance(raw, Live)
+        policy = LookAheadThread(policy) if ticks else LookAhead(policy)
+    warm_up(solver, policy, task, wishes.dt)
     return Setup(
         solver=solver,
         policy=policy,
-        task=task,
+        task=staged,
         raw=raw,
         backend=wrap(raw, adapters, robot),
         dt=wishes.dt,

@@ -89,7 +89,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--look-ahead",
             help="Try the next 6 s out every 0.5 s, and deviate from the policy where it would "
-            "fail; many times slower.",
+            "fail or the arm jump; many times slower.",
         ),
     ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,

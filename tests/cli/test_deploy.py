@@ -42,6 +42,27 @@ def test_drives_to_a_goal_and_records_it(kinfeas, tmp_path):
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
 
 
+def test_looking_ahead_carries_on_where_the_policy_alone_gets_stuck(kinfeas, tmp_path):
+    wide = ("--backend", "analytic", "--robot", "tiago", "--task", "ggr", "--seed", "7")
+    runs = {}
+    for name, more in (("alone", ()), ("ahead", ("--look-ahead",)), ("again", ("--look-ahead",))):
+        done = kinfeas("deploy", "pretrained", *wide, "--seconds", "30", "--as-fast-as-possible",
+                       "--record", f"{name}.csv", *more)  # fmt: skip
+        runs[name] = done.code, read_record(tmp_path / f"{name}.csv")
+    assert [code for code, _ in runs.values()] == [3, 4, 4]
+    assert runs["ahead"][1].about.policy == "look_ahead:pretrained"
+    # Without a clock it is the same each time.
+    assert (runs["ahead"][1].base_pose == runs["again"][1].base_pose).all()
+
+
+def test_looks_ahead_beside_a_clock(kinfeas, tmp_path):
+    done = kinfeas("deploy", "pretrained", *GOAL, *QUICK, "--seconds", "1.5", "--look-ahead",
+                   "--record", "run.csv", "--json", "run.json")  # fmt: skip
+    assert done.code == 4, done.err
+    assert json.loads((tmp_path / "run.json").read_text())["timing"]["p50"] < 0.04
+    assert read_record(tmp_path / "run.csv").feasible.all()
+
+
 def test_records_every_run_and_says_where(kinfeas, tmp_path):
     done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.1")
     assert done.code == 4

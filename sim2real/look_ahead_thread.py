@@ -1,0 +1,51 @@
+"""Looking ahead beside the control loop, which must not wait for it."""
+
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+
+from kinfeas.look_ahead import Foresight, LookAhead, State
+from kinfeas.loop import Loop
+from kinfeas.policy import Policy, Situation
+from kinfeas.rows import Rows
+from kinfeas.spatial import Array
+
+_TURN = 5e-4
+"""Seconds."""
+
+
+class LookAheadThread(LookAhead):
+    """Looks ahead of one robot in a thread of its own.
+
+    What it finds holds from when it is found. Where the next look is due before that, the policy
+    acts alone until there is an answer, for by then the last one is of the past.
+    """
+
+    def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
+        """Wrap a policy; `watch` must follow before it acts."""
+        super().__init__(policy, foresight)
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="look_ahead")
+        self._coming: Future[Array] | None = None
+
+    def watch(self, loop: Loop) -> None:
+        """Look ahead of the motion of `loop`, of one robot, from now on."""
+        if self._coming is not None:
+            self._coming.result()
+            self._coming = None
+        super().watch(loop)
+        # Python gives a thread 5 ms before it is another one's turn, a quarter of a period.
+        sys.setswitchinterval(_TURN)
+
+    def act(self, situation: Situation) -> Array:
+        """Return base commands in [-1, 1], shape (1, 3) or (1, 2)."""
+        if self._coming is not None and self._coming.done():
+            self.deviation, self._coming = self._coming.result(), None
+        return super().act(situation)
+
+    def look(self, now: State, due: Rows) -> None:
+        """Begin to look for a new deviation."""
+        if self._coming is None:
+            self._coming = self._worker.submit(self.plan, now, due)
+        else:
+            self.deviation = np.zeros_like(self.deviation)

@@ -1,0 +1,110 @@
+import threading
+
+import numpy as np
+import pytest
+
+from kinfeas.envs.world import World
+from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.policies import load_policy
+from kinfeas.look_ahead import Foresight, LookAhead
+from kinfeas.registry import load_robot
+from kinfeas.sim2real.look_ahead_thread import LookAheadThread
+from kinfeas.tasks.loading import load_task
+
+FAR = Foresight(seconds=10.0, every=0.5, tries=8)
+
+
+@pytest.fixture
+def world():
+    """Return a world in which base and EE part: the base stands, and the EE goes away."""
+    world = World(load_robot("pr2"), load_task("ggr_restricted", {}), evaluation_world(), seed=3)
+    world.start([0])
+    return world
+
+
+class Leave:
+    """Drives backwards; in another thread it waits until that is open."""
+
+    def __init__(self):
+        self.open = threading.Event()
+        self.open.set()
+        self.owner = threading.get_ident()
+
+    def act(self, situation):
+        if threading.get_ident() != self.owner:
+            self.open.wait(10.0)
+        return np.tile([-0.5, 0.0, 0.0], (len(situation.observation), 1))
+
+
+def settle(ahead):
+    """Wait until the look under way has ended."""
+    ahead._coming.exception()
+
+
+def drive(world, ahead, periods):
+    return [
+        (world.step(action := ahead.act(world.loop.situation)), action)[1] for _ in range(periods)
+    ]
+
+
+def test_finds_what_is_found_without_a_thread(world):
+    beside, waiting = LookAheadThread(Leave(), FAR), LookAhead(Leave(), FAR)
+    for ahead in (beside, waiting):
+        ahead.watch(world.loop)
+        ahead.act(world.loop.situation)
+    settle(beside)
+    np.testing.assert_array_equal(
+        beside.act(world.loop.situation), waiting.act(world.loop.situation)
+    )
+    assert beside.deviation.any()
+
+
+def test_the_policy_acts_alone_until_there_is_an_answer(world):
+    policy = Leave()
+    policy.open.clear()
+    ahead = LookAheadThread(policy, FAR)
+    ahead.watch(world.loop)
+    before = drive(world, ahead, 3)
+    policy.open.set()
+    settle(ahead)
+    after = drive(world, ahead, 1)
+    np.testing.assert_array_equal(before, np.tile([-0.5, 0.0, 0.0], (3, 1, 1)))
+    assert (after[0] != before[0]).any()
+
+
+def test_an_answer_that_is_late_is_not_waited_for_and_the_last_one_ends(world):
+    policy = Leave()
+    ahead = LookAheadThread(policy, FAR)
+    ahead.watch(world.loop)
+    drive(world, ahead, 1)
+    settle(ahead)
+    policy.open.clear()
+    actions = drive(world, ahead, 10)  # a look begins after five, and one is due after ten
+    assert (actions[0] != [[-0.5, 0.0, 0.0]]).any()
+    np.testing.assert_array_equal(drive(world, ahead, 1), [[[-0.5, 0.0, 0.0]]])
+    policy.open.set()
+
+
+def test_what_goes_wrong_in_it_is_heard_of(world, monkeypatch):
+    ahead = LookAheadThread(Leave(), FAR)
+    ahead.watch(world.loop)
+
+    def fail(now, due):
+        raise RuntimeError("no way out")
+
+    monkeypatch.setattr(ahead, "plan", fail)
+    ahead.act(world.loop.situation)
+    settle(ahead)
+    with pytest.raises(RuntimeError, match="no way out"):
+        ahead.act(world.loop.situation)
+
+
+def test_begins_anew_with_another_loop(world):
+    ahead = LookAheadThread(load_policy("pretrained", load_robot("pr2")), FAR)
+    ahead.watch(world.loop)
+    ahead.act(world.loop.situation)
+    other = World(load_robot("pr2"), world.task, evaluation_world(), seed=4)
+    other.start([0])
+    ahead.watch(other.loop)
+    assert ahead._coming is None
+    assert ahead.act(other.loop.situation).shape == (1, 3)
