@@ -38,6 +38,7 @@ class LinkBackend:
         names: dict[str, str] | None = None,
         seconds: float = 0.1,
         patience: float = 5.0,
+        stale: float = 0.2,
     ) -> None:
         """Connect nothing yet: `reset` does.
 
@@ -47,19 +48,21 @@ class LinkBackend:
             names: The robot's names of arm joints that are named otherwise in its URDF.
             seconds: In which the arm shall reach each target.
             patience: For how many seconds `reset` waits for the first measurements.
+            stale: Seconds after a measurement was handed out, or control periods if those are
+                longer, beyond which a command that follows from it is not sent any more.
 
         Raises:
             KinfeasError: If a duration is not above 0 and finite, or a name is unknown.
         """
-        for name, value in (("seconds", seconds), ("patience", patience)):
+        for name, value in (("seconds", seconds), ("patience", patience), ("stale", stale)):
             if not 0.0 < value < math.inf:
                 raise KinfeasError(f"{name} must be above 0 s and finite, not {value:g}")
         self.robot, self.link = robot, link
         self.metronome: Metronome | None = None
         self._names = robot_names(robot, names or {})
         self._inbox = Inbox(robot, self._names)
-        self._seconds, self._patience = seconds, patience
-        self._opened = False
+        self._seconds, self._patience, self._stale = seconds, patience, stale
+        self._opened, self._handed_out = False, math.nan
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
@@ -88,7 +91,8 @@ class LinkBackend:
 
         Raises:
             KinfeasError: If the command is not one for one robot.
-            Fault: If it is not finite, or the link is broken; the base is commanded to zero before.
+            Fault: If it is not finite or stale, or the link is broken; the base is commanded to
+                zero before.
         """
         if base_twist.shape != (1, 6) or joint_targets.shape != (1, len(self.robot.arm)):
             raise KinfeasError(f"a link leads to one robot of {len(self.robot.arm)} arm joints")
@@ -96,10 +100,13 @@ class LinkBackend:
             self.stop()
             raise Fault("twists and joint positions must be finite numbers")
         metronome = self._pace(dt)
-        velocity = to_drive(self.robot.base, self.read().base_pose[0], base_twist[0], dt)
+        velocity = to_drive(self.robot.base, self._newest().base_pose[0], base_twist[0], dt)
         if self.robot.base.drive == "differential":
             velocity[1] = 0.0
+        self._check_fresh(dt)
         self.link.drive(velocity)
+        # Whoever was held up within the last line takes it back at once.
+        self._check_fresh(dt)
         self._send(joint_targets[0])
         metronome.wait()
         return self.read()
@@ -111,6 +118,11 @@ class LinkBackend:
             Fault: If the link is broken or the measurements are useless; the base is commanded to
                 zero before.
         """
+        state = self._newest()
+        self._handed_out = time.monotonic()
+        return state
+
+    def _newest(self) -> RobotState:
         try:
             self.link.check()
             if self._inbox.fault is not None:
@@ -121,6 +133,12 @@ class LinkBackend:
         if any(self._inbox.lacks()):
             raise KinfeasError("the robot has not been measured yet: reset waits for that")
         return self._inbox.state()
+
+    def _check_fresh(self, dt: float) -> None:
+        late = time.monotonic() - self._handed_out
+        if late > max(self._stale, dt):
+            self.stop()
+            raise Fault(f"the command comes {late:.2f} s after the measurement that it is made of")
 
     def stop(self) -> None:
         """Command the base to zero and the arm to stay where it was last measured."""

@@ -34,6 +34,7 @@ class Ros1Backend(LinkBackend):
         *,
         seconds: float = 0.1,
         patience: float = 5.0,
+        stale: float = 0.2,
     ) -> None:
         """Connect nothing yet: `reset` does.
 
@@ -43,6 +44,7 @@ class Ros1Backend(LinkBackend):
                 package; the robot's own name by default.
             seconds: In which the arm shall reach each target: time_from_start of its points.
             patience: For how many seconds `reset` waits for the first measurements.
+            stale: As in `LinkBackend`, seconds.
 
         Raises:
             KinfeasError: If the file is broken, or a duration is not above 0 and finite.
@@ -50,7 +52,7 @@ class Ros1Backend(LinkBackend):
         self.topics = read_topics(robot, topics)
         names = self.topics.joints.names
         link = Ros1Link(self.topics)
-        super().__init__(robot, link, names=names, seconds=seconds, patience=patience)
+        super().__init__(robot, link, names=names, seconds=seconds, patience=patience, stale=stale)
 
     def stop_call(self) -> StopCall:
         """Return what the watchdog calls."""

@@ -1,4 +1,5 @@
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -185,6 +186,31 @@ def test_what_is_not_finite_is_never_sent(pr2, part):
     np.testing.assert_array_equal(link.driven, [np.zeros(3)])
 
 
+def test_what_follows_from_an_old_measurement_is_never_sent(pr2):
+    backend, link = connected(pr2)
+    time.sleep(0.21)
+    with pytest.raises(Fault, match=r"the command comes 0\.2\d s after the measurement"):
+        backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
+    np.testing.assert_array_equal(link.driven, [np.zeros(3)])
+    # A period may be longer than that.
+    backend.read()
+    time.sleep(0.21)
+    backend.step(np.full((1, 6), 0.1), still(pr2)[1], 0.4)
+    assert link.driven[-1].any()
+
+
+def test_what_was_held_up_while_it_was_sent_is_taken_back_at_once(pr2, monkeypatch):
+    backend, link = connected(pr2)
+    sent = link.drive
+    monkeypatch.setattr(link, "drive", lambda velocity: (sent(velocity), time.sleep(0.21)))
+    begun = time.monotonic()
+    with pytest.raises(Fault, match="the command comes"):
+        backend.step(np.full((1, 6), 0.1), still(pr2)[1], 0.1)
+    # It does not wait for the end of a period; each of the two was held up.
+    assert time.monotonic() - begun < 0.55
+    assert [bool(velocity.any()) for velocity in link.driven] == [True, False]
+
+
 def test_a_broken_link_stops_the_base(pr2):
     backend, link = connected(pr2)
     backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
@@ -235,6 +261,8 @@ def test_refuses_what_it_cannot_do(pr2):
         LinkBackend(pr2, link, seconds=0.0)
     with pytest.raises(KinfeasError, match="patience must be above 0 s and finite, not nan"):
         LinkBackend(pr2, link, patience=np.nan)
+    with pytest.raises(KinfeasError, match="stale must be above 0 s and finite, not -1"):
+        LinkBackend(pr2, link, stale=-1.0)
     with pytest.raises(KinfeasError, match="no arm joint 'elbow' to rename; known are r_"):
         LinkBackend(pr2, link, names={"elbow": "e"})
     with pytest.raises(KinfeasError, match="has not been measured yet"):
