@@ -1,6 +1,10 @@
-"""Put the figures of `kinfeas benchmark --out DIR` into docs/results.md, README.md and docs/images.
+"""Put the figures of `kinfeas benchmark --out DIR` into the documentation.
 
 python docs/results_tables.py DIR
+python docs/results_tables.py DIR --physics
+
+The first fills docs/results.md, README.md and docs/images from a study of the analytic world, the
+second docs/physics.md from one of the PyBullet world.
 """
 
 import json
@@ -13,6 +17,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
+RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 BOLD = ("sac", "look_ahead:sac")
 ROWS = {
@@ -25,6 +30,12 @@ JUMPS = {
     "{}, arm jumps an episode, ours": "sac",
     "{}, arm jumps an episode, looking ahead": "look_ahead:sac",
 }
+PHYSICS = {
+    ("pr2", "head_start"): "PR2, 3 s head start",
+    ("pr2", ""): "PR2",
+    ("tiago", ""): "TIAGo",
+    ("hsr", ""): "HSR",
+}
 PICTURES = {
     "table": "benchmark",
     "learning_curves": "learning_curves",
@@ -36,13 +47,13 @@ COLOURS = 128
 Cells = dict[tuple[str, str, str], dict[str, Any]]
 
 
-def read_cells(study: Path) -> Cells:
-    """Return the cells of a study without its variants, by robot, task and policy."""
+def read_cells(study: Path, variant: str = "") -> Cells:
+    """Return the cells of a study of one variant, by robot, task and policy."""
     cells = json.loads((study / "table.json").read_text(encoding="utf-8"))
     return {
         (cell["robot"], cell["task"], cell["policy"]): cell
         for cell in cells
-        if not cell.get("variant")
+        if cell["variant"] == variant
     }
 
 
@@ -85,8 +96,41 @@ def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
     return f"{cells[robot, task, policy]['jumps_per_episode']:.2f}"
 
 
+def fill_physics(page: str, study: Path) -> str:
+    """Return the page of physics with the rows of its table filled anew."""
+    rows = [
+        _physics_row(name, cells[robot, task, "pretrained"])
+        for (robot, variant), name in PHYSICS.items()
+        for cells in [read_cells(study, variant)]
+        for task in TASKS
+        if (robot, task, "pretrained") in cells
+    ]
+    place = re.compile(r"(^\| robot \| task \|.*\n\|[-|]+\|\n)(?:\|.*\n)+", re.MULTILINE)
+    return place.sub(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)
+
+
+def _physics_row(name: str, cell: dict[str, Any]) -> str:
+    def percent(key: str) -> str:
+        return "" if cell[key] is None else f"{100 * cell[key]:.0f}"
+
+    interval = f"({percent('success_low')} - {percent('success_high')})"
+    paper = "" if cell["paper_success"] is None else f"{100 * cell['paper_success']:.1f}"
+    values = (
+        name,
+        f"`{cell['task']}`",
+        cell["episodes_per_seed"],
+        f"**{percent('success')}** {interval}",
+        percent("analytic_success"),
+        paper,
+        percent("within_5cm"),
+        percent("task_success") if cell["task"] not in RANDOM else "",
+        f"{cell['base_collisions']:.1f} / {cell['arm_collisions']:.1f}",
+    )
+    return f"| {' | '.join(map(str, values))} |"
+
+
 def main(study: Path) -> None:
-    """Write what a study's folder holds into the documentation."""
+    """Write what a study of the analytic world holds into the documentation."""
     results, readme = ROOT / "docs" / "results.md", ROOT / "README.md"
     table = (study / "table.md").read_text(encoding="utf-8")
     results.write_text(fill_results(results.read_text(encoding="utf-8"), table), encoding="utf-8")
@@ -97,5 +141,11 @@ def main(study: Path) -> None:
         picture.save(ROOT / "docs" / "images" / f"{name}.png", optimize=True)
 
 
+def main_physics(study: Path) -> None:
+    """Write what a study of the PyBullet world holds into the documentation."""
+    page = ROOT / "docs" / "physics.md"
+    page.write_text(fill_physics(page.read_text(encoding="utf-8"), study), encoding="utf-8")
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    (main_physics if "--physics" in sys.argv else main)(Path(sys.argv[1]))
