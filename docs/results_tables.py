@@ -1,15 +1,16 @@
 """Put the figures of `kinfeas benchmark --out DIR` into the documentation.
 
 python docs/results_tables.py DIR
-python docs/results_tables.py DIR --physics
+python docs/results_tables.py --physics DIR...
 
 The first fills docs/results.md, README.md and docs/images from a study of the analytic world, the
-second docs/physics.md from one of the PyBullet world.
+second docs/physics.md from studies of the PyBullet world, of which the last one that has a cell counts.
 """
 
 import json
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,12 +97,12 @@ def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
     return f"{cells[robot, task, policy]['jumps_per_episode']:.2f}"
 
 
-def fill_physics(page: str, study: Path) -> str:
+def fill_physics(page: str, studies: Sequence[Path]) -> str:
     """Return the page of physics with the rows of its table filled anew."""
     rows = [
         _physics_row(name, cells[robot, task, "pretrained"])
         for (robot, variant), name in PHYSICS.items()
-        for cells in [read_cells(study, variant)]
+        for cells in [{k: v for study in studies for k, v in read_cells(study, variant).items()}]
         for task in TASKS
         if (robot, task, "pretrained") in cells
     ]
@@ -141,11 +142,15 @@ def main(study: Path) -> None:
         picture.save(ROOT / "docs" / "images" / f"{name}.png", optimize=True)
 
 
-def main_physics(study: Path) -> None:
-    """Write what a study of the PyBullet world holds into the documentation."""
+def main_physics(studies: Sequence[Path]) -> None:
+    """Write what studies of the PyBullet world hold into the documentation."""
     page = ROOT / "docs" / "physics.md"
-    page.write_text(fill_physics(page.read_text(encoding="utf-8"), study), encoding="utf-8")
+    page.write_text(fill_physics(page.read_text(encoding="utf-8"), studies), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    (main_physics if "--physics" in sys.argv else main)(Path(sys.argv[1]))
+    folders = [Path(argument) for argument in sys.argv[1:] if argument != "--physics"]
+    if "--physics" in sys.argv:
+        main_physics(folders)
+    else:
+        main(*folders)
