@@ -4,7 +4,7 @@ python docs/results_tables.py DIR
 python docs/results_tables.py --physics DIR...
 
 The first fills docs/results.md, README.md and docs/images from a study of the analytic world, the
-second docs/physics.md from studies of the PyBullet world: of several that have a cell, the last counts.
+second docs/physics.md from studies of the PyBullet world, where the last that has a cell counts.
 """
 
 import json
