@@ -64,12 +64,15 @@ class LookAhead:
     others.
 
     Attributes:
+        policy: Whom it follows.
+        rehearsed: Whom it tries out: the same.
         deviation: What is added to the policy's actions, shape (n, a).
     """
 
     def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
         """Wrap a policy; `watch` must follow before it acts."""
-        self.policy, self.foresight = policy, foresight or Foresight()
+        self.policy = self.rehearsed = policy
+        self.foresight = foresight or Foresight()
         self.deviation: Array = np.zeros((0, 0))
 
     def watch(self, loop: Loop) -> None:
@@ -141,7 +144,7 @@ class LookAhead:
         cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
         stuck = np.zeros(m * k, dtype=np.bool_)
         for period in range(round(self.foresight.seconds / HORIZON)):
-            action = self.policy.act(twin.situation) + added
+            action = self.rehearsed.act(twin.situation) + added
             step = twin.step(np.clip(action, -1.0, 1.0))
             failed = ~step.feasible & ~over
             missing = 1.0 + step.position_error + step.rotation_error

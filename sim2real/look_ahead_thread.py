@@ -2,6 +2,7 @@
 
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
 
 import numpy as np
 
@@ -25,6 +26,8 @@ class LookAheadThread(LookAhead):
     def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
         """Wrap a policy; `watch` must follow before it acts."""
         super().__init__(policy, foresight)
+        # Policies need not bear to be asked by two threads at a time.
+        self.rehearsed = deepcopy(policy)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="look_ahead")
         self._coming: Future[Array] | None = None
 

@@ -1,4 +1,5 @@
 import threading
+from copy import copy
 
 import numpy as np
 import pytest
@@ -29,6 +30,9 @@ class Leave:
         self.open = threading.Event()
         self.open.set()
         self.owner = threading.get_ident()
+
+    def __deepcopy__(self, _):
+        return copy(self)
 
     def act(self, situation):
         if threading.get_ident() != self.owner:
@@ -83,6 +87,24 @@ def test_an_answer_that_is_late_is_not_waited_for_and_the_last_one_ends(world):
     assert (actions[0] != [[-0.5, 0.0, 0.0]]).any()
     np.testing.assert_array_equal(drive(world, ahead, 1), [[[-0.5, 0.0, 0.0]]])
     policy.open.set()
+
+
+def test_a_policy_is_asked_by_one_thread_only(world):
+    class Own(Leave):
+        def __deepcopy__(self, memo):
+            return Own()
+
+        def act(self, situation):
+            self.asked_by = threading.get_ident()
+            return super().act(situation)
+
+    policy = Own()
+    ahead = LookAheadThread(policy, FAR)
+    ahead.watch(world.loop)
+    drive(world, ahead, 1)
+    settle(ahead)
+    assert policy.asked_by == threading.get_ident()
+    assert ahead.rehearsed.asked_by != threading.get_ident()
 
 
 def test_what_goes_wrong_in_it_is_heard_of(world, monkeypatch):
