@@ -8,15 +8,15 @@ from kinfeas.spatial import Array, wrap
 
 
 def cubic(
-    position: Array, velocity: Array, change: Array, duration: Array, time: Array
+    position: Array, velocity: Array, change: Array, duration: float, time: Array
 ) -> tuple[Array, Array]:
-    """Return positions and velocities along cubics that end at rest, and stay there.
+    """Return positions and velocities along cubics that end at rest together, and stay there.
 
     Args:
         position: Where they begin, shape (j,), rad or m.
         velocity: How fast they begin, shape (j,).
         change: How far they lead, shape (j,).
-        duration: Seconds that they last, shape (j,).
+        duration: Seconds that they last.
         time: Moments since the beginning in seconds, shape (t,).
 
     Returns:
@@ -61,10 +61,12 @@ class ArmDrive:
         """Set out for joint positions, shape (j,), on a way for `steps` physics steps."""
         change = targets - self._at
         change = np.where(self._continuous, wrap(change), change)
-        # From rest, a cubic is at its fastest 1.5 times as fast as on average.
-        duration = np.maximum(self._horizon, 1.5 * np.abs(change) / self._speed)
+        # From rest, a cubic is at its fastest 1.5 times as fast as on average. What takes longer is
+        # gone a part of, so that no joint runs ahead of the slowest: the hand would stray farther.
+        needed = float(np.max(1.5 * np.abs(change) / self._speed))
+        change = change * min(1.0, self._horizon / needed) if needed > 0.0 else change
         time: Array = self._body.physics.step_time * np.arange(1.0, steps + 1.0)
-        self._way, speed = cubic(self._at, self._velocity, change, duration, time)
+        self._way, speed = cubic(self._at, self._velocity, change, self._horizon, time)
         self._at, self._velocity = self._way[-1], speed[-1]
         self._load = self._weight()
 
