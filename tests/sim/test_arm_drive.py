@@ -14,8 +14,8 @@ NUMBER = st.floats(-2.0, 2.0)
 @given(NUMBER, NUMBER, NUMBER, st.floats(0.05, 2.0))
 def test_a_cubic_begins_as_it_should_and_ends_at_rest(position, velocity, change, duration):
     time = np.array([0.0, 1e-7, duration, 2.0 * duration])
-    at = [np.array([value]) for value in (position, velocity, change, duration)]
-    way, speed = cubic(*at, time)
+    at = [np.array([value]) for value in (position, velocity, change)]
+    way, speed = cubic(*at, duration, time)
     assert way[0, 0] == position
     assert speed[0, 0] == velocity
     assert (way[1, 0] - way[0, 0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
@@ -25,10 +25,8 @@ def test_a_cubic_begins_as_it_should_and_ends_at_rest(position, velocity, change
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_a_cubic_stays_below_the_speed_it_was_made_for(start, share):
-    change = np.array([share])
-    _, speed = cubic(
-        np.zeros(1), np.array([start]), change, 1.5 * np.maximum(change, 0.1), np.linspace(0, 2, 99)
-    )
+    change, duration = np.array([share]), 1.5 * max(share, 0.1)
+    _, speed = cubic(np.zeros(1), np.array([start]), change, duration, np.linspace(0, 2, 99))
     assert np.abs(speed).max() <= 1.0 + 1e-9
 
 
@@ -51,6 +49,23 @@ def test_joints_keep_their_speed_limits(world, begin):
         for _ in range(12):
             speed = world.step(twist(), target, 0.02).joint_velocities[0]
             assert np.all(np.abs(speed) <= robot.max_joint_velocity * 1.05)
+
+
+def test_no_joint_runs_ahead_of_the_slowest(world, begin):
+    """All are at any moment the same share of the way to a target far away, but for their lag."""
+    robot = world.body.robot
+    home = robot.home["home"]
+    # A second's way of the first joint, a tenth of that of each other one.
+    away = np.where(np.arange(len(home)) == 0, 1.0, 0.1) * robot.max_joint_velocity
+    lower, upper = robot.joint_limits
+    away = np.where(home + away > upper, -away, away)
+    assert np.all((home + away >= lower) & (home + away <= upper))
+    begin()
+    for _ in range(20):
+        state = world.step(twist(), (home + away)[np.newaxis], 0.02)
+        share = (state.joint_positions[0] - home) / away
+        np.testing.assert_allclose(share, share[0], atol=0.08)
+    assert 0.2 < share[0] < 0.5
 
 
 def test_a_continuous_joint_takes_the_shorter_way():
