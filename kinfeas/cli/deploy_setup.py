@@ -96,7 +96,9 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
 
     config.guards.check_rate(wishes.dt)
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
-    policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
+    trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
+    policy = LookAhead(trained) if wishes.look_ahead else trained
+    warm_up(solver, policy, task, wishes.dt)
     if wishes.backend == _WORLD:
         from kinfeas.config import from_mapping
         from kinfeas.sim.physics import PhysicsConfig
@@ -106,18 +108,16 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         if "physics" in given:
             given["physics"] = from_mapping(PhysicsConfig, given["physics"], "backend.physics")
         raw = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
-        staged: Task = Stage(task, raw)
+        task = Stage(task, raw)
     else:
-        raw, staged = build_backend(wishes.backend, config.backend, robot=robot), task
-    if wishes.look_ahead:
-        # A world without a clock waits, and so comes out the same each time.
-        ticks = wishes.real_time or isinstance(raw, Live)
-        policy = LookAheadThread(policy) if ticks else LookAhead(policy)
-    warm_up(solver, policy, task, wishes.dt)
+        raw = build_backend(wishes.backend, config.backend, robot=robot)
+    # A world without a clock waits for a look, and so comes out the same each time.
+    if wishes.look_ahead and (wishes.real_time or isinstance(raw, Live)):
+        policy = LookAheadThread(trained)
     return Setup(
         solver=solver,
         policy=policy,
-        task=staged,
+        task=task,
         raw=raw,
         backend=wrap(raw, adapters, robot),
         dt=wishes.dt,

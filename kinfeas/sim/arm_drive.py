@@ -64,7 +64,7 @@ class ArmDrive:
         # From rest, a cubic is at its fastest 1.5 times as fast as on average. What takes longer is
         # gone a part of, so that no joint runs ahead of the slowest: the hand would stray farther.
         needed = float(np.max(1.5 * np.abs(change) / self._speed))
-        change = change * min(1.0, self._horizon / needed) if needed > 0.0 else change
+        change *= self._horizon / max(self._horizon, needed)
         time: Array = self._body.physics.step_time * np.arange(1.0, steps + 1.0)
         self._way, speed = cubic(self._at, self._velocity, change, self._horizon, time)
         self._at, self._velocity = self._way[-1], speed[-1]
