@@ -25,6 +25,9 @@ _FEW = 8
 _ROUNDING = 1e-6
 """Of a number of periods, which must not make one more of a whole one."""
 
+_IDLE = 0.1
+"""Share of the tries that are over from which on they are left out."""
+
 _LATER = 0.99
 """Worth of a failure or a jump one period of `HORIZON` later."""
 
@@ -107,7 +110,7 @@ class LookAhead:
         It touches nothing that the loop does.
         """
         best = np.zeros((len(due), self._loop.action_size))
-        costs, at_once = self._try(now, due, best[:, np.newaxis])
+        costs, at_once = self._try(now, due, best[:, np.newaxis], np.full(len(due), np.inf))
         cost, stuck = costs[:, 0], at_once[:, 0]
         # Who fails already finds a way out nearby or, as a rule, nowhere.
         everyone = np.ones_like(stuck)
@@ -115,7 +118,8 @@ class LookAhead:
             bad = np.flatnonzero(whom & (cost > 0.0))
             if not (bad.size and len(tries)):
                 continue
-            costs, _ = self._try(now, due[bad], np.broadcast_to(tries, (len(bad), *tries.shape)))
+            deviations = np.broadcast_to(tries, (len(bad), *tries.shape))
+            costs, _ = self._try(now, due[bad], deviations, cost[bad])
             chosen = costs.argmin(axis=1)
             least = costs[np.arange(len(bad)), chosen]
             better = least < cost[bad]
@@ -129,31 +133,38 @@ class LookAhead:
         state["waiting"] = (np.sign(away) * np.ceil(np.abs(away) - _ROUNDING)).astype(np.intp)
         return {key: values.copy() for key, values in state.items()}
 
-    def _try(self, now: State, rows: Rows, deviations: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _try(
+        self, now: State, rows: Rows, deviations: Array, limit: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
         """Return what failures and jumps to come cost, and who fails at once, shapes (m, k).
 
         Args:
             now: Where all rows are.
             rows: The m rows to look ahead of.
             deviations: What is added to their actions, shape (m, k, a).
+            limit: Of the cost, shape (m,): a try is not carried on beyond it.
         """
         m, k, size = deviations.shape
         twin = self._twin
         twin.restore({key: np.repeat(values[rows], k, axis=0) for key, values in now.items()})
-        added = deviations.reshape(m * k, size)
+        going, added, limit = np.arange(m * k), deviations.reshape(m * k, size), limit.repeat(k)
         cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
-        stuck = np.zeros(m * k, dtype=np.bool_)
+        stuck = over.copy()
         for period in range(round(self.foresight.seconds / HORIZON)):
-            action = self.rehearsed.act(twin.situation) + added
+            action = self.rehearsed.act(twin.situation) + added[going]
             step = twin.step(np.clip(action, -1.0, 1.0))
-            failed = ~step.feasible & ~over
             missing = 1.0 + step.position_error + step.rotation_error
-            price = np.where(failed, missing, self.foresight.jump * (step.jumped & ~over))
-            cost += price * _LATER**period
-            stuck |= failed & (period == 0)
-            over |= step.finished
+            price = np.where(step.feasible, self.foresight.jump * step.jumped, missing)
+            cost[going] += np.where(over, 0.0, price * _LATER**period)
+            if period == 0:
+                stuck = ~step.feasible
+            over |= step.finished | (cost[going] > limit[going])
             if over.all():
                 break
+            if over.mean() >= _IDLE:
+                going, state = going[~over], twin.imagined()
+                twin.restore({key: values[~over] for key, values in state.items()})
+                over = over[~over]
         return cost.reshape(m, k), stuck.reshape(m, k)
 
 

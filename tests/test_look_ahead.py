@@ -104,7 +104,7 @@ def test_looks_widely_only_where_it_may_help(task, monkeypatch):
     # Row 0 never fails, 1 is helped by the second deviation, 2 by the last one, 3 fails already.
     asked = []
 
-    def outcome(now, rows, deviations):
+    def outcome(now, rows, deviations, limit):
         asked.append((rows.tolist(), deviations.shape[1]))
         cost = np.where(rows == 0, 0.0, 5.0)[:, np.newaxis].repeat(deviations.shape[1], axis=1)
         if deviations.shape[1] > 1:
@@ -118,6 +118,25 @@ def test_looks_widely_only_where_it_may_help(task, monkeypatch):
     assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 7), ([2], 4)]
     np.testing.assert_array_equal(deviation.any(axis=1), [False, True, True, False])
     np.testing.assert_array_equal(deviation[2], np.clip(ahead._tries[-1], -1.0, 1.0))
+
+
+def test_what_is_not_carried_on_would_not_have_been_chosen(task, monkeypatch):
+    robot = load_robot("tiago")
+    world = World(robot, task, evaluation_world(), seed=3)
+    world.start(range(EPISODES))
+    ahead = LookAhead(load_policy("follow_ee", robot), Foresight(tries=16))
+    ahead.watch(world.loop)
+    short = ahead.plan(ahead._now(), np.arange(EPISODES))
+    attempt = ahead._try
+
+    def to_the_end(now, rows, deviations, limit):
+        return attempt(now, rows, deviations, np.full(len(rows), np.inf))
+
+    monkeypatch.setattr(ahead, "_try", to_the_end)
+    full = ahead.plan(ahead._now(), np.arange(EPISODES))
+
+    np.testing.assert_array_equal(short, full)
+    assert short.any()
 
 
 def test_is_loaded_by_name():
