@@ -2,7 +2,9 @@
 
 import json
 import os
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +14,9 @@ from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from rich.text import Text
+
+LINE_SECONDS = 15.0
+"""Time between lines on progress where a bar cannot move: in a log file."""
 
 
 def check_file_path(path: Path | None) -> Path | None:
@@ -85,13 +90,18 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str
 
 @contextmanager
 def progress(text: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
-    """Show a bar on standard error; yield a function that takes how much has just been done."""
+    """Show a bar on standard error, lines if that is no terminal and it takes its time.
+
+    Yields a function that takes how much has just been done.
+    """
     from rich.markup import escape
     from rich.progress import Progress
 
-    # Into a file or a pipe, a bar would leave empty lines.
     console = _console()
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    if not console.is_terminal:
+        yield _Lines(text, total)
+        return
+    with Progress(console=console, transient=True) as bar:
         task = bar.add_task(escape(text), total=total)
         yield lambda amount: bar.advance(task, amount)
 
@@ -109,6 +119,31 @@ def share(value: float, low: float | None = None, high: float | None = None) -> 
     """Return a share in 0-1 as per cent, with its interval if there is one."""
     interval = "" if low is None or high is None else f"  ({100 * low:.1f} - {100 * high:.1f})"
     return f"{100 * value:.1f} %{interval}"
+
+
+def minutes(seconds: float) -> str:
+    """Return a time as minutes and seconds, such as `75:03`."""
+    whole, rest = divmod(round(seconds), 60)
+    return f"{whole}:{rest:02d}"
+
+
+class _Lines:
+    """Writes every now and then how much has been done."""
+
+    def __init__(self, text: str, total: float) -> None:
+        self._text, self._total, self._done = _plain(text).plain, total, 0.0
+        self._begun = self._last = time.monotonic()
+
+    def __call__(self, amount: float) -> None:
+        self._done += amount
+        now = time.monotonic()
+        if now - self._last < LINE_SECONDS or self._done <= 0.0:
+            return
+        self._last = now
+        share = min(self._done / self._total, 1.0)
+        left = (now - self._begun) * (1.0 - share) / share
+        sys.stderr.write(f"{share:4.0%}  {self._text}, {minutes(left)} left\n")
+        sys.stderr.flush()
 
 
 def _plain(words: str, style: str = "") -> "Text":

@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from kinfeas.cli.output import LINE_SECONDS, minutes
+
 if TYPE_CHECKING:
     from kinfeas.training.train import Progress
-
-LINE_SECONDS = 15.0
-"""Time between lines where a bar cannot move: in a log file."""
 
 
 @contextmanager
@@ -42,7 +41,7 @@ def describe(progress: "Progress") -> str:
     best = f"{progress.best:.1%}" if progress.best >= 0.0 else "-"
     return (
         f"{progress.steps:,} steps, {progress.steps / max(progress.seconds, 1e-9):,.0f}/s, "
-        f"success {recent}, best evaluation {best}, {left // 60:.0f}:{left % 60:02.0f} left"
+        f"success {recent}, best evaluation {best}, {minutes(left)} left"
     )
 
 

@@ -76,6 +76,25 @@ def test_a_bar_leaves_nothing_in_a_file(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_long_work_leaves_lines_in_a_file(capfd, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(output.time, "monotonic", lambda: now)
+    with output.progress("8 cells", 8.0) as advance:
+        for seconds in (10.0, 20.0, 30.0, 239.8):
+            now = seconds
+            advance(1.0)
+    assert capfd.readouterr() == ("", " 25%  8 cells, 1:00 left\n 50%  8 cells, 4:00 left\n")
+
+
+def test_times_are_rounded_whole():
+    assert [output.minutes(seconds) for seconds in (0.0, 59.7, 119.7, 4503.0)] == [
+        "0:00",
+        "1:00",
+        "2:00",
+        "75:03",
+    ]
+
+
 ODD = "a[/b] [bold]c[/] :cat: \x1b[31m\n"
 
 
