@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas import registry
-from kinfeas.adapters import AdapterSpec, wrap
+from kinfeas.adapters import AdapterSpec
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.record import About, Recorder, read_record
 from kinfeas.sim2real.goal_task import make_goal_task
-from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.runtime import Setup, deploy
 from kinfeas.sim2real.warm_up import warm_up
 from kinfeas.tasks.task import MotionSpec
@@ -26,21 +25,18 @@ def main() -> None:
 
     robot = registry.load_robot("pr2")
     solver, dt = IkSolver(robot), 0.02
-    raw = registry.build("kinfeas.backends", "analytic", {})
     noise = AdapterSpec("base_noise", {"linear": 0.015, "angular": 0.015})
     policy = load_policy("pretrained", robot)
     task = make_goal_task((1.0, 0.5, 0.8), None, MotionSpec("minimum_jerk"))
-    warm_up(solver, policy, task, dt)
+    warm_up(solver, policy, task, dt, [noise])
     setup = Setup(
         solver=solver,
         policy=policy,
         task=task,
-        raw=raw,
-        backend=wrap(raw, [noise], robot),
+        backend=registry.build("kinfeas.backends", "analytic", {}),
         dt=dt,
+        adapters=(noise,),
         seconds=given.seconds,
-        # No robot waits for this process: a busy machine is no fault here.
-        guards=Guards(max_age=10.0, max_stall=10.0),
         real_time=False,
     )
     joints = tuple(joint.name for joint in robot.arm)

@@ -1,6 +1,7 @@
-"""Numbers of files and options by what they measure: as large as a robot can have a use for.
+"""Numbers of files and options by what they measure, and within what bounds.
 
-Larger ones are mistakes, and would end in an overflow, or never.
+Lengths, angles and times are as large as a robot can have a use for: larger ones are mistakes, and
+would end in an overflow, or never.
 """
 
 from typing import Annotated
@@ -18,6 +19,15 @@ Distance = Annotated[float, Interval(low=0.0, high=FARTHEST)]
 Radians = Annotated[float, Interval(low=-1e4, high=1e4)]
 Seconds = Annotated[float, Interval(low=0.0, high=LONGEST)]
 PositiveSeconds = Annotated[float, Interval(low=0.0, high=LONGEST, open_low=True)]
+
+Count = Annotated[int, Interval(low=1)]
+NotNegative = Annotated[float, Interval(low=0.0)]
+Positive = Annotated[float, Interval(low=0.0, open_low=True)]
+Share = Annotated[float, Interval(low=0.0, high=1.0)]
+PositiveShare = Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+
+Vector = tuple[float, float, float]
+Position = tuple[Metres, Metres, Metres]
 
 SLOWEST = Interval(low=1.0, high=1000.0)
 """How many times longer than planned a motion may last."""

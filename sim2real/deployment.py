@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from kinfeas.backend import Backend
+from kinfeas.adapters import AdapterSpec
+from kinfeas.backend import Backend, Live
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.legs import Pace
 from kinfeas.policy import Policy
@@ -32,7 +33,7 @@ class Outcome:
         code: How it ended.
         reason: The same in one line.
         unstopped: Why the base could not be commanded to zero, or nothing.
-        seconds: How long it lasted, by control periods.
+        seconds: How long it lasted.
         failures: Control periods without an IK solution.
         timing: How regular they were.
     """
@@ -53,13 +54,14 @@ class Setup:
         solver: Places the arm; it also says which robot this is.
         policy: Drives the base.
         task: What is to be done.
-        raw: What moves the robot.
-        backend: The same within its adapters.
+        backend: What moves the robot.
         dt: Control period in seconds.
+        adapters: What goes around the backend, the first one innermost.
         seconds: How long the run may last.
         seed: Of all that is drawn.
         pace: How EE motions are carried out, before adapters change it.
-        guards: When the run is stopped.
+        guards: When the run is stopped; in a world that keeps to no clock without those that ask
+            one.
         real_time: Whether a simulated world keeps to the clock on the wall.
         clocks: What tells the time.
     """
@@ -67,12 +69,27 @@ class Setup:
     solver: IkSolver
     policy: Policy
     task: Task
-    raw: Backend
     backend: Backend
     dt: float
+    adapters: tuple[AdapterSpec, ...] = ()
     seconds: float = math.inf
     seed: int = 0
     pace: Pace = field(default_factory=Pace)
     guards: Guards = field(default_factory=Guards)
     real_time: bool = True
     clocks: Clocks = field(default_factory=Clocks)
+
+    def __post_init__(self) -> None:
+        """Leave out the guards that do not apply, and check the rest.
+
+        Raises:
+            KinfeasError: If control periods of `dt` would set one of them off.
+        """
+        if not (self.real_time or self.live):
+            object.__setattr__(self, "guards", self.guards.timeless())
+        self.guards.check_rate(self.dt)
+
+    @property
+    def live(self) -> Live | None:
+        """The backend, if its robot moves by a clock of its own."""
+        return self.backend if isinstance(self.backend, Live) else None

@@ -2,14 +2,9 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
 
-from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
-from kinfeas.quantities import PositiveSeconds
-
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
-Share = Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+from kinfeas.quantities import Count, Positive, PositiveSeconds, PositiveShare
 
 
 @dataclass(frozen=True)
@@ -33,8 +28,10 @@ class Guards:
         joint_speed: Share of its velocity limit that an arm joint may be commanded to use.
         joint_jump: Radians or metres beyond which an arm joint is not sent to a target that
             jumped: the arm stays. Smaller jumps are slowed down to what the arm can follow.
+        joint_lag: Seconds that a joint, as fast as it may, needs from where it is measured to where
+            it was sent last, beyond which the arm is not sent on: it stays until it has followed.
         infeasible_steps: Control periods in a row without an IK solution, or with an arm that
-            stays because of such a jump, after which the run is stopped.
+            stays for one of these two reasons, after which the run is stopped.
         watchdog: Seconds without a sign of life after which another process stops the base; null
             for none.
     """
@@ -51,14 +48,16 @@ class Guards:
     rotation: Positive | None = None
     acceleration: Positive | None = None
     rotation_acceleration: Positive | None = None
-    joint_speed: Share = 1.0
+    joint_speed: PositiveShare = 1.0
     joint_jump: Positive = 3.2
-    infeasible_steps: Annotated[int, Interval(low=1)] = 50
+    joint_lag: PositiveSeconds = 0.5
+    infeasible_steps: Count = 50
     watchdog: PositiveSeconds | None = 0.2
 
     def timeless(self) -> "Guards":
         """Return the same without what asks a clock, for worlds that do not keep to one."""
-        return replace(self, max_age=math.inf, max_stall=math.inf, clock_jump=math.inf)
+        never = math.inf
+        return replace(self, max_age=never, max_stall=never, clock_jump=never, watchdog=None)
 
     def check_rate(self, dt: float) -> None:
         """Do nothing if control periods of `dt` seconds leave the guards quiet.

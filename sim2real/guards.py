@@ -4,21 +4,24 @@ Whatever policy, IK and backend give, what goes out obeys the limits or commands
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.adapters import AdapterSpec, wrap
 from kinfeas.backend import Backend, Live, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import USUAL
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
+from kinfeas.sim2real.command_guard import CommandGuard, check_command
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.measurement_guard import MeasurementGuard
+from kinfeas.sim2real.metronome import Metronome
 from kinfeas.sim2real.passing import Passing
+from kinfeas.sim2real.timed import Timed
 from kinfeas.spatial import Array
 
 
@@ -36,16 +39,15 @@ class Clocks:
 
 
 class Guarded(Passing):
-    """A backend of one robot behind guards.
+    """A backend of one robot behind guards: between the loop and the adapters.
 
-    Once it has raised, or was stopped, it commands nothing any more.
+    Whatever policy, IK and adapters give, `CommandGuard` sends nothing beyond the limits. This
+    looks at clocks and measurements. Once it has raised, or was stopped, nothing is commanded any
+    more.
 
     Attributes:
-        base_twist: World twist that was commanded last, shape (1, 6).
-        joint_targets: Arm joints that were commanded last, shape (1, j).
         state: What was measured last and believed.
-        stopped: Whether the base was commanded to zero for good.
-        unstopped: Why that could not be sent, or nothing.
+        unstopped: Why the base could not be commanded to zero, or nothing.
     """
 
     def __init__(
@@ -54,30 +56,48 @@ class Guarded(Passing):
         robot: Robot,
         guards: Guards | None = None,
         *,
-        live: Live | None = None,
+        adapters: Sequence[AdapterSpec] = (),
+        metronome: Metronome | None = None,
         clocks: Clocks | None = None,
     ) -> None:
         """Put guards around a backend.
 
         Args:
-            backend: What moves the robot, with its adapters.
+            backend: What moves the robot.
             robot: Who is moved.
             guards: What is allowed; the defaults by default.
-            live: The robot itself within the adapters, if it moves by its own clock.
+            adapters: What stands between the two guards, the first one next to the backend.
+            metronome: What makes a simulated world keep to the clock on the wall.
             clocks: What tells the time.
+
+        Raises:
+            KinfeasError: If there is no such adapter, or it refuses its parameters.
         """
-        super().__init__(backend)
-        self.robot, self.guards = robot, guards or Guards()
-        self.live, self._clocks = live, clocks or Clocks()
-        self._limits = _limits(robot, self.guards)
-        self._joint_speed = self.guards.joint_speed * robot.max_joint_velocity
-        self._measured = MeasurementGuard(robot, self.guards, needs_age=live is not None)
-        self._velocity, self._dt = np.zeros(3), 0.0
+        self.guards, self._clocks = guards or Guards(), clocks or Clocks()
+        self._commands = CommandGuard(backend, robot, self.guards)
+        wrapped = wrap(self._commands, adapters, robot)
+        super().__init__(wrapped if metronome is None else Timed(wrapped, metronome))
+        needs_age = isinstance(backend, Live)
+        self._measured = MeasurementGuard(robot, self.guards, needs_age=needs_age)
         self._steady = self._wall = np.nan
-        self._fails, self._held = 0, False
+        self._fails = 0
         self.unstopped = ""
-        self.stopped, self.state = True, RobotState(np.empty((0, 7)), np.empty((0, 0)))
-        self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
+        self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
+
+    @property
+    def base_twist(self) -> Array:
+        """World twist that was sent last, shape (1, 6)."""
+        return self._commands.base_twist
+
+    @property
+    def joint_targets(self) -> Array:
+        """Arm joints that were sent last, shape (1, j)."""
+        return self._commands.joint_targets
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the base was commanded to zero for good."""
+        return self._commands.stopped
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
@@ -89,11 +109,9 @@ class Guarded(Passing):
         """
         state = self.backend.reset(base_pose, joint_positions, rows)
         self._measured.begin(state)
-        self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
-        self._velocity, self._fails = np.zeros(3), 0
-        self._held, self.unstopped = False, ""
+        self._fails, self.unstopped = 0, ""
         self._steady, self._wall = self._clocks.steady(), self._clocks.wall()
-        self.stopped, self.state = False, state
+        self.state = state
         return state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
@@ -104,11 +122,11 @@ class Guarded(Passing):
         """
         if self.stopped:
             raise Fault("the base was stopped")
-        passed, self._dt = False, dt
+        passed = False
         try:
             self._check_delay()
-            self.base_twist, self.joint_targets = self._allowed(base_twist, joint_targets, dt)
-            state = self.backend.step(self.base_twist, self.joint_targets, dt)
+            check_command(self._commands.robot, base_twist, joint_targets)
+            state = self.backend.step(base_twist, joint_targets, dt)
             elapsed = self._check_period()
             self._measured.check(state, elapsed)
             self.state, passed = state, True
@@ -126,24 +144,20 @@ class Guarded(Passing):
         Raises:
             Fault: If there were too many; the base is commanded to zero before.
         """
-        self._fails = 0 if feasible and not self._held else self._fails + 1
+        held = self._commands.held
+        self._fails = 0 if feasible and not held else self._fails + 1
         if self._fails > self.guards.infeasible_steps:
             self.stop()
-            why = "the arm's target is too far away" if self._held else "IK finds no solution"
+            why = held or "IK finds no solution"
             raise Fault(f"{why}, for more than {self.guards.infeasible_steps} steps in a row")
 
     def stop(self) -> None:
         """Command the base to zero, and the arm to stay; it may be called at any time, and twice.
 
-        A robot with a clock of its own is commanded past the adapters, which may delay or lose it.
+        It goes past the adapters, which may delay or lose a command.
         """
-        drove, self.stopped = not self.stopped, True
-        self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
         try:
-            if self.live is not None:
-                self.live.stop()
-            elif drove and self._dt > 0.0:  # before the first step nothing moves
-                self.backend.step(self.base_twist, self.joint_targets, self._dt)
+            self._commands.stop()
         except (KinfeasError, *USUAL) as error:
             # What has led here is what the user must hear of; the watchdog tries again.
             self.unstopped = str(error) or type(error).__name__
@@ -156,32 +170,6 @@ class Guarded(Passing):
         except KinfeasError:
             if not self.unstopped:  # or else it is known already that nothing can be sent
                 raise
-
-    def _allowed(self, base_twist: Array, joint_targets: Array, dt: float) -> tuple[Array, Array]:
-        """Return what is sent of a command, of the same shapes."""
-        wanted = (1, 6), (1, len(self.robot.arm))
-        if (base_twist.shape, joint_targets.shape) != wanted:
-            shapes = base_twist.shape, joint_targets.shape
-            raise Fault(f"the command has the shapes {shapes}, robot {self.robot.name} {wanted}")
-        if not np.isfinite(base_twist).all():
-            raise Fault("the command for the base is not finite")
-        if not np.isfinite(joint_targets).all():
-            raise Fault("the command for the arm is not finite")
-        base, pose = self.robot.base, self.state.base_pose[0]
-        velocity = to_drive(base, pose, base_twist[0], dt)
-        self._velocity = self._limits.clamp(velocity, self._velocity, dt)
-        twist = from_drive(base, pose, self._velocity, dt)
-        return twist[np.newaxis], self._arm(joint_targets[0], dt)[np.newaxis]
-
-    def _arm(self, targets: Array, dt: float) -> Array:
-        """Return how far toward targets, shape (j,), the arm can follow."""
-        before = self.joint_targets[0]
-        move = arm_move(self.robot, before, targets)
-        self._held = bool(np.abs(move).max() > self.guards.joint_jump)
-        if self._held:
-            return before
-        share = np.max(np.abs(move) / (self._joint_speed * dt), initial=1.0)
-        return arm_go(self.robot, before, move / share)
 
     def _check_delay(self) -> None:
         """Raise if the measurement that a command is made of has become too old meanwhile."""
@@ -209,18 +197,6 @@ class Guarded(Passing):
         if not abs(jump) <= self.guards.clock_jump:
             raise Fault(f"the system's clock was set by {jump:+.2f} s")
         return elapsed
-
-
-def _limits(robot: Robot, guards: Guards) -> DriveLimits:
-    """Return the limits of a robot's base, or those of the guards where they are lower."""
-    own = DriveLimits.of(robot.base)
-
-    def lower(name: str) -> float:
-        most: float | None = getattr(guards, name)
-        return getattr(own, name) if most is None else min(most, getattr(own, name))
-
-    names = ("speed", "rotation", "acceleration", "rotation_acceleration")
-    return replace(own, **{name: lower(name) for name in names})
 
 
 def check_action(action: Array, size: int) -> Array:

@@ -46,7 +46,7 @@ class LinkBackend:
             robot: Robot at the other end.
             link: Transport; it is opened by the first `reset` and closed by `close`.
             names: The robot's names of arm joints that are named otherwise in its URDF.
-            seconds: In which the arm shall reach each target.
+            seconds: In which the arm shall reach each target; longer where a joint needs longer.
             patience: For how many seconds `reset` waits for the first measurements.
             stale: Seconds after a measurement was handed out, or control periods if those are
                 longer, beyond which a command that follows from it is not sent any more.
@@ -166,9 +166,11 @@ class LinkBackend:
         """Send the arm to joint positions, shape (j,)."""
         raw = self._inbox.raw()
         # A robot counts the turns of a continuous joint: the shorter way from where it is.
-        nearest = np.where(self.robot.continuous, raw + wrap(targets - raw), targets)
+        way = np.where(self.robot.continuous, wrap(targets - raw), targets - raw)
+        # An arm that was held up has a longer way, and no joint shall be faster than it may.
+        seconds = max(self._seconds, float(np.max(np.abs(way) / self.robot.max_joint_velocity)))
         names = self._names.values()
-        self.link.move(dict(zip(names, nearest.tolist(), strict=True)), self._seconds)
+        self.link.move(dict(zip(names, (raw + way).tolist(), strict=True)), seconds)
 
     def _pace(self, dt: float) -> Metronome:
         if self.metronome is None or self.metronome.dt != dt:

@@ -1,5 +1,6 @@
 """What has arrived from a robot: the newest of each part, with its age by our own clock."""
 
+import math
 import threading
 import time
 
@@ -21,7 +22,8 @@ class Inbox:
     Ages count from the arrival on the monotonic clock, so that no setting of a clock, here or on
     the robot, makes old data look new. What bears the last stamp of the same part is as old as
     that: a driver that hangs may repeat it for ever. What lies before it is not taken, and if it
-    lies far before, the robot's clock was set back and `fault` says so.
+    lies far before, the robot's clock was set back and `fault` says so. Nor is what is not finite:
+    what is in here can be calculated with, whatever arrives meanwhile.
 
     Attributes:
         fault: What makes the measurements useless from now on; None while there is no such thing.
@@ -95,6 +97,9 @@ class Inbox:
 
     def _take_base(self, reading: BaseReading) -> None:
         with self._changed:
+            if not np.isfinite([reading.x, reading.y, reading.yaw, reading.age]).all():
+                self._refuse("the measured base pose is not finite")
+                return
             since = self._since("the base", reading.stamp, time.monotonic() - reading.age)
             if since is not None:
                 self._base = reading, since
@@ -104,11 +109,20 @@ class Inbox:
         now = time.monotonic()
         with self._changed:
             for name, position in reading.positions.items():
+                if not math.isfinite(position):
+                    if name in self._names:
+                        self._refuse(f"the measured position of joint {name} is not finite")
+                    continue
                 since = self._since(name, reading.stamp, now)
                 if since is not None:
                     velocity = reading.velocities.get(name, np.nan)
                     self._joints[name] = position, velocity, since
             self._changed.notify_all()
+
+    def _refuse(self, reason: str) -> None:
+        """Note the first of what makes the measurements useless."""
+        if self.fault is None:
+            self.fault = reason
 
     def _since(self, part: str, stamp: float | None, arrival: float) -> float | None:
         """Return when a measurement of a part arrived first; None if it was overtaken."""
@@ -116,8 +130,8 @@ class Inbox:
             return arrival
         last, since = self._stamps.get(part, (stamp, arrival))
         if stamp < last:
-            if last - stamp > BACKWARDS and self.fault is None:
-                self.fault = (
+            if last - stamp > BACKWARDS:
+                self._refuse(
                     f"the stamps of {part} went back by {last - stamp:.2f} s: was the robot's "
                     "clock set, or do two robots report?"
                 )

@@ -4,14 +4,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from kinfeas import config
-from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
+from kinfeas.quantities import Positive
 from kinfeas.robots.robot import Robot
-
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 
 
 @dataclass(frozen=True)

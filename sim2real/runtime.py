@@ -2,14 +2,15 @@
 
 import signal
 import sys
+import traceback
 from contextlib import closing, nullcontext, suppress
 
 import numpy as np
 
 from kinfeas.adapters import paced
-from kinfeas.backend import Live
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import USUAL
 from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
 from kinfeas.record import REACHED, Moment, Recorder
@@ -19,7 +20,6 @@ from kinfeas.sim2real.goal_task import begin
 from kinfeas.sim2real.guards import Guarded, check_action
 from kinfeas.sim2real.metronome import Metronome
 from kinfeas.sim2real.signals import Signals
-from kinfeas.sim2real.timed import Timed
 from kinfeas.sim2real.watchdog import Watchdog, Watched
 from kinfeas.spatial import IDENTITY, Array
 from kinfeas.tasks.task import build_legs
@@ -33,7 +33,6 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
     Raises:
         KinfeasError: If it cannot begin.
     """
-    setup.guards.check_rate(setup.dt)
     run = _Run(setup, recorder)
     with Signals() as signals, closing(run.guarded):
         run.connect()
@@ -46,17 +45,20 @@ class _Run:
     """One run, from its first measurement to its last command."""
 
     def __init__(self, setup: Setup, recorder: Recorder) -> None:
-        self.setup, self.recorder = setup, recorder
-        self.robot, backend = setup.solver.robot, setup.backend
-        self.live = setup.raw if isinstance(setup.raw, Live) else None
+        self.setup, self.recorder, self.live = setup, recorder, setup.live
+        self.robot = setup.solver.robot
         self.metronome = Metronome(setup.dt, now=setup.clocks.steady)
         self.waits = setup.real_time and self.live is None
-        self.keeps_time = self.waits or self.live is not None
-        if self.waits:
-            backend = Timed(backend, self.metronome)
-        guards = setup.guards if self.keeps_time else setup.guards.timeless()
-        self.guarded = Guarded(backend, self.robot, guards, live=self.live, clocks=setup.clocks)
-        pace = paced(setup.backend, setup.pace)
+        self.keeps_time = setup.real_time or self.live is not None
+        self.guarded = Guarded(
+            setup.backend,
+            self.robot,
+            setup.guards,
+            adapters=setup.adapters,
+            metronome=self.metronome if self.waits else None,
+            clocks=setup.clocks,
+        )
+        pace = paced(self.guarded, setup.pace)
         self.loop = Loop(setup.solver, build_legs(setup.task.legs), self.guarded, setup.dt, pace)
         if isinstance(setup.policy, LookAhead):
             setup.policy.watch(self.loop)
@@ -71,13 +73,13 @@ class _Run:
 
     def watch(self) -> Watchdog | nullcontext[None]:
         """Return what stops the base should this process die or hang, if anything does."""
-        raw, seconds = self.setup.raw, self.setup.guards.watchdog
-        if seconds is not None and isinstance(raw, Watched):
-            return Watchdog(raw.stop_call(), seconds)
+        backend, seconds = self.setup.backend, self.setup.guards.watchdog
+        if seconds is not None and isinstance(backend, Watched):
+            return Watchdog(backend.stop_call(), seconds)
         if seconds is not None and self.live is not None:
             sys.stderr.write(
                 f"no watchdog: nothing stops the base if this process dies or hangs, for "
-                f"{type(raw).__name__} has no stop_call\n"
+                f"{type(backend).__name__} has no stop_call\n"
             )
         return nullcontext()
 
@@ -97,6 +99,11 @@ class _Run:
             code, reason = self.go(watchdog, signals)
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
+        except USUAL as error:
+            # A mistake in somebody's code, who needs to know where.
+            self.guarded.stop()
+            traceback.print_exc()
+            code, reason = Code.FAULT, f"{type(error).__name__}: {error}"
         finally:
             self.guarded.stop()
             if watchdog is not None and self.guarded.unstopped:
@@ -108,7 +115,7 @@ class _Run:
             code,
             " ".join(reason.split()),
             self.guarded.unstopped,
-            self.steps * self.setup.dt,
+            self.lasted(),
             self.failures,
             self.metronome.timing(),
         )
@@ -116,7 +123,8 @@ class _Run:
     def go(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
         """Take one step after the other; return how and why the last one was the last."""
         setup, loop, size = self.setup, self.loop, action_size(self.robot.base)
-        while self.steps * setup.dt < setup.seconds:
+        # Half a period, for none ends to the microsecond.
+        while self.lasted() + 0.5 * setup.dt < setup.seconds:
             if signals.caught is signal.SIGINT:
                 return Code.INTERRUPTED, "interrupted by Ctrl-C"
             if signals.caught is signal.SIGTERM:
@@ -137,6 +145,12 @@ class _Run:
                 return Code.REACHED, REACHED
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
 
+    def lasted(self) -> float:
+        """Return the seconds since the start: by the clock, if the world keeps to one."""
+        if self.keeps_time:
+            return self.setup.clocks.steady() - self.began
+        return self.steps * self.setup.dt
+
     def note(
         self,
         event: str,
@@ -150,10 +164,9 @@ class _Run:
         Goal and leg are those of the step that has ended, if they have changed with it.
         """
         loop, guarded, state = self.loop, self.guarded, self.guarded.state
-        took = self.setup.clocks.steady() - self.began
         self.recorder.write(
             Moment(
-                time=took if self.keeps_time else self.steps * self.setup.dt,
+                time=self.lasted(),
                 age=float("nan") if state.age is None else float(np.max(state.age)),
                 base_pose=state.base_pose[0],
                 joint_positions=state.joint_positions[0],

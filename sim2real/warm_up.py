@@ -1,8 +1,11 @@
 """A short run in the analytic world, so that nothing is compiled once a robot moves."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from kinfeas import registry, spatial
+from kinfeas.adapters import AdapterSpec
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.look_ahead import LookAhead
@@ -17,14 +20,20 @@ _STEPS = 5
 _AWAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to what the legs lead to
 
 
-def warm_up(solver: IkSolver, policy: Policy, task: Task, dt: float) -> None:
+def warm_up(
+    solver: IkSolver,
+    policy: Policy,
+    task: Task,
+    dt: float,
+    adapters: Sequence[AdapterSpec] = (),
+) -> None:
     """Let all parts of a run compute something once, but for the robot."""
     robot, rng = solver.robot, np.random.default_rng(0)
     joints = robot.home["home"][np.newaxis]
     target = forward(solver.chain, joints) + _AWAY
     start = Start(spatial.IDENTITY[np.newaxis], joints, np.stack([target] * len(task.legs), axis=1))
     analytic = registry.build("kinfeas.backends", "analytic", {})
-    backend = Guarded(analytic, robot, Guards().timeless())
+    backend = Guarded(analytic, robot, Guards().timeless(), adapters=adapters)
     loop = Loop(solver, build_legs(task.legs), backend, dt)
     if isinstance(policy, LookAhead):
         policy.watch(loop)

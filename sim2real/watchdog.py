@@ -132,7 +132,7 @@ def main(order: str) -> None:
     os.write(answers, _READY)
     if _watch(stop, given["seconds"], answers):
         for _ in range(TIMES):
-            stop()
+            _try(stop)
             time.sleep(AGAIN)
 
 
@@ -143,31 +143,52 @@ def _connect(call: StopCall) -> Callable[[], None]:
 
 
 def _watch(stop: Callable[[], None], seconds: float, answers: int) -> bool:
-    """Stop the base whenever no heartbeat comes; return whether the run died."""
+    """Stop the base whenever no heartbeat comes; return whether the run died.
+
+    The first one is waited for: nothing is commanded before it.
+    """
     fired = False
+    patience: float | None = None
     while True:
         # Once fired it stays so: a run that comes back has to end, and must not drive on.
-        if not select.select([0], [], [], AGAIN if fired else seconds)[0]:
-            stop()
+        if not select.select([0], [], [], patience)[0]:
+            _try(stop)
             if not fired:
+                with suppress(OSError):
+                    os.write(answers, _FIRED)
                 _say(f"no sign of life from the run for {seconds:g} s")
-                os.write(answers, _FIRED)
-            fired = True
+            fired, patience = True, AGAIN
             continue
+        if not fired:
+            patience = seconds
         heard = os.read(0, 4096)
         if _END in heard:
             return False
         if not heard:
-            stop()
+            _try(stop)
             _say("the run died")
             return True
         if fired:
-            stop()
+            _try(stop)
+
+
+def _try(stop: Callable[[], None]) -> None:
+    """Stop the base, unless that fails: it will be tried again."""
+    try:
+        stop()
+    except OSError:
+        # Who reads what it prints may have died with the run.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
 
 
 def _say(reason: str) -> None:
-    sys.stderr.write(f"watchdog: {reason}: base commanded to zero\n")
-    sys.stderr.flush()
+    # Who reads it may have died with the run, and a stop is worth more than its report.
+    with suppress(OSError):
+        sys.stderr.write(f"watchdog: {reason}: base commanded to zero\n")
+        sys.stderr.flush()
 
 
 if __name__ == "__main__":

@@ -53,7 +53,9 @@ def read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> 
     path = default_recipe("deploy", robot.name)
     data = strict_yaml.read(path)
     if guards is not None:
-        data["guards"] = config.to_mapping(config.load(Guards, guards))
+        config.load(Guards, guards)  # so that errors name this file
+        recipe = config.from_mapping(DeployConfig, data, str(path))
+        data["guards"] = config.to_mapping(recipe.guards) | strict_yaml.read(guards)
     return config.from_mapping(DeployConfig, data, str(path), overrides)
 
 
@@ -84,7 +86,7 @@ def make_task(wanted: Goal, config: "DeployConfig") -> "Task":
 
 def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
     """Return what the run is made of, once each part has computed something."""
-    from kinfeas.adapters import read_sim2real, wrap
+    from kinfeas.adapters import read_sim2real
     from kinfeas.backend import Live
     from kinfeas.evaluation.policies import load_policy
     from kinfeas.kinematics.ik import IkSolver
@@ -94,11 +96,10 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
     from kinfeas.sim2real.look_ahead_thread import LookAheadThread
     from kinfeas.sim2real.warm_up import warm_up
 
-    config.guards.check_rate(wishes.dt)
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
     policy = LookAhead(trained) if wishes.look_ahead else trained
-    warm_up(solver, policy, task, wishes.dt)
+    warm_up(solver, policy, task, wishes.dt, adapters)
     if wishes.backend == _WORLD:
         from kinfeas.config import from_mapping
         from kinfeas.sim.physics import PhysicsConfig
@@ -107,20 +108,20 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         given = dict(config.backend)
         if "physics" in given:
             given["physics"] = from_mapping(PhysicsConfig, given["physics"], "backend.physics")
-        raw = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
-        task = Stage(task, raw)
+        backend = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
+        task = Stage(task, backend)
     else:
-        raw = build_backend(wishes.backend, config.backend, robot=robot)
+        backend = build_backend(wishes.backend, config.backend, robot=robot)
     # A world without a clock waits for a look, and so comes out the same each time.
-    if wishes.look_ahead and (wishes.real_time or isinstance(raw, Live)):
+    if wishes.look_ahead and (wishes.real_time or isinstance(backend, Live)):
         policy = LookAheadThread(trained)
     return Setup(
         solver=solver,
         policy=policy,
         task=task,
-        raw=raw,
-        backend=wrap(raw, adapters, robot),
+        backend=backend,
         dt=wishes.dt,
+        adapters=adapters,
         seconds=wishes.seconds,
         seed=wishes.seed,
         pace=config.pace,

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas import registry, spatial
+from kinfeas.adapters import AdapterSpec
 from kinfeas.backend import RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.drive_limits import arm_move, to_drive
@@ -52,6 +53,15 @@ class Puppet:
         pass
 
 
+class Following(Puppet):
+    """The same with an arm that goes where it is sent."""
+
+    def step(self, base_twist, joint_targets, dt):
+        super().step(base_twist, joint_targets, dt)
+        self.state = home(self.robot, joint_positions=joint_targets.copy())
+        return self.state
+
+
 class LivePuppet(Puppet):
     """The same with a clock of its own."""
 
@@ -70,11 +80,10 @@ def home(robot, **changes):
                          **changes})  # fmt: skip
 
 
-def guarded(robot="pr2", guards=None, kind=Puppet):
+def guarded(robot="pr2", guards=None, kind=Puppet, adapters=()):
     time = Time()
     backend = kind(ROBOTS[robot], time)
-    live = backend if kind is LivePuppet else None
-    guard = Guarded(backend, ROBOTS[robot], guards, live=live, clocks=time.clocks())
+    guard = Guarded(backend, ROBOTS[robot], guards, adapters=adapters, clocks=time.clocks())
     guard.reset(backend.state.base_pose, backend.state.joint_positions)
     return guard, backend
 
@@ -131,7 +140,7 @@ def test_no_setting_exceeds_the_robots_own_limits():
 
 
 def test_a_jump_of_the_arm_is_slowed():
-    guard, backend = guarded(guards=Guards(joint_speed=0.5))
+    guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=Following)
     before, velocity = stays(guard), ROBOTS["pr2"].max_joint_velocity
     targets = before.copy()
     targets[0, [1, 3]] -= [0.8, 0.4]
@@ -159,6 +168,35 @@ def test_a_huge_jump_is_refused_and_ends_the_run():
     assert not backend.sent[-1][0].any()
 
 
+def test_an_arm_that_does_not_follow_is_sent_no_farther_and_ends_the_run():
+    guard, backend = guarded(guards=Guards(joint_lag=0.11, infeasible_steps=3))
+    speed = ROBOTS["pr2"].max_joint_velocity
+    targets = stays(guard)
+    targets[0, 3] += 1.0
+    with pytest.raises(Fault, match="joint r_elbow_flex_joint does not follow, for more than 3"):
+        for _ in range(20):
+            guard.step(twist(0.01), targets, DT)
+            guard.judge(feasible=True)
+    away = np.abs(backend.sent[-1][1] - backend.state.joint_positions)[0]
+    assert np.all(away <= (0.11 + DT) * speed)
+    assert len(backend.sent) == 6 + 4 + 1
+    assert not backend.sent[-1][0].any()
+
+
+def test_an_arm_that_lags_is_waited_for():
+    guard, backend = guarded(guards=Guards(joint_lag=0.1, infeasible_steps=3))
+    targets = stays(guard)
+    targets[0, 3] += 1.0
+    slow = 0.4 * DT * ROBOTS["pr2"].max_joint_velocity[3]
+    for _ in range(60):
+        guard.step(twist(), targets, DT)
+        guard.judge(feasible=True)
+        joints = backend.state.joint_positions.copy()
+        joints[0, 3] = min(joints[0, 3] + slow, targets[0, 3])
+        backend.state = home(ROBOTS["pr2"], joint_positions=joints)
+    np.testing.assert_allclose(backend.sent[-1][1], targets)
+
+
 def test_a_continuous_joint_goes_the_short_way():
     guard, _ = guarded(guards=Guards(joint_jump=0.5))
     guard.joint_targets[0, 4] = math.pi - 0.01
@@ -169,7 +207,7 @@ def test_a_continuous_joint_goes_the_short_way():
 
 
 def test_targets_beyond_the_limits_are_clipped():
-    guard, backend = guarded()
+    guard, backend = guarded(kind=Following)
     targets = stays(guard)
     targets[0, 1] += 1.0
     for _ in range(100):
@@ -234,14 +272,17 @@ def test_the_base_may_not_leave_for_good():
 ])  # fmt: skip
 def test_commands_that_are_none_stop_the_base(command, targets, message):
     guard, backend = guarded()
+    guard.step(twist(0.02), stays(guard), DT)
     refused(guard, backend, message, command, targets)
 
 
 def test_a_stall_before_the_command_and_one_after_it():
     guard, backend = guarded()
+    guard.step(twist(0.02), stays(guard), DT)
     backend.time.passes(0.5)
     refused(guard, backend, "made of a measurement 0.50 s old")
     guard, backend = guarded()
+    guard.step(twist(0.02), stays(guard), DT)
     backend.took = 0.5
     refused(guard, backend, "control period took 0.50 s")
 
@@ -253,6 +294,7 @@ def test_a_stall_before_the_command_and_one_after_it():
 ])  # fmt: skip
 def test_a_clock_that_jumps_stops_the_base(clock, by, message):
     guard, backend = guarded()
+    guard.step(twist(0.02), stays(guard), DT)
     setattr(backend.time, clock, getattr(backend.time, clock) + by)
     refused(guard, backend, message)
 
@@ -298,6 +340,57 @@ def test_a_stop_that_fails_in_any_way_is_told():
     backend.step = breaks
     guard.stop()
     assert guard.unstopped == "the bus is gone"
+
+
+@pytest.mark.parametrize(
+    "name", ["base_noise", "actuator_lag", "command_latency", "dropped_commands"]
+)
+def test_adapters_do_not_get_beyond_the_limits(name):
+    adapter = AdapterSpec(name, {"base_noise": {"linear": 0.5, "angular": 0.5}}.get(name, {}))
+    guards = Guards(speed=0.05, rotation=0.1)
+    guard, backend = guarded(guards=guards, adapters=[adapter])
+    guard.seed(np.array([1], dtype=np.uint64), np.array([0]))
+    for _ in range(40):
+        guard.step(twist(1.0, 0.0, 1.0), stays(guard), DT)
+    before = np.zeros(6)
+    most = ROBOTS["pr2"].base.max_acceleration * DT
+    for sent, _ in backend.sent:
+        assert np.hypot(*sent[0, :2]) <= 0.05 + 1e-9
+        assert abs(sent[0, 5]) <= 0.1 + 1e-9
+        assert np.hypot(*(sent[0] - before)[:2]) <= most + 1e-9
+        before = sent[0]
+    guard.stop()
+    assert not backend.sent[-1][0].any()
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_measurement_that_is_not_finite_makes_no_command():
+    # An adapter may keep it from the guards of measurements for a while.
+    guard, backend = guarded(adapters=[AdapterSpec("sensor_latency", {"seconds": 0.1})])
+    backend.state = home(ROBOTS["pr2"], base_pose=np.full((1, 7), np.nan))
+    guard.step(twist(0.02), stays(guard), DT)
+    with pytest.raises(Fault, match="command for the base is not finite"):
+        guard.step(twist(0.02), stays(guard), DT)
+    assert all(np.isfinite(sent).all() for sent, _ in backend.sent)
+    assert not backend.sent[-1][0].any()
+
+
+class Hand(Puppet):
+    """The same with a gripper."""
+
+    grips = 0
+
+    def grip(self, grip, rows):
+        self.grips += 1
+
+
+def test_a_gripper_does_nothing_after_a_stop():
+    guard, backend = guarded(kind=Hand)
+    guard.grip("close", np.array([0]))
+    guard.stop()
+    with pytest.raises(Fault, match="was stopped"):
+        guard.grip("open", np.array([0]))
+    assert backend.grips == 1
 
 
 def test_what_has_not_moved_yet_needs_no_stop():

@@ -186,6 +186,29 @@ def test_what_is_not_finite_is_never_sent(pr2, part):
     np.testing.assert_array_equal(link.driven, [np.zeros(3)])
 
 
+@pytest.mark.parametrize("reading", ["base", "joints"])
+def test_what_arrives_between_reading_and_sending_makes_no_command(pr2, reading):
+    backend, link = connected(pr2)
+    if reading == "base":
+        link.readings.base(BaseReading(0.0, 0.0, np.nan))
+    else:
+        link.readings.joints(JointReading({"r_forearm_roll_joint": np.nan}))
+    with pytest.raises(Fault, match="is not finite"):
+        backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
+    np.testing.assert_array_equal(link.driven, [np.zeros(3)])
+    for positions, _ in link.moved:
+        np.testing.assert_allclose(list(positions.values()), pr2.home["home"])
+
+
+def test_an_arm_with_a_long_way_is_given_the_time_for_it(pr2):
+    backend, link = connected(pr2)
+    joint = [joint.name for joint in pr2.arm].index("r_elbow_flex_joint")
+    targets = still(pr2)[1]
+    targets[0, joint] += 1.0
+    backend.step(np.zeros((1, 6)), targets, DT)
+    assert link.moved[-1][1] == pytest.approx(1.0 / pr2.max_joint_velocity[joint])
+
+
 def test_what_follows_from_an_old_measurement_is_never_sent(pr2):
     backend, link = connected(pr2)
     time.sleep(0.21)

@@ -141,3 +141,18 @@ def test_forgets_everything(pr2, inbox):
     inbox.forget()
     assert inbox.lacks() == (True, [joint.name for joint in pr2.arm])
     assert not inbox.wait(0.01)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_a_fault_and_not_taken(pr2, inbox, bad):
+    readings = inbox.readings()
+    readings.base(BaseReading(1.0, 2.0, 0.5))
+    readings.joints(joints_at(pr2))
+    for reading in (BaseReading(0.0, bad, 0.0), BaseReading(0.0, 0.0, 0.0, age=bad)):
+        readings.base(reading)
+        assert inbox.fault == "the measured base pose is not finite"
+    np.testing.assert_allclose(inbox.state().base_pose[0, :2], [1.0, 2.0])
+    inbox.fault = None
+    readings.joints(JointReading({"a_wheel": bad, "r_elbow_flex_joint": bad}))
+    assert inbox.fault == "the measured position of joint r_elbow_flex_joint is not finite"
+    np.testing.assert_array_equal(inbox.raw(), pr2.home["home"])

@@ -105,6 +105,14 @@ class Drive:
         return self.action
 
 
+class SlowDrive(Drive):
+    """The same, at a fifth of the rate."""
+
+    def act(self, situation):
+        time.sleep(5 * DT)
+        return super().act(situation)
+
+
 @pytest.fixture(scope="module")
 def pr2():
     return IkSolver(registry.load_robot("pr2"))
@@ -126,7 +134,7 @@ def run(tmp_path, pr2):
 
     def start(backend, driver, task=None, **changes):
         settings = {"dt": DT, "seconds": 2.0, **changes}
-        setup = Setup(pr2, driver, task or goal(3.0, 0.0, 0.8), backend, backend, **settings)
+        setup = Setup(pr2, driver, task or goal(3.0, 0.0, 0.8), backend, **settings)
         joints = tuple(joint.name for joint in pr2.robot.arm)
         about = About("pr2", setup.task.name, "?", "?", DT, joints, "now")
         with Recorder(tmp_path / "run.csv", about) as recorder:
@@ -180,7 +188,9 @@ def test_time_that_is_over_ends_a_run_that_kept_its_rate(run):
     outcome, record = run(robot, Drive(), seconds=0.4)
     assert outcome.code is Code.TIME_OVER
     assert outcome.timing.p50 == pytest.approx(DT, abs=0.01)
-    assert len(record.time) == 20 + 2
+    assert outcome.seconds == pytest.approx(0.4, abs=0.5 * DT)
+    # The first period is over at once: it sets the clock going.
+    assert len(record.time) == 21 + 2
     assert robot.closed
 
 
@@ -200,12 +210,22 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, trouble, reason):
     assert not record.base_twist[-1].any()
 
 
-def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, tmp_path):
+def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, capsys):
     robot = LiveRobot(registry.load_robot("pr2"), KeyError)
-    with pytest.raises(KeyError):
-        run(robot, Drive())
+    outcome, record = run(robot, Drive())
+    assert (outcome.code, outcome.reason) == (Code.FAULT, "KeyError: 'the bus is gone'")
     assert robot.stopped_after(robot.commands[robot.after][0]) < 0.3
-    assert read_record(tmp_path / "run.csv").event[-1] == "KeyError: 'the bus is gone'"
+    assert record.event[-1] == outcome.reason
+    assert 'raise self.trouble("the bus is gone")' in capsys.readouterr().err
+
+
+def test_time_is_over_by_the_clock_even_if_periods_are_missed(run):
+    robot = LiveRobot(registry.load_robot("pr2"))
+    began = time.monotonic()
+    outcome, _ = run(robot, SlowDrive(), seconds=0.5)
+    assert outcome.code is Code.TIME_OVER
+    assert outcome.seconds == pytest.approx(0.5, abs=0.1)
+    assert time.monotonic() - began < 5.0
 
 
 def test_a_stall_is_ended_by_the_watchdog_and_then_by_the_guards(run, tmp_path, monkeypatch):

@@ -74,6 +74,31 @@ def test_a_stall_stops_the_base_for_good(stops, capfd):
     )
 
 
+def test_counts_from_the_first_sign_of_life(stops):
+    with Watchdog(StopCall("stand_in:connect", {"path": str(stops)}), 0.2) as watchdog:
+        time.sleep(0.5)
+        assert beats(watchdog, 0.3)
+    assert stopped_at(stops) == []
+
+
+@pytest.mark.parametrize("talks", [False, True])
+def test_goes_on_stopping_where_nobody_reads_what_it_says(stops, talks):
+    if talks:
+        robot = stops.parent / "stand_in.py"
+        line = "    def stop():\n"
+        robot.write_text(ROBOT.replace(line, f'{line}        print("stopping", flush=True)\n'))
+    run = subprocess.Popen(
+        [sys.executable, "-c", RUN, str(stops)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert run.stdout.readline() == b"ready\n"
+    run.stderr.close()
+    run.kill()
+    run.wait()
+    run.stdout.close()
+    time.sleep(1.0)
+    assert len(stopped_at(stops)) > 5
+
+
 def test_death_stops_the_base(stops):
     run = subprocess.Popen([sys.executable, "-c", RUN, str(stops)], stdout=subprocess.PIPE)
     assert run.stdout.readline() == b"ready\n"

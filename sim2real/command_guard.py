@@ -1,0 +1,140 @@
+"""The guards of commands: the last thing before the robot, within all adapters."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.backend import Backend, Grip, Live, RobotState
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
+from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.guard_config import Guards
+from kinfeas.sim2real.passing import Passing
+from kinfeas.spatial import Array
+
+
+class CommandGuard(Passing):
+    """A backend of one robot that is sent nothing beyond its limits, whoever commands it.
+
+    Once it was stopped it commands nothing any more.
+
+    Attributes:
+        robot: Who is moved.
+        base_twist: World twist that was sent last, shape (1, 6).
+        joint_targets: Arm joints that were sent last, shape (1, j).
+        held: Why the arm was not sent on in the last step, or nothing.
+        stopped: Whether the base was commanded to zero for good, as it is before a reset.
+    """
+
+    def __init__(self, backend: Backend, robot: Robot, guards: Guards) -> None:
+        """Put the guards right around what moves the robot.
+
+        Args:
+            backend: What moves the robot.
+            robot: Who is moved.
+            guards: What is allowed.
+        """
+        super().__init__(backend)
+        self.robot, self._guards = robot, guards
+        self._limits = _limits(robot, guards)
+        self._joint_speed = guards.joint_speed * robot.max_joint_velocity
+        self._velocity, self._dt = np.zeros(3), 0.0
+        self._state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
+        self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
+        self.held, self.stopped = "", True
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Begin anew; shapes as in `Backend`."""
+        state = self.backend.reset(base_pose, joint_positions, rows)
+        self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
+        self._velocity, self._state = np.zeros(3), state
+        self.held, self.stopped = "", False
+        return state
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Send what is allowed of a command and return what was measured; shapes as in `Backend`.
+
+        Raises:
+            Fault: If the command is none, or the robot was stopped.
+        """
+        if self.stopped:
+            raise Fault("the base was stopped")
+        check_command(self.robot, base_twist, joint_targets)
+        base, pose = self.robot.base, self._state.base_pose[0]
+        velocity = to_drive(base, pose, base_twist[0], dt)
+        self._velocity, self._dt = self._limits.clamp(velocity, self._velocity, dt), dt
+        twist = from_drive(base, pose, self._velocity, dt)[np.newaxis]
+        targets = self._arm(joint_targets[0], dt)[np.newaxis]
+        # Both are made of a measurement, too, which may still be on its way to who judges it.
+        check_command(self.robot, twist, targets)
+        self.base_twist, self.joint_targets = twist, targets
+        self._state = self.backend.step(twist, targets, dt)
+        return self._state
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Pass on to a backend that has grippers.
+
+        Raises:
+            Fault: If the robot was stopped.
+        """
+        if self.stopped:
+            raise Fault("the base was stopped")
+        super().grip(grip, rows)
+
+    def stop(self) -> None:
+        """Command the base to zero, the arm to stay; it may be called at any time, and twice."""
+        drove, self.stopped = not self.stopped, True
+        self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
+        if isinstance(self.backend, Live):
+            self.backend.stop()
+        elif drove and self._dt > 0.0:  # before the first step nothing moves
+            self.backend.step(self.base_twist, self.joint_targets, self._dt)
+
+    def close(self) -> None:
+        """Close the backend; it may be called twice."""
+        self.backend.close()
+
+    def _arm(self, targets: Array, dt: float) -> Array:
+        """Return how far toward targets, shape (j,), the arm is sent on."""
+        before, robot = self.joint_targets[0], self.robot
+        move = arm_move(robot, before, targets)
+        lag = np.abs(arm_move(robot, self._state.joint_positions[0], before)) / self._joint_speed
+        self.held = ""
+        if np.abs(move).max() > self._guards.joint_jump:
+            self.held = "the arm's target is too far away"
+        elif lag.max() > self._guards.joint_lag:
+            self.held = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
+        if self.held:
+            return before
+        share = np.max(np.abs(move) / (self._joint_speed * dt), initial=1.0)
+        return arm_go(robot, before, move / share)
+
+
+def check_command(robot: Robot, base_twist: Array, joint_targets: Array) -> None:
+    """Do nothing if this is a command for one robot.
+
+    Raises:
+        Fault: If it has other shapes or is not finite.
+    """
+    shapes, wanted = (base_twist.shape, joint_targets.shape), ((1, 6), (1, len(robot.arm)))
+    if shapes != wanted:
+        raise Fault(f"the command has the shapes {shapes}, robot {robot.name} {wanted}")
+    if not np.isfinite(base_twist).all():
+        raise Fault("the command for the base is not finite")
+    if not np.isfinite(joint_targets).all():
+        raise Fault("the command for the arm is not finite")
+
+
+def _limits(robot: Robot, guards: Guards) -> DriveLimits:
+    """Return the limits of a robot's base, or those of the guards where they are lower."""
+    own = DriveLimits.of(robot.base)
+
+    def lower(name: str) -> float:
+        most: float | None = getattr(guards, name)
+        return getattr(own, name) if most is None else min(most, getattr(own, name))
+
+    names = ("speed", "rotation", "acceleration", "rotation_acceleration")
+    return replace(own, **{name: lower(name) for name in names})
