@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from kinfeas import config, registry
@@ -55,9 +54,7 @@ def read_sim2real(name: str) -> Sim2Real:
     Raises:
         KinfeasError: If there is neither, or an entry of it is not allowed.
     """
-    own = Path(name)
-    path = own if own.is_file() else find_recipe(f"{FOLDER}/{name}", FOLDER)
-    return config.load(Sim2Real, path)
+    return config.load(Sim2Real, find_recipe(name, FOLDER, f"{FOLDER}/"))
 
 
 def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Backend:

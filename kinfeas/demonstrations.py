@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
-from kinfeas.files import writing
+from kinfeas.files import replacing
 from kinfeas.npz import read_npz
 from kinfeas.quantities import LONGEST, REMOTEST
 from kinfeas.spatial import Array
@@ -44,17 +44,26 @@ class Demonstration:
 
 
 def read_demonstrations(folder: Path) -> list[Demonstration]:
-    """Return the demonstrations of all CSV and NPZ files in `folder`, in the order of their names.
+    """Return the demonstrations of all `demonstration_files`, in their order.
 
     Raises:
         KinfeasError: If there are none, or one is not what `read_demonstration` allows.
+    """
+    return [read_demonstration(path) for path in demonstration_files(folder)]
+
+
+def demonstration_files(folder: Path) -> list[Path]:
+    """Return the CSV and NPZ files in `folder`, in the order of their names.
+
+    Raises:
+        KinfeasError: If there are none.
     """
     if not folder.is_dir():
         raise KinfeasError(f"{folder}: no such folder of demonstrations")
     paths = sorted(path for path in folder.iterdir() if path.suffix in _READERS)
     if not paths:
         raise KinfeasError(f"{folder}: holds no demonstrations, which are *.csv or *.npz files")
-    return [read_demonstration(path) for path in paths]
+    return paths
 
 
 def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demonstration:
@@ -79,22 +88,24 @@ def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demo
 def write_demonstration(demonstration: Demonstration, path: Path) -> None:
     """Write a CSV or NPZ file, as the suffix says, that `read_demonstration` reads back.
 
+    All of it or nothing is written: what was there stays until it is complete.
+
     Raises:
         KinfeasError: If the suffix is another one or the file cannot be written.
     """
+    if path.suffix not in _READERS:
+        raise KinfeasError(f"{path}: must be a .csv or .npz file")
     known = not np.isnan(demonstration.base_pose).all()
     poses = [pose for pose in _POSES if known or pose != _BASE]
     arrays = {name: getattr(demonstration, name) for name in ("time", *poses)}
-    with writing(path):
+    with replacing(path) as fresh:
         if path.suffix == ".npz":
-            np.savez_compressed(path, **arrays)
-        elif path.suffix == ".csv":
-            with path.open("w", newline="", encoding="utf-8") as file:
+            np.savez_compressed(fresh, **arrays)
+        else:
+            with fresh.open("w", newline="", encoding="utf-8") as file:
                 rows = csv.writer(file, lineterminator="\n")
                 rows.writerow(columns(poses))
                 rows.writerows(np.column_stack(list(arrays.values())).tolist())
-        else:
-            raise KinfeasError(f"{path}: must be a .csv or .npz file")
 
 
 def columns(poses: Iterable[str] = _POSES) -> list[str]:

@@ -1,18 +1,17 @@
 """A policy that tries its own future out: the motion is known, so what will fail shows early."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from kinfeas import registry
-from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.loop import Loop, Rows
 from kinfeas.observation import HORIZON
 from kinfeas.policy import Policy, Situation
+from kinfeas.quantities import Count, Positive, Share
 from kinfeas.spatial import Array
 from kinfeas.spread import spread
 
@@ -31,10 +30,6 @@ _IDLE = 0.1
 _LATER = 0.99
 """Worth of a failure or a jump one period of `HORIZON` later."""
 
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
-Share = Annotated[float, Interval(low=0.0, high=1.0)]
-
-
 State = dict[str, NDArray[np.generic]]
 """What `Loop.imagined` returns of n rows."""
 
@@ -44,7 +39,7 @@ class Foresight:
     """How far and how widely to look.
 
     Attributes:
-        seconds: Of the motion that are tried out.
+        seconds: Of control that are tried out; a motion that is slowed down gets less far in them.
         every: Seconds between looks.
         tries: Deviations from the policy that are tried where it would fail.
         spread: Their standard deviation, in units of the action.
@@ -53,7 +48,7 @@ class Foresight:
 
     seconds: Positive = 6.0
     every: Positive = 0.5
-    tries: Annotated[int, Interval(low=1)] = 32
+    tries: Count = 32
     spread: Positive = 0.8
     jump: Share = 0.1
 

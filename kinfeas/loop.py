@@ -104,8 +104,9 @@ class Loop:
             rngs: One source of randomness for each of them.
             rows: Which of the n robots begin anew; all of them by default, which also sets n.
         """
+        # Drawn whether or not anybody takes them: adapters do not change what the course draws.
+        seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
         if isinstance(self.backend, Stochastic):
-            seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
             self.backend.seed(seeds, np.arange(len(rngs)) if rows is None else rows)
         state = self.backend.reset(start.base_pose, start.joint_positions, rows)
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))

@@ -29,8 +29,9 @@ class ConformanceError(KinfeasError):
 class CheckedMotion:
     """A motion generator that passes on another one's answers if they have the right form.
 
-    Shapes, types and finite numbers are checked at each call, unit quaternions when a motion
-    begins. What the generator's own code raises becomes an error that names it and the line.
+    Shapes and types are checked at each call, and that twists and goals are finite; unit
+    quaternions when a motion begins. What the generator's own code raises becomes an error that
+    names it and the line.
 
     Args:
         generator: Who answers.
@@ -74,8 +75,9 @@ class CheckedMotion:
             self._goal_pose.blame(error)
             raise
         n = _count(state)
-        if type(goal) is not np.ndarray or goal.shape != (n, 7):
+        if not _sound(goal, (n, 7)):
             self._require_form("goal_pose", goal, (n, 7))
+            self._require_finite("goal_pose", goal)
         return goal
 
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
@@ -131,7 +133,6 @@ class CheckedMotion:
             raise self.error(f"returns numbers from {method} that are not finite")
 
     def _require_unit(self, goal: Array) -> None:
-        self._require_finite("goal_pose", goal)
         off = np.abs(np.linalg.norm(goal[:, 3:], axis=-1) - 1.0).max(initial=0.0)
         if not off < _UNIT_LENGTH:
             raise self.error(
@@ -144,15 +145,22 @@ def _plausible(answer: Any, n: int) -> bool:
     if type(answer) is not tuple or len(answer) != 2:
         return False
     twist, after = answer
-    if type(twist) is not np.ndarray or twist.shape != (n, 6) or twist.dtype != np.float64:
-        return False
-    # One product looks at all numbers at once; what overflows is looked at again.
-    if not math.isfinite(np.vdot(twist, twist)) or type(after) is not dict:
+    if not _sound(twist, (n, 6)) or type(after) is not dict:
         return False
     for value in after.values():
         if type(value) is not np.ndarray or value.shape[:1] != (n,):
             return False
+        if value.dtype.kind not in "biuf":
+            return False
     return True
+
+
+def _sound(value: Any, shape: tuple[int, ...]) -> bool:
+    """Return whether an answer surely has the shape, and numbers that are finite."""
+    if type(value) is not np.ndarray or value.shape != shape or value.dtype != np.float64:
+        return False
+    # One product looks at all numbers at once; what overflows is looked at again.
+    return math.isfinite(np.vdot(value, value))
 
 
 def _count(state: State) -> int:

@@ -1,9 +1,9 @@
 """What a base policy is, and the trained network that plays one without torch."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numba import njit
@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from kinfeas import config
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
 from kinfeas.folders import find_folder
 from kinfeas.observation import scaled, size
+from kinfeas.quantities import Count
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
 _WEIGHTS, _ABOUT, _FORMAT = "policy.safetensors", "policy.json", 1
+
+# What reading files raises that are cut, foreign or made up.
+_BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, RecursionError)
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,21 @@ class Network:
         return np.tanh(values).astype(np.float64)
 
 
+@dataclass(frozen=True)
+class _About:
+    """What has to be known of a network to read it.
+
+    Attributes:
+        format: Of its files.
+        robot: Name of the robot that it was trained for.
+        layers: How many it has.
+    """
+
+    format: Literal[1]
+    robot: str
+    layers: Count
+
+
 def write_network(network: Network, folder: Path, robot: Robot, extra: dict[str, Any]) -> None:
     """Write a network as `policy.safetensors` and `policy.json` into `folder`.
 
@@ -125,42 +145,50 @@ def read_network(folder: Path, robot: Robot) -> Network:
     """
     place = policy_folder(folder)
     try:
-        about = json.loads((place / _ABOUT).read_text(encoding="utf-8"))
+        about = _read_about(place / _ABOUT)
         tensors = load_file(place / _WEIGHTS)
-        layers = int(about["layers"])
         network = Network(
             tensors["scale"],
-            tuple(tensors[f"weight.{i}"] for i in range(layers)),
-            tuple(tensors[f"bias.{i}"] for i in range(layers)),
+            tuple(tensors[f"weight.{i}"] for i in range(about.layers)),
+            tuple(tensors[f"bias.{i}"] for i in range(about.layers)),
         )
-        trained_for = str(about["robot"])
     except FileNotFoundError as error:
         raise KinfeasError(
             f"{folder}: not a training run or checkpoint: there is no {error.filename or _WEIGHTS}"
         ) from error
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+    except _BROKEN as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
     _check_network(network, place)
     wanted = (size(len(robot.arm)), action_size(robot.base))
     found = (len(network.scale), len(network.biases[-1]))
-    if trained_for != robot.name or found != wanted:
+    if about.robot != robot.name or found != wanted:
         raise KinfeasError(
-            f"{place}: a policy for robot {trained_for!r} with {found[0]} observed numbers and "
+            f"{place}: a policy for robot {about.robot!r} with {found[0]} observed numbers and "
             f"{found[1]} actions, but robot {robot.name!r} has {wanted[0]} and {wanted[1]}"
         )
     return network
 
 
+def _read_about(path: Path) -> _About:
+    about = json.loads(path.read_text(encoding="utf-8"))
+    if isinstance(about, dict):
+        about = {one.name: about[one.name] for one in fields(_About) if one.name in about}
+    return config.from_mapping(_About, about, path.name)
+
+
 def _check_network(network: Network, place: Path) -> None:
-    width = len(network.scale)
+    scale = network.scale
+    if scale.ndim != 1 or scale.dtype != np.float32 or not np.isfinite(scale).all():
+        raise KinfeasError(
+            f"{place}: broken policy: its scale must be finite numbers of 32 bits in one row"
+        )
+    width = len(scale)
     for weight, bias in zip(network.weights, network.biases, strict=True):
         fits = weight.ndim == 2 and weight.shape == (width, *bias.shape)
         finite = np.isfinite(weight).all() and np.isfinite(bias).all()
         if not (fits and finite and weight.dtype == bias.dtype == np.float32):
             raise KinfeasError(f"{place}: broken policy: its layers do not fit or are not finite")
         width = len(bias)
-    if not network.weights:
-        raise KinfeasError(f"{place}: broken policy: it has no layers")
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,21 +17,22 @@ def recipes(folder: str) -> list[str]:
     )
 
 
-def find_recipe(name: str, folder: str) -> Path:
+def find_recipe(name: str, folder: str, prefix: str = "") -> Path:
     """Return the file of a recipe.
 
     Args:
         name: Path of a YAML file, or the name of a recipe that comes with the package.
         folder: Where such names are listed from, for the error.
+        prefix: What such names begin with that `name` lacks, such as `sim2real/`.
 
     Raises:
         KinfeasError: If there is neither.
     """
     if (own := Path(name)).is_file():
         return own
-    shipped = _root() / f"{name.removesuffix(_SUFFIX)}{_SUFFIX}"
+    shipped = _root() / f"{prefix}{name.removesuffix(_SUFFIX)}{_SUFFIX}"
     if not shipped.is_file() or not shipped.resolve().is_relative_to(_root().resolve()):
-        known = no_such(name, recipes(folder))
+        known = no_such(name, [one.removeprefix(prefix) for one in recipes(folder)])
         raise KinfeasError(f"unknown configuration {name!r}{known}, or a file")
     return shipped
 

@@ -1,7 +1,8 @@
 """Poses and twists: pure functions on arrays with any leading axes.
 
 A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw). A twist is
-`(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s.
+`(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s. Where the
+kernels calculate with them, any other last axis is a `KinfeasError`.
 """
 
 import numpy as np
@@ -9,10 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas import pose_kernels
+from kinfeas.errors import KinfeasError
 
 Array = NDArray[np.float64]
 
 IDENTITY: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+_POSE, _TWIST = (7,), (6,)
 
 
 def rotation(pose: Array) -> Rotation:
@@ -37,12 +41,16 @@ def compose(parent: Array, child: Array) -> Array:
         parent: Pose, shape (..., 7).
         child: Pose relative to `parent`, shape (..., 7).
     """
+    if parent.shape[-1:] != _POSE or child.shape[-1:] != _POSE:
+        raise _misshapen(parent, child)
     composed: Array = pose_kernels.compose(parent, child)
     return composed
 
 
 def relative(pose: Array, frame: Array) -> Array:
     """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
+    if pose.shape[-1:] != _POSE or frame.shape[-1:] != _POSE:
+        raise _misshapen(pose, frame)
     seen: Array = pose_kernels.relative(pose, frame)
     return seen
 
@@ -55,6 +63,8 @@ def integrate(pose: Array, twist: Array, dt: float) -> Array:
         twist: World-axes twist, shape (..., 6), m/s and rad/s.
         dt: Duration in seconds.
     """
+    if pose.shape[-1:] != _POSE or twist.shape[-1:] != _TWIST:
+        raise _misshapen(pose, twist, "a pose (..., 7) and a twist (..., 6)")
     reached: Array = pose_kernels.integrate(pose, twist, dt)
     return reached
 
@@ -64,6 +74,8 @@ def twist_between(start: Array, end: Array, dt: float) -> Array:
 
     The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
     """
+    if start.shape[-1:] != _POSE or end.shape[-1:] != _POSE:
+        raise _misshapen(start, end)
     twist: Array = pose_kernels.twist_between(start, end, dt, pose_kernels.TWIST)
     return twist
 
@@ -78,6 +90,8 @@ def distance(a: Array, b: Array) -> tuple[Array, Array]:
     Returns:
         Distance in metres and angle in radians in [0, pi], each of shape (...).
     """
+    if a.shape[-1:] != _POSE or b.shape[-1:] != _POSE:
+        raise _misshapen(a, b)
     metres, radians = pose_kernels.distance(a, b)
     return metres, radians
 
@@ -101,3 +115,8 @@ def wrap(angle: Array) -> Array:
     turn = 2.0 * np.pi
     # A tiny negative number modulo a turn rounds up to a whole turn, which the second one ends.
     return np.pi - np.mod(np.mod(np.pi - angle, turn), turn)
+
+
+def _misshapen(one: Array, other: Array, kinds: str = "poses (..., 7)") -> KinfeasError:
+    """Return the error on arrays that the kernels, which do not look, would read or write past."""
+    return KinfeasError(f"the shapes must be those of {kinds}, not {one.shape} and {other.shape}")

@@ -1,7 +1,8 @@
 """YAML text as plain data, and back: the safe and unsurprising part of the language.
 
-Read as in YAML 1.2, not 1.1: `1e-3` is a number, `off` and `2024-01-01` are strings. Anchors,
-duplicate keys and tags that build objects are refused.
+Read as in YAML 1.2, not 1.1: `1e-3` is a number, `off` and `2024-01-01` are strings; but for
+`100_000`, whose groups of three digits may be told apart. Anchors, aliases, duplicate keys and tags
+other than those of plain data are refused.
 """
 
 import re
@@ -25,10 +26,15 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way to begin without rules
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         # An alias within an alias within an alias grows without bound in whatever walks it.
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases (*name) are not allowed")
-        return super().compose_node(parent, index)
+        if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
+            problem = "anchors (&name) and aliases (*name) are not allowed"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        node = super().compose_node(parent, index)
+        if node is not None and event.tag is not None:
+            _check_tag(node)
+        return node
 
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
@@ -46,20 +52,36 @@ class _Dumper(yaml.SafeDumper):
     yaml_implicit_resolvers = {}  # noqa: RUF012 - the reader's rules decide what needs quotes
 
 
+_STANDARD = "tag:yaml.org,2002:"
+_INT = r"[-+]?(0|[1-9][0-9]*|[1-9][0-9]{0,2}(_[0-9]{3})+)"
 _RULES = {
     "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
     "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF")),
-    "int": (r"[-+]?(0|[1-9][0-9_]*)", list("-+0123456789")),
+    "int": (_INT, list("-+0123456789")),
     "float": (
-        r"[-+]?(\.[0-9]+|[0-9]+\.[0-9]*)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
+        rf"{_INT}|[-+]?(\.[0-9]+|[0-9]+\.[0-9]*)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
         r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
         list("-+0123456789."),
     ),
 }
+_KINDS = {f"{_STANDARD}{_name}": _name for _name in ("map", "seq", "str", *_RULES)}
 for _class in (_Loader, _Dumper):
     for _name, (_pattern, _first) in _RULES.items():
-        _tag = f"tag:yaml.org,2002:{_name}"
+        _tag = f"{_STANDARD}{_name}"
         _class.add_implicit_resolver(_tag, re.compile(rf"^(?:{_pattern})$"), _first)
+
+
+def _check_tag(node: yaml.Node) -> None:
+    """Raise unless a tag that was written is one of plain data, and its text is of that kind."""
+    kind = _KINDS.get(node.tag)
+    if kind is None:
+        allowed = ", ".join(f"!!{one}" for one in _KINDS.values())
+        problem = f"could not determine a constructor for the tag {node.tag!r}; allowed: {allowed}"
+    elif kind in _RULES and not re.fullmatch(_RULES[kind][0], str(node.value)):
+        problem = f"{node.value!r} is no {kind}"
+    else:
+        return
+    raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
 def parse(text: str, source: str) -> object:

@@ -130,10 +130,11 @@ def _way(shown: Demonstration, kind: Kind, name: str) -> _Way:
         raise KinfeasError(f"{name}: the hand does not move")
     if kind == "gaussian_mixture":
         steps = np.diff(shown.time)
-    index = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
+    # The two sums round differently: the way may end a little past 1, or before it.
+    index = np.concatenate([[0.0], np.minimum(np.cumsum(steps) / steps.sum(), 1.0)])
     moves = np.concatenate([[True], np.diff(index) > 0.0])
     index, even = index[moves], np.linspace(0.0, 1.0, _SAMPLES)
-    index[-1] = 1.0  # a sum may have rounded past it
+    index[-1] = 1.0
     position = _interpolate(even, index, ee_pose[moves, :3])
     base = _interpolate(even, index, _planar(shown.base_pose, frame)[moves])
     if np.nanmax(np.abs([position, base])) > _FARTHEST:

@@ -30,6 +30,8 @@ import numpy as np
 from kinfeas import config, strict_yaml
 from kinfeas.config import Interval, no_such
 from kinfeas.errors import KinfeasError
+from kinfeas.files import is_path
+from kinfeas.quantities import Count, PositiveShare
 from kinfeas.spatial import Array
 
 Kind = Literal["imitation", "gaussian_mixture"]
@@ -55,7 +57,7 @@ _DIGITS = 8  # significant ones that are written; more would only record roundin
 class Component:
     """One Gaussian of the mixture."""
 
-    weight: Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+    weight: PositiveShare
     mean: tuple[Number, ...]
     covariance: tuple[tuple[Number, ...], ...]
 
@@ -79,7 +81,7 @@ class Component:
 class Source:
     """What a model was fitted from."""
 
-    demonstrations: Annotated[int, Interval(low=1)]
+    demonstrations: Count
     command: str
 
 
@@ -160,7 +162,7 @@ def rounded(values: Array) -> Array:
 
 
 def _find(name_or_path: str) -> Path:
-    if os.sep in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+    if is_path(name_or_path):
         return Path(name_or_path)
     known = shipped_models()
     if name_or_path not in known:

@@ -48,8 +48,15 @@ def test_a_list_of_ones_own_goes_by_its_path(tmp_path):
 
 
 def test_an_unknown_list_is_one_sentence():
-    with pytest.raises(KinfeasError, match=r"did you mean 'sim2real/harsh'.*or a file"):
+    with pytest.raises(KinfeasError, match=r"'hars'.*did you mean 'harsh'.*or a file"):
         read_sim2real("hars")
+
+
+@pytest.mark.parametrize("name", ["nope", "sim2real/paper"])
+def test_an_unknown_list_names_those_that_can_be_typed(name):
+    with pytest.raises(KinfeasError, match=rf"^unknown configuration '{name}'") as caught:
+        read_sim2real(name)
+    assert "known are harsh, ideal, paper, pr2_like, or a file" in str(caught.value)
 
 
 def test_wrong_adapters_are_one_sentence(pr2):

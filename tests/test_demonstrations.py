@@ -1,4 +1,5 @@
 import re
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from kinfeas.demonstrations import (
     Demonstration,
     columns,
+    demonstration_files,
     read_demonstration,
     read_demonstrations,
     write_demonstration,
@@ -69,6 +71,8 @@ def test_a_folder_is_read_in_the_order_of_names(tmp_path):
     for seed, name in enumerate(("b.npz", "a.csv", "c.csv")):
         write_demonstration(demonstration(seed=seed), tmp_path / name)
     (tmp_path / "notes.txt").write_text("not a demonstration")
+    names = [path.name for path in demonstration_files(tmp_path)]
+    assert names == ["a.csv", "b.npz", "c.csv"]
     read = read_demonstrations(tmp_path)
     assert [shown.time[0] for shown in read] == [demonstration(seed=s).time[0] for s in (1, 0, 2)]
 
@@ -189,6 +193,22 @@ def test_what_is_not_there(tmp_path):
 def test_what_cannot_be_written(tmp_path, name):
     with pytest.raises(KinfeasError, match=r"must be a|cannot be written"):
         write_demonstration(demonstration(), tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+def test_a_failed_write_leaves_the_old_file(tmp_path, suffix):
+    path = tmp_path / f"one.{suffix}"
+    write_demonstration(demonstration(), path)
+    old = path.read_bytes()
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, limit[1]))
+    try:
+        with pytest.raises(KinfeasError, match=f"one.{suffix}: cannot be written: File too large"):
+            write_demonstration(demonstration(500), path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert path.read_bytes() == old
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_documented_file_can_be_read(tmp_path):

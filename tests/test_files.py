@@ -6,7 +6,17 @@ from threading import Thread
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import read_file, reading, replaced, replacing, write_file
+from kinfeas.files import is_path, read_file, reading, replaced, replacing, write_file
+
+
+@pytest.mark.parametrize("name", ["my.yaml", "my.yml", "folder/my.yaml", "./my", "/my"])
+def test_paths(name):
+    assert is_path(name)
+
+
+@pytest.mark.parametrize("name", ["pr2", "my_robot", "my.robot", "yaml", "my.yaml.bak", ""])
+def test_names(name):
+    assert not is_path(name)
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):

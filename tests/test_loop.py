@@ -493,3 +493,17 @@ def test_nobody_waits_for_an_arm_by_default(solver):
     before = loop.desired
     loop.step(still(loop))
     assert np.all(np.any(loop.desired != before, axis=1))
+
+
+def test_a_backend_that_draws_does_not_change_what_the_course_draws(solver):
+    stood = []
+    for backend in (AnalyticBackend(), Noisy()):
+        loop = Loop(solver, [LegMotion(Linear())], backend, pace=Pace(spread=3.0))
+        loop.start(starts(solver.robot, 6), rngs(6))
+        first, still = loop.desired.copy(), np.zeros(6, dtype=int)
+        for _ in range(32):
+            loop.step(np.zeros((6, loop.action_size)))
+            still += np.all(loop.desired == first, axis=1)
+        stood.append(still.tolist())
+    assert stood[0] == stood[1]
+    assert len(set(stood[0])) > 3

@@ -59,6 +59,8 @@ BAD = {
     "both infinities": ({"twist": (ZERO + [np.inf, -np.inf] * 3, STATE)}, "not finite"),
     "a state that shrinks": ({"twist": (ZERO, {"goal": POSES[0]})}, "has shape"),
     "a state that goes": ({"twist": (ZERO, None)}, "that is a dict of numeric arrays, not a None"),
+    "a state of objects": ({"twist": (ZERO, {"goal": POSES.astype(object)})}, "and 'goal' is not"),
+    "a state of words": ({"twist": (ZERO, {"goal": POSES.astype(str)})}, "and 'goal' is not"),
     "a short base": ({"base": POSES[:2]}, r"of shape \(3, 7\) from base_pose"),
 }
 
@@ -69,6 +71,39 @@ def test_malformed_answers_are_refused(name):
     with pytest.raises(ConformanceError, match=sentence) as caught:
         ask(Answers(**answers))
     assert str(caught.value).startswith("motion generator mine ")
+
+
+@pytest.mark.parametrize(
+    ("goal", "sentence"),
+    [
+        (POSES * np.nan, "returns numbers from goal_pose that are not finite"),
+        (POSES + np.array([np.inf, -np.inf, 0, 0, 0, 0, 0]), "from goal_pose that are not finite"),
+        ((POSES * np.nan).astype(np.float32), "from goal_pose that are not finite"),
+        (POSES.astype(object), r"must return an array of shape \(3, 7\) from goal_pose"),
+        (POSES.astype(str), r"must return an array of shape \(3, 7\) from goal_pose"),
+        (POSES[:2], r"of shape \(3, 7\) from goal_pose, not \(2, 7\)"),
+        (POSES.tolist(), r"of shape \(3, 7\) from goal_pose, not list"),
+    ],
+)
+def test_a_goal_is_looked_at_each_time(goal, sentence):
+    generator = Answers()
+    motion = CheckedMotion(generator, "mine")
+    state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
+    motion.goal_pose(state)
+    generator.answers["goal"] = goal
+    with pytest.raises(ConformanceError, match=f"^motion generator mine .*{sentence}"):
+        motion.goal_pose(state)
+
+
+@pytest.mark.parametrize(
+    "goal", [POSES, POSES.astype(np.float32), POSES.astype(int), POSES * 1e200]
+)
+def test_all_finite_goals_pass(goal):
+    generator = Answers()
+    motion = CheckedMotion(generator)
+    state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
+    generator.answers["goal"] = goal
+    assert motion.goal_pose(state) is goal
 
 
 @pytest.mark.parametrize("twist", [ZERO, TINY, HUGE, ZERO.astype(int), ZERO.astype(np.float32)])

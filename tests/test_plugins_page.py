@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from kinfeas import registry
 from kinfeas.cli.main import app
 from kinfeas.robots.robot import read_robot
-from kinfeas.templates import write_distribution
+from kinfeas.templates.distribution import write_distribution
 from kinfeas.testing import check_motion_generator
 
 PAGE = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text()

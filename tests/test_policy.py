@@ -1,10 +1,14 @@
+import json
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file, save_file
 
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
 from kinfeas.observation import CLIP
-from kinfeas.policy import Network, Situation
+from kinfeas.policy import Network, Situation, read_network, write_network
 
 
 def network(sizes=(28, 256, 256, 3), seed=0):
@@ -72,3 +76,72 @@ def test_acts_on_the_observation_alone():
         net.act(Situation(observation, nothing, nothing, nothing, nothing, nothing)),
         net(observation),
     )
+
+
+@pytest.fixture(scope="module")
+def pr2():
+    return registry.load_robot("pr2")
+
+
+def test_what_is_written_is_read_back(pr2, tmp_path):
+    net = network()
+    write_network(net, tmp_path, pr2, {"steps": 3})
+    found = read_network(tmp_path, pr2)
+    np.testing.assert_array_equal(found.scale, net.scale)
+    np.testing.assert_array_equal(found(observations(9)), net(observations(9)))
+
+
+SCALE = network().scale
+
+
+@pytest.mark.parametrize(
+    "scale",
+    [
+        np.full_like(SCALE, np.nan),
+        np.full_like(SCALE, np.inf),
+        SCALE[:, np.newaxis],
+        SCALE[0],
+        SCALE.astype(np.float64),
+        SCALE.astype(np.int32),
+    ],
+)
+def test_a_broken_scale_is_one_sentence(pr2, tmp_path, scale):
+    write_network(network(), tmp_path, pr2, {})
+    path = tmp_path / "policy.safetensors"
+    save_file({**load_file(path), "scale": np.asarray(scale, order="C")}, path)
+    with pytest.raises(KinfeasError, match="broken policy: its scale must be finite numbers"):
+        read_network(tmp_path, pr2)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("layers", float("inf"), "'layers' must be a whole number >= 1, not inf"),
+        ("layers", float("nan"), "'layers' must be a whole number >= 1, not nan"),
+        ("layers", 3.0, "'layers' must be a whole number >= 1, not 3.0"),
+        ("layers", "3", "'layers' must be a whole number >= 1, not '3'"),
+        ("layers", 0, "'layers' must be a whole number >= 1, not 0"),
+        ("layers", 10**9, "weight"),
+        ("format", 99, "'format' must be one of 1, not 99"),
+        ("format", None, "'format' must be one of 1, not None"),
+        ("robot", ["pr2"], r"'robot' must be a string, not \['pr2'\]"),
+    ],
+)
+def test_a_broken_description_is_one_sentence(pr2, tmp_path, key, value, message):
+    write_network(network(), tmp_path, pr2, {key: value})
+    with pytest.raises(KinfeasError, match=f"^{tmp_path}: broken policy: .*{message}"):
+        read_network(tmp_path, pr2)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"robot": ' * 100_000, "3", "[]", "{}", "null"])
+def test_a_foreign_description_is_one_sentence(pr2, tmp_path, text):
+    write_network(network(), tmp_path, pr2, {})
+    (tmp_path / "policy.json").write_text(text)
+    with pytest.raises(KinfeasError, match=f"^{tmp_path}: broken policy: ") as caught:
+        read_network(tmp_path, pr2)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_format_that_is_written_is_that_which_is_read(pr2, tmp_path):
+    write_network(network(), tmp_path, pr2, {})
+    assert json.loads((tmp_path / "policy.json").read_text())["format"] == 1

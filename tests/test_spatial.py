@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from kinfeas.errors import KinfeasError
 from kinfeas.spatial import (
     IDENTITY,
     canonical,
@@ -166,3 +167,20 @@ def test_wrap_ends_within_half_a_turn_of_zero(angle):
 def test_wrap_at_the_seam(turns, toward):
     assert wrap(turns * np.pi) == pytest.approx(np.pi)
     assert -np.pi < wrap(np.nextafter(turns * np.pi, toward)) <= np.pi
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (6,), (8,), (2, 3), (7, 1), (0,), (0, 6)])
+@pytest.mark.parametrize("function", [compose, relative, distance, lambda *p: twist_between(*p, 1)])
+def test_what_is_no_pose_is_refused(function, shape):
+    wrong, pose = np.ones(shape), np.broadcast_to(IDENTITY, (*shape[:-1], 7))
+    for arguments in ((wrong, pose), (pose, wrong), (wrong, wrong)):
+        with pytest.raises(KinfeasError, match=r"^the shapes must be those of poses \(\.\.\., 7\)"):
+            function(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("pose", "twist"), [((3,), (6,)), ((7,), (3,)), ((2, 7), (2, 7)), ((), ())]
+)
+def test_what_is_no_twist_is_refused(pose, twist):
+    with pytest.raises(KinfeasError, match=r"a twist \(\.\.\., 6\), not \("):
+        integrate(np.ones(pose), np.ones(twist), 0.1)

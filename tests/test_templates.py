@@ -6,17 +6,19 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.templates import KINDS, write_distribution
+from kinfeas.registry import GROUPS
+from kinfeas.templates import Kind
+from kinfeas.templates.distribution import write_distribution
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", Kind)
 def test_each_kind_passes_the_test_that_comes_with_it(kind, tmp_path, offer):
     name = f"tried_{kind}"
     written = write_distribution(kind, name, tmp_path / "new")
     assert {path.suffix for path in written} >= {".toml", ".py", ".md"}
     assert all("$" not in path.read_text() for path in written)
     offer(tmp_path / "new")
-    assert name in registry.names(KINDS[kind].group)
+    assert name in registry.names(kind.group)
     tests = runpy.run_path(str(tmp_path / "new" / f"test_{name}.py"))
     ran = [thing() for name, thing in tests.items() if name.startswith("test_")]
     assert ran
@@ -53,6 +55,12 @@ def test_folders_that_cannot_be_used(tmp_path):
     assert write_distribution("task", "mine", tmp_path / "empty")
 
 
+def test_there_is_a_template_for_every_group():
+    assert {kind.group for kind in Kind} == set(GROUPS)
+
+
 def test_kinds_that_there_are_not(tmp_path):
     with pytest.raises(KinfeasError, match="unknown kind of plugin 'polcy'; known are adapter"):
         write_distribution("polcy", "mine", tmp_path / "new")
+    with pytest.raises(KinfeasError, match=r"'robt' \(did you mean 'robot'\?\)"):
+        write_distribution("robt", "mine", tmp_path / "new")

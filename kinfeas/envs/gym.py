@@ -12,6 +12,7 @@ from kinfeas.envs.interface import (
     make_world,
     observation_space,
     read_actions,
+    read_seed,
     step_info,
 )
 from kinfeas.envs.world import World, WorldConfig
@@ -51,8 +52,11 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Args:
             seed: Of this episode and all later ones; a random one if there never was any.
             options: Not used.
+
+        Raises:
+            KinfeasError: If the seed is not one whole number.
         """
-        super().reset(seed=seed)
+        super().reset(seed=read_seed(seed))
         if seed is not None:
             self.next_episode = 0
         self.world.seed = self.np_random_seed

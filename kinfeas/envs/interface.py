@@ -64,6 +64,17 @@ def action_space(world: World) -> "spaces.Box[np.float32]":
     return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
 
 
+def read_seed(seed: int | None) -> int | None:
+    """Return a seed as Gymnasium takes it, which allows no number of NumPy's.
+
+    Raises:
+        KinfeasError: If it is not one whole number.
+    """
+    if not isinstance(seed, int | np.integer | None):
+        raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
+    return None if seed is None else int(seed)
+
+
 def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return base commands as the world takes them.
 

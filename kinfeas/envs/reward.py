@@ -1,19 +1,17 @@
 """The reward: how feasible was the step, and at what price."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
-from kinfeas.config import Interval
 from kinfeas.loop import Step
+from kinfeas.quantities import NotNegative, PositiveShare
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
 _FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
 _FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3
-
-NotNegative = Annotated[float, Interval(low=0.0)]
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class RewardConfig:
     action_penalty: NotNegative = 0.001
     jump_penalty: NotNegative = 0.1
     limit_penalty: NotNegative = 0.02
-    limit_margin: Annotated[float, Interval(low=0.0, high=1.0)] = 0.2
+    limit_margin: PositiveShare = 0.2
 
 
 def reward(
@@ -52,7 +50,9 @@ def reward(
     earned -= config.action_penalty * np.sum(np.square(action), axis=1)
     earned -= config.jump_penalty * step.jumped
     if config.limit_penalty > 0.0:
-        short = np.maximum(0.0, config.limit_margin - limit_distance(robot, joint_positions))
+        short = config.limit_margin - limit_distance(robot, joint_positions)
+        # A joint that is measured beyond its limit costs no more than one at it.
+        short = np.clip(short, 0.0, config.limit_margin)
         earned -= config.limit_penalty * short / max(config.limit_margin, 1e-9)
     if robot.leeway is not None:
         approximation = np.square(step.position_error / robot.leeway.position) + np.square(

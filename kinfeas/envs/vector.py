@@ -13,6 +13,7 @@ from kinfeas.envs.interface import (
     make_world,
     observation_space,
     read_actions,
+    read_seed,
     step_info,
 )
 from kinfeas.envs.world import Transition, WorldConfig
@@ -69,9 +70,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         Raises:
             KinfeasError: If there is a seed for each row: randomness belongs to the episode.
         """
-        if not isinstance(seed, int | np.integer | None):
-            raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
-        super().reset(seed=seed)
+        super().reset(seed=read_seed(seed))
         if seed is not None:
             self.next_episode = 0
         # A first reset without a seed finds a random one here.

@@ -13,6 +13,7 @@ from kinfeas.backend import Backend
 from kinfeas.config import Interval
 from kinfeas.drive import action_size
 from kinfeas.envs.reward import RewardConfig, reward
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.legs import Pace
 from kinfeas.loop import Loop, Rows, Step
@@ -123,9 +124,14 @@ class World:
         Args:
             episodes: Numbers of the m episodes.
             rows: Which of the n places they take; all by default, which also sets n.
+
+        Raises:
+            KinfeasError: If the task samples anything of another shape.
         """
         rngs = [np.random.default_rng((self.seed, episode)) for episode in episodes]
         starts = [self.task.sample(self.solver, rng) for rng in rngs]
+        for start in starts:
+            _check_start(start, self.task, len(self.robot.arm))
         stacked = Start(
             np.stack([start.base_pose for start in starts]),
             np.stack([start.joint_positions for start in starts]),
@@ -172,6 +178,20 @@ class World:
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation
+
+
+def _check_start(start: Start, task: Task, joints: int) -> None:
+    """Raise unless the task has sampled arrays as it must: the kernels do not look."""
+    legs = len(task.legs)
+    shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (legs, 7)}
+    for name, shape in shapes.items():
+        value: Any = getattr(start, name, None)
+        numeric = isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
+        if not numeric or value.shape != shape:
+            got = getattr(value, "shape", type(value).__name__)
+            raise KinfeasError(
+                f"task {task.name!r} must sample a {name} of shape {shape} in numbers, not {got}"
+            )
 
 
 def _backend(config: WorldConfig, robot: Robot, backend: Backend | None) -> Backend:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.metrics import Share, wilson
 from kinfeas.spatial import Array, planar_pose, relative, rotation
@@ -16,8 +16,6 @@ STAGES = (4, 16, 64, 256, 1024)
 """Base poses that have been tried around an open goal by the end of each stage."""
 
 _POSTURES, _POSTURE_SEED = 8192, 3
-_ROTATION_WEIGHT = 0.4
-"""Metres that one radian of tilt is worth when postures are ranked."""
 
 
 @dataclass(frozen=True)
@@ -101,4 +99,4 @@ class _Postures:
         sine = product[:, 1, 0] - product[:, 0, 1]
         trace = np.hypot(cosine, sine) + product[:, 2, 2]
         height = self.ee_pose[:, 2] - goal[2]
-        return np.arctan2(sine, cosine), height**2 + _ROTATION_WEIGHT**2 * (3.0 - trace)
+        return np.arctan2(sine, cosine), height**2 + ROTATION_WEIGHT**2 * (3.0 - trace)

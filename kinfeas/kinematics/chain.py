@@ -54,11 +54,19 @@ class Mount(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """A serial tree (parent of i is i - 1) with the EE frame on its last body."""
+    """A serial tree (parent of i is i - 1) with the EE frame on its last body.
+
+    Attributes:
+        tree: The joints on the way to the EE.
+        ee_rotation: From the last body to the EE frame, shape (3, 3).
+        ee_offset: Same, metres, shape (3,).
+        variables: How many the arm has, those included that move nothing here.
+    """
 
     tree: Tree
     ee_rotation: Array
     ee_offset: Array
+    variables: int
 
 
 class _Drive(NamedTuple):
@@ -98,7 +106,7 @@ def build_chain(robot: Robot) -> Chain:
     """Return the chain from the base frame of `robot` to its EE frame."""
     tree, mounts = build_tree(robot, robot.ee_frame)
     end = mounts[robot.ee_frame]
-    return Chain(tree, end.rotation, end.offset)
+    return Chain(tree, end.rotation, end.offset, len(robot.arm))
 
 
 def _attach(robot: Robot, joint: Joint, mount: Mount, segments: list[_Segment]) -> Mount:

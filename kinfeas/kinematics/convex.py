@@ -149,7 +149,11 @@ def _nearest_on_triangle(simplex, v):
 
 @kernel
 def _nearest_in_tetrahedron(simplex, v):
-    """Try the three faces at the newest point; the fourth cannot be the nearest."""
+    """Try all four faces.
+
+    That without the newest point is nearest only where rounding decides, as between parallel
+    faces.
+    """
     a, b, c, d = simplex[0].copy(), simplex[1].copy(), simplex[2].copy(), simplex[3].copy()
     inside, best, best_count = True, np.inf, 4
     kept = np.empty((3, 3))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import Chain, Tree
 from kinfeas.pose_kernels import write_pose
 from kinfeas.spatial import Array
@@ -26,10 +27,11 @@ def forward(chain: Chain, joint_positions: Array) -> Array:
 
     Returns:
         Poses, shape (..., 7).
+
+    Raises:
+        KinfeasError: If the joint positions are of another shape.
     """
-    flat = np.ascontiguousarray(joint_positions, dtype=np.float64)
-    leading = flat.shape[:-1]
-    flat = flat.reshape(-1, flat.shape[-1])
+    flat, leading = flattened(chain.variables, joint_positions)
     poses = np.empty((len(flat), 7))
     _forward_batch(chain, flat, poses)
     return poses.reshape(*leading, 7)
@@ -44,13 +46,30 @@ def jacobian(chain: Chain, joint_positions: Array) -> Array:
 
     Returns:
         Shape (..., 6, v): linear rows, then angular rows, along the base's axes, at the EE origin.
+
+    Raises:
+        KinfeasError: If the joint positions are of another shape.
     """
-    flat = np.ascontiguousarray(joint_positions, dtype=np.float64)
-    leading, variables = flat.shape[:-1], flat.shape[-1]
-    flat = flat.reshape(-1, variables)
-    columns = np.empty((len(flat), variables, 6))
+    flat, leading = flattened(chain.variables, joint_positions)
+    columns = np.empty((*flat.shape, 6))
     _jacobian_batch(chain, flat, columns)
-    return columns.swapaxes(1, 2).reshape(*leading, 6, variables)
+    return columns.swapaxes(1, 2).reshape(*leading, 6, chain.variables)
+
+
+def flattened(variables: int, joint_positions: Array) -> tuple[Array, tuple[int, ...]]:
+    """Return configurations as the kernels take them, shape (n, v), and their leading axes.
+
+    Args:
+        variables: How many the arm has, v.
+        joint_positions: Shape (..., v), radians or metres.
+
+    Raises:
+        KinfeasError: If the last axis is of another length: the kernels do not look.
+    """
+    rows = np.ascontiguousarray(joint_positions, dtype=np.float64)
+    if rows.shape[-1] != variables:
+        raise KinfeasError(f"joint positions must be of shape (..., {variables}), not {rows.shape}")
+    return rows.reshape(-1, variables), rows.shape[:-1]
 
 
 @kernel

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import Interval
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import Chain, build_chain
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.search import Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
+from kinfeas.quantities import Positive, Share
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, rotation
 from kinfeas.spread import spread
@@ -23,8 +25,6 @@ AIM = 0.2
 """Share of the tolerances at which a descent is content; it may end anywhere within them."""
 
 POSE_DIMENSIONS = 6
-
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class IkOptions:
     position_tolerance: Positive = 1e-4
     rotation_tolerance: Positive = 1e-3
     max_iterations: Annotated[int, Interval(low=1, high=10_000)] = 40
-    centering: Annotated[float, Interval(low=0.0, high=1.0)] = 1.0
+    centering: Share = 1.0
 
 
 @dataclass(frozen=True)
@@ -99,14 +99,29 @@ class IkSolver:
             seed: Joint positions to begin from, shape (n, v), radians or metres.
             moves: How far each joint can go from there in time, shape (v,); a solution within is
                 taken before any other. By default nothing is known of it.
+
+        Raises:
+            KinfeasError: If one of them is of another shape.
         """
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
+        near = None if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        self._check_shapes(targets, solution, near)
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
-        near = np.empty(0) if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
-        solve_batch(self._problem, targets, near, solution, feasible, errors)
+        within = np.empty(0) if near is None else near
+        solve_batch(self._problem, targets, within, solution, feasible, errors)
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
+
+    def _check_shapes(self, targets: Array, seed: Array, moves: Array | None) -> None:
+        """Raise unless the shapes belong together, for the kernels do not look."""
+        joints = self.chain.variables
+        if targets.ndim != 2 or targets.shape[1] != 7:
+            raise KinfeasError(f"targets must be of shape (n, 7), not {targets.shape}")
+        if seed.shape != (len(targets), joints):
+            raise KinfeasError(f"seeds must be of shape {len(targets), joints}, not {seed.shape}")
+        if moves is not None and moves.shape != (joints,):
+            raise KinfeasError(f"moves must be of shape ({joints},), not {moves.shape}")
 
 
 def _make_problem(

@@ -271,14 +271,16 @@ def _rank_library(problem, target, scores, order):
 @inlined
 def _out_of_reach(problem, target):
     """Return whether the last joint would have to lie where the arm's lengths cannot bring it."""
-    turn, squared = problem.chain.ee_rotation, 0.0
+    turn, squared, lever = problem.chain.ee_rotation, 0.0, 0.0
     for i in range(3):
         joint = target[1][i]
         for k in range(3):
             for m in range(3):
                 joint -= target[0][i, k] * turn[m, k] * problem.chain.ee_offset[m]
         squared += (joint - problem.reach[i]) ** 2
-    return squared > (problem.reach[3] + problem.accept_position) ** 2
+        lever += problem.chain.ee_offset[i] ** 2
+    leeway = problem.accept_position + problem.accept_rotation * math.sqrt(lever)
+    return squared > (problem.reach[3] + leeway) ** 2
 
 
 @inlined

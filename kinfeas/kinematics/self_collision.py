@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Mount, Tree, build_tree
 from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
-from kinfeas.kinematics.forward import inlined, kernel, place_joints, turn_row
+from kinfeas.kinematics.forward import flattened, inlined, kernel, place_joints, turn_row
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.spatial import Array, rotation
@@ -31,6 +31,7 @@ class CollisionModel(NamedTuple):
         rotation: From body to shape, shape (s, 3, 3).
         offset: Same, metres, shape (s, 3).
         pairs: Indices of shapes to check, shape (p, 2).
+        variables: How many the arm has, those included that move nothing here.
     """
 
     tree: Tree
@@ -41,6 +42,7 @@ class CollisionModel(NamedTuple):
     rotation: Array
     offset: Array
     pairs: NDArray[np.intp]
+    variables: int
 
 
 class CollisionScratch(NamedTuple):
@@ -80,6 +82,7 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         rotation=np.array([mount.rotation for mount in placed]).reshape(-1, 3, 3),
         offset=np.array([mount.offset for mount in placed]).reshape(-1, 3),
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
+        variables=len(robot.arm),
     )
 
 
@@ -98,11 +101,13 @@ def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.b
 
     Returns:
         Shape (...).
+
+    Raises:
+        KinfeasError: If the joint positions are of another shape.
     """
-    flat = np.ascontiguousarray(joint_positions, dtype=np.float64)
-    leading = flat.shape[:-1]
-    touching = np.empty(int(np.prod(leading)), dtype=np.bool_)
-    _self_collides_batch(model, flat.reshape(-1, flat.shape[-1]), touching)
+    flat, leading = flattened(model.variables, joint_positions)
+    touching = np.empty(len(flat), dtype=np.bool_)
+    _self_collides_batch(model, flat, touching)
     return touching.reshape(leading)
 
 

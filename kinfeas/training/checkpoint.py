@@ -3,8 +3,9 @@
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -13,6 +14,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import SAC
 
+from kinfeas import config
+from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.training.learner import Learner
 
@@ -22,6 +25,36 @@ _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "
 _UNSIGNED = ".unsigned"
 
 Tensors = dict[str, torch.Tensor]
+Tally = Annotated[int, Interval(low=0)]
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _Buffer:
+    """How far the replay buffer is filled."""
+
+    position: Tally
+    full: bool
+
+
+@dataclass(frozen=True)
+class _Random:
+    """NumPy's global random state, less its keys."""
+
+    kind: Literal["MT19937"]
+    position: Annotated[int, Interval(low=0, high=624)]
+    has_gauss: Annotated[int, Interval(low=0, high=1)]
+    gauss: float
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """What of a learner is no tensor."""
+
+    updates: Tally
+    buffer: _Buffer
+    random: _Random
 
 
 def save_learner(
@@ -87,6 +120,8 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
     """
     about = read_state(folder)
     with loading(folder):
+        entries = {key: about[key] for key in ("updates", "buffer", "random")}
+        numbers = checked(_Numbers, entries)
         tensors = load_file(folder / _TENSORS)
         learner.policy.load_state_dict(_below("policy.", tensors))
         if (entropy := _learned_entropy(learner)) is not None:
@@ -95,10 +130,22 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
             _load_optimizer(
                 optimizer, about["optimizers"][name], _below(f"optimizer.{name}.", tensors)
             )
-        _load_buffer(learner, about["buffer"], _below("buffer.", tensors))
-        learner._n_updates = int(about["updates"])
-        _load_random_state(about["random"], tensors)
+        _load_buffer(learner, numbers.buffer, _below("buffer.", tensors))
+        learner._n_updates = numbers.updates
+        _load_random_state(numbers.random, tensors)
         return _world_arrays(tensors)
+
+
+def checked(cls: type[T], entries: object) -> T:
+    """Return entries of a checkpoint's numbers as an instance of the frozen dataclass `cls`.
+
+    Raises:
+        ValueError: If one is not what `cls` allows; `loading` makes a sentence of it.
+    """
+    try:
+        return config.from_mapping(cls, entries, _STATE)
+    except KinfeasError as error:
+        raise ValueError(str(error)) from error
 
 
 @contextmanager
@@ -125,10 +172,12 @@ def _load_optimizer(optimizer: torch.optim.Optimizer, groups: Any, tensors: Tens
     optimizer.load_state_dict({"state": state, "param_groups": groups})
 
 
-def _load_buffer(learner: Learner, about: Mapping[str, Any], tensors: Tensors) -> None:
+def _load_buffer(learner: Learner, about: _Buffer, tensors: Tensors) -> None:
     buffer = learner.replay_buffer
     assert buffer is not None
-    buffer.pos, buffer.full = int(about["position"]), bool(about["full"])
+    if about.position >= buffer.buffer_size:
+        raise ValueError(f"its replay buffer goes on beyond its size of {buffer.buffer_size}")
+    buffer.pos, buffer.full = about.position, about.full
     filled = buffer.buffer_size if buffer.full else buffer.pos
     for name in _BUFFER:
         room, values = getattr(buffer, name), tensors[name].numpy()
@@ -146,10 +195,10 @@ def _random_state() -> tuple[dict[str, Any], Tensors]:
     return about, {"random.torch": torch.get_rng_state(), "random.numpy": numpy_keys}
 
 
-def _load_random_state(about: Mapping[str, Any], tensors: Tensors) -> None:
+def _load_random_state(about: _Random, tensors: Tensors) -> None:
     torch.set_rng_state(tensors["random.torch"])
     keys = tensors["random.numpy"].numpy().astype(np.uint32)
-    state = (about["kind"], keys, about["position"], about["has_gauss"], about["gauss"])
+    state = (about.kind, keys, about.position, about.has_gauss, about.gauss)
     np.random.set_state(state)  # noqa: NPY002 - as above
 
 

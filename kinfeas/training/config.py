@@ -6,10 +6,7 @@ from typing import Annotated, Literal
 from kinfeas.config import Interval
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation.physics_world import Place
-
-Count = Annotated[int, Interval(low=1)]
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
-Share = Annotated[float, Interval(low=0.0, high=1.0)]
+from kinfeas.quantities import Count, NotNegative, Positive, Share
 
 
 @dataclass(frozen=True)
@@ -45,9 +42,9 @@ class LearnerConfig:
     random_steps: Annotated[int, Interval(low=0)] = 3_000
     critic_steps: Annotated[int, Interval(low=0)] = 0
     hidden: tuple[Count, ...] = (256, 256)
-    entropy: Annotated[float, Interval(low=0.0)] | Literal["learned"] = 0.01
-    exploration_noise: Annotated[float, Interval(low=0.0)] = 0.25
-    policy_noise: Annotated[float, Interval(low=0.0)] = 0.2
+    entropy: NotNegative | Literal["learned"] = 0.01
+    exploration_noise: NotNegative = 0.25
+    policy_noise: NotNegative = 0.2
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,32 @@
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
 from kinfeas import pretrained, registry
+from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.files import writing
 from kinfeas.folders import find_folder, write_folder
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network, write_network
-from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
+from kinfeas.quantities import NotNegative
+from kinfeas.training.checkpoint import (
+    Tally,
+    checked,
+    load_learner,
+    loading,
+    read_state,
+    save_learner,
+)
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import (
@@ -60,6 +69,19 @@ class Progress:
     best: float = -1.0
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))
+
+
+@dataclass(frozen=True)
+class _Saved:
+    """What a checkpoint holds of the progress; share and success follow from the rest."""
+
+    steps: Tally
+    seconds: NotNegative
+    best: Annotated[float, Interval(low=-1.0, high=1.0)]
+    evaluations: Tally
+    recent: tuple[bool, ...]
+    share: object
+    success: object
 
 
 Report = Callable[[Progress], None]
@@ -126,6 +148,11 @@ def _first_policy(config: TrainConfig) -> Network:
     return found
 
 
+def _success(recent: deque[bool]) -> float:
+    """Return the share of episodes without a failure, NaN before the first one has ended."""
+    return float(np.mean(recent)) if recent else float("nan")
+
+
 class _Run:
     """One training run in its folder."""
 
@@ -159,8 +186,16 @@ class _Run:
         state = read_state(last)
         with loading(last):
             self._check_same(state["config"], last)
-            saved = state["progress"]
-            self.progress = Progress(**{**saved, "recent": deque(saved["recent"], maxlen=RECENT)})
+            saved = checked(_Saved, state["progress"])
+            recent = deque(saved.recent, maxlen=RECENT)
+            self.progress = Progress(
+                steps=saved.steps,
+                seconds=saved.seconds,
+                success=_success(recent),
+                best=saved.best,
+                evaluations=saved.evaluations,
+                recent=recent,
+            )
             # The schedule may have been made longer.
             self.progress.share = self._share()
             self.progress.evaluations = min(self.progress.evaluations, self._evaluations_due())
@@ -236,7 +271,7 @@ class _Run:
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = seen
         progress.steps += self.config.environments * self.config.hold
-        progress.success = float(np.mean(progress.recent)) if progress.recent else float("nan")
+        progress.success = _success(progress.recent)
 
     def _share(self) -> float:
         schedule = self.config.schedule
@@ -255,7 +290,8 @@ class _Run:
     def _evaluate(self, judge: Judge, logs: Logs) -> None:
         """Judge the policy on fixed episodes; keep it if none was better."""
         network = network_of(self.learner, self.env.scale)
-        figures = summarize(judge(network, self.config.schedule.evaluation_episodes))
+        records = judge(network, self.config.schedule.evaluation_episodes)
+        figures: Mapping[str, Any] = summarize(records)
         with uninterrupted():
             self.progress.evaluations = self._evaluations_due()
             if figures["success"] >= self.progress.best:

@@ -200,6 +200,17 @@ def test_success_is_told():
     assert outcomes == {True, False}
 
 
+def test_a_seed_may_be_a_number_of_numpy():
+    env = BaseMotionEnv()
+    np.testing.assert_array_equal(env.reset(seed=np.int64(3))[0], env.reset(seed=3)[0])
+
+
+@pytest.mark.parametrize("seed", [[1], "1", 1.0])
+def test_refuses_what_is_no_seed(seed):
+    with pytest.raises(KinfeasError, match="seed must be one number"):
+        BaseMotionEnv().reset(seed=seed)
+
+
 def test_resets_without_a_seed_begin_somewhere_else():
     first, second = (BaseMotionEnv().reset()[0] for _ in range(2))
     assert not np.array_equal(first, second)

@@ -86,6 +86,16 @@ def test_limit_penalty_falls_from_the_limit_to_the_margin(exact_robot):
     np.testing.assert_allclose(without, 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("margin", [1e-9, 1e-6, 0.2, 1.0])
+def test_a_joint_beyond_its_limit_costs_as_one_at_it(exact_robot, margin):
+    weights = RewardConfig("indicator", 0.0, limit_penalty=0.1, limit_margin=margin)
+    bounded = next(i for i, joint in enumerate(exact_robot.arm) if not joint.continuous)
+    joints = middle(exact_robot, 4)
+    joints[:, bounded] = exact_robot.arm[bounded].upper + np.array([0.0, 1e-9, 0.01, 3.0])
+    earned = reward(weights, exact_robot, step(np.ones(4, dtype=bool)), np.zeros((4, 2)), joints)
+    np.testing.assert_allclose(earned, -0.1)
+
+
 def test_continuous_joints_have_no_limit(robot):
     joints = middle(robot)
     np.testing.assert_allclose(limit_distance(robot, joints), 1.0)
@@ -99,7 +109,13 @@ def test_continuous_joints_have_no_limit(robot):
 
 @pytest.mark.parametrize(
     "entry",
-    [{"action_penalty": -0.1}, {"limit_penalty": -1}, {"limit_margin": 1.1}, {"failure": "dense"}],
+    [
+        {"action_penalty": -0.1},
+        {"limit_penalty": -1},
+        {"limit_margin": 1.1},
+        {"limit_margin": 0.0},
+        {"failure": "dense"},
+    ],
 )
 def test_weights_out_of_range_are_one_sentence(entry):
     with pytest.raises(KinfeasError, match=f"'{next(iter(entry))}' must be"):

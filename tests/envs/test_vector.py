@@ -135,6 +135,12 @@ def test_refuses_a_seed_for_each_row(seed):
         BaseMotionVectorEnv(2).reset(seed=seed)
 
 
+@pytest.mark.parametrize("kind", [np.int64, np.int32, np.uint8])
+def test_a_seed_may_be_a_number_of_numpy(kind):
+    env = BaseMotionVectorEnv(2)
+    np.testing.assert_array_equal(env.reset(seed=kind(3))[0], env.reset(seed=3)[0])
+
+
 def test_refuses_actions_of_another_shape():
     env = BaseMotionVectorEnv(2)
     env.reset(seed=0)

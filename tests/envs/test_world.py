@@ -324,5 +324,47 @@ def test_wrong_adapters_are_one_sentence(robot, adapter, message):
         World(robot, ggr(), WorldConfig(adapters=(adapter,)), seed=0)
 
 
+class Foreign:
+    """A task of somebody else, one array of whose episodes is not as it must be."""
+
+    name = "foreign"
+    legs = ggr().legs
+
+    def __init__(self, name, value):
+        self.changes = {name: value}
+
+    def sample(self, solver, rng):
+        return replace(ggr().sample(solver, rng), **self.changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "got"),
+    [
+        ("base_pose", np.zeros(3), r"a base_pose of shape \(7,\) in numbers, not \(3,\)"),
+        ("base_pose", [0.0] * 7, "not list"),
+        (
+            "joint_positions",
+            np.zeros(2),
+            r"a joint_positions of shape \(\d,\) in numbers, not \(2,",
+        ),
+        ("joint_positions", None, "not NoneType"),
+        ("target_poses", np.zeros(7), r"a target_poses of shape \(1, 7\) in numbers, not \(7,\)"),
+        ("target_poses", np.zeros((2, 7)), r"not \(2, 7\)"),
+        ("target_poses", np.full((1, 7), None), r"in numbers, not \(1, 7\)"),
+    ],
+)
+def test_a_task_that_samples_other_shapes_is_named(robot, name, value, got):
+    world = World(robot, Foreign(name, value), WorldConfig(), seed=0)
+    with pytest.raises(KinfeasError, match=rf"^task 'foreign' must sample .*{got}"):
+        world.start([0, 1])
+
+
+def test_a_task_that_samples_nothing_is_named(robot, monkeypatch):
+    task = Foreign("base_pose", None)
+    monkeypatch.setattr(Foreign, "sample", lambda *_: None)
+    with pytest.raises(KinfeasError, match=r"task 'foreign' must sample a base_pose .* NoneType"):
+        World(robot, task, WorldConfig(), seed=0).start([0])
+
+
 if __name__ == "__main__":
     print(*map(digest, sys.argv[1:]))  # noqa: T201

@@ -7,6 +7,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from kinfeas import registry
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward, jacobian
 from kinfeas.robots.robot import ArmJoint
@@ -116,3 +117,18 @@ def test_quaternions_are_unit_with_w_not_negative(robot, draw):
     quaternion = forward(build_chain(robot), draw(robot, 1000))[:, 3:]
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0, **EXACT)
     assert quaternion[:, 3].min() >= 0.0
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (3,), (), (4, 0), (0, 1), (2, 3, 99)])
+@pytest.mark.parametrize("function", [forward, jacobian])
+def test_another_number_of_joints_is_refused(odd_robot, function, shape):
+    with pytest.raises(KinfeasError, match=r"^joint positions must be of shape \(\.\.\., 8\), not"):
+        function(build_chain(odd_robot), np.zeros(shape))
+
+
+def test_joints_off_the_chain_count(odd_robot):
+    shorter = build_chain(replace(odd_robot, ee_frame=odd_robot.urdf.root))
+    n = len(odd_robot.arm)
+    assert forward(shorter, np.zeros((2, n))).shape == (2, 7)
+    with pytest.raises(KinfeasError, match="joint positions must be of shape"):
+        forward(shorter, np.zeros((2, n - 1)))

@@ -2,9 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from kinfeas import spatial
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.search import _out_of_reach
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.spatial import distance, wrap
 
@@ -268,6 +272,28 @@ def test_none_to_solve(robot, solver):
     assert solution.feasible.shape == solution.position_error.shape == (0,)
 
 
+@pytest.mark.parametrize(
+    ("targets", "seeds", "moves", "message"),
+    [
+        ((1, 7), (3, "v"), None, r"^seeds must be of shape \(1, \d\), not \(3, \d\)"),
+        ((3, 7), (1, "v"), None, r"^seeds must be of shape \(3, \d\), not \(1, \d\)"),
+        ((2, 7), (2, 3), None, r"^seeds must be of shape \(2, \d\), not \(2, 3\)"),
+        ((1, 7), ("v",), None, r"^seeds must be of shape \(1, \d\), not \(\d,\)"),
+        ((2, 6), (2, "v"), None, r"^targets must be of shape \(n, 7\), not \(2, 6\)"),
+        ((7,), (1, "v"), None, r"^targets must be of shape \(n, 7\), not \(7,\)"),
+        ((2, 7), (2, "v"), (3,), r"^moves must be of shape \(\d,\), not \(3,\)"),
+        ((2, 7), (2, "v"), (2, "v"), r"^moves must be of shape \(\d,\), not \(2, \d\)"),
+        ((2, 7), (2, "v"), (0,), r"^moves must be of shape \(\d,\), not \(0,\)"),
+    ],
+)
+def test_shapes_that_do_not_belong_together_are_refused(solver, targets, seeds, moves, message):
+    def ones(shape):
+        return np.ones([len(solver.robot.arm) if size == "v" else size for size in shape])
+
+    with pytest.raises(KinfeasError, match=message):
+        solver.solve(ones(targets), ones(seeds), None if moves is None else ones(moves))
+
+
 def test_seed_beyond_the_limits(robot, exact_solver, draw):
     joints = draw_free(exact_solver, draw, 200)
     seeds = shuffled(joints) * 3.0 + 5.0
@@ -314,6 +340,26 @@ def test_leeway(robot, judge, draw):
     )
     np.testing.assert_allclose(metres, reported[:, 0], atol=1e-9)
     np.testing.assert_allclose(radians, reported[:, 1], atol=1e-7)
+
+
+def test_what_a_configuration_brings_within_the_leeway_is_not_out_of_reach(robot, draw):
+    if robot.leeway is None:
+        pytest.skip("has no leeway")
+    solver = IkSolver(robot)
+    joints = draw(robot, 2000)
+    poses = forward(solver.chain, joints)
+    turns = spatial.rotation(poses).as_matrix()
+    chain, reach = solver.chain, solver._problem.reach
+    lever = turns @ chain.ee_rotation.T @ chain.ee_offset
+    out = poses[:, :3] - lever - reach[:3]
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    # Moved and turned as far as allowed, so that the last joint would have to lie farther out.
+    axis = np.cross(out, lever)
+    axis *= 0.999 * robot.leeway.rotation / np.linalg.norm(axis, axis=1, keepdims=True)
+    turned = Rotation.from_rotvec(axis).as_matrix() @ turns
+    moved = poses[:, :3] + 0.999 * robot.leeway.position * out
+    for turn, position in zip(turned, moved, strict=True):
+        assert not _out_of_reach(solver._problem, (turn, position))
 
 
 def test_an_arm_that_may_stay_is_never_without_a_solution(robot, draw):

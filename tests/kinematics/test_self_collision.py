@@ -4,6 +4,7 @@ import fcl
 import numpy as np
 import pytest
 
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.self_collision import (
     MARGIN,
     build_collision_model,
@@ -163,3 +164,11 @@ def test_margin_is_kept(odd_robot, odd_judge, draw):
             gap = fcl.distance(solids.solids[i], solids.solids[k], request, result)
             closest = min(closest, gap)
     assert closest > MARGIN - 1e-5
+
+
+@pytest.mark.parametrize("shape", [(2,), (3, 2), (), (0, 1), (5, 99)])
+def test_another_number_of_joints_is_refused(model, shape):
+    with pytest.raises(
+        KinfeasError, match=r"^joint positions must be of shape \(\.\.\., \d\), not"
+    ):
+        self_collides(model, np.zeros(shape))

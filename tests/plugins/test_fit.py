@@ -96,6 +96,13 @@ def _paused(shown):
     return Demonstration(np.arange(len(index)) / 30.0, *(pose[index] for pose in poses))
 
 
+def test_times_whose_sum_rounds():
+    time = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.1, 120))
+    time[-1] = np.nextafter(time[-2], np.inf)
+    shown = replace(door_demonstrations(1)[0], time=time)
+    assert fit([shown], "gaussian_mixture").model.components
+
+
 def test_learns_a_turn_on_the_spot():
     time = np.linspace(0.0, 2.0, 50)
     angle = np.linspace(0.0, 1.5, 50)

@@ -122,6 +122,11 @@ def test_a_foreign_tensor_is_a_clear_error(tiny, tmp_path, key, values):
     [
         ("format", 7), ("optimizers", []), ("optimizers", {}), ("updates", "many"),
         ("buffer", {"position": 5, "full": False}), ("random", {}), ("random", "none"),
+        ("updates", float("inf")), ("updates", 1.5), ("updates", -1), ("updates", None),
+        ("buffer", {"position": float("inf"), "full": False}),
+        ("buffer", {"position": float("nan"), "full": False}),
+        ("buffer", {"position": 3, "full": "no"}), ("buffer", {"position": -1, "full": True}),
+        ("buffer", {"position": 10**9, "full": True}), ("buffer", [3, False]),
     ],
 )  # fmt: skip
 def test_a_foreign_number_is_a_clear_error(tiny, tmp_path, key, value):

@@ -417,6 +417,36 @@ def test_a_foreign_checkpoint_is_a_clear_error(half, content):
         resume(half)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("steps", float("inf")), ("steps", "many"), ("steps", -8), ("steps", 1.5),
+        ("seconds", float("nan")), ("seconds", -1.0), ("seconds", None),
+        ("best", "a"), ("best", float("inf")), ("best", 2.0), ("best", None),
+        ("evaluations", "a"), ("evaluations", float("inf")), ("evaluations", -1),
+        ("recent", 3), ("recent", [0.5]), ("recent", "ab"), ("recent", None), ("more", 1),
+    ],
+)  # fmt: skip
+def test_a_broken_progress_is_a_clear_error(half, digest, key, value):
+    path = half / "checkpoints" / "last" / "state.json"
+    about = json.loads(path.read_text())
+    path.write_text(json.dumps({**about, "progress": {**about["progress"], key: value}}))
+    before = digest(half)
+    with pytest.raises(
+        KinfeasError, match=f"last: broken checkpoint, .* state.json: .*'{key}[.0]*'"
+    ):
+        resume(half)
+    assert digest(half) == before
+
+
+@pytest.mark.parametrize("progress", [None, [], {}, "far"])
+def test_no_progress_is_a_clear_error(half, progress):
+    path = half / "checkpoints" / "last" / "state.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "progress": progress}))
+    with pytest.raises(KinfeasError, match="last: broken checkpoint, or one of another run"):
+        resume(half)
+
+
 def test_the_state_of_a_writer_killed_between_its_renames_is_found(half):
     checkpoints = half / "checkpoints"
     for name in ("last", "best"):
