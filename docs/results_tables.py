@@ -31,6 +31,9 @@ JUMPS = {
     "{}, arm jumps an episode, ours": "sac",
     "{}, arm jumps an episode, looking ahead": "look_ahead:sac",
 }
+OPTIONAL = ("look_ahead:sac",)
+"""Policies that the README may have no row of."""
+
 PHYSICS = {
     ("pr2", "head_start"): "PR2, 3 s head start",
     ("pr2", ""): "PR2",
@@ -65,22 +68,31 @@ def fill_results(page: str, table: str) -> str:
         raise SystemExit("table.md: no tables of the analytic world")
     deeper = re.sub(r"^## ", "### ", tables.group(), flags=re.MULTILINE).rstrip()
     place = re.compile(r"World: analytic;.*?(?=\n\n## How they learn)", re.DOTALL)
-    return place.sub(lambda _: deeper, page, count=1)
+    filled, count = place.subn(lambda _: deeper, page, count=1)
+    return _found(filled, count, "results.md: no tables before 'How they learn'")
 
 
 def fill_readme(page: str, cells: Cells) -> str:
-    """Return the README with the rows of its table filled anew; it has those that it has."""
+    """Return the README with the rows of its table filled anew."""
     for robot, name in ROBOTS.items():
-        for head, policy in ROWS.items():
-            page = _fill(page, head.format(name), [_share(cells, robot, t, policy) for t in TASKS])
-        for head, policy in JUMPS.items():
-            page = _fill(page, head.format(name), [_jumps(cells, robot, t, policy) for t in TASKS])
+        for rows, entry in ((ROWS, _share), (JUMPS, _jumps)):
+            for head, policy in rows.items():
+                values = [entry(cells, robot, task, policy) for task in TASKS]
+                page = _fill(page, head.format(name), values, optional=policy in OPTIONAL)
     return page
 
 
-def _fill(page: str, head: str, values: list[str]) -> str:
+def _fill(page: str, head: str, values: list[str], *, optional: bool) -> str:
     row = re.compile(rf"^\| {re.escape(head)} \|.*$", re.MULTILINE)
-    return row.sub(lambda _: f"| {head} | {' | '.join(values)} |", page, count=1)
+    filled, count = row.subn(lambda _: f"| {head} | {' | '.join(values)} |", page, count=1)
+    return filled if optional else _found(filled, count, f"README.md: no row {head!r}")
+
+
+def _found(filled: str, places: int, complaint: str) -> str:
+    """Return the page, or stop with a complaint if nothing was filled in: its figures are old."""
+    if not places:
+        raise SystemExit(f"{complaint}; its figures would stay old")
+    return filled
 
 
 def _share(cells: Cells, robot: str, task: str, policy: str) -> str:
@@ -107,7 +119,8 @@ def fill_physics(page: str, studies: Sequence[Path]) -> str:
         if (robot, task, "pretrained") in cells
     ]
     place = re.compile(r"(^\| robot \| task \|.*\n\|[-|]+\|\n)(?:\|.*\n)+", re.MULTILINE)
-    return place.sub(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)
+    filled, count = place.subn(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)
+    return _found(filled, count, "physics.md: no table that begins with 'robot' and 'task'")
 
 
 def _physics_row(name: str, cell: dict[str, Any]) -> str:
@@ -134,9 +147,12 @@ def main(study: Path) -> None:
     """Write what a study of the analytic world holds into the documentation."""
     results, readme = ROOT / "docs" / "results.md", ROOT / "README.md"
     table = (study / "table.md").read_text(encoding="utf-8")
-    results.write_text(fill_results(results.read_text(encoding="utf-8"), table), encoding="utf-8")
-    filled = fill_readme(readme.read_text(encoding="utf-8"), read_cells(study))
-    readme.write_text(filled, encoding="utf-8")
+    filled = {
+        results: fill_results(results.read_text(encoding="utf-8"), table),
+        readme: fill_readme(readme.read_text(encoding="utf-8"), read_cells(study)),
+    }
+    for path, text in filled.items():
+        path.write_text(text, encoding="utf-8")
     for source, name in PICTURES.items():
         picture = Image.open(study / f"{source}.png").convert("RGB").quantize(COLOURS)
         picture.save(ROOT / "docs" / "images" / f"{name}.png", optimize=True)

@@ -14,6 +14,11 @@ from kinfeas.errors import KinfeasError
 _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
 
 
+def is_path(name: str) -> bool:
+    """Return whether a robot, a task and the like is meant by the path of its YAML, not by name."""
+    return os.sep in name or name.endswith((".yaml", ".yml"))
+
+
 def reading(path: Path) -> AbstractContextManager[None]:
     """Turn a failure to read into a `KinfeasError` that names `path`."""
     return _naming(path, "read")

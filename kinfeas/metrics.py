@@ -1,6 +1,7 @@
 """How well a policy did: shares with their confidence, failures, deviations, jumps."""
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,24 @@ def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
     return Share(share, float(low), float(high))
 
 
-def summarize(records: EpisodeRecords) -> dict[str, float | int]:
+class Figures(TypedDict):
+    """What a number of episodes come to: `low` and `high` are the ends of a share's interval."""
+
+    episodes: int
+    success: float
+    success_low: float
+    success_high: float
+    reached: float
+    within_5cm: float
+    within_5cm_low: float
+    within_5cm_high: float
+    mean_failures: float
+    mean_deviation_m: float
+    jumps_per_episode: float
+    mean_steps: float
+
+
+def summarize(records: EpisodeRecords) -> Figures:
     """Return the figures of method and README: shares in 0-1, distances in metres."""
     episodes = len(records.reached)
     success = wilson(int(records.success.sum()), episodes)

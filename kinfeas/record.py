@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.errors import KinfeasError
 from kinfeas.files import reading, writing
-from kinfeas.quantities import REMOTEST
-from kinfeas.schema import Interval, Place, convert_dataclass
+from kinfeas.quantities import REMOTEST, Positive
+from kinfeas.schema import Place, convert_dataclass
 from kinfeas.spatial import Array
 
 REACHED = "goal reached"
@@ -43,7 +43,7 @@ class About:
     task: str
     policy: str
     backend: str
-    dt: Annotated[float, Interval(low=0.0, open_low=True)]
+    dt: Positive
     joints: tuple[str, ...]
     started: str
 

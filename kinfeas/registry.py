@@ -4,7 +4,6 @@ Everything is looked up lazily and one name at a time, so that a broken plugin d
 """
 
 import inspect
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -13,6 +12,7 @@ from types import FunctionType
 from typing import Any
 
 from kinfeas.errors import KinfeasError
+from kinfeas.files import is_path
 from kinfeas.foreign import Blaming
 from kinfeas.robots.robot import Robot, read_robot
 from kinfeas.schema import Place, check_value, no_such
@@ -134,7 +134,7 @@ def load_robot(name_or_path: str) -> Robot:
     Raises:
         KinfeasError: If there is no such robot, or its YAML or URDF is wrong.
     """
-    if _is_path(name_or_path):
+    if is_path(name_or_path):
         return read_robot(Path(name_or_path))
     built = build("kinfeas.robots", name_or_path, {})
     if not isinstance(built, Path):
@@ -146,11 +146,7 @@ def load_robot(name_or_path: str) -> Robot:
 
 def from_anywhere(name_or_path: str) -> str:
     """Return a path as an absolute one, to be read from another folder later, and a name as is."""
-    return str(Path(name_or_path).absolute()) if _is_path(name_or_path) else name_or_path
-
-
-def _is_path(name: str) -> bool:
-    return os.sep in name or name.endswith((".yaml", ".yml"))
+    return str(Path(name_or_path).absolute()) if is_path(name_or_path) else name_or_path
 
 
 def _entries(group: str) -> list[EntryPoint]:

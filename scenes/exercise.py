@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
-from kinfeas.scenes.mechanism import Joint, Positive, Vector
+from kinfeas.quantities import Positive, Vector
+from kinfeas.scenes.mechanism import Joint
 from kinfeas.scenes.objects import SceneObject, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.schema import no_such

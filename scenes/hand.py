@@ -1,16 +1,13 @@
 """The simulated hand: how a person's hand reaches for a handle and pulls it."""
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config import Interval
-from kinfeas.scenes.mechanism import Mechanism, NotNegative, Positive
+from kinfeas.quantities import NotNegative, Positive, Share
+from kinfeas.scenes.mechanism import Mechanism
 from kinfeas.spatial import Array, compose, make_pose, relative, rotation
-
-Share = Annotated[float, Interval(0.0, 1.0)]
 
 # The fingers hold the handle in the plane; up and down they slide on it.
 _HELD = np.array([1.0, 1.0, 0.0])

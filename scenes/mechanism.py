@@ -1,16 +1,12 @@
 """Doors and drawers: one joint with friction between the furniture and a handle that is pulled."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
-from kinfeas.config import Interval
+from kinfeas.quantities import NotNegative, Positive, Vector
 from kinfeas.spatial import Array, compose
-
-NotNegative = Annotated[float, Interval(low=0.0)]
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
-Vector = tuple[float, float, float]
 
 
 class Mechanism(Protocol):

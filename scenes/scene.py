@@ -1,6 +1,5 @@
 """Scenes: a room with furniture, read from YAML; objects and handles go by their names."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
-from kinfeas.files import reading
+from kinfeas.files import is_path, reading
+from kinfeas.quantities import Vector
 from kinfeas.robots.urdf import Urdf, parse_urdf
 from kinfeas.scenes.check import check
 from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
-from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec, Vector
+from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec
 from kinfeas.spatial import Array, compose, make_pose
 
 T = TypeVar("T")
@@ -119,7 +119,7 @@ def read_scene(name_or_path: str, overrides: Sequence[str] = ()) -> Scene:
 
 
 def _find(name_or_path: str) -> Path:
-    if os.sep in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+    if is_path(name_or_path):
         return Path(name_or_path)
     if name_or_path not in _SHIPPED:
         known = no_such(name_or_path, _SHIPPED)

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Annotated
 
 from kinfeas.config import Interval
-from kinfeas.quantities import FARTHEST, Metres, Radians
+from kinfeas.quantities import FARTHEST, Position, Radians
 
-Vector = tuple[Metres, Metres, Metres]
 Angles = tuple[Radians, Radians, Radians]
 Side = Annotated[float, Interval(low=0.0, high=FARTHEST, open_low=True)]
 
@@ -25,7 +24,7 @@ class ObjectSpec:
     """
 
     urdf: Path
-    position: Vector = (0.0, 0.0, 0.0)
+    position: Position = (0.0, 0.0, 0.0)
     rpy: Angles = (0.0, 0.0, 0.0)
     fixed: bool = True
     joints: dict[str, float] = field(default_factory=dict)
@@ -44,7 +43,7 @@ class HandleSpec:
 
     object: str
     link: str
-    position: Vector = (0.0, 0.0, 0.0)
+    position: Position = (0.0, 0.0, 0.0)
     rpy: Angles = (0.0, 0.0, 0.0)
 
 

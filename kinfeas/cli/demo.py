@@ -1,8 +1,10 @@
 """`kinfeas demo`: train, evaluate and report, in a few minutes."""
 
+import json
 import os
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +17,7 @@ from kinfeas.cli.train import Wishes, read_settings, train_run
 if TYPE_CHECKING:
     from kinfeas.evaluation.comparison import Comparison
     from kinfeas.evaluation.report import Report
+    from kinfeas.training.config import TrainConfig
 
 PICTURES = ("learning_curve.png", "episodes.png")
 """What the pictures of the report are called beside it."""
@@ -44,22 +47,13 @@ def demo(
     train_run(settings, folder)
     task = options.read_task(settings.task, settings.task_parameters)
     # Not the seed of training, whose episodes the policy has seen.
-    trial = Trial(options.read_robot(robot), task, episodes, seed + 1)
+    trial = Trial(options.read_robot(settings.robot), task, episodes, settings.seed + 1)
     with progress("evaluating") as advance:
         comparison = compare(trial, folder, _processes(), advance)
     write_json(comparison.policy, folder / "evaluation.json")
-    started = [
-        "kinfeas",
-        "demo",
-        "--robot",
-        robot,
-        "--minutes",
-        f"{minutes:g}",
-        "--seed",
-        f"{seed}",
-    ]
-    started += [part for text in overrides or [] for part in ("--set", text)]
-    report = make_report(comparison, _commands(comparison, started))
+    said = {"robot": robot, "minutes": minutes, "seed": seed, "episodes": episodes, "out": folder}
+    again = _line("demo", said, overrides or [])
+    report = make_report(comparison, [again, *_commands(comparison, settings)])
     for name, picture in zip(PICTURES, report.pictures, strict=True):
         write_file(folder / name, picture.png)
     write_report(report, folder / "report.html")
@@ -82,14 +76,21 @@ def _processes() -> int:
     return min(2, os.cpu_count() or 1)
 
 
-def _commands(comparison: "Comparison", started: list[str]) -> list[str]:
-    """Return the lines that make the run and each figure of the report again."""
-    trial, robot = comparison.trial, started[started.index("--robot") + 1]
-    same = f"--robot {shlex.quote(robot)} --task {trial.task.name} --episodes {trial.episodes}"
-    same += f" --seed {trial.seed}"
-    policies = (shlex.quote(str(comparison.run)), *comparison.baselines)
-    judged = [f"kinfeas evaluate {same} --policy {policy}" for policy in policies]
-    return [shlex.join(started), *judged, f"kinfeas ceiling {same}"]
+def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
+    """Return the lines that make each figure of the report again."""
+    trial, policies = comparison.trial, (str(comparison.run), *comparison.baselines)
+    same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
+    same |= {"episodes": trial.episodes, "seed": trial.seed}
+    changes = [f"task.{key}={json.dumps(value)}" for key, value in settings.task_parameters.items()]
+    judged = [_line("evaluate", {**same, "policy": policy}, changes) for policy in policies]
+    return [*judged, _line("ceiling", same, changes)]
+
+
+def _line(command: str, said: Mapping[str, object], overrides: Sequence[str]) -> str:
+    """Return a line for the shell: the command, its options by their names, and settings."""
+    words = ["kinfeas", command]
+    words += [word for name, value in said.items() for word in (f"--{name}", str(value))]
+    return shlex.join([*words, *(word for text in overrides for word in ("--set", text))])
 
 
 def _show(report: "Report") -> None:

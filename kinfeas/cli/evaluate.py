@@ -1,10 +1,10 @@
 """`kinfeas evaluate`: how well a policy does."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -245,30 +245,27 @@ def _show(summary: "Summary") -> None:
         ["goal reached without a kinematic failure", _share(summary, "success")],
         ["ceiling: goals that some base pose reaches", _share(summary, "ceiling")],
         ["EE never more than 5 cm off, and at the goal", _share(summary, "within_5cm")],
-        ["goal reached", share(_number(summary, "reached"))],
-        ["kinematic failures an episode", f"{_number(summary, 'mean_failures'):.2f}"],
-        ["EE deviation, mean", f"{1000 * _number(summary, 'mean_deviation_m'):.1f} mm"],
-        ["arm jumps an episode", f"{_number(summary, 'jumps_per_episode'):.2f}"],
-        ["steps an episode", f"{_number(summary, 'mean_steps'):.0f}"],
+        ["goal reached", share(summary["reached"])],
+        ["kinematic failures an episode", f"{summary['mean_failures']:.2f}"],
+        ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
+        ["arm jumps an episode", f"{summary['jumps_per_episode']:.2f}"],
+        ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
     if summary.get("world") == WorldName.PYBULLET:
         title += ", PyBullet"
-        rows += [
-            ["task done", _task_success(summary)],
-            ["episodes without a collision", share(_number(summary, "free_of_collisions"))],
-            ["collisions of the base an episode", f"{_number(summary, 'base_collisions'):.2f}"],
-            ["collisions of the arm an episode", f"{_number(summary, 'arm_collisions'):.2f}"],
-        ]
+        rows += _physics_rows(summary)
     print_table(title, ["", " share (95 % interval) or mean"], rows)
 
 
-def _task_success(summary: "Summary") -> str:
-    return "no objects" if summary["task_success"] is None else _share(summary, "task_success")
+def _physics_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    without_objects = summary["task_success"] is None
+    return [
+        ["task done", "no objects" if without_objects else _share(summary, "task_success")],
+        ["episodes without a collision", share(summary["free_of_collisions"])],
+        ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
+        ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
+    ]
 
 
-def _share(summary: "Summary", key: str) -> str:
-    return share(*(_number(summary, f"{key}{end}") for end in ("", "_low", "_high")))
-
-
-def _number(summary: "Summary", key: str) -> float:
-    return float(summary[key] or 0.0)
+def _share(summary: Mapping[str, Any], key: str) -> str:
+    return share(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))

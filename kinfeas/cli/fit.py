@@ -43,7 +43,7 @@ def fit(
     Use the model in a task or a test as the parameter [bold]model: path/of/model.yaml[/] of the
     motion generator that [bold]--kind[/] names.
     """
-    from kinfeas.demonstrations import read_demonstrations
+    from kinfeas.demonstrations import demonstration_files, read_demonstration
     from kinfeas.plugins.fit import fit as run
     from kinfeas.plugins.model import write_model
 
@@ -55,18 +55,14 @@ def fit(
         f"--components {components} --seed {seed}"
     )
     with status("learning"):
-        shown, names = read_demonstrations(demonstrations), _names(demonstrations)
-        found = run(shown, kind, components, seed, command, names)
+        files = demonstration_files(demonstrations)
+        shown = [read_demonstration(file) for file in files]
+        found = run(shown, kind, components, seed, command, [str(file) for file in files])
     write_model(found.model, out)
     summary = _summary(found)
     if json is not None:
         write_json(summary, json)
     _show(found, out)
-
-
-def _names(folder: Path) -> list[str]:
-    """Return the names of the files that `read_demonstrations` reads, in its order."""
-    return [str(path) for path in sorted(folder.iterdir()) if path.suffix in (".csv", ".npz")]
 
 
 def _summary(found: "Fit") -> dict[str, object]:

@@ -115,8 +115,10 @@ def status(text: str) -> Iterator[Callable[[str], None]]:
         yield lambda news: shown.update(escape(news))
 
 
-def share(value: float, low: float | None = None, high: float | None = None) -> str:
-    """Return a share in 0-1 as per cent, with its interval if there is one."""
+def share(value: float | None, low: float | None = None, high: float | None = None) -> str:
+    """Return a share in 0-1 as per cent, with its interval if there is one; `-` for an unknown."""
+    if value is None:
+        return "-"
     interval = "" if low is None or high is None else f"  ({100 * low:.1f} - {100 * high:.1f})"
     return f"{100 * value:.1f} %{interval}"
 

@@ -1,20 +1,11 @@
 """`kinfeas plugins new`: a small distribution to begin with."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-
-class Kind(StrEnum):
-    """What a distribution may offer."""
-
-    MOTION_GENERATOR = "motion_generator"
-    ROBOT = "robot"
-    TASK = "task"
-    ADAPTER = "adapter"
-    BACKEND = "backend"
+from kinfeas.templates import Kind
 
 
 def new(
@@ -29,7 +20,7 @@ def new(
 
     [bold]pip install DIR[/] and [bold]pytest DIR[/] work at once; then change what it does.
     """
-    from kinfeas.templates import write_distribution
+    from kinfeas.templates.distribution import write_distribution
 
     folder = out or Path(f"kinfeas-{name.replace('_', '-')}")
     for path in write_distribution(kind, name, folder):

@@ -58,20 +58,18 @@ def weigh(
 
 
 def _show(name: str, costs: "list[Cost]") -> None:
-    before = _number(costs[0], "success")
-    rows = [
-        [
-            cost.adapter,
-            share(*(_number(cost, f"success{end}") for end in ("", "_low", "_high"))),
-            f"{100.0 * (_number(cost, 'success') - before):+.1f}" if cost is not costs[0] else "",
-            share(_number(cost, "reached")),
-            f"{1000.0 * _number(cost, 'mean_deviation_m'):.1f} mm",
-        ]
-        for cost in costs
-    ]
+    before = costs[0].figures["success"]
+    rows = []
+    for cost in costs:
+        found = cost.figures
+        rows.append(
+            [
+                cost.adapter,
+                share(found["success"], found["success_low"], found["success_high"]),
+                f"{100.0 * (found['success'] - before):+.1f}" if cost is not costs[0] else "",
+                share(found["reached"]),
+                f"{1000.0 * found['mean_deviation_m']:.1f} mm",
+            ]
+        )
     columns = ["adapter", " success", " points", " reached", " deviation"]
     print_table(f"what the adapters of {name} cost, each alone", columns, rows)
-
-
-def _number(cost: "Cost", key: str) -> float:
-    return float(cost.figures[key] or 0.0)

@@ -190,7 +190,7 @@ def figures_of_runs(findings: Findings) -> dict[Path, dict[str, Any]]:
         own = not (job.variant or job.physical or job.source.startswith(LOOK_AHEAD))
         if job.training_seed is not None and own:
             told = {"seed": job.seed, **result["figures"]}
-            found.setdefault(Path(job.source), {})[job.task] = told
+            found.setdefault(Path(job.source), {})[job.task_name] = told
     return found
 
 
@@ -235,11 +235,13 @@ def _examples(findings: Findings, robot: str) -> dict[str, Recording]:
     shown: dict[str, Recording] = {}
     known = registry.load_robot(robot)
     for job, result in zip(findings.jobs, findings.results, strict=True):
-        if job.robot != robot or "workspace" not in result or job.variant or job.task in shown:
+        if job.robot != robot or "workspace" not in result or job.variant:
+            continue
+        if job.task_name in shown:
             continue
         assert isinstance(job.world, WorldConfig)  # who samples the workspace
         world = World(known, load_task(job.task, job.parameters), job.world, job.seed)
-        (shown[job.task],) = record_episodes(
+        (shown[job.task_name],) = record_episodes(
             world, load_policy(job.source, known), 1, first=len(shown)
         )
     return shown

@@ -20,14 +20,14 @@ from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics import is_judged, physics_figures, run_part
 from kinfeas.evaluation.physics_world import PhysicsSettings, PhysicsTrial, to_lists
 from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD, load_driver, load_policy
-from kinfeas.files import write_file, writing
+from kinfeas.files import is_path, reading, write_file, writing
 from kinfeas.look_ahead import Foresight
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim.stage import task_scene
-from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.tasks.task import Task
 
 _FORMAT = 1
@@ -42,7 +42,7 @@ class Job:
 
     Attributes:
         robot: Name or YAML file.
-        task: Entry-point name.
+        task: Name or YAML file.
         parameters: Its keyword parameters.
         variant: What is different about them.
         policy: What the policy is called in the table; `ceiling` for the ceiling.
@@ -72,13 +72,18 @@ class Job:
         return isinstance(self.world, PhysicsSettings)
 
     @property
+    def task_name(self) -> str:
+        """What its task is called in tables."""
+        return task_name(self.task)
+
+    @property
     def name(self) -> str:
         """What it is called in errors and as a file."""
         seed = "" if self.training_seed is None else f"-{self.training_seed}"
         variant = "" if not self.variant else "-variant"
         part = f"-pybullet-{self.first}" if self.physical else ""
         policy = self.policy.replace(":", "-")
-        return f"{Path(self.robot).stem}-{self.task}{variant}-{policy}{seed}{part}"
+        return f"{Path(self.robot).stem}-{self.task_name}{variant}-{policy}{seed}{part}"
 
 
 CEILING = "ceiling"
@@ -88,7 +93,7 @@ def identity(job: Job) -> dict[str, Any]:
     """Return everything that determines what a job finds, as plain data.
 
     Raises:
-        KinfeasError: If its robot or its policy cannot be read.
+        KinfeasError: If its robot, its task or its policy cannot be read.
     """
     robot = registry.load_robot(job.robot)
     return {
@@ -96,12 +101,13 @@ def identity(job: Job) -> dict[str, Any]:
         "version": __version__,
         "robot": robot.name,
         "robot_digest": _robot_digest(robot),
-        "task": job.task,
+        "task": job.task_name,
         "parameters": job.parameters,
         "policy": _policy_digest(job, robot),
         "episodes": job.episodes,
         "seed": job.seed,
         "world": config.to_mapping(job.world),
+        **({"task_digest": _file_digest(Path(job.task))} if is_path(job.task) else {}),
         **(_physical_identity(job) if job.physical else {}),
     }
 
@@ -197,6 +203,11 @@ def _identities(jobs: Sequence[Job]) -> list[dict[str, Any]]:
 def _physical_identity(job: Job) -> dict[str, Any]:
     scene = task_scene(load_task(job.task, job.parameters))
     return {"first": job.first, "scene": "" if scene is None else _scene_digest(scene)}
+
+
+def _file_digest(path: Path) -> str:
+    with reading(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _scene_digest(scene: Scene) -> str:

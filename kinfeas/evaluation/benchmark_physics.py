@@ -8,7 +8,7 @@ from kinfeas.evaluation.benchmark_cells import Job, Result
 from kinfeas.evaluation.benchmark_paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.evaluation.benchmark_study import PLAIN, PhysicsStudy, StudyConfig, row_settings
 from kinfeas.evaluation.benchmark_table import Cell, common, interval, mean_of
-from kinfeas.evaluation.physics import is_judged, physics_figures
+from kinfeas.evaluation.physics import PhysicsFigures, is_judged, physics_figures
 from kinfeas.evaluation.physics_world import PhysicsSettings, PhysicsTrial, join_records
 from kinfeas.metrics import Share
 from kinfeas.tasks.loading import load_task
@@ -18,8 +18,6 @@ PART = 20
 
 Source = tuple[str, str, int | None]
 """What a policy is called, what `load_policy` takes, and its training seed."""
-
-Figures = dict[str, float | int | None]
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def tabulate_physics(
     """
     groups: dict[tuple[str, str, str, str], dict[str, list[tuple[Job, Result]]]] = {}
     for job, result in zip(jobs, results, strict=True):
-        cell = groups.setdefault((job.robot, job.task, job.variant, job.policy), {})
+        cell = groups.setdefault((job.robot, job.task_name, job.variant, job.policy), {})
         cell.setdefault(job.source, []).append((job, result))
     without = {(cell.robot, cell.task, cell.policy): cell for cell in analytic}
     cells = []
@@ -169,7 +167,7 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
     )
 
 
-def _task_success(figures: Sequence[Figures], episodes: int) -> Share | None:
+def _task_success(figures: Sequence[PhysicsFigures], episodes: int) -> Share | None:
     """Return the share of tasks done over the training seeds, None where none can be."""
     shares = [share for found in figures if (share := found["task_success"]) is not None]
     return interval(shares, episodes) if shares else None

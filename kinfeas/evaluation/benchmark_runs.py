@@ -10,6 +10,7 @@ from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.folders import find_folder
+from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class Run:
         robot: Name of its robot.
         algorithm: `sac` or `td3`.
         seed: Its training seed.
-        task: What it was trained on.
+        task: Name of what it was trained on.
     """
 
     folder: Path
@@ -51,7 +52,7 @@ def read_run(folder: Path) -> Run:
         raise KinfeasError(f"{folder}: not a training run: there is no config.yaml in it")
     settings = config.load(TrainConfig, folder / "config.yaml")
     robot = registry.load_robot(settings.robot).name
-    return Run(folder, robot, settings.learner.algorithm, settings.seed, settings.task)
+    return Run(folder, robot, settings.learner.algorithm, settings.seed, task_name(settings.task))
 
 
 def find_runs(folders: Sequence[Path]) -> list[Run]:

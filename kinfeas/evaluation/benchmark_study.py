@@ -13,10 +13,12 @@ from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics_world import PhysicsSettings, physics_config
 from kinfeas.evaluation.policies import BASELINES
+from kinfeas.files import is_path
+from kinfeas.quantities import Count, Positive
 from kinfeas.recipes import default_recipe, find_recipe
 from kinfeas.robots.robot import Robot
-from kinfeas.tasks.loading import load_task
-from kinfeas.training.config import Count, Positive, TrainConfig
+from kinfeas.tasks.loading import load_task, task_name
+from kinfeas.training.config import TrainConfig
 
 Seed = Annotated[int, Interval(low=0)]
 
@@ -51,7 +53,7 @@ class Variant:
 
     Attributes:
         label: What is different, such as `goals up to 1.4 m`.
-        task: Its name.
+        task: Its name or YAML file.
         parameters: Its keyword parameters.
         robots: For whom.
     """
@@ -105,7 +107,7 @@ class StudyConfig:
     Attributes:
         note: A sentence that stands above the tables.
         robots: Names or YAML files.
-        tasks: Entry-point names.
+        tasks: Names or YAML files.
         baselines: On which of the tasks each baseline is judged.
         look_ahead: On which of the tasks each robot's learned policies are judged a second time,
             looking ahead; of several algorithms SAC's alone.
@@ -150,13 +152,15 @@ def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
     """Return a study by its recipe's name or file.
 
     Raises:
-        KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task.
+        KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task; or if two
+            tasks would have the same name in the tables.
     """
     study = config.load(StudyConfig, find_recipe(name, "benchmark"), overrides)
     named = [*study.robots, *study.look_ahead, *(training.robot for training in study.trainings)]
     named += [robot for variant in study.variants for robot in variant.robots]
     for robot in dict.fromkeys(named):
         registry.load_robot(robot)
+    _check_names(study.tasks)
     both = (study.baselines, study.look_ahead)
     judged = [task for by_name in both for tasks in by_name.values() for task in tasks]
     for task in dict.fromkeys([*study.tasks, *judged]):
@@ -168,6 +172,17 @@ def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
             for row in study.physics.rows.values():
                 row_settings(study.physics, row, robot)
     return study
+
+
+def _check_names(tasks: Sequence[str]) -> None:
+    """Raise if the file of a task has the name of another task, installed or of the study."""
+    taken = {name: name for name in registry.names("kinfeas.tasks")}
+    for task in filter(is_path, tasks):
+        other = taken.setdefault(task_name(task), task)
+        if other != task:
+            raise KinfeasError(
+                f"{task}: would have the name of the task {other!r} in the tables; rename the file"
+            )
 
 
 def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsSettings:

@@ -1,6 +1,6 @@
 """The table of a benchmark: all training seeds put together, beside the paper and the ceiling."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -26,7 +26,7 @@ class Cell:
     Attributes:
         robot: Name of the robot.
         variant: What is different about the task; empty if nothing is.
-        task: Name of the task.
+        task: Name of the task; of a YAML file, what the file is called without its suffix.
         policy: `sac`, `td3`, `pretrained`, or a baseline; `look_ahead:sac` for one that looks
             ahead.
         world: Where it was measured.
@@ -144,7 +144,7 @@ def _cell(group: Sequence[tuple[Job, Result]], ceiling: dict[str, float]) -> Cel
 
 def common(
     job: Job,
-    figures: Sequence[dict[str, Any]],
+    figures: Sequence[Mapping[str, Any]],
     training_seeds: Sequence[int | None],
     ceiling: dict[str, float],
     paper: PaperFigures | None,
@@ -162,7 +162,7 @@ def common(
     return {
         "robot": registry.load_robot(job.robot).name,
         "variant": job.variant,
-        "task": job.task,
+        "task": job.task_name,
         "policy": job.policy,
         "seeds": len(figures),
         "training_seeds": tuple(seed for seed in training_seeds if seed is not None),
@@ -184,12 +184,12 @@ def common(
     }
 
 
-def mean_of(figures: Sequence[dict[str, Any]], key: str) -> float:
+def mean_of(figures: Sequence[Mapping[str, Any]], key: str) -> float:
     """Return the mean of a figure over the training seeds."""
     return float(np.mean([found[key] for found in figures]))
 
 
-def _deviation(figures: Sequence[dict[str, Any]], key: str) -> float | None:
+def _deviation(figures: Sequence[Mapping[str, Any]], key: str) -> float | None:
     if len(figures) < 2:
         return None
     return float(np.std([found[key] for found in figures], ddof=1))

@@ -95,8 +95,7 @@ def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
 
 def success_of(figures: Summary) -> Share:
     """Return the share of episodes without a failure with its interval."""
-    value, low, high = (float(figures[f"success{end}"] or 0.0) for end in ("", "_low", "_high"))
-    return Share(value, low, high)
+    return Share(figures["success"], figures["success_low"], figures["success_high"])
 
 
 def _rows(comparison: Comparison) -> list[Row]:

@@ -15,12 +15,22 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.ceiling import measure_ceiling
 from kinfeas.evaluation.episodes import BATCH, run_episodes
-from kinfeas.metrics import EpisodeRecords, Share, summarize
+from kinfeas.metrics import EpisodeRecords, Figures, Share, summarize
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import Task
 
-Summary = dict[str, float | int | str | None]
+
+class Summary(Figures):
+    """The figures of a policy, and what they are of; the ceiling is null where it is not known."""
+
+    robot: str
+    task: str
+    policy: str
+    seed: int
+    ceiling: float | None
+    ceiling_low: float | None
+    ceiling_high: float | None
 
 
 def evaluation_world() -> WorldConfig:

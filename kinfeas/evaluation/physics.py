@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -14,11 +15,31 @@ from kinfeas.evaluation.physics_world import (
     columns,
     join_records,
 )
-from kinfeas.metrics import Share, summarize, wilson
+from kinfeas.metrics import Figures, Share, summarize, wilson
 from kinfeas.policy import Policy
 from kinfeas.sim.stage import task_scene
 
 _SHARES = 4  # of the episodes for each process
+
+
+class PhysicsFigures(Figures):
+    """What a number of episodes come to; a task's success is null where it cannot be done."""
+
+    task_success: float | None
+    task_success_low: float | None
+    task_success_high: float | None
+    base_collisions: float
+    arm_collisions: float
+    free_of_collisions: float
+
+
+class PhysicsSummary(Summary, PhysicsFigures):
+    """The figures of a policy, and what they are of."""
+
+    world: Literal["pybullet"]
+    slow_down: float
+    head_start: float
+    objects: bool
 
 
 def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
@@ -30,7 +51,7 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
     on_done: Callable[[int], None] | None = None,
     *,
     gui: bool = False,
-) -> Summary:
+) -> PhysicsSummary:
     """Return the figures of a policy: shares in 0-1, distances in metres.
 
     Args:
@@ -69,7 +90,7 @@ def is_judged(trial: PhysicsTrial) -> bool:
     return trial.settings.objects or task_scene(trial.task) is None
 
 
-def physics_figures(records: PhysicsRecords, *, judged: bool) -> dict[str, float | int | None]:
+def physics_figures(records: PhysicsRecords, *, judged: bool) -> PhysicsFigures:
     """Return the figures of `metrics.summarize` with those of tasks and collisions.
 
     Args:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from kinfeas.evaluation.benchmark_paper import paper_figures
 from kinfeas.files import write_file
@@ -29,7 +30,7 @@ class Row:
 
     name: str
     success: Share
-    figures: Mapping[str, float | int | str | None]
+    figures: Mapping[str, Any]
     ours: bool = False
 
 
@@ -129,9 +130,7 @@ def _line(row: Row) -> str:
     return f"<tr{kind}>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>\n"
 
 
-def _cell(
-    figures: Mapping[str, float | int | str | None], key: str, form: str, factor: float = 1.0
-) -> str:
+def _cell(figures: Mapping[str, Any], key: str, form: str, factor: float = 1.0) -> str:
     value = figures.get(key)
     return "" if value is None else form.format(factor * float(value))
 

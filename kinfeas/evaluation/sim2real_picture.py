@@ -38,12 +38,13 @@ def sim2real_figure(title: str, costs: Sequence[Cost], sweeps: Sequence[Sweep]) 
 
 def _draw_costs(axes: Axes, costs: Sequence[Cost]) -> None:
     for place, cost in enumerate(costs):
-        share, low, high = (_share(cost, end) for end in ("", "_low", "_high"))
+        share = cost.figures["success"]
+        low, high = cost.figures["success_low"], cost.figures["success_high"]
         colour = EE if cost.adapter in (NONE, ALL) else BASE
         axes.plot([low, high], [place, place], color=colour, lw=4.5, alpha=0.3,
                   solid_capstyle="butt")  # fmt: skip
         axes.plot([share], [place], "o", color=colour, ms=6.0, mec="white", mew=0.8)
-    axes.axvline(_share(costs[0], ""), color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+    axes.axvline(costs[0].figures["success"], color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
     axes.set_yticks(range(len(costs)), [cost.adapter for cost in costs])
     axes.set_ylim(len(costs) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
@@ -54,16 +55,11 @@ def _draw_costs(axes: Axes, costs: Sequence[Cost]) -> None:
 
 def _draw_sweep(axes: Axes, sweep: Sweep) -> None:
     values = sweep.axis.values
-    shares, lows, highs = (
-        [float(figures[f"success{end}"] or 0.0) for figures in sweep.figures]
-        for end in ("", "_low", "_high")
-    )
+    shares = [figures["success"] for figures in sweep.figures]
+    lows = [figures["success_low"] for figures in sweep.figures]
+    highs = [figures["success_high"] for figures in sweep.figures]
     axes.fill_between(values, lows, highs, color=EE, alpha=0.18, lw=0.0)
     axes.plot(values, shares, "o-", color=EE, lw=2.0, ms=6.0, mec="white", clip_on=False)
     axes.set_xlabel(sweep.axis.title, color=INK)
     axes.set_ylim(0.0, 1.02)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-
-
-def _share(cost: Cost, end: str) -> float:
-    return float(cost.figures[f"success{end}"] or 0.0)

@@ -3,13 +3,11 @@
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from kinfeas.config import Interval
-from kinfeas.quantities import Metres
+from kinfeas.quantities import Metres, Positive
 
 Drive = Literal["omnidirectional", "differential"]
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 
 GOAL_HEIGHTS = ("ggr", "ggr_restricted")
 QUATERNION_TOLERANCE = 1e-3

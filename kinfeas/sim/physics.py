@@ -12,11 +12,10 @@ import numpy as np
 
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
+from kinfeas.quantities import NotNegative, Positive
 from kinfeas.sim.complaints import complaint, unread_mesh
 from kinfeas.sim.silence import overhear, silence
 from kinfeas.spatial import IDENTITY, Array, compose, relative
-
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 
 ROOT = -1
 """PyBullet's index of a body's root link."""
@@ -51,15 +50,15 @@ class PhysicsConfig:
     """
 
     rate: Annotated[float, Interval(low=0.0, high=1e5, open_low=True)] = 240.0
-    gravity: Annotated[float, Interval(low=0.0)] = 9.81
+    gravity: NotNegative = 9.81
     iterations: Annotated[int, Interval(low=1, high=10_000)] = 50
     drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
-    wheel_grip: Annotated[float, Interval(low=0.0)] = 0.12
+    wheel_grip: NotNegative = 0.12
     arm_horizon: Positive = 0.1
-    finger_friction: Annotated[float, Interval(low=0.0)] = 1.0
-    finger_softness: Annotated[float, Interval(low=0.0)] = 0.003
+    finger_friction: NotNegative = 1.0
+    finger_softness: NotNegative = 0.003
     grasp_stiffness: Positive = 3000.0
-    grasp_damping: Annotated[float, Interval(low=0.0)] = 30.0
+    grasp_damping: NotNegative = 30.0
     grasp_limit: Positive = 80.0
 
 

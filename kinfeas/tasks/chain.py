@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config, strict_yaml
 from kinfeas.config import Interval, no_such
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.quantities import Distance, Metres, Radians
+from kinfeas.quantities import Distance, Metres, Position, Radians
 from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
@@ -77,7 +77,7 @@ class ChainLeg(Leg):
     """
 
     place: str
-    offset: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    offset: Position = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

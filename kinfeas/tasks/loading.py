@@ -1,10 +1,10 @@
 """Tasks by name, or by the path of their YAML."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
 from kinfeas import registry
+from kinfeas.files import is_path
 from kinfeas.tasks.chain import read_chain
 from kinfeas.tasks.task import Task
 
@@ -19,7 +19,12 @@ def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None)
     Raises:
         KinfeasError: If there is no such task, or a parameter or its YAML is wrong.
     """
-    if os.sep in name_or_path or name_or_path.endswith((".yaml", ".yml")):
+    if is_path(name_or_path):
         return read_chain(Path(name_or_path), parameters)
     task: Task = registry.build("kinfeas.tasks", name_or_path, parameters or {})
     return task
+
+
+def task_name(name_or_path: str) -> str:
+    """Return what a task is called in tables and file names: a path's without folder and suffix."""
+    return Path(name_or_path).stem if is_path(name_or_path) else name_or_path

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.quantities import Metres, Radians
+from kinfeas.quantities import Position, Radians
 from kinfeas.spatial import Array, compose, make_pose
 
 
@@ -20,7 +20,7 @@ class Move:
     """
 
     place: str
-    offset: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    offset: Position = (0.0, 0.0, 0.0)
     turn: Radians = 0.0
 
     def carry(self, place: Array) -> Array:

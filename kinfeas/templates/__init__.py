@@ -1,114 +1,27 @@
-"""Templates: small distributions that work at once, for plugins of one's own."""
+"""Templates: small distributions that work at once, for plugins of one's own.
 
-import importlib.util
-import keyword
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from string import Template
+Here is only what there are templates of: the command line reads it for its help, and must not load
+more than that.
+"""
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
-from kinfeas.files import writing
-from kinfeas.schema import no_such
-
-_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
-# What is written carries no template's suffix, or tools would take a template for its contents.
-_SUFFIX, _PLACEHOLDER = ".txt", "NAME"
+from enum import StrEnum
 
 
-@dataclass(frozen=True)
-class Kind:
-    """What the distribution of a kind offers.
+class Kind(StrEnum):
+    """What a distribution may offer."""
 
-    Attributes:
-        group: Entry-point group.
-        target: Class or function in its module, with $Class and $name for what it is called.
-    """
+    MOTION_GENERATOR = "motion_generator"
+    ROBOT = "robot"
+    TASK = "task"
+    ADAPTER = "adapter"
+    BACKEND = "backend"
 
-    group: str
-    target: str
+    @property
+    def group(self) -> str:
+        """Entry-point group."""
+        return f"kinfeas.{self}s"
 
-
-KINDS = {
-    "motion_generator": Kind("kinfeas.motion_generators", "$Class"),
-    "robot": Kind("kinfeas.robots", "$name"),
-    "task": Kind("kinfeas.tasks", "$name"),
-    "adapter": Kind("kinfeas.adapters", "$Class"),
-    "backend": Kind("kinfeas.backends", "$Class"),
-}
-"""Kinds of distributions by name."""
-
-
-def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
-    """Return the files of a new distribution that offers one plugin.
-
-    Args:
-        kind: One of `KINDS`.
-        name: Name of the plugin, in lower case.
-        folder: Where to write it; it must be empty or not there.
-
-    Raises:
-        KinfeasError: If the name cannot be used or is taken, there is something in the folder, or
-            it cannot be written.
-    """
-    if kind not in KINDS:
-        raise KinfeasError(f"unknown kind of plugin {kind!r}{no_such(kind, KINDS)}")
-    _check_name(KINDS[kind].group, name)
-    _check_folder(folder)
-    words = _words(KINDS[kind], name)
-    written = []
-    for source, target in _files(kind):
-        path = folder / target.replace(_PLACEHOLDER, name)
-        with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            text = Template(source.read_text(encoding="utf-8")).substitute(words)
-            path.write_text(text, encoding="utf-8")
-        written.append(path)
-    return written
-
-
-def _check_name(group: str, name: str) -> None:
-    if not _NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.iskeyword(_class(name)):
-        raise KinfeasError(
-            f"{name!r} cannot be a name: it must be of lower-case letters, digits and single _, "
-            "begin with a letter and be no word of Python, such as my_motion"
-        )
-    taken = [plugin for plugin in registry.plugins(group) if plugin.name == name]
-    if taken:
-        raise KinfeasError(f"the name is taken by {taken[0]}; choose another")
-    if importlib.util.find_spec(_package(name)) is not None:
-        raise KinfeasError(f"there is a package {_package(name)!r} already; choose another name")
-
-
-def _check_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise KinfeasError(f"{folder}: is a file; name a folder that is empty or not there")
-    with writing(folder):
-        if folder.is_dir() and any(folder.iterdir()):
-            raise KinfeasError(f"{folder}: is not empty; name a folder that is empty or not there")
-
-
-def _files(kind: str) -> Iterator[tuple[Path, str]]:
-    """Yield the template of each file with the path of what becomes of it."""
-    for place in ("common", kind):
-        root = Path(__file__).parent / place
-        for source in sorted(root.rglob(f"*{_SUFFIX}")):
-            yield source, source.relative_to(root).as_posix().removesuffix(_SUFFIX)
-
-
-def _words(kind: Kind, name: str) -> dict[str, str]:
-    """Return what stands for the words that begin with $."""
-    names = {"name": name, "Class": _class(name), "dashed": name.replace("_", "-")}
-    target = Template(kind.target).substitute(names)
-    what = registry.GROUPS[kind.group]
-    return names | {"package": _package(name), "group": kind.group, "target": target, "what": what}
-
-
-def _package(name: str) -> str:
-    return f"kinfeas_{name}"
-
-
-def _class(name: str) -> str:
-    return "".join(part.capitalize() for part in name.split("_"))
+    @property
+    def target(self) -> str:
+        """Class or function in its module, with $Class and $name for what it is called."""
+        return "$name" if self in (Kind.ROBOT, Kind.TASK) else "$Class"

@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from kinfeas import registry
 from kinfeas.cli.main import app
 from kinfeas.errors import KinfeasError
+from kinfeas.evaluation import evaluate as evaluate_module
 from kinfeas.evaluation import speed as speed_module
 from kinfeas.evaluation.speed import Figure, random_network
 from kinfeas.policy import write_network
@@ -31,6 +32,16 @@ def test_evaluate(tmp_path):
     assert figures["episodes"] == 3
     assert figures["policy"] == "follow_ee"
     assert 0.0 <= figures["ceiling"] <= 1.0
+
+
+def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluate_module, "trial_ceiling", lambda *_: None)
+    path = tmp_path / "out.json"
+    result = kinfeas("evaluate", "--policy", "follow_ee", *SHORT, "--json", str(path))
+    (row,) = (line for line in result.output.splitlines() if "ceiling" in line)
+    assert "%" not in row
+    assert " - " in row
+    assert json.loads(path.read_text())["ceiling"] is None
 
 
 def test_evaluate_a_trained_policy_on_another_robot_and_task(tmp_path):

@@ -1,4 +1,7 @@
 import json
+import re
+import shlex
+from html import unescape
 
 from tests.cli.conftest import TINY, is_one_line
 
@@ -24,6 +27,38 @@ def test_demo_reports_beside_baselines_and_ceiling_and_overwrites_nothing(kinfea
     assert json.loads((run / "evaluation.json").read_text())["ceiling"] > 0.0
     for picture in ("learning_curve.png", "episodes.png"):
         assert (run / picture).read_bytes().startswith(b"\x89PNG")
+
+
+TASK = """
+name: fetch
+places: {my cup: {position: [1.5, [-0.5, 0.5], 0.8]}}
+legs: [{place: my cup}]
+"""
+
+
+def test_the_reports_lines_make_its_figures_again(kinfeas, tmp_path):
+    (tmp_path / "my task.yaml").write_text(TASK)
+    ours = {"task": "my task.yaml", "robot": "hsr", "seed": 4}
+    ours["task_parameters"] = {"places": {"my cup": {"rpy": [0, 0, 1]}}}
+    chosen = [f"--set={key}={json.dumps(value)}" for key, value in ours.items()]
+    outcome = kinfeas("demo", *QUICK, *chosen, "--out", "my run", "--minutes", "0.0123456789")
+    assert outcome.code == 0, outcome.err
+    page = unescape((tmp_path / "my run" / "report.html").read_text())
+    lines = re.search(r"<pre>(.*?)</pre>", page, re.DOTALL)[1].splitlines()
+    again, judged, *baselines, ceiling = (shlex.split(line)[1:] for line in lines)
+
+    assert " ".join(again[:11]) == (
+        "demo --robot pr2 --minutes 0.0123456789 --seed 0 --episodes 3 --out my run"
+    )
+    assert again[12::2] == [*TINY[1::2], *(one.removeprefix("--set=") for one in chosen)]
+    assert set(again[11::2]) == {"--set"}
+    assert [line[0] for line in (judged, *baselines, ceiling)] == ["evaluate"] * 3 + ["ceiling"]
+    assert kinfeas(*judged, "--json", "judged.json").code == 0
+    figures = json.loads((tmp_path / "my run" / "evaluation.json").read_text())
+    assert json.loads((tmp_path / "judged.json").read_text()) == figures
+    assert (figures["robot"], figures["task"], figures["seed"]) == ("hsr", "fetch", 5)
+    assert kinfeas(*ceiling, "--json", "ceiling.json").code == 0
+    assert json.loads((tmp_path / "ceiling.json").read_text())["ceiling"] == figures["ceiling"]
 
 
 def test_bad_input_is_one_line(kinfeas, tmp_path):

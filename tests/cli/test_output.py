@@ -52,6 +52,8 @@ def test_checking_leaves_nothing_behind(tmp_path):
 def test_shares_as_per_cent():
     assert output.share(0.5) == "50.0 %"
     assert output.share(0.984, 0.97, 0.9916) == "98.4 %  (97.0 - 99.2)"
+    assert output.share(0.0, 0.0, 0.1) == "0.0 %  (0.0 - 10.0)"
+    assert output.share(None, None, None) == output.share(None) == "-"
 
 
 def test_tables_hold_every_cell(capsys):

@@ -49,7 +49,7 @@ def test_settings_of_the_world_keep_their_adapters(kinfeas, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--sim2real", "hars"), "did you mean 'sim2real/harsh'"),
+        (("--sim2real", "hars"), "did you mean 'harsh'"),
         (("--picture", "out.png"), "--picture needs --sim2real"),
         (("--sim2real", "paper", "--picture", "none/out.png"), "cannot be written"),
     ],

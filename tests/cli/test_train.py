@@ -99,7 +99,7 @@ def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
         (("--robot", "none/robot.yaml"), "none/robot.yaml"),
         (("--task", "fly"), "unknown task 'fly'"),
         (("--config", "train/none"), "train/default"),
-        (("--sim2real", "hars"), "did you mean 'sim2real/harsh'"),
+        (("--sim2real", "hars"), "did you mean 'harsh'"),
         (("--config", "../pyproject"), "unknown configuration"),
         (("--set", "learner.lerning_rate=1"), "did you mean 'learning_rate'"),
         (("--set", "learner.batch_size=0"), ">= 1"),

@@ -18,6 +18,7 @@ from kinfeas.evaluation.benchmark_runs import Run
 from kinfeas.evaluation.benchmark_study import StudyConfig
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
+from tests.evaluation.benchmark_cases import figures
 
 SMALL = {
     "robots": ["pr2", "hsr"],
@@ -109,6 +110,17 @@ def test_figures_of_runs_are_told_by_task():
     assert figures_of_runs(Findings(asked, runs, jobs, results)) == {
         Path("run"): {task: {"seed": 1, "success": 0.5} for task in ("ggr", "pick_place")}
     }
+
+
+def test_a_task_by_path_goes_by_its_name(tmp_path):
+    runs = [Run(Path("run"), "pr2", "sac", 0, "ggr")]
+    asked = study("robots=[pr2]", "variants=[]", f"tasks=[{tmp_path}/fetch.yaml]")
+    jobs = plan_jobs(asked, runs)
+    told = figures(0.5) | {"low": 0.4, "high": 0.6}
+    findings = Findings(asked, runs, jobs, [{"figures": told} for _ in jobs])
+    assert [cell.task for cell in findings.cells] == ["fetch"]
+    assert findings.cells[0].paper_success is None
+    assert list(figures_of_runs(findings)[Path("run")]) == ["fetch"]
 
 
 def test_a_place_that_is_no_folder(tmp_path):

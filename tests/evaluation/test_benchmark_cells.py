@@ -99,6 +99,40 @@ def test_other_weights_are_another_cell(run):
     assert identity(job("sac", str(run))) != before
 
 
+TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n"
+
+
+@pytest.mark.parametrize("path", ["fetch.yaml", "./fetch.yaml", "{}/fetch.yaml"])
+def test_a_task_by_path_is_found_again_until_its_file_changes(tmp_path, monkeypatch, counted, path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fetch.yaml").write_text(TASK)
+    one = job(task=path.format(tmp_path))
+    first = run_jobs([one], tmp_path / "cells")
+    assert run_jobs([one], tmp_path / "cells") == first
+    assert len(counted) == 1
+    (tmp_path / "fetch.yaml").write_text(TASK.replace("0.8", "0.9"))
+    assert run_jobs([one], tmp_path / "cells") != first
+    assert len(counted) == 2
+    names = [path.name for path in (tmp_path / "cells").iterdir()]
+    assert len(names) == 2
+    assert all(name.startswith("pr2-fetch-follow_ee-") for name in names)
+
+
+def test_cells_of_named_tasks_are_found_where_they_have_always_been():
+    told = identity(job())
+    assert told["task"] == "ggr"
+    assert sorted(told) == [
+        "episodes", "format", "parameters", "policy", "robot", "robot_digest", "seed", "task",
+        "version", "world",
+    ]  # fmt: skip
+    assert job(task="my.task").name == "pr2-my.task-follow_ee"
+
+
+def test_a_task_file_that_is_gone_is_named(tmp_path):
+    with pytest.raises(KinfeasError, match=r"gone\.yaml: cannot be read"):
+        identity(job(task=str(tmp_path / "gone.yaml")))
+
+
 def test_a_learned_policy_leaves_samples_of_the_workspace(run):
     found = compute(job("sac", str(run)))
     assert found["workspace"].keys() == {"feasible", "infeasible"}

@@ -53,9 +53,9 @@ def records(successes):
     )
 
 
-def found():
+def found(*overrides):
     """Return jobs and results: three of four episodes succeed everywhere, four without physics."""
-    jobs = plan("episodes=4")
+    jobs = plan("episodes=4", *overrides)
     results = []
     for job in jobs:
         figures = {"success": 1.0, "within_5cm": 1.0, "mean_failures": 0.0}
@@ -67,8 +67,8 @@ def found():
     return jobs, results
 
 
-def cells():
-    jobs, results = found()
+def cells(*overrides):
+    jobs, results = found(*overrides)
     split = [
         [pair for pair in zip(jobs, results, strict=True) if pair[0].physical == physical]
         for physical in (False, True)
@@ -112,6 +112,14 @@ def test_cells_put_parts_together_and_stand_beside_the_paper():
     assert found["pr2", "ggr", "follow_ee", ""].paper_success == 0.482
     entries = json.loads(json.dumps(to_json(list(found.values())), allow_nan=False))
     assert {"success_std", "ceiling", "task_success", "arm_collisions"} <= set(entries[0])
+
+
+def test_a_task_by_path_goes_by_its_name(tmp_path):
+    path = tmp_path / "fetch.yaml"
+    path.write_text("name: x\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n")
+    made = cells("robots=[pr2]", f"tasks=[ggr,{path}]", f"baselines={{follow_ee: [{path}]}}")
+    named = {(cell.task, cell.policy) for cell in made}
+    assert named == {("ggr", "pretrained"), ("fetch", "pretrained"), ("fetch", "follow_ee")}
 
 
 def test_a_row_may_have_no_tasks():

@@ -26,6 +26,11 @@ def test_a_run_is_read(run):
     assert (found.robot, found.algorithm, found.seed, found.task) == ("pr2", "sac", 0, "ggr")
 
 
+def test_a_run_on_a_task_by_path_goes_by_its_name(tmp_path):
+    config.dump(tiny("task=/my/fetch.yaml"), tmp_path / "config.yaml")
+    assert read_run(tmp_path).task == "fetch"
+
+
 def test_a_finished_run_is_not_trained_again(run):
     assert is_finished(run)
     assert not is_missing(tiny(), run)

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,34 @@ def test_fewer_robots():
     assert [folder.name for _, folder in to_train(kept, OUT)] == ["hsr-sac-0"]
     with pytest.raises(KinfeasError, match="no robot 'fetch', only: hsr, pr2, tiago"):
         restricted(whole, {"fetch"})
+
+
+TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n"
+
+
+@pytest.mark.parametrize(
+    ("tasks", "words"),
+    [
+        (["a/fetch.yaml", "b/fetch.yaml"], r"b/fetch\.yaml: .* name of the task 'a/fetch\.yaml'"),
+        (["a/ggr.yaml"], r"a/ggr\.yaml: .* name of the task 'ggr' in the tables; rename the file"),
+        (["ggr", "ggr.yaml"], "name of the task 'ggr'"),
+    ],
+)
+def test_two_tasks_of_one_name_are_refused(tmp_path, monkeypatch, tasks, words):
+    monkeypatch.chdir(tmp_path)
+    for name in ("study.yaml", *tasks):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(TASK if name != "study.yaml" else "note: mine\n")
+    with pytest.raises(KinfeasError, match=words):
+        read_study("study.yaml", [f"tasks={json.dumps(tasks)}"])
+    assert read_study("study.yaml", ["tasks=[ggr]"]).tasks == ("ggr",)
+
+
+def test_a_task_may_be_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fetch.yaml").write_text(TASK)
+    (tmp_path / "study.yaml").write_text("tasks: [ggr, fetch.yaml]\n")
+    assert read_study("study.yaml").tasks == ("ggr", "fetch.yaml")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.loading import load_task, task_name
 
 TASK = """
 name: fetch
@@ -23,6 +23,11 @@ def test_by_path(tmp_path):
     assert changed.name == "turned"
     assert changed.places["cup"].position == (2.0, (-1.0, 1.0), 0.8)
     assert changed.places["cup"].rpy == (0.0, 0.0, 1.0)
+
+
+def test_what_it_is_called():
+    names = ("ggr", "my.task", "my/fetch.yaml", "fetch.yml", "./fetch")
+    assert [task_name(name) for name in names] == ["ggr", "my.task", "fetch", "fetch", "fetch"]
 
 
 @pytest.mark.parametrize(
