@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from kinfeas import registry
-from kinfeas.evaluation.pictures import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
-from kinfeas.evaluation.projection import Painted, draw_floor, draw_solids, look
-from kinfeas.evaluation.solids import robot_faces
+from kinfeas.evaluation.pictures.projection import Painted, draw_floor, draw_solids, look
+from kinfeas.evaluation.pictures.solids import robot_faces
+from kinfeas.evaluation.pictures.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
 from kinfeas.kinematics.ceiling import reachable
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.legs import GOAL_METRES, GOAL_RADIANS

@@ -83,7 +83,7 @@ CONFINED = {
     "onnx": ("kinfeas.sim2real.export",),
     "onnxruntime": ("kinfeas.sim2real.policy_file",),
     "movement_primitives": ("kinfeas.plugins.forcing",),
-    "viser": ("kinfeas.evaluation.viser_page",),
+    "viser": ("kinfeas.evaluation.pages.viser_server",),
 }
 
 # Where the packages lie in the tree; all others lie where their name says.

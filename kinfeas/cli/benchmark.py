@@ -16,10 +16,10 @@ from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.benchmark import Findings
-    from kinfeas.evaluation.benchmark_runs import Plan, Run
-    from kinfeas.evaluation.benchmark_study import StudyConfig
-    from kinfeas.evaluation.benchmark_table import Cell
+    from kinfeas.evaluation.benchmark.findings import Findings
+    from kinfeas.evaluation.benchmark.runs import Plan, Run
+    from kinfeas.evaluation.benchmark.study import StudyConfig
+    from kinfeas.evaluation.benchmark.table import Cell
 
 _RECIPES = {
     (WorldName.ANALYTIC, False): "benchmark/study",
@@ -84,7 +84,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     task, policy, episodes and settings, and not by the code.
     With physics they are kept in parts of 20 episodes, which more [bold]--episodes[/] take up.
     """
-    from kinfeas.evaluation.benchmark import check_out, write_pictures, write_tables
+    from kinfeas.evaluation.benchmark.findings import check_out, write_pictures, write_tables
 
     check_apart({"--out": out, "--publish": publish, "--json": json})
     name = config or _RECIPES[world, quick]
@@ -126,8 +126,8 @@ def _read(
     overrides: Sequence[str],
 ) -> tuple["StudyConfig", list["Run"]]:
     """Return the study that the options ask for, and the runs that it is to take."""
-    from kinfeas.evaluation.benchmark_runs import find_runs
-    from kinfeas.evaluation.benchmark_study import read_study, restricted
+    from kinfeas.evaluation.benchmark.runs import find_runs
+    from kinfeas.evaluation.benchmark.study import read_study, restricted
 
     if policy not in (None, "pretrained") or (policy and folders):
         raise KinfeasError("--policy can be pretrained only, and not beside --runs")
@@ -147,7 +147,7 @@ def _check_world(study: "StudyConfig", name: str, world: WorldName) -> None:
 def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
     """Return the training runs that are to be there, after a check of all policies' names."""
     from kinfeas import pretrained
-    from kinfeas.evaluation.benchmark_study import to_train
+    from kinfeas.evaluation.benchmark.study import to_train
     from kinfeas.registry import load_robot
 
     if taken:
@@ -160,7 +160,7 @@ def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Pla
 
 def _train(plans: Sequence["Plan"], cores: int) -> list["Run"]:
     """Train what is missing and return all runs."""
-    from kinfeas.evaluation.benchmark_runs import CORES, finish, finish_all, is_missing, read_run
+    from kinfeas.evaluation.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
 
     missing = [plan for plan in plans if is_missing(*plan)]
     at_once = min(len(missing), cores // CORES)
@@ -178,9 +178,9 @@ def _train(plans: Sequence["Plan"], cores: int) -> list["Run"]:
 def _compute(
     study: "StudyConfig", runs: Sequence["Run"], folder: Path, processes: int
 ) -> "Findings":
-    from kinfeas.evaluation.benchmark import Findings, plan_jobs
-    from kinfeas.evaluation.benchmark_cells import run_jobs
-    from kinfeas.evaluation.benchmark_physics import PART
+    from kinfeas.evaluation.benchmark.cells import run_jobs
+    from kinfeas.evaluation.benchmark.findings import Findings, plan_jobs
+    from kinfeas.evaluation.benchmark.physics import PART
 
     jobs = plan_jobs(study, runs)
     kind = "cells" if study.physics is None else f"cells and parts of up to {PART} episodes"
@@ -191,8 +191,8 @@ def _compute(
 
 def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
     """Copy each robot's best policy into each of `folders`; return where they lie now."""
-    from kinfeas.evaluation.benchmark import figures_of_runs
-    from kinfeas.evaluation.benchmark_publish import publish
+    from kinfeas.evaluation.benchmark.findings import figures_of_runs
+    from kinfeas.evaluation.benchmark.publish import publish
 
     figures = figures_of_runs(findings)
     return [
@@ -201,7 +201,7 @@ def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
 
 
 def _write_json(findings: "Findings", path: Path) -> None:
-    from kinfeas.evaluation.benchmark_table import to_json
+    from kinfeas.evaluation.benchmark.table import to_json
 
     write_json(to_json(findings.physics or findings.cells), path)
 
@@ -211,7 +211,7 @@ def _command() -> str:
 
 
 def _show(findings: "Findings") -> None:
-    from kinfeas.evaluation.benchmark_text import groups, label, title
+    from kinfeas.evaluation.benchmark.text import groups, label, title
 
     cells: Sequence[Cell] = findings.physics or findings.cells
     tasks = list(dict.fromkeys(cell.task for cell in cells))

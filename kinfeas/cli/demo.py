@@ -16,7 +16,7 @@ from kinfeas.cli.train import Wishes, read_settings, train_run
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.comparison import Comparison
-    from kinfeas.evaluation.report import Report
+    from kinfeas.evaluation.pages.report import Report
     from kinfeas.training.config import TrainConfig
 
 PICTURES = ("learning_curve.png", "episodes.png")
@@ -39,7 +39,7 @@ def demo(
     """
     from kinfeas.evaluation.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import Trial
-    from kinfeas.evaluation.report import write_report
+    from kinfeas.evaluation.pages.report import write_report
     from kinfeas.files import write_file
 
     settings = read_settings(Wishes(robot, None, seed, minutes), None, overrides or [])

@@ -105,8 +105,8 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
 
 
 def _draw(mechanism: str, exercise: "Exercise", takes: "Sequence[Take]", path: Path) -> None:
-    from kinfeas.evaluation.demonstration_picture import demonstrations_figure
-    from kinfeas.evaluation.pictures import png
+    from kinfeas.evaluation.pictures.demonstrations import demonstrations_figure
+    from kinfeas.evaluation.pictures.style import png
     from kinfeas.files import write_file
 
     write_file(path, png(demonstrations_figure(mechanism, exercise, takes), dpi=130))

@@ -23,7 +23,7 @@ from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.evaluation.physics_world import PhysicsTrial
+    from kinfeas.evaluation.physics.world import PhysicsTrial
     from kinfeas.evaluation.sim2real import Specs
     from kinfeas.policy import Policy
     from kinfeas.robots.robot import Robot
@@ -207,7 +207,7 @@ def _put_to(
     names: tuple[str, str, str], episodes: int, seed: int, overrides: list[str]
 ) -> "tuple[PhysicsTrial, Policy]":
     """Return what a policy is put to with physics, and the policy."""
-    from kinfeas.evaluation.physics_world import PhysicsTrial, physics_config
+    from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
     from kinfeas.evaluation.policies import load_driver
 
     policy, robot, task = names
@@ -222,7 +222,7 @@ def _physics(
     policy: str, trial: "PhysicsTrial", driver: "Policy", processes: int, *, gui: bool
 ) -> "Run":
     from kinfeas.evaluation.evaluate import Trial, trial_ceiling
-    from kinfeas.evaluation.physics import evaluate_physics
+    from kinfeas.evaluation.physics.evaluate import evaluate_physics
 
     with progress("ceiling") as advance:
         world = trial.settings.world

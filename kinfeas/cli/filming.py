@@ -9,14 +9,14 @@ from kinfeas.cli.output import check_file_path, progress, status
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.physics_film import Film
-    from kinfeas.evaluation.physics_world import PhysicsTrial
+    from kinfeas.evaluation.physics.film import Film
+    from kinfeas.evaluation.physics.world import PhysicsTrial
     from kinfeas.policy import Policy
 
 
 def _check_video(path: Path | None) -> Path | None:
     if path is not None:
-        from kinfeas.evaluation.physics_film import check_film_path
+        from kinfeas.evaluation.physics.film import check_film_path
 
         check_film_path(path)
     return check_file_path(path)
@@ -54,9 +54,9 @@ def show_episode(
     trial: "PhysicsTrial", policy: "Policy", episode: int, video: Path | None, replay: Path | None
 ) -> None:
     """Run an episode once more and write it as film, page or both."""
-    from kinfeas.evaluation.physics_film import count_pictures, make_film, write_film
-    from kinfeas.evaluation.physics_recording import record
-    from kinfeas.evaluation.physics_world import PhysicsWorld
+    from kinfeas.evaluation.physics.film import count_pictures, make_film, write_film
+    from kinfeas.evaluation.physics.recording import record
+    from kinfeas.evaluation.physics.world import PhysicsWorld
 
     world = PhysicsWorld(trial)
     try:
@@ -74,7 +74,7 @@ def show_episode(
 
 
 def _write_page(film: "Film", path: Path) -> None:
-    from kinfeas.evaluation.physics_film_page import film_html
+    from kinfeas.evaluation.pages.film import film_html
     from kinfeas.files import write_file
 
     with status("page"):

@@ -83,8 +83,8 @@ def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["
 
 def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) -> None:
     from kinfeas import registry
-    from kinfeas.evaluation.motion_picture import motion_figure
-    from kinfeas.evaluation.pictures import png
+    from kinfeas.evaluation.pictures.motions import motion_figure
+    from kinfeas.evaluation.pictures.style import png
     from kinfeas.files import write_file
     from kinfeas.motion_checks import CheckedMotion
     from kinfeas.motion_trial import sample_motions

@@ -45,8 +45,8 @@ def weigh(
         costs = measure_costs(counted, adapters)
         sweeps = measure_sweeps(counted, adapters, axes)
     if picture is not None:
-        from kinfeas.evaluation.pictures import png
-        from kinfeas.evaluation.sim2real_picture import sim2real_figure
+        from kinfeas.evaluation.pictures.sim2real import sim2real_figure
+        from kinfeas.evaluation.pictures.style import png
         from kinfeas.files import write_file
 
         title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)

@@ -10,7 +10,7 @@ from kinfeas.cli.output import print_table, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.simulated_robot import Played
+    from kinfeas.evaluation.physics.simulated_robot import Played
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -61,7 +61,7 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Whatever drives the real robot can drive this one, such as [bold]kinfeas deploy[/] in another
     process. It ends after --seconds or with Ctrl-C.
     """
-    from kinfeas.evaluation.simulated_robot import (
+    from kinfeas.evaluation.physics.simulated_robot import (
         Role,
         SimulatedRobot,
         play,

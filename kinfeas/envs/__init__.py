@@ -23,7 +23,7 @@ def register() -> None:
         )
     if PHYSICS_ENVIRONMENT not in registration.registry:
         registration.register(
-            PHYSICS_ENVIRONMENT, entry_point="kinfeas.evaluation.physics_gym:PhysicsMotionEnv"
+            PHYSICS_ENVIRONMENT, entry_point="kinfeas.evaluation.physics.gym:PhysicsMotionEnv"
         )
 
 

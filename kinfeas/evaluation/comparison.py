@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinfeas.envs.world import World
-from kinfeas.evaluation.episode_picture import episodes_figure
 from kinfeas.evaluation.evaluate import Summary, Trial, evaluate, trial_ceiling
-from kinfeas.evaluation.pictures import learning_curve, png, read_metrics
+from kinfeas.evaluation.pages.report import Picture, Report, Row, paper_success
+from kinfeas.evaluation.pictures.episodes import episodes_figure
+from kinfeas.evaluation.pictures.learning_curve import learning_curve, read_metrics
+from kinfeas.evaluation.pictures.style import png
 from kinfeas.evaluation.policies import QUICK_BASELINES, load_policy
 from kinfeas.evaluation.recording import record_episodes
-from kinfeas.evaluation.report import Picture, Report, Row, paper_success
 from kinfeas.metrics import Share
 from kinfeas.policy import read_network
 

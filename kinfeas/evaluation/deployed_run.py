@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from kinfeas import spatial
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.episode_picture import episodes_figure
+from kinfeas.evaluation.pictures.episodes import episodes_figure
 from kinfeas.evaluation.recording import Recording
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward

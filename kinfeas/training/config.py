@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from kinfeas.config import Interval
 from kinfeas.envs.world import WorldConfig
-from kinfeas.evaluation.physics_world import Place
+from kinfeas.evaluation.physics.world import Place
 from kinfeas.quantities import Count, NotNegative, Positive, Share
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from kinfeas import registry
 from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
-from kinfeas.evaluation.physics import run_physics
-from kinfeas.evaluation.physics_world import (
+from kinfeas.evaluation.physics.evaluate import run_physics
+from kinfeas.evaluation.physics.world import (
     PhysicsSettings,
     PhysicsTrial,
     make_physics_world,

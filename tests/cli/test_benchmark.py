@@ -3,7 +3,7 @@ import json
 import pytest
 
 from kinfeas import pretrained
-from kinfeas.evaluation import benchmark_cells
+from kinfeas.evaluation.benchmark import cells
 from tests.cli.conftest import TINY, is_one_line
 
 STUDY = f"""
@@ -50,7 +50,7 @@ def test_a_study_is_trained_judged_and_published(kinfeas, study, tmp_path, monke
     assert about["benchmark"]["ggr"]["episodes"] == 2
 
     # A second time nothing is computed, and a run can be judged without the study that made it.
-    monkeypatch.setattr(benchmark_cells, "compute", None)
+    monkeypatch.setattr(cells, "compute", None)
     before = (out / "table.json").read_bytes()
     again = run(kinfeas, "--config", study)
     assert again.code == 0, again.err
@@ -64,7 +64,7 @@ def test_interruption_says_how_to_go_on(kinfeas, study, monkeypatch):
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(benchmark_cells, "compute", interrupted)
+    monkeypatch.setattr(cells, "compute", interrupted)
     outcome = run(kinfeas, "--config", study, "--set", "seeds=[0]")
     assert outcome.code == 130
     assert outcome.err.endswith("the same command goes on from there\n")

@@ -6,8 +6,8 @@ import pytest
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.deployed_run import recording, replay_figure
-from kinfeas.evaluation.deployed_run_page import moments, replay_html
-from kinfeas.evaluation.pictures import png
+from kinfeas.evaluation.pages.deployed_run import moments, replay_html
+from kinfeas.evaluation.pictures.style import png
 from kinfeas.record import REACHED, About, Record
 
 PR2 = registry.load_robot("pr2")

@@ -3,7 +3,8 @@ import json
 import pytest
 
 from kinfeas.adapters import AdapterSpec, read_sim2real
-from kinfeas.evaluation.pictures import png
+from kinfeas.evaluation.pictures.sim2real import sim2real_figure
+from kinfeas.evaluation.pictures.style import png
 from kinfeas.evaluation.sim2real import (
     ALL,
     AXES,
@@ -14,7 +15,6 @@ from kinfeas.evaluation.sim2real import (
     to_json,
     with_value,
 )
-from kinfeas.evaluation.sim2real_picture import sim2real_figure
 
 ADAPTERS = (
     AdapterSpec("base_noise", {"linear": 0.03}),

@@ -1,0 +1,267 @@
+"""A benchmark: the jobs that a study comes to, and all that is written of what they found."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from kinfeas import pretrained, registry
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark.cells import CEILING, Job, Result
+from kinfeas.evaluation.benchmark.curves import curves_figure
+from kinfeas.evaluation.benchmark.paper import LEARNED, paper_figures
+from kinfeas.evaluation.benchmark.physics import (
+    PhysicsCell,
+    Source,
+    plan_physics,
+    tabulate_physics,
+)
+from kinfeas.evaluation.benchmark.physics_text import physics_markdown
+from kinfeas.evaluation.benchmark.plot import table_figure
+from kinfeas.evaluation.benchmark.runs import Run
+from kinfeas.evaluation.benchmark.study import StudyConfig, takes_pretrained
+from kinfeas.evaluation.benchmark.table import Cell, tabulate, to_json
+from kinfeas.evaluation.benchmark.text import to_markdown
+from kinfeas.evaluation.benchmark.workspace import Covered, covered, workspace_figure
+from kinfeas.evaluation.pictures.episodes import episodes_figure
+from kinfeas.evaluation.pictures.style import STYLE, png
+from kinfeas.evaluation.policies import LOOK_AHEAD, load_policy
+from kinfeas.evaluation.recording import Recording, record_episodes
+from kinfeas.files import write_file, writing
+from kinfeas.tasks.loading import load_task
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that a benchmark has found.
+
+    Attributes:
+        study: What was asked.
+        runs: The training runs that it stands on.
+        jobs: What was computed.
+        results: What each of the jobs came to.
+    """
+
+    study: StudyConfig
+    runs: Sequence[Run]
+    jobs: Sequence[Job]
+    results: Sequence[Result]
+
+    @cached_property
+    def cells(self) -> list[Cell]:
+        """The table of the analytic world."""
+        return tabulate(*self._found(physical=False))
+
+    @cached_property
+    def physics(self) -> list[PhysicsCell]:
+        """The table of the PyBullet world; empty if it was not asked for."""
+        return tabulate_physics(*self._found(physical=True), self.cells)
+
+    def _found(self, *, physical: bool) -> tuple[list[Job], list[Result]]:
+        both = zip(self.jobs, self.results, strict=True)
+        own = [(job, result) for job, result in both if job.physical == physical]
+        return [job for job, _ in own], [result for _, result in own]
+
+
+def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
+    """Return what has to be computed for a study: of each robot and task ceiling and policies.
+
+    Args:
+        study: Which robots, tasks and baselines.
+        runs: The learned policies; robots without any have the one that comes with the package, if
+            the study says so, or none.
+    """
+    trials: list[tuple[str, str, dict[str, object], str]] = [
+        (robot, task, {}, "") for robot in study.robots for task in study.tasks
+    ]
+    trials += [
+        (robot, variant.task, variant.parameters, variant.label)
+        for variant in study.variants
+        for robot in variant.robots
+        if robot in study.robots and variant.task in study.tasks and study.physics is None
+    ]
+    jobs = []
+    for robot, task, parameters, variant in trials:
+        learned = _learned(study, runs, robot)
+        baselines: list[Source] = [
+            (name, name, None) for name, on in study.baselines.items() if task in on
+        ]
+        looks = task in study.look_ahead.get(robot, ()) and not variant
+        ahead = _looking_ahead(learned) if looks else []
+        sources = [(CEILING, CEILING, None), *learned, *ahead, *baselines]
+        jobs += [
+            Job(
+                robot=robot,
+                task=task,
+                parameters=parameters,
+                variant=variant,
+                policy=policy,
+                source=source,
+                training_seed=seed,
+                episodes=study.episodes,
+                seed=study.evaluation_seed,
+                world=study.world,
+            )
+            for policy, source, seed in sources
+        ]
+        if study.physics is not None:
+            jobs += plan_physics(study, study.physics, (robot, task), learned, baselines)
+    return jobs
+
+
+def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source]:
+    """Return for each learned policy of a robot its name, what `load_policy` takes, its seed."""
+    name = registry.load_robot(robot).name
+    own = [run for run in runs if run.robot == name]
+    if not own and takes_pretrained(study, robot):
+        return [(pretrained.NAME, pretrained.NAME, None)]
+    return [(run.algorithm, str(run.folder), run.seed) for run in own]
+
+
+def _looking_ahead(learned: Sequence[Source]) -> list[Source]:
+    return [
+        (f"{LOOK_AHEAD}{policy}", f"{LOOK_AHEAD}{source}", seed)
+        for policy, source, seed in learned
+        if policy != "td3"
+    ]
+
+
+def write_tables(
+    findings: Findings, commands: Sequence[str], pictures: Sequence[Path], out: Path
+) -> None:
+    """Write `table.json` and `table.md` into the folder `out`.
+
+    Args:
+        findings: What to write.
+        commands: Lines that make all of it again.
+        pictures: Files in `out` that `table.md` shows.
+        out: An existing folder.
+    """
+    physics, note = findings.physics, findings.study.note
+    cells: Sequence[Cell] = physics or findings.cells
+    data = json.dumps(to_json(cells), indent=2, allow_nan=False) + "\n"
+    shown = [path.relative_to(out).as_posix() for path in pictures]
+    if physics:
+        text = physics_markdown(physics, note, commands, shown)
+    else:
+        text = to_markdown(cells, note, commands, shown)
+    write_file(out / "table.json", data.encode())
+    write_file(out / "table.md", text.encode())
+
+
+def write_pictures(findings: Findings, out: Path) -> list[Path]:
+    """Draw what there is to draw into the folder `out` and return the files.
+
+    `table.png`; in the analytic world also `learning_curves.png` where there were runs;
+    `workspace.png` and for each robot `examples-ROBOT.png` where there are learned policies.
+    """
+    if findings.physics:
+        pictures = {"table": png(table_figure(findings.physics, findings.study.note), 110)}
+        return _keep(pictures, out)
+    pictures = {"table": png(table_figure(findings.cells, findings.study.note), 110)}
+    if findings.runs:
+        pictures["learning_curves"] = png(curves_figure(_ordered(findings), _levels(findings)), 110)
+    if spaces := _spaces(findings):
+        pictures["workspace"] = png(workspace_figure(spaces), 90)
+    for robot in findings.study.robots:
+        if shown := _examples(findings, robot):
+            known = registry.load_robot(robot)
+            figure = _titled(episodes_figure(known, list(shown.values())), list(shown))
+            pictures[f"examples-{known.name}"] = png(figure, 80)
+    return _keep(pictures, out)
+
+
+def _keep(pictures: dict[str, bytes], out: Path) -> list[Path]:
+    for name, picture in pictures.items():
+        write_file(out / f"{name}.png", picture)
+    return [out / f"{name}.png" for name in pictures]
+
+
+def figures_of_runs(findings: Findings) -> dict[Path, dict[str, Any]]:
+    """Return for each run's folder its figures by task, variants left out."""
+    found: dict[Path, dict[str, Any]] = {}
+    for job, result in zip(findings.jobs, findings.results, strict=True):
+        own = not (job.variant or job.physical or job.source.startswith(LOOK_AHEAD))
+        if job.training_seed is not None and own:
+            told = {"seed": job.seed, **result["figures"]}
+            found.setdefault(Path(job.source), {})[job.task_name] = told
+    return found
+
+
+def _ordered(findings: Findings) -> list[Run]:
+    """Return the runs in the order of the study's robots."""
+    names = [registry.load_robot(robot).name for robot in findings.study.robots]
+    return sorted(findings.runs, key=lambda run: names.index(run.robot))
+
+
+def _levels(findings: Findings) -> dict[str, dict[str, float]]:
+    """Return for each robot what its learning curves are to be compared with."""
+    levels: dict[str, dict[str, float]] = {}
+    trained = {run.robot: run.task for run in findings.runs}
+    for cell in findings.cells:
+        if trained.get(cell.robot) == cell.task and not cell.variant:
+            levels[cell.robot] = {"ceiling": cell.ceiling}
+            if paper := paper_figures(cell.robot, cell.task).get(LEARNED):
+                levels[cell.robot]["paper"] = paper.success
+    return levels
+
+
+def _spaces(findings: Findings) -> list[Covered]:
+    """Return for each robot what the policies of its first learned kind cover on all tasks."""
+    found = []
+    for robot in findings.study.robots:
+        own = [
+            (job.policy, result)
+            for job, result in zip(findings.jobs, findings.results, strict=True)
+            if job.robot == robot and "workspace" in result and not job.variant
+        ]
+        if own:
+            of_kind = [result for policy, result in own if policy == own[0][0]]
+            found.append(covered(registry.load_robot(robot), of_kind))
+    return found
+
+
+def _examples(findings: Findings, robot: str) -> dict[str, Recording]:
+    """Return for each task an episode of a robot's first learned policy.
+
+    It is episode 0 of the first task, 1 of the second and so on: equal numbers are alike.
+    """
+    shown: dict[str, Recording] = {}
+    known = registry.load_robot(robot)
+    for job, result in zip(findings.jobs, findings.results, strict=True):
+        if job.robot != robot or "workspace" not in result or job.variant:
+            continue
+        if job.task_name in shown:
+            continue
+        assert isinstance(job.world, WorldConfig)  # who samples the workspace
+        world = World(known, load_task(job.task, job.parameters), job.world, job.seed)
+        (shown[job.task_name],) = record_episodes(
+            world, load_policy(job.source, known), 1, first=len(shown)
+        )
+    return shown
+
+
+def _titled(figure: Figure, tasks: Sequence[str]) -> Figure:
+    """Return a picture of episodes with the task in place of the number above each column."""
+    with rc_context(STYLE):
+        for axes, task in zip(figure.axes, tasks, strict=False):
+            axes.set_title(f"{task}: {axes.get_title(loc='left').partition(': ')[2]}")
+    return figure
+
+
+def check_out(out: Path) -> None:
+    """Make the folder `out` and check that a file can be written there.
+
+    Raises:
+        KinfeasError: If it cannot.
+    """
+    if out.exists() and not out.is_dir():
+        raise KinfeasError(f"{out}: is a file, --out needs a folder")
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,181 @@
+"""The PyBullet part of a benchmark: what has to be run, in parts, and the cells it comes to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from kinfeas import registry
+from kinfeas.evaluation.benchmark.cells import Job, Result
+from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
+from kinfeas.evaluation.benchmark.study import PLAIN, PhysicsStudy, StudyConfig, row_settings
+from kinfeas.evaluation.benchmark.table import Cell, common, interval, mean_of
+from kinfeas.evaluation.physics.evaluate import PhysicsFigures, is_judged, physics_figures
+from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial, join_records
+from kinfeas.metrics import Share
+from kinfeas.tasks.loading import load_task
+
+PART = 20
+"""Episodes that are run and kept together: all that a stop can lose of a cell."""
+
+Source = tuple[str, str, int | None]
+"""What a policy is called, what `load_policy` takes, and its training seed."""
+
+
+@dataclass(frozen=True)
+class PhysicsCell(Cell):
+    """A cell of the table of physics; its `variant` names the row, and is empty for the plain one.
+
+    Attributes:
+        analytic_success: Share of success in the analytic world, in as many of the same episodes.
+        analytic_within_5cm: Likewise.
+        task_success: Share in which the objects ended as the task wants them; the share that came
+            to the goal where it wants nothing of them, and null without objects.
+        task_success_low: Lower end of its 95 % interval.
+        task_success_high: Upper end.
+        base_collisions: How often an episode the base ran into something.
+        arm_collisions: How often the arm did.
+        free_of_collisions: Share of episodes without either.
+        slow_down: How many times longer than planned the EE motions lasted.
+        head_start: Seconds that the EE stood still at first.
+        objects: Whether the scene was there.
+    """
+
+    analytic_success: float
+    analytic_within_5cm: float
+    task_success: float | None
+    task_success_low: float | None
+    task_success_high: float | None
+    base_collisions: float
+    arm_collisions: float
+    free_of_collisions: float
+    slow_down: float
+    head_start: float
+    objects: bool
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """What it stands in one table with: all cells of a robot."""
+        return self.robot, ""
+
+    @property
+    def row(self) -> tuple[str, str]:
+        """What it stands in one row of that table with."""
+        return self.policy, self.variant.replace("_", " ")
+
+
+def plan_physics(
+    study: StudyConfig,
+    physics: PhysicsStudy,
+    trial: tuple[str, str],
+    learned: Sequence[Source],
+    baselines: Sequence[Source],
+) -> list[Job]:
+    """Return what has to be run of one robot on one task, each policy's episodes in parts.
+
+    Args:
+        study: How many episodes, and of which seed.
+        physics: Its rows.
+        trial: Robot and task.
+        learned: The robot's learned policies, which stand in every row.
+        baselines: Those of the task, which stand in the plain row alone.
+    """
+    robot, task = trial
+    jobs = []
+    for name, row in physics.rows.items():
+        chosen = ((row.tasks, task), (row.robots, robot))
+        if any(names is not None and one not in names for names, one in chosen):
+            continue
+        world, plain = row_settings(physics, row, robot), name == PLAIN
+        for policy, source, seed in [*learned, *(baselines if plain else ())]:
+            whole = Job(
+                robot=robot,
+                task=task,
+                parameters={},
+                variant="" if plain else name,
+                policy=policy,
+                source=source,
+                training_seed=seed,
+                episodes=study.episodes,
+                seed=study.evaluation_seed,
+                world=world,
+            )
+            jobs += _parts(whole)
+    return jobs
+
+
+def tabulate_physics(
+    jobs: Sequence[Job], results: Sequence[Result], analytic: Sequence[Cell]
+) -> list[PhysicsCell]:
+    """Return the cells that parts come to, in the order of the jobs.
+
+    Args:
+        jobs: Parts of episodes with physics.
+        results: What each of them found.
+        analytic: The cells of the same policies on the same tasks in the analytic world.
+    """
+    groups: dict[tuple[str, str, str, str], dict[str, list[tuple[Job, Result]]]] = {}
+    for job, result in zip(jobs, results, strict=True):
+        cell = groups.setdefault((job.robot, job.task_name, job.variant, job.policy), {})
+        cell.setdefault(job.source, []).append((job, result))
+    without = {(cell.robot, cell.task, cell.policy): cell for cell in analytic}
+    cells = []
+    for (robot, task, _, policy), sources in groups.items():
+        beside = without[registry.load_robot(robot).name, task, policy]
+        cells.append(_cell(list(sources.values()), beside))
+    robots = list(dict.fromkeys(cell.robot for cell in cells))
+    # All rows of learned policies together, before the baselines.
+    return sorted(cells, key=lambda cell: (robots.index(cell.robot), not cell.learned))
+
+
+def _parts(job: Job) -> list[Job]:
+    return [
+        replace(job, first=first, episodes=min(PART, job.episodes - first))
+        for first in range(0, job.episodes, PART)
+    ]
+
+
+def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> PhysicsCell:
+    """Return the cell of some training seeds, each of them given in parts."""
+    job, world = sources[0][0][0], sources[0][0][0].world
+    assert isinstance(world, PhysicsSettings)
+    episodes = sum(part.episodes for part, _ in sources[0])
+    trial = PhysicsTrial(registry.load_robot(job.robot), load_task(job.task), episodes)
+    judged = is_judged(replace(trial, settings=world))
+    figures = [
+        physics_figures(join_records([result["records"] for _, result in parts]), judged=judged)
+        for parts in sources
+    ]
+    seeds = [parts[0][0].training_seed for parts in sources]
+    ceiling = {
+        "success": analytic.ceiling, "low": analytic.ceiling_low, "high": analytic.ceiling_high
+    }  # fmt: skip
+    done = _task_success(figures, episodes)
+    whole = replace(job, episodes=episodes)
+    return PhysicsCell(
+        **common(whole, figures, seeds, ceiling, _paper(analytic, job.variant)),
+        world="pybullet",
+        analytic_success=analytic.success,
+        analytic_within_5cm=analytic.within_5cm,
+        task_success=done.value if done else None,
+        task_success_low=done.low if done else None,
+        task_success_high=done.high if done else None,
+        base_collisions=mean_of(figures, "base_collisions"),
+        arm_collisions=mean_of(figures, "arm_collisions"),
+        free_of_collisions=mean_of(figures, "free_of_collisions"),
+        slow_down=world.slow_down,
+        head_start=world.head_start,
+        objects=world.objects,
+    )
+
+
+def _task_success(figures: Sequence[PhysicsFigures], episodes: int) -> Share | None:
+    """Return the share of tasks done over the training seeds, None where none can be."""
+    shares = [share for found in figures if (share := found["task_success"]) is not None]
+    return interval(shares, episodes) if shares else None
+
+
+def _paper(cell: Cell, variant: str) -> PaperFigures | None:
+    """Return what the paper has in the same place; its table is of SAC."""
+    if cell.policy == "td3":
+        return None
+    known = paper_figures(cell.robot, cell.task, "physics")
+    return known.get(variant or LEARNED if cell.learned else cell.policy)

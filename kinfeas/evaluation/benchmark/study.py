@@ -1,0 +1,273 @@
+"""A study: which robots, tasks and policies a benchmark puts side by side, and with which seeds."""
+
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from kinfeas import config, pretrained, registry
+from kinfeas.config import Interval, no_such
+from kinfeas.envs.world import WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
+from kinfeas.evaluation.policies import BASELINES
+from kinfeas.files import is_path
+from kinfeas.quantities import Count, Positive
+from kinfeas.recipes import default_recipe, find_recipe
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task, task_name
+from kinfeas.training.config import TrainConfig
+
+Seed = Annotated[int, Interval(low=0)]
+
+PLAIN = "plain"
+"""The row of physics in which nothing is different."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """How one robot's policies are learned, one for each training seed.
+
+    Attributes:
+        robot: Name or YAML file.
+        algorithm: `sac` or `td3`.
+        recipe: Name or file; `train/ROBOT` where there is one, else `train/default`, by default.
+        settings: Assignments `a.b=c` that win over the recipe.
+        steps: Environment steps in all; the recipe's schedule if neither is set.
+        minutes: Wall-clock time in all.
+    """
+
+    robot: str
+    algorithm: Literal["sac", "td3"] = "sac"
+    recipe: str | None = None
+    settings: tuple[str, ...] = ()
+    steps: Count | None = None
+    minutes: Positive | None = None
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A task with other parameters, in a table of its own.
+
+    Attributes:
+        label: What is different, such as `goals up to 1.4 m`.
+        task: Its name or YAML file.
+        parameters: Its keyword parameters.
+        robots: For whom.
+    """
+
+    label: str
+    task: str
+    parameters: dict[str, object]
+    robots: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PhysicsRow:
+    """One of the rows in which learned policies stand in the table of physics.
+
+    Attributes:
+        settings: Assignments such as `world.head_start=3` to what suits each robot.
+        tasks: On which of the study's tasks; null for all.
+        robots: For which of its robots; null for all.
+    """
+
+    settings: tuple[str, ...] = ()
+    tasks: tuple[str, ...] | None = None
+    robots: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class PhysicsStudy:
+    """What a study asks of the PyBullet world.
+
+    Attributes:
+        settings: Assignments for all rows, the baselines' too, such as `world.slow_down=1`.
+        rows: The rows of the learned policies, by name; in `plain` the baselines stand, too.
+    """
+
+    settings: tuple[str, ...] = ()
+    rows: dict[str, PhysicsRow] = field(default_factory=lambda: {PLAIN: PhysicsRow()})
+
+    def __post_init__(self) -> None:
+        """Check that there is a row for the baselines."""
+        if PLAIN not in self.rows:
+            raise ValueError(f"'rows' must have the entry {PLAIN!r}")
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """The schema of `configs/benchmark/*.yaml`, but for `paper.yaml`.
+
+    What concerns a robot or a task that takes no part is left out, so that `robots` and `tasks`
+    can be made fewer.
+
+    Attributes:
+        note: A sentence that stands above the tables.
+        robots: Names or YAML files.
+        tasks: Names or YAML files.
+        baselines: On which of the tasks each baseline is judged.
+        look_ahead: On which of the tasks each robot's learned policies are judged a second time,
+            looking ahead; of several algorithms SAC's alone.
+        policies: Whether to `train` the learned policies, to take those that come with the package
+            (`pretrained`), or to train only where none comes with it (`either`).
+        trainings: How they are learned.
+        seeds: Training seeds of each.
+        episodes: Of each policy on each task.
+        evaluation_seed: Of these episodes, the same for all; no seed of a training.
+        variants: Further rows.
+        world: Where all of it happens.
+        physics: Null for a study of the analytic world; else the same happens in the PyBullet
+            world, too, and `variants` are left out.
+    """
+
+    note: str = ""
+    robots: tuple[str, ...] = ("pr2", "tiago", "hsr")
+    tasks: tuple[str, ...] = ("ggr", "ggr_restricted")
+    baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    look_ahead: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    policies: Literal["train", "pretrained", "either"] = "train"
+    trainings: tuple[Training, ...] = ()
+    seeds: tuple[Seed, ...] = (0,)
+    episodes: Count = 500
+    evaluation_seed: Seed = 1
+    variants: tuple[Variant, ...] = ()
+    world: WorldConfig = field(default_factory=evaluation_world)
+    physics: PhysicsStudy | None = None
+
+    def __post_init__(self) -> None:
+        """Check the baselines' names, and that nothing is there twice."""
+        for name in self.baselines:
+            if name not in BASELINES:
+                raise ValueError(f"unknown baseline {name!r}{no_such(name, BASELINES)}")
+        for key in ("robots", "tasks", "seeds"):
+            entries = getattr(self, key)
+            if not entries or len(set(entries)) < len(entries):
+                raise ValueError(f"{key!r} must hold at least one entry, and none twice")
+
+
+def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
+    """Return a study by its recipe's name or file.
+
+    Raises:
+        KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task; or if two
+            tasks would have the same name in the tables.
+    """
+    study = config.load(StudyConfig, find_recipe(name, "benchmark"), overrides)
+    named = [*study.robots, *study.look_ahead, *(training.robot for training in study.trainings)]
+    named += [robot for variant in study.variants for robot in variant.robots]
+    for robot in dict.fromkeys(named):
+        registry.load_robot(robot)
+    _check_names(study.tasks)
+    both = (study.baselines, study.look_ahead)
+    judged = [task for by_name in both for tasks in by_name.values() for task in tasks]
+    for task in dict.fromkeys([*study.tasks, *judged]):
+        load_task(task)
+    for variant in study.variants:
+        load_task(variant.task, variant.parameters)
+    if study.physics is not None:
+        for robot in study.robots:
+            for row in study.physics.rows.values():
+                row_settings(study.physics, row, robot)
+    return study
+
+
+def _check_names(tasks: Sequence[str]) -> None:
+    """Raise if the file of a task has the name of another task, installed or of the study."""
+    taken = {name: name for name in registry.names("kinfeas.tasks")}
+    for task in filter(is_path, tasks):
+        other = taken.setdefault(task_name(task), task)
+        if other != task:
+            raise KinfeasError(
+                f"{task}: would have the name of the task {other!r} in the tables; rename the file"
+            )
+
+
+def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsSettings:
+    """Return the PyBullet world of one robot in one row.
+
+    Raises:
+        KinfeasError: If a setting is wrong.
+    """
+    said = [*physics.settings, *row.settings]
+    return physics_config(registry.load_robot(robot), said).world
+
+
+def settings_of(training: Training, seed: int) -> TrainConfig:
+    """Return the settings of one training run of a study.
+
+    Raises:
+        KinfeasError: If its recipe or its settings are wrong.
+    """
+    path = (
+        default_recipe("train", registry.load_robot(training.robot).name)
+        if training.recipe is None
+        else find_recipe(training.recipe, "train")
+    )
+    said: dict[str, object] = {
+        "robot": training.robot,
+        "seed": seed,
+        "learner.algorithm": training.algorithm,
+    }
+    if training.steps is not None or training.minutes is not None:
+        said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
+    own = [f"{key}={json.dumps(value)}" for key, value in said.items()]
+    return config.load(TrainConfig, path, [*own, *training.settings])
+
+
+def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
+    """Return the settings and the folder of each training run that a study stands on.
+
+    Raises:
+        KinfeasError: If a robot has to be trained of which the study does not say how.
+    """
+    if study.policies == "pretrained":
+        return []
+    wanted = [robot for robot in study.robots if not takes_pretrained(study, robot)]
+    known = {training.robot for training in study.trainings}
+    if missing := [robot for robot in wanted if robot not in known]:
+        raise KinfeasError(
+            f"the study has no entry in 'trainings' for {', '.join(missing)}; it has them for: "
+            f"{', '.join(sorted(known)) or 'none'}"
+        )
+    plans = [
+        settings_of(training, seed)
+        for training in study.trainings
+        if training.robot in wanted
+        for seed in study.seeds
+    ]
+    return [(settings, out / "runs" / run_name(settings)) for settings in plans]
+
+
+def restricted(study: StudyConfig, names: Collection[str]) -> StudyConfig:
+    """Return a study of those of its robots that have one of `names`.
+
+    Raises:
+        KinfeasError: If the study lacks one of these robots.
+    """
+    robots = {_name(robot): robot for robot in study.robots}
+    if unknown := sorted(set(names) - set(robots)):
+        raise KinfeasError(
+            f"the study has no robot {unknown[0]!r}, only: {', '.join(sorted(robots))}; "
+            "--set robots=[...] changes that"
+        )
+    return replace(study, robots=tuple(robot for name, robot in robots.items() if name in names))
+
+
+def takes_pretrained(study: StudyConfig, robot: str) -> bool:
+    """Return whether a study judges the policy that comes with the package for `robot`."""
+    if study.policies == "train":
+        return False
+    return study.policies == "pretrained" or _name(robot) in pretrained.robots()
+
+
+def run_name(settings: TrainConfig) -> str:
+    """Return ROBOT-ALGORITHM-SEED."""
+    return f"{_name(settings.robot)}-{settings.learner.algorithm}-{settings.seed}"
+
+
+def _name(robot: str) -> str:
+    known: Robot = registry.load_robot(robot)
+    return known.name

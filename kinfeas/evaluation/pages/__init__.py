@@ -1,0 +1,1 @@
+"""Pages of HTML that stand alone: reports, and scenes to turn about."""

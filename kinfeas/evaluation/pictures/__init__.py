@@ -1,0 +1,1 @@
+"""Pictures: what can be looked at without a browser."""

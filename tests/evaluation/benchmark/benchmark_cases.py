@@ -1,0 +1,48 @@
+"""Cells as a benchmark finds them, made up."""
+
+from kinfeas.evaluation.benchmark.cells import CEILING, Job
+from kinfeas.evaluation.benchmark.table import tabulate
+from kinfeas.evaluation.evaluate import evaluation_world
+
+
+def job(robot, task, policy, seed=None, variant=""):
+    return Job(robot, task, {}, variant, policy, policy, seed, 100, 1, evaluation_world())
+
+
+def figures(success):
+    return {
+        "episodes": 100,
+        "success": success,
+        "within_5cm": success,
+        "mean_failures": 2.0,
+        "mean_deviation_m": 0.001,
+        "jumps_per_episode": 0.5,
+        "mean_steps": 400.0,
+    }
+
+
+def result(success, learned=False):
+    found = {"figures": figures(success)}
+    points = {"feasible": [[0.5, 0.1, 0.8]] * 9, "infeasible": [[0.2, 0.0, 0.5]]}
+    return {**found, "workspace": points} if learned else found
+
+
+def findings():
+    """Return jobs and results: two robots, two tasks, three seeds, one baseline, a variant."""
+    ceiling = {"figures": {"success": 0.98, "low": 0.93, "high": 1.0}}
+    jobs, results = [], []
+    trials = [("pr2", "ggr", ""), ("pr2", "door", ""), ("hsr", "ggr", "")]
+    for robot, task, variant in [*trials, ("pr2", "ggr", "goals up to 1.4 m")]:
+        jobs.append(job(robot, task, CEILING, variant=variant))
+        results.append(ceiling)
+        for seed, success in ((0, 0.90), (1, 0.92), (2, 0.94)):
+            jobs.append(job(robot, task, "sac", seed, variant))
+            results.append(result(success, learned=True))
+        jobs.append(job(robot, task, "follow_ee", variant=variant))
+        results.append(result(0.6))
+    return jobs, results
+
+
+def cells():
+    """Return the table of `findings`."""
+    return tabulate(*findings())

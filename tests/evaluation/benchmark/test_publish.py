@@ -1,0 +1,67 @@
+import json
+import shlex
+
+import pytest
+
+from kinfeas import config, pretrained, registry
+from kinfeas.cli.train import Wishes, read_settings
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark.publish import publish, train_command
+from kinfeas.evaluation.benchmark.runs import Run
+from kinfeas.evaluation.speed import random_network
+from kinfeas.policy import read_network, write_network
+from kinfeas.training.config import TrainConfig
+
+
+def made(folder, seed, success):
+    robot = registry.load_robot("pr2")
+    settings = config.from_mapping(TrainConfig, {"seed": seed}, "made")
+    best = folder / f"run-{seed}" / "checkpoints" / "best"
+    best.mkdir(parents=True)
+    about = {"config": config.to_mapping(settings), "evaluation": {"success": success}}
+    write_network(random_network(robot, hidden=4 + seed), best, robot, about)
+    return Run(folder / f"run-{seed}", "pr2", "sac", seed, "ggr")
+
+
+def test_the_best_seed_is_published(tmp_path):
+    runs = [made(tmp_path, seed, success) for seed, success in enumerate((0.8, 0.9, 0.9))]
+    figures = {runs[1].folder: {"ggr": {"success": 0.91}}}
+    target = tmp_path / "pretrained"
+    for _ in "twice":
+        assert publish(runs, figures, target) == {"pr2": target / "pr2"}
+    assert pretrained.find("pr2", target) == target / "pr2"
+    network = read_network(target / "pr2", registry.load_robot("pr2"))
+    assert network.weights[0].shape[1] == 5
+    about = json.loads((target / "pr2" / "policy.json").read_text())
+    assert about["seed"] == about["config"]["seed"] == 1
+    assert about["benchmark"] == {"ggr": {"success": 0.91}}
+    assert about["command"].startswith("kinfeas train --robot pr2 --seed 1")
+    assert sorted(path.name for path in target.iterdir()) == ["pr2"]
+
+
+def test_a_run_without_a_policy_is_an_error(tmp_path):
+    run = made(tmp_path, 0, 0.9)
+    (run.folder / "checkpoints" / "best" / "policy.json").write_text("{}")
+    with pytest.raises(KinfeasError, match="not the best checkpoint"):
+        publish([run], {}, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        ["robot=hsr", "seed=4", "schedule.steps=2000", "schedule.minutes=null"],
+        ["learner.algorithm=td3", "learner.hidden=[400, 300]", "world.adapters=[]"],
+        ["world.adapters=[{name: base_noise, parameters: {linear: 0.15}}]", "task=door"],
+    ],
+)
+def test_the_command_makes_the_same_settings(overrides):
+    settings = config.from_mapping(TrainConfig, {}, "test", overrides)
+    words = shlex.split(train_command(settings))
+    assert words[:2] == ["kinfeas", "train"]
+    options = list(zip(words[2::2], words[3::2], strict=True))
+    given = dict(options[:2])
+    assert {key for key, _ in options[2:]} <= {"--set"}
+    wishes = Wishes(given["--robot"], None, int(given["--seed"]))
+    again = read_settings(wishes, None, [value for _, value in options[2:]])
+    assert again == settings

@@ -1,0 +1,126 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from kinfeas import config, pretrained
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark.study import (
+    StudyConfig,
+    read_study,
+    restricted,
+    settings_of,
+    takes_pretrained,
+    to_train,
+)
+
+OUT = Path("out")
+
+
+@pytest.mark.parametrize("name", ["study", "quick", "physics", "physics_quick"])
+def test_the_note_of_a_study_says_nothing_that_options_change(name):
+    assert not any(letter.isdigit() for letter in read_study(f"benchmark/{name}").note)
+
+
+def study(*overrides):
+    return config.from_mapping(StudyConfig, {}, "study", overrides)
+
+
+TWO = ("robots=[pr2,hsr]", "trainings=[{robot: pr2, steps: 64}, {robot: pr2, algorithm: td3}]")
+
+
+def test_a_run_for_each_training_and_seed():
+    plans = to_train(study(*TWO, "robots=[pr2]", "seeds=[0,3]"), OUT)
+    folders = [folder.name for _, folder in plans]
+    assert folders == ["pr2-sac-0", "pr2-sac-3", "pr2-td3-0", "pr2-td3-3"]
+    assert {folder.parent for _, folder in plans} == {OUT / "runs"}
+    for settings, folder in plans:
+        assert folder.name == f"{settings.robot}-{settings.learner.algorithm}-{settings.seed}"
+
+
+def test_a_training_says_how():
+    training = study(
+        "robots=[pr2]",
+        "trainings=[{robot: pr2, recipe: paper/td3, settings: ['environments=8'], minutes: 2}]",
+    ).trainings[0]
+    settings = settings_of(training, 5)
+    assert (settings.seed, settings.environments, settings.learner.hidden) == (5, 8, (400, 300))
+    assert (settings.schedule.steps, settings.schedule.minutes) == (None, 2.0)
+    # The entry, and not the recipe, says which algorithm.
+    assert settings.learner.algorithm == "sac"
+
+
+def test_a_robot_without_a_training_is_an_error():
+    with pytest.raises(KinfeasError, match=r"no entry in 'trainings' for hsr; .*: pr2"):
+        to_train(study(*TWO), OUT)
+
+
+def test_pretrained_policies_are_not_trained(monkeypatch):
+    monkeypatch.setattr(pretrained, "robots", lambda root=None: ["hsr"])
+    assert to_train(study(*TWO, "policies=pretrained"), OUT) == []
+    either = study(*TWO, "policies=either")
+    assert {settings.robot for settings, _ in to_train(either, OUT)} == {"pr2"}
+    assert (takes_pretrained(either, "hsr"), takes_pretrained(either, "pr2")) == (True, False)
+    assert not takes_pretrained(study(*TWO), "hsr")
+
+
+def test_fewer_robots():
+    whole = study(
+        "variants=[{label: x, task: ggr, parameters: {}, robots: [pr2, hsr]}]",
+        "trainings=[{robot: pr2}, {robot: hsr}]",
+    )
+    kept = restricted(whole, {"hsr"})
+    assert kept.robots == ("hsr",)
+    assert [folder.name for _, folder in to_train(kept, OUT)] == ["hsr-sac-0"]
+    with pytest.raises(KinfeasError, match="no robot 'fetch', only: hsr, pr2, tiago"):
+        restricted(whole, {"fetch"})
+
+
+TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n"
+
+
+@pytest.mark.parametrize(
+    ("tasks", "words"),
+    [
+        (["a/fetch.yaml", "b/fetch.yaml"], r"b/fetch\.yaml: .* name of the task 'a/fetch\.yaml'"),
+        (["a/ggr.yaml"], r"a/ggr\.yaml: .* name of the task 'ggr' in the tables; rename the file"),
+        (["ggr", "ggr.yaml"], "name of the task 'ggr'"),
+    ],
+)
+def test_two_tasks_of_one_name_are_refused(tmp_path, monkeypatch, tasks, words):
+    monkeypatch.chdir(tmp_path)
+    for name in ("study.yaml", *tasks):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(TASK if name != "study.yaml" else "note: mine\n")
+    with pytest.raises(KinfeasError, match=words):
+        read_study("study.yaml", [f"tasks={json.dumps(tasks)}"])
+    assert read_study("study.yaml", ["tasks=[ggr]"]).tasks == ("ggr",)
+
+
+def test_a_task_may_be_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fetch.yaml").write_text(TASK)
+    (tmp_path / "study.yaml").write_text("tasks: [ggr, fetch.yaml]\n")
+    assert read_study("study.yaml").tasks == ("ggr", "fetch.yaml")
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("baselines={follow_me: [ggr]}", "unknown baseline 'follow_me'.*follow_ee"),
+        ("baselines={follow_ee: [fly]}", "unknown task 'fly'"),
+        ("trainings=[{robot: fetch}]", "unknown robot 'fetch'"),
+        ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
+        ("trainings=[{robot: pr2, algorithm: ppo}]", "'sac', 'td3'"),
+        ("seeds=[1, 1]", "none twice"),
+        ("robots=[]", "at least one"),
+        ("episodes=0", ">= 1"),
+        ("policies=both", "'pretrained'"),
+        ("tasks=[ggr, fly]", "unknown task 'fly'"),
+        ("robots=[pr3]", "unknown robot 'pr3'"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, override, words):
+    (tmp_path / "study.yaml").write_text("note: mine\n")
+    with pytest.raises(KinfeasError, match=words):
+        read_study(str(tmp_path / "study.yaml"), [override])

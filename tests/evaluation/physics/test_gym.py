@@ -1,0 +1,46 @@
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import kinfeas.envs
+from kinfeas.errors import KinfeasError
+
+pytest.importorskip("pybullet")
+
+from kinfeas.evaluation.physics.gym import PhysicsMotionEnv
+from kinfeas.evaluation.physics.world import PhysicsSettings
+
+
+def make(**arguments):
+    return gymnasium.make(kinfeas.envs.PHYSICS_ENVIRONMENT, robot="hsr", **arguments)
+
+
+@pytest.mark.filterwarnings("error")
+def test_gymnasium_finds_nothing_wrong():
+    assert kinfeas.envs.PHYSICS_ENVIRONMENT == "kinfeas/BaseMotionPyBullet-v0"
+    env = make(render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.close()
+    env.close()
+
+
+def test_steps_tell_what_is_touched_and_pictures_show_the_robot():
+    settings = PhysicsSettings(max_seconds=0.1)
+    env = make(task="door", world=settings, render_mode="rgb_array")
+    env.reset(seed=1)
+    for last in (False, False, False, False, True):
+        *_, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+        assert truncated == last
+        assert (info["base_contacts"], info["arm_contacts"]) == (0, 0)
+    picture = env.render()
+    assert picture.shape == (360, 480, 3)
+    assert picture.std() > 5.0
+    env.close()
+
+
+def test_what_cannot_be_is_a_clear_error():
+    with pytest.raises(KinfeasError, match="render_mode must be human, rgb_array or None"):
+        PhysicsMotionEnv(render_mode="ansi")
+    with pytest.raises(KinfeasError, match="unknown task"):
+        PhysicsMotionEnv(task="fly")

@@ -1,0 +1,27 @@
+import numpy as np
+import pytest
+
+from kinfeas.evaluation.pictures.motions import motion_figure
+from kinfeas.evaluation.pictures.style import png
+from kinfeas.motion_checks import CheckedMotion
+from kinfeas.motion_trial import Samples, Trial, sample_motions
+from kinfeas.plugins.linear import Linear
+
+
+@pytest.mark.parametrize("limit", [0.1, None])
+def test_paths_speeds_and_limits_are_drawn(limit):
+    trial = Trial(duration=5.0, max_velocity=limit)
+    samples = sample_motions(CheckedMotion(Linear()), trial)
+    figure = motion_figure("linear", samples, trial)
+    above, _, speed, _ = figure.axes
+    assert len(above.lines) == 3 * 12
+    assert len(speed.lines) == 12 + (limit is not None)
+    assert png(figure).startswith(b"\x89PNG")
+
+
+def test_motions_that_broke_at_once_are_drawn_with_the_reason():
+    poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, 2, 1))
+    samples = Samples(poses, np.zeros((0, 2, 6)), poses[0], "it broke")
+    figure = motion_figure("mine", samples, Trial())
+    assert "it broke" in figure.get_suptitle()
+    assert png(figure)
