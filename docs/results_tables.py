@@ -31,9 +31,6 @@ JUMPS = {
     "{}, arm jumps an episode, ours": "sac",
     "{}, arm jumps an episode, looking ahead": "look_ahead:sac",
 }
-OPTIONAL = ("look_ahead:sac",)
-"""Policies that the README may have no row of."""
-
 PHYSICS = {
     ("pr2", "head_start"): "PR2, 3 s head start",
     ("pr2", ""): "PR2",
@@ -78,14 +75,14 @@ def fill_readme(page: str, cells: Cells) -> str:
         for rows, entry in ((ROWS, _share), (JUMPS, _jumps)):
             for head, policy in rows.items():
                 values = [entry(cells, robot, task, policy) for task in TASKS]
-                page = _fill(page, head.format(name), values, optional=policy in OPTIONAL)
+                page = _fill(page, head.format(name), values)
     return page
 
 
-def _fill(page: str, head: str, values: list[str], *, optional: bool) -> str:
+def _fill(page: str, head: str, values: list[str]) -> str:
     row = re.compile(rf"^\| {re.escape(head)} \|.*$", re.MULTILINE)
     filled, count = row.subn(lambda _: f"| {head} | {' | '.join(values)} |", page, count=1)
-    return filled if optional else _found(filled, count, f"README.md: no row {head!r}")
+    return _found(filled, count, f"README.md: no row {head!r}")
 
 
 def _found(filled: str, places: int, complaint: str) -> str:
