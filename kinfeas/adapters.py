@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from kinfeas import config, registry
+from kinfeas import config, registry, strict_yaml
 from kinfeas.backend import Backend
+from kinfeas.errors import KinfeasError
 from kinfeas.legs import Pace, Pacing
 from kinfeas.recipes import find_recipe
 from kinfeas.robots.robot import Robot
@@ -45,6 +46,15 @@ class Wrapping(Protocol):
     backend: Backend
 
 
+@runtime_checkable
+class Hooked(Protocol):
+    """An adapter that can look at what its own hooks return."""
+
+    def look_at_hooks(self, subject: str) -> None:
+        """Look at it from now on; errors call the adapter `subject`."""
+        ...
+
+
 def read_sim2real(name: str) -> Sim2Real:
     """Return the list of adapters of a YAML file, or of one that comes with the package.
 
@@ -52,9 +62,12 @@ def read_sim2real(name: str) -> Sim2Real:
         name: Path of the file, or `ideal`, `paper`, `pr2_like` or `harsh`.
 
     Raises:
-        KinfeasError: If there is neither, or an entry of it is not allowed.
+        KinfeasError: If there is neither, or it is empty, or an entry of it is not allowed.
     """
-    return config.load(Sim2Real, find_recipe(name, FOLDER, f"{FOLDER}/"))
+    path = find_recipe(name, FOLDER, f"{FOLDER}/")
+    if not strict_yaml.read(path):
+        raise KinfeasError(f"{path}: must hold a list 'adapters', which is [] for none")
+    return config.load(Sim2Real, path)
 
 
 def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Backend:
@@ -66,11 +79,14 @@ def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Bac
         robot: Whom it moves.
 
     Raises:
-        KinfeasError: If there is no such adapter, or it refuses its parameters.
+        KinfeasError: If there is no such adapter, or it refuses its parameters. Later, if the
+            hooks of one from outside raise, or return what is malformed.
     """
     for adapter in adapters:
         given = {"backend": backend, "robot": robot, **adapter.parameters}
         backend = registry.build("kinfeas.adapters", adapter.name, given)
+        if isinstance(backend, Hooked):
+            backend.look_at_hooks(f"adapter {adapter.name!r}")
     return backend
 
 

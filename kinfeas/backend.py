@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.foreign import Blaming, package_of
 from kinfeas.spatial import Array
 
 Grip = Literal["close", "open"]
@@ -121,3 +122,9 @@ class Resumable(Protocol):
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures."""
         ...
+
+
+def blaming(backend: Backend, method: str) -> Blaming:
+    """Return the context of a call of one of its methods, in which what it raises names it."""
+    name = type(backend).__name__
+    return Blaming(f"backend {name} fails in {method}:", package_of(backend))

@@ -30,6 +30,16 @@ USUAL = (
 """What code that calculates raises, and `sys.exit`, for places where a context would cost much."""
 
 
+def is_own(thing: object) -> bool:
+    """Return whether the class of an object is our own code."""
+    return package_of(thing) == _OWN
+
+
+def package_of(thing: object) -> str:
+    """Return the top-level package that the class of an object comes from."""
+    return type(thing).__module__.partition(".")[0]
+
+
 class Blaming:
     """A context in which any `Exception`, and `SystemExit`, becomes a `KinfeasError`.
 

@@ -6,7 +6,7 @@ would end in an overflow, or never.
 
 from typing import Annotated
 
-from kinfeas.config import Interval
+from kinfeas.schema import Interval
 
 FARTHEST, LONGEST = 1e4, 1e5
 """Metres and seconds: ten kilometres, and a little more than a day."""
@@ -25,6 +25,14 @@ NotNegative = Annotated[float, Interval(low=0.0)]
 Positive = Annotated[float, Interval(low=0.0, open_low=True)]
 Share = Annotated[float, Interval(low=0.0, high=1.0)]
 PositiveShare = Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+
+MOST_EPISODES, MOST_PROCESSES = 1_000_000, 256
+"""What a machine can be asked for: days of episodes, and a process for each core."""
+
+LAST_SEED = 2**32 - 1
+"""The last one that all generators of random numbers take."""
+
+Episodes = Annotated[int, Interval(low=1, high=MOST_EPISODES)]
 
 Vector = tuple[float, float, float]
 Position = tuple[Metres, Metres, Metres]

@@ -4,6 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from kinfeas.errors import KinfeasError
+from kinfeas.files import is_path
 from kinfeas.schema import no_such
 
 _SUFFIX = ".yaml"
@@ -32,8 +33,11 @@ def find_recipe(name: str, folder: str, prefix: str = "") -> Path:
         return own
     shipped = _root() / f"{prefix}{name.removesuffix(_SUFFIX)}{_SUFFIX}"
     if not shipped.is_file() or not shipped.resolve().is_relative_to(_root().resolve()):
-        known = no_such(name, [one.removeprefix(prefix) for one in recipes(folder)])
-        raise KinfeasError(f"unknown configuration {name!r}{known}, or a file")
+        names = [one.removeprefix(prefix) for one in recipes(folder)]
+        if name and (own.is_dir() or _is_file_name(name)):
+            wrong = "is a folder" if own.is_dir() else "there is no such file"
+            raise KinfeasError(f"{name}: {wrong}; known by name are {', '.join(sorted(names))}")
+        raise KinfeasError(f"unknown configuration {name!r}{no_such(name, names)}, or a file")
     return shipped
 
 
@@ -41,6 +45,12 @@ def default_recipe(folder: str, robot: str) -> Path:
     """Return the recipe of a robot by its name, or the one for any robot."""
     own = _root() / folder / f"{robot}{_SUFFIX}"
     return own if robot == Path(robot).name and own.is_file() else _root() / folder / "default.yaml"
+
+
+def _is_file_name(name: str) -> bool:
+    """Return whether a path is meant, and no name, which may begin with one of our folders."""
+    folders = [one.name for one in _root().iterdir() if one.is_dir()]
+    return is_path(name) and Path(name).parts[0] not in folders
 
 
 def _root() -> Path:

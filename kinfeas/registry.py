@@ -4,7 +4,9 @@ Everything is looked up lazily and one name at a time, so that a broken plugin d
 """
 
 import inspect
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -25,6 +27,13 @@ GROUPS = {
     "kinfeas.backends": "backend",
 }
 """The entry-point groups, and what one entry of each is called."""
+
+# Motion generators are looked at when they begin.
+_METHODS = {
+    "kinfeas.tasks": ("sample",),
+    "kinfeas.adapters": ("reset", "step", "close"),
+    "kinfeas.backends": ("reset", "step", "close"),
+}
 
 _REGISTERED: list[EntryPoint] = []
 
@@ -109,7 +118,8 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         parameters: Keyword parameters, as a YAML block gives them.
 
     Raises:
-        KinfeasError: As `load`; also if a parameter is unknown, missing or refused.
+        KinfeasError: As `load`; also if a parameter is unknown, missing, refused or not of the
+            type that it is annotated with, or if what is made is nothing of that kind.
     """
     entry = _find(group, name)
     factory, subject = _import(entry), _plugin(entry)
@@ -117,15 +127,14 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         kind = type(factory).__name__
         raise KinfeasError(f"{subject} must be a class or a function, not {kind}")
     with Blaming(f"{subject} fails:", _package(entry)):
-        try:
-            _check_names(inspect.signature(factory), parameters)
-            return factory(**parameters)
-        except ValueError as error:
-            raise KinfeasError(f"{subject}: {error}") from error
-        # A value of a wrong type shows as TypeError in a constructor that only calculates with it.
-        except TypeError as error:
-            _check_types(factory, parameters, str(subject))
-            raise KinfeasError(f"{subject}: {error}") from error
+        with _refusing(subject):
+            signature = _signature(factory)
+            _check_names(signature, parameters)
+        _check_types(signature, parameters, str(subject))
+        with _refusing(subject):
+            built = factory(**parameters)
+    _check_methods(built, group, str(subject))
+    return built
 
 
 def load_robot(name_or_path: str) -> Robot:
@@ -184,12 +193,40 @@ def _package(entry: EntryPoint) -> str:
     return entry.value.partition(":")[0].partition(".")[0].strip()
 
 
-def _check_types(factory: Any, given: Mapping[str, object], subject: str) -> None:
-    """Raise if a parameter is not of the type that it is annotated with."""
-    taken = inspect.signature(factory).parameters
-    for name, value in given.items():
-        if name in taken:
-            check_value(taken[name].annotation, value, Place(subject, name))
+@contextmanager
+def _refusing(subject: Plugin) -> Iterator[None]:
+    """Turn what a constructor refuses its parameters with into an error that names the plugin."""
+    try:
+        yield
+    except (ValueError, TypeError) as error:
+        raise KinfeasError(f"{subject}: {error}") from error
+
+
+def _signature(factory: Any) -> inspect.Signature:
+    """Return the signature of a class or function, with its annotations as types where it can."""
+    try:
+        return inspect.signature(factory, eval_str=True)
+    # Annotations may be of names that only a type checker imports.
+    except (NameError, AttributeError, SyntaxError, TypeError):
+        return inspect.signature(factory)
+
+
+def _check_types(signature: inspect.Signature, given: Mapping[str, object], subject: str) -> None:
+    """Raise if a parameter is not of the type that it is annotated with, nor the default."""
+    for name in given.keys() & signature.parameters.keys():
+        value, taken = given[name], signature.parameters[name]
+        # What `.inf` means, is for the plugin to say.
+        endless = isinstance(value, float) and not math.isfinite(value)
+        if not endless and value is not taken.default:
+            check_value(taken.annotation, value, Place(subject, name))
+
+
+def _check_methods(built: object, group: str, subject: str) -> None:
+    """Raise if what an entry has made lacks a method that all of its kind have."""
+    lacks = [name for name in _METHODS.get(group, ()) if not callable(getattr(built, name, None))]
+    if lacks:
+        words, got = ", ".join(lacks), type(built).__name__
+        raise KinfeasError(f"{subject} must return an object with the methods {words}, not {got}")
 
 
 def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:

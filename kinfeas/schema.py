@@ -213,7 +213,10 @@ def _convert_tuple(kind: Any, value: object, place: Place) -> tuple[Any, ...]:
 
 
 def _convert_dict(kind: Any, value: object, place: Place) -> dict[str, Any]:
-    mapping, inner = _string_keys(value, place), get_args(kind)[1]
+    key, inner = get_args(kind)
+    if key is not str:
+        raise TypeError(f"{place.key}: only strings can be keys, not {key}")
+    mapping = _string_keys(value, place)
     _check_names(inner, mapping, place)
     return {key: _convert(inner, entry, place.inner(key)) for key, entry in mapping.items()}
 

@@ -11,9 +11,12 @@ from kinfeas import spatial
 from kinfeas.adapters import chain
 from kinfeas.backend import Backend, Gripping, Live, Resumable, RobotState, Stochastic
 from kinfeas.config import Interval
+from kinfeas.errors import KinfeasError
+from kinfeas.foreign import is_own
 from kinfeas.robots.robot import Robot
 from kinfeas.rows import with_rows
 from kinfeas.sim2real import draws
+from kinfeas.sim2real.checked_hooks import CheckedHooks, Hooks
 from kinfeas.sim2real.draws import Number, Range
 from kinfeas.spatial import Array
 
@@ -74,12 +77,27 @@ class Adapter:
         self._salt, self._prefix = draws.salt(name, number), f"{type(self).__name__}.{number}."
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
+        self._hooks: Hooks = self
         if isinstance(backend, Gripping):
             self.grip = backend.grip
         if isinstance(backend, Live):
             self.read, self.stop = backend.read, backend.stop
         if isinstance(backend, Resumable):
             self.snapshot, self.restore = self._snapshot, self._restore
+
+    def look_at_hooks(self, subject: str) -> None:
+        """Look from now on at what the hooks of a class from outside return.
+
+        Args:
+            subject: What errors call the adapter.
+
+        Raises:
+            KinfeasError: If a subclass has not called the constructor.
+        """
+        if not hasattr(self, "_hooks"):
+            raise KinfeasError(f"{subject} must call the constructor of Adapter in its own")
+        if not is_own(self):
+            self._hooks = CheckedHooks(self, subject)
 
     def begin(self, state: RobotState) -> Memory:
         """Return what to remember from now on if an episode begins in each row of `state`."""
@@ -127,7 +145,7 @@ class Adapter:
         state = self.backend.reset(base_pose, joint_positions, rows)
         self._fit(len(state.base_pose))
         self._draw()
-        fresh = self.begin(state)
+        fresh = self._hooks.begin(state)
         if rows is None:
             self.memory = fresh
         else:
@@ -135,14 +153,15 @@ class Adapter:
                 key: with_rows(self.memory[key], rows, values[rows])
                 for key, values in fresh.items()
             }
-        return self.view(state)
+        return self._hooks.view(state)
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Pass on a changed command and return what is seen after it; shapes as in `Backend`."""
-        state = self.backend.step(*self.command(base_twist, joint_targets, dt), dt)
+        twist, targets = self._hooks.command(base_twist, joint_targets, dt)
+        state = self.backend.step(twist, targets, dt)
         self._steps = self._steps + np.uint64(1)
-        self.advance(state, dt)
-        return self.view(state)
+        self._hooks.advance(state, dt)
+        return self._hooks.view(state)
 
     def close(self) -> None:
         """Close the wrapped backend."""
@@ -166,7 +185,7 @@ class Adapter:
         self._seeds, self._steps = own.pop("seeds"), own.pop("steps")
         self.memory = own
         self._draw()
-        return self.view(self.backend.restore(snapshot))
+        return self._hooks.view(self.backend.restore(snapshot))
 
     def _fit(self, n: int) -> None:
         """Make room for n rows; a row that nobody has seeded has seed 0."""

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Grip, Live, RobotState
+from kinfeas.backend import Backend, Grip, Live, RobotState, blaming
+from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
 from kinfeas.sim2real.fault import Fault
@@ -47,8 +48,16 @@ class CommandGuard(Passing):
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Begin anew; shapes as in `Backend`."""
-        state = self.backend.reset(base_pose, joint_positions, rows)
+        """Begin anew; shapes as in `Backend`.
+
+        Raises:
+            KinfeasError: If a backend from outside fails, or returns no state.
+        """
+        with blaming(self.backend, "reset"):
+            state = self.backend.reset(base_pose, joint_positions, rows)
+        if not isinstance(state, RobotState):
+            name, got = type(self.backend).__name__, type(state).__name__
+            raise KinfeasError(f"backend {name} must return a RobotState from reset, not {got}")
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
         self._velocity, self._state = np.zeros(3), state
         self.held, self.stopped = "", False
@@ -73,6 +82,11 @@ class CommandGuard(Passing):
         self.base_twist, self.joint_targets = twist, targets
         self._state = self.backend.step(twist, targets, dt)
         return self._state
+
+    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
+        """Pass on to a backend that draws random numbers."""
+        with blaming(self.backend, "seed"):
+            super().seed(seeds, rows)
 
     def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
         """Pass on to a backend that has grippers.

@@ -14,6 +14,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.quantities import REMOTEST
 from kinfeas.spatial import Array
 from kinfeas.start import Start
+from kinfeas.tasks.checks import unchecked
 from kinfeas.tasks.task import Leg, MotionSpec, Task
 
 _UNIT = 1e-2  # by which the length of a given quaternion may be off
@@ -96,8 +97,9 @@ def begin(task: Task, solver: IkSolver, rng: np.random.Generator, now: RobotStat
     start = task.sample(solver, rng)
     if now is not None:
         start = replace(start, base_pose=now.base_pose[0], joint_positions=now.joint_positions[0])
-        if isinstance(task, GoalTask):
-            start = task.aimed(solver, start)
+        goal = unchecked(task)
+        if isinstance(goal, GoalTask):
+            start = goal.aimed(solver, start)
     return Start(
         start.base_pose[np.newaxis],
         start.joint_positions[np.newaxis],

@@ -8,6 +8,7 @@ from contextlib import closing, nullcontext, suppress
 import numpy as np
 
 from kinfeas.adapters import paced
+from kinfeas.backend import blaming
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import USUAL
@@ -75,7 +76,9 @@ class _Run:
         """Return what stops the base should this process die or hang, if anything does."""
         backend, seconds = self.setup.backend, self.setup.guards.watchdog
         if seconds is not None and isinstance(backend, Watched):
-            return Watchdog(backend.stop_call(), seconds)
+            with blaming(backend, "stop_call"):
+                call = backend.stop_call()
+            return Watchdog(call, seconds)
         if seconds is not None and self.live is not None:
             sys.stderr.write(
                 f"no watchdog: nothing stops the base if this process dies or hangs, for "
@@ -86,7 +89,8 @@ class _Run:
     def start(self) -> None:
         """Put the robot where the run begins, or begin it where it stands."""
         rng = np.random.default_rng((self.setup.seed, 0))
-        now = None if self.live is None else self.live.read()
+        with blaming(self.setup.backend, "read"):
+            now = None if self.live is None else self.live.read()
         start = begin(self.setup.task, self.setup.solver, rng, now)
         self.loop.start(start, [rng])
         self.began = self.setup.clocks.steady()

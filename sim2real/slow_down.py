@@ -7,12 +7,13 @@ from kinfeas.legs import Pace
 from kinfeas.quantities import SLOWEST
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapter import Adapter
+from kinfeas.sim2real.draws import Number
 
 
 class SlowDown(Adapter):
     """Lets EE motions last longer than planned; waits do not."""
 
-    def __init__(self, backend: Backend, robot: Robot, *, factor: float = 2.0) -> None:
+    def __init__(self, backend: Backend, robot: Robot, *, factor: Number = 2.0) -> None:
         """Wrap a backend.
 
         Args:

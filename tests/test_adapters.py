@@ -59,6 +59,29 @@ def test_an_unknown_list_names_those_that_can_be_typed(name):
     assert "known are harsh, ideal, paper, pr2_like, or a file" in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["", "null", "{}", "# nothing"])
+def test_an_empty_list_of_ones_own_must_say_so(tmp_path, text):
+    path = tmp_path / "empty.yaml"
+    path.write_text(text)
+    with pytest.raises(
+        KinfeasError, match=r"empty.yaml: must hold a list 'adapters', which is \[\]"
+    ):
+        read_sim2real(str(path))
+    path.write_text("adapters: []")
+    assert read_sim2real(str(path)).adapters == ()
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    for name in ("./nope.yaml", "nope.yml", "mine/nope", "../nope", str(tmp_path / "nope")):
+        with pytest.raises(KinfeasError, match=rf"^{name}: there is no such file; known by name"):
+            read_sim2real(name)
+    for name in ("folder", "./folder", str(tmp_path)):
+        with pytest.raises(KinfeasError, match=rf"^{name}: is a folder; known by name are harsh, "):
+            read_sim2real(name)
+
+
 def test_wrong_adapters_are_one_sentence(pr2):
     with pytest.raises(KinfeasError, match="did you mean 'base_noise'"):
         wrap(AnalyticBackend(), [AdapterSpec("base_nose")], pr2)

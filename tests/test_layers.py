@@ -25,6 +25,7 @@ LAYERS = (
             "strict_yaml",
             "schema",
             "config",
+            "names",
             "quantities",
             "recipes",
             "pose_kernels",

@@ -26,6 +26,14 @@ SOUND = """
                 raise ValueError(f"height must be positive, not {height}")
             self.size = shape + "of a type that no file can hold"
 
+    class Lenient:
+        def __init__(
+            self, lag: float = 0.1, *, count: "int" = 1, name: str = "", on: bool = False,
+            ends: float | tuple[float, float] = 0.0, file: Path | None = None, rest: float = None,
+            table: dict[int, float] | None = None, shape: "Unknown" = None,
+        ):
+            self.kept = (lag, count, name, on, ends, file, rest)
+
     def anything(**parameters):
         return parameters
 
@@ -62,6 +70,7 @@ def sound(install):
     """A distribution of plugins that work."""
     motions = ["wave = sound_module:Wave", "any = sound_module:anything"]
     motions += ["typed = sound_module:Typed"]
+    motions += ["lenient = sound_module:Lenient"]
     motions += ["number = sound_module:NUMBER", "absent = sound_module:Absent"]
     robots = ["mine = sound_module:my_robot", "text = sound_module:no_path"]
     install("sound", "sound_module", SOUND, {MOTIONS: motions, "kinfeas.robots": robots})
@@ -113,12 +122,52 @@ def test_unknown_group():
         ("wave", {"height": -1}, "height must be positive, not -1"),
         ("wave", {"height": "x"}, "'<' not supported between instances of 'str' and 'float'"),
         ("typed", {"height": "x"}, "'height' must be a finite number, not 'x'"),
+        ("lenient", {"lag": "x"}, "'lag' must be a finite number, not 'x'"),
+        ("lenient", {"lag": None}, "'lag' must be a finite number, not None"),
+        ("lenient", {"lag": True}, "'lag' must be a finite number, not True"),
+        ("lenient", {"name": 3}, "'name' must be a string, not 3"),
+        ("lenient", {"on": "yes"}, "'on' must be true or false, not 'yes'"),
+        ("lenient", {"ends": [1.0, "x"]}, "'ends' must be a finite number or a list of 2 entries"),
+        ("lenient", {"file": 3}, "'file' must be a path or null, not 3"),
         ("typed", {"height": 1.0, "shape": 2}, "unsupported operand type(s) for +: 'int' and "),
     ],
 )
 def test_build_refuses_parameters(sound, name, parameters, expected):
     text = message(registry.build, MOTIONS, name, parameters)
     assert text.startswith(f"motion generator '{name}' (sound 1.2): {expected}")
+
+
+def test_annotated_parameters_may_be_all_that_they_could_be(sound):
+    given = {"lag": 1, "count": 2, "ends": [1, 2], "file": "a", "rest": None, "shape": [1]}
+    built = registry.build(MOTIONS, "lenient", {**given, "table": {1: 2.0}})
+    assert built.kept == (1, 2, "", False, [1, 2], "a", None)
+    assert registry.build(MOTIONS, "lenient", {"lag": float("inf")}).kept[0] == float("inf")
+
+
+def test_types_that_are_written_as_text_are_known(install):
+    source = """
+        from __future__ import annotations
+        class Late:
+            def __init__(self, lag: float = 0.1, *, first: int | None = None):
+                pass
+    """
+    install("late", "late_module", source, {MOTIONS: ["late = late_module:Late"]})
+    assert registry.build(MOTIONS, "late", {"lag": 1, "first": None})
+    text = message(registry.build, MOTIONS, "late", {"lag": "x"})
+    assert text == "motion generator 'late' (late 1.2): 'lag' must be a finite number, not 'x'"
+
+
+@pytest.mark.parametrize(
+    ("kind", "methods"),
+    [("tasks", "sample"), ("adapters", "reset, step, close"), ("backends", "reset, step, close")],
+)
+def test_what_is_built_must_be_of_its_kind(install, kind, methods):
+    group = f"kinfeas.{kind}"
+    source = "def nothing():\n    pass"
+    install("empty", "empty_module", source, {group: ["nothing = empty_module:nothing"]})
+    text = message(registry.build, group, "nothing", {})
+    sentence = f"must return an object with the methods {methods}, not NoneType"
+    assert text == f"{registry.GROUPS[group]} 'nothing' (empty 1.2) {sentence}"
 
 
 def test_build_refuses_what_cannot_be_called(sound):

@@ -2,6 +2,7 @@
 
 import runpy
 
+import numpy as np
 import pytest
 
 from kinfeas import registry
@@ -64,3 +65,16 @@ def test_kinds_that_there_are_not(tmp_path):
         write_distribution("polcy", "mine", tmp_path / "new")
     with pytest.raises(KinfeasError, match=r"'robt' \(did you mean 'robot'\?\)"):
         write_distribution("robt", "mine", tmp_path / "new")
+
+
+def test_a_backend_checks_its_own_numbers(tmp_path, offer):
+    write_distribution("backend", "lagging", tmp_path / "new")
+    offer(tmp_path / "new")
+    for lag in (-0.1, float("inf"), float("nan")):
+        with pytest.raises(KinfeasError, match="lag must be a finite number >= 0, not"):
+            registry.build("kinfeas.backends", "lagging", {"lag": lag})
+    with pytest.raises(KinfeasError, match="'lag' must be a finite number, not 'x'"):
+        registry.build("kinfeas.backends", "lagging", {"lag": "x"})
+    backend = registry.build("kinfeas.backends", "lagging", {"lag": 0})
+    backend.reset(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.zeros((1, 2)))
+    assert backend.step(np.zeros((1, 6)), np.ones((1, 2)), 0.1).joint_positions.tolist() == [[1, 1]]

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import options
+from kinfeas.cli import inputs, options
 from kinfeas.cli.evaluate import WorldName
-from kinfeas.cli.output import check_apart, print_table, progress, status, write_json
+from kinfeas.cli.output import check_outputs, print_table, progress, status, write_json
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
+from kinfeas.quantities import MOST_EPISODES, MOST_PROCESSES
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.benchmark.findings import Findings
@@ -55,7 +56,11 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     episodes: Annotated[
         int | None,
         typer.Option(
-            "--episodes", min=1, help="Of each policy on each task.", show_default="the study's"
+            "--episodes",
+            min=1,
+            max=MOST_EPISODES,
+            help="Of each policy on each task.",
+            show_default="the study's",
         ),
     ] = None,
     runs: Annotated[
@@ -68,7 +73,13 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     processes: Annotated[
         int | None,
-        typer.Option("--processes", min=1, help="Processes in all.", show_default="one a core"),
+        typer.Option(
+            "--processes",
+            min=1,
+            max=MOST_PROCESSES,
+            help="Processes in all.",
+            show_default="one a core",
+        ),
     ] = None,
     publish: Annotated[
         Path | None,
@@ -86,7 +97,14 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.evaluation.benchmark.findings import check_out, write_pictures, write_tables
 
-    check_apart({"--out": out, "--publish": publish, "--json": json})
+    check_outputs(
+        {"--out": out, "--publish": publish, "--json": json},
+        {
+            "--config": inputs.named(config),
+            "--runs": [place for folder in runs or () for place in inputs.of_policy(folder)],
+            "--set": inputs.of_settings(overrides),
+        },
+    )
     name = config or _RECIPES[world, quick]
     said = [] if episodes is None else [f"episodes={episodes}"]
     study, taken = _read(name, policy, runs or [], [*said, *(overrides or [])])

@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from kinfeas.cli import options
-from kinfeas.cli.output import print_table, progress, share, write_json
+from kinfeas.cli import inputs, options
+from kinfeas.cli.output import check_outputs, print_table, progress, share, write_json
 
 
 def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -29,6 +29,9 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.evaluation.ceiling import CeilingConfig, measure_ceiling, measure_path_ceiling
     from kinfeas.kinematics.ceiling import STAGES
 
+    read = {"--robot": robot, "--task": task}
+    sources = {option: inputs.named(name) for option, name in read.items()}
+    check_outputs({"--json": json}, {**sources, "--set": inputs.of_settings(overrides)})
     config = options.read_overrides(CeilingConfig, overrides)
     known, drawn_by = options.read_robot(robot), options.read_task(task, config.task)
     with progress(f"{episodes} goals") as advance:

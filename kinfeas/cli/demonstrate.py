@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import check_apart, check_file_path, print_table, status, write_json
+from kinfeas.cli.output import check_file_path, check_outputs, print_table, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
     out: Annotated[
         Path, typer.Option("--out", help="New folder for grasp/ and open/, a file for each try.")
     ],
-    count: Annotated[int, typer.Option("--count", min=1, help="Number of tries.")] = 12,
+    count: Annotated[int, typer.Option("--count", min=1, max=10_000, help="Number of tries.")] = 12,
     seed: options.Seed = 0,
     file_format: Annotated[
         Literal["csv", "npz"], typer.Option("--format", help="Kind of the files.")
@@ -50,7 +50,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.scenes.demonstrate import load_habits
     from kinfeas.scenes.exercise import load_exercise
 
-    check_apart({"--out": out, "--json": json, "--picture": picture})
+    check_outputs({"--out": out, "--json": json, "--picture": picture})
     _make_folders(out)
     exercise = load_exercise(mechanism)
     with status(f"opening a {mechanism}"):

@@ -1,5 +1,6 @@
 """`kinfeas deploy`: drive a robot, or what plays one, by a trained policy."""
 
+import re
 import sys
 from dataclasses import asdict
 from datetime import datetime
@@ -8,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import completion, options
+from kinfeas.cli import completion, inputs, options
 from kinfeas.cli.deploy_setup import Four, Goal, Three, Wishes, make_setup, make_task, read_settings
-from kinfeas.cli.output import check_apart, print_table, status, write_json
+from kinfeas.cli.output import check_outputs, print_table, status, write_json
+from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.record import About
@@ -22,7 +24,9 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: Annotated[
         str,
         typer.Argument(
-            help="ONNX file of kinfeas export, folder of a training run, or pretrained."
+            help="ONNX file of kinfeas export, folder of a training run, pretrained, or a "
+            "baseline such as follow_ee.",
+            autocompletion=completion.policies,
         ),
     ],
     robot: options.RobotName = "pr2",
@@ -123,7 +127,12 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.record import Recorder
     from kinfeas.sim2real.runtime import deploy as run
 
-    check_apart({"POLICY": Path(policy), "--guards": guards, "--record": record, "--json": json})
+    read = {"--robot": robot, "--task": task, "--sim2real": sim2real, "--guards": guards}
+    sources = {option: inputs.named(name) for option, name in read.items()}
+    sources |= {"POLICY": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
+    check_outputs({"--record": record, "--json": json}, sources)
+    if record is not None and record.exists():
+        raise KinfeasError(f"--record: {record} exists, and a record is never written over")
     wishes = Wishes(
         policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time, look_ahead
     )
@@ -136,13 +145,13 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
-    if json is not None:
-        write_json({**asdict(outcome), "record": str(recorder.path)}, json)
     _show(outcome, about, recorder.path)
     if outcome.code:
         sys.stderr.write(f"stopped: {outcome.reason}\n")
     if outcome.unstopped:
         sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
+    if json is not None:
+        _write_json(outcome, recorder.path, json)
     raise typer.Exit(int(outcome.code))
 
 
@@ -170,7 +179,20 @@ def _record_path(about: "About") -> Path:
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
-    return folder / f"{date}-{Path(about.robot).stem}-{about.task}.csv"
+    return folder / f"{date}-{_plain(Path(about.robot).stem)}-{_plain(about.task)}.csv"
+
+
+def _plain(name: str) -> str:
+    """Return a name as a part of a file's: what is no letter, digit, - or _ becomes _."""
+    return re.sub(r"[^\w-]", "_", name)
+
+
+def _write_json(outcome: "Outcome", record: Path, path: Path) -> None:
+    """Write how a run ended; a failure changes nothing about that."""
+    try:
+        write_json({**asdict(outcome), "record": str(record)}, path)
+    except KinfeasError as error:
+        sys.stderr.write(f"--json: {error}\n")
 
 
 def _work_rows(timing: "Timing") -> list[list[str]]:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinfeas.cli import options
+from kinfeas.cli import inputs, options
 from kinfeas.cli.filming import Episode, Replay, Video, show_episode
 from kinfeas.cli.output import (
-    check_apart,
     check_file_path,
+    check_outputs,
     print_table,
     progress,
     share,
@@ -20,6 +20,7 @@ from kinfeas.cli.output import (
 )
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
+from kinfeas.quantities import MOST_EPISODES
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
@@ -58,6 +59,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--episodes",
             min=1,
+            max=MOST_EPISODES,
             help="Number of episodes.",
             show_default="500, with physics 50",
         ),
@@ -68,7 +70,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--head-start",
             metavar="SECONDS",
-            help="pybullet: how long the base moves before the EE does.",
+            help="pybullet: how long the base moves before the EE does, 0 or more.",
             show_default="0",
         ),
     ] = None,
@@ -77,7 +79,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--slow-down",
             metavar="FACTOR",
-            help="pybullet: how many times longer than planned EE motions last.",
+            help="pybullet: how many times longer than planned EE motions last, 1 to 1000.",
             show_default="2 for pr2, else 1",
         ),
     ] = None,
@@ -112,9 +114,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
-    Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik; with physics dt,
-    max_failures, max_seconds, adapters, ik, physics, patience) and [bold]task.KEY[/], the task's
-    own parameters, such as [bold]task.orientation=so3[/].
+    Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik, and reward, which
+    changes no figure; with physics dt, max_failures, max_seconds, adapters, ik, physics, patience,
+    slow_down, head_start, objects) and [bold]task.KEY[/], the task's own parameters, such as
+    [bold]task.orientation=so3[/].
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.
     [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
@@ -123,7 +126,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if picture is not None and sim2real is None:
         raise KinfeasError("--picture needs --sim2real")
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
-    check_apart({"--policy": Path(policy), **outputs})
+    read = {"--robot": robot, "--task": task, "--sim2real": sim2real}
+    sources = {option: inputs.named(name) for option, name in read.items()}
+    sources |= {"--policy": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
+    check_outputs(outputs, sources)
     if look_ahead:
         policy = f"look_ahead:{policy}"
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
@@ -137,8 +143,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             raise KinfeasError(f"{given[0]} needs --world pybullet")
         run = _analytic((policy, robot, task), count, seed, processes, overrides)
     else:
-        wishes = {"head_start": head_start, "slow_down": slow_down}
-        wishes["objects"] = False if without_objects else None
+        wishes = _physics_wishes(head_start, slow_down, without_objects)
         assignments = [f"world.{key}={value}" for key, value in wishes.items() if value is not None]
         assignments += overrides or []
         trial, driver = _put_to((policy, robot, task), count, seed, assignments)
@@ -158,6 +163,22 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if video is not None or replay is not None:
         settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
         show_episode(replace(trial, settings=settings), driver, episode, video, replay)
+
+
+def _physics_wishes(
+    head_start: float | None, slow_down: float | None, without_objects: bool
+) -> dict[str, object]:
+    """Return the settings of the PyBullet world that options stand for; None if not given.
+
+    Raises:
+        KinfeasError: If one is out of range.
+    """
+    from kinfeas.evaluation.physics.world import PhysicsSettings
+
+    wishes = {"head_start": head_start, "slow_down": slow_down}
+    said = {f"--{key.replace('_', '-')}": (key, value) for key, value in wishes.items()}
+    options.check_settings(PhysicsSettings, said)
+    return {**wishes, "objects": False if without_objects else None}
 
 
 def _adapters(sim2real: str, robot: str) -> "Specs":

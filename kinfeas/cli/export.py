@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import options
+from kinfeas.cli import inputs, options
 from kinfeas.cli.output import (
-    check_apart,
     check_file_path,
+    check_outputs,
+    check_suffix,
     print_table,
     share,
     status,
@@ -61,8 +62,10 @@ def export(
     """
     if (check is None) == (policy is None) or (check is None) != (out is not None):
         raise KinfeasError("give a policy and --out FILE to export, or --check FILE to verify one")
-    policy_path = Path(policy) if policy is not None else None
-    check_apart({"POLICY": policy_path, "--out": out, "--check": check, "--json": json})
+    sources = {"POLICY": inputs.of_policy(policy), "--check": inputs.named(check)}
+    check_outputs({"--out": out, "--json": json}, {**sources, "--robot": inputs.named(robot)})
+    if out is not None:
+        check_suffix("--out", out, ".onnx")
     if check is not None:
         _check(check, options.read_robot(robot) if robot else None, json)
     elif policy is not None and out is not None:
@@ -70,8 +73,10 @@ def export(
 
 
 def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
+    from kinfeas.evaluation.policies import check_place
     from kinfeas.sim2real.policy_file import read_policy_file
 
+    check_place(path)
     found = read_policy_file(path, robot)
     if json is not None:
         write_json(_facts(found, path), json)
@@ -81,13 +86,19 @@ def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
 
 def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> None:
     from kinfeas import pretrained
+    from kinfeas.evaluation.policies import BASELINES
     from kinfeas.sim2real.export import export as run
 
+    folder = Path(policy)
+    if policy in BASELINES or (folder.exists() and not folder.is_dir()):
+        raise KinfeasError(
+            f"{policy}: not the folder of a training run or of a checkpoint, nor "
+            f"{pretrained.NAME!r}; nothing else can be exported"
+        )
     if policy == pretrained.NAME:
         known = options.read_robot(robot or "pr2")
         folder = pretrained.find(known.name)
     else:
-        folder = Path(policy)
         known = options.read_robot(robot or _trained_with(folder))
     with status("exporting"):
         found, off = run(folder, known, out)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from kinfeas.cli import options
-from kinfeas.cli.output import check_apart, check_file_path, print_table, status, write_json
+from kinfeas.cli import inputs, options
+from kinfeas.cli.output import check_file_path, check_outputs, print_table, status, write_json
 
 if TYPE_CHECKING:
     from kinfeas.plugins.fit import Fit
@@ -47,7 +47,8 @@ def fit(
     from kinfeas.plugins.fit import fit as run
     from kinfeas.plugins.model import write_model
 
-    check_apart({"--out": out, "--json": json})
+    sources = {"--demonstrations": inputs.of_demonstrations(demonstrations)}
+    check_outputs({"--out": out, "--json": json}, sources)
     # The folder's name only: where it lies on this machine says nothing to others.
     folder = shlex.quote(demonstrations.resolve().name)
     command = (

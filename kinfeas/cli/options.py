@@ -1,12 +1,24 @@
 """Options that several commands share, and how they are read."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from types import NoneType, UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import typer
 
 from kinfeas.cli import completion
 from kinfeas.cli.output import check_file_path
+from kinfeas.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 
 if TYPE_CHECKING:
     from kinfeas.adapters import AdapterSpec
@@ -40,14 +52,25 @@ PolicyName = Annotated[
 PluginName = Annotated[
     str, typer.Argument(help="Name of a plugin.", autocompletion=completion.every_plugin)
 ]
-Episodes = Annotated[int, typer.Option("--episodes", min=1, help="Number of episodes.")]
+Episodes = Annotated[
+    int, typer.Option("--episodes", min=1, max=MOST_EPISODES, help="Number of episodes.")
+]
 Seed = Annotated[
-    int, typer.Option("--seed", min=0, help="Of all randomness; the same seed, the same result.")
+    int,
+    typer.Option(
+        "--seed",
+        min=0,
+        max=LAST_SEED,
+        help="Of all randomness; the same seed, the same result.",
+    ),
 ]
 Processes = Annotated[
     int,
     typer.Option(
-        "--processes", min=1, help="Processes that share the work; no result depends on it."
+        "--processes",
+        min=1,
+        max=MOST_PROCESSES,
+        help="Processes that share the work; no result depends on it.",
     ),
 ]
 Overrides = Annotated[
@@ -78,6 +101,29 @@ def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
     from kinfeas import config
 
     return config.from_mapping(cls, {}, "settings", overrides or ())
+
+
+def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
+    """Check options that stand for settings, so that an error names the option.
+
+    Args:
+        cls: Dataclass of the settings.
+        said: Key of a setting, such as `schedule.steps`, and its value, by the option; None if it
+            was not given.
+
+    Raises:
+        KinfeasError: If a value has a wrong type or range.
+    """
+    from kinfeas.schema import Place, check_value
+
+    for option, (key, value) in said.items():
+        kind: Any = cls
+        for name in key.split("."):
+            kind = get_type_hints(kind, include_extras=True)[name]
+        if get_origin(kind) in (Union, UnionType):  # null is nothing that an option can say
+            kind = next(one for one in get_args(kind) if one is not NoneType)
+        if value is not None:
+            check_value(kind, value, Place(option))
 
 
 def read_robot(name: str) -> "Robot":

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 LINE_SECONDS = 15.0
 """Time between lines on progress where a bar cannot move: in a log file."""
 
+_SUFFIXES = {"--picture": (".png",), "--html": (".html", ".htm"), "--record": (".csv",)}
+"""What the files of options end in."""
+
 
 def check_file_path(path: Path | None) -> Path | None:
     """Return `path` if a file can be written there, so that no work is done in vain.
@@ -57,6 +60,55 @@ def check_apart(paths: Mapping[str, Path | None]) -> None:
         first = named.setdefault(os.path.realpath(path), option)
         if first != option and (path.is_file() or not path.exists()):
             raise KinfeasError(f"{first} and {option} must differ, but both name {path}")
+
+
+def check_outputs(
+    written: Mapping[str, Path | None], read: Mapping[str, Sequence[Path]] | None = None
+) -> None:
+    """Check that what is to be written takes the place of nothing that is read, and is so called.
+
+    Args:
+        written: What each option of an output names; None if it was not given.
+        read: Files and folders that each option of an input stands for; as in `kinfeas.cli.inputs`.
+
+    Raises:
+        KinfeasError: If an output is an input, lies in one, is another output, or ends in another
+            suffix than its kind.
+    """
+    outputs = {option: path for option, path in written.items() if path is not None}
+    for source, places in (read or {}).items():
+        for place in places:
+            for option, path in outputs.items():
+                if len(places) == 1:
+                    check_apart({source: place, option: path})
+                if _is_within(path, place):
+                    raise KinfeasError(
+                        f"{option}: {path} belongs to what {source} names and is not written over"
+                    )
+    check_apart(outputs)
+    for option, path in outputs.items():
+        if option in _SUFFIXES:
+            check_suffix(option, path, *_SUFFIXES[option])
+
+
+def check_suffix(option: str, path: Path, *suffixes: str) -> None:
+    """Check that a file is called as its kind is; a device or a pipe may be called anything.
+
+    Raises:
+        KinfeasError: If it is not.
+    """
+    from kinfeas.files import replaced
+
+    if path.suffix.lower() not in suffixes and replaced(path) is not None:
+        raise KinfeasError(f"{option}: {path} must end in {suffixes[0]}")
+
+
+def _is_within(path: Path, place: Path) -> bool:
+    """Return whether a path, which is no device or pipe, is a file or a folder, or lies in it."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        return False
+    inner, outer = (Path(os.path.realpath(one)) for one in (path, place))
+    return outer in (inner, *inner.parents)
 
 
 def write_json(data: object, path: Path) -> None:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import completion, options
+from kinfeas.cli import completion, inputs, options
 from kinfeas.cli.output import (
-    check_apart,
     check_file_path,
+    check_outputs,
     print_table,
     progress,
     status,
@@ -60,7 +60,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.config import assigned
     from kinfeas.motion_trial import Trial
 
-    check_apart({"--picture": picture, "--json": json})
+    check_outputs({"--picture": picture, "--json": json}, {"--set": inputs.of_settings(overrides)})
     parameters = assigned(overrides or [])
     trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
     findings = _examine(name, parameters, trial)

@@ -14,6 +14,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
 from kinfeas.registry import GROUPS, Plugin
 from kinfeas.schema import no_such
+from kinfeas.tasks.checks import unchecked
 from kinfeas.tasks.loading import load_task
 
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
@@ -85,7 +86,7 @@ def facts(plugin: Plugin) -> dict[str, Any]:
         found = parameters(loaded, said, _HANDED_IN.get(plugin.group, ()))
     if plugin.group == "kinfeas.tasks" and all(one.default is not None for one in found):
         task = load_task(plugin.name)
-        found = found or fields_of(task)
+        found = found or fields_of(unchecked(task))
         known["legs"] = [_leg(leg) for leg in task.legs]
     return known | {"parameters": [vars(one) for one in found]}
 

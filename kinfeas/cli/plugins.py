@@ -104,7 +104,7 @@ def _show_legs(legs: list[dict[str, Any]]) -> None:
         ]
         for number, leg in enumerate(legs, start=1)
     ]
-    columns = [" leg", "motion", "its parameters", "frame", "leads to", " wait", "gripper"]
+    columns = [" leg", "motion", "its parameters", "frame", "leads to", " wait", "grip"]
     print_table("legs", columns, rows)
 
 

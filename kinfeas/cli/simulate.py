@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import options
-from kinfeas.cli.output import print_table, write_json
+from kinfeas.cli import inputs, options
+from kinfeas.cli.output import check_outputs, print_table, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -69,6 +69,8 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
         set_stage,
     )
 
+    read = {"--robot": robot, "--task": task, "--scene": scene, "--topics": topics}
+    check_outputs({"--json": json}, {option: inputs.named(name) for option, name in read.items()})
     if task is not None and scene is not None:
         raise KinfeasError("--task has a scene of its own: leave --scene out")
     role, who = Role(rate, command_timeout, seconds), options.read_robot(robot)

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import options
-from kinfeas.cli.output import print_table, share, status, write_json
+from kinfeas.cli import inputs, options
+from kinfeas.cli.output import check_outputs, print_table, share, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ def speed(
     """
     from kinfeas.evaluation.speed import Figure, measure_speed
 
+    sources = {"--robot": inputs.named(robot), "--policy": inputs.of_policy(policy)}
+    check_outputs({"--json": json}, sources)
     network = _read_policy(policy, options.read_robot(robot)) if policy else None
     with status("speed") as show:
         figures = measure_speed(robot, network, on_part=lambda part: show(f"timing: {part}"))

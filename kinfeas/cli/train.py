@@ -15,6 +15,7 @@ from kinfeas.cli.evaluate import WorldName
 from kinfeas.cli.output import print_table, share, write_json
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
+from kinfeas.quantities import LAST_SEED, MOST_PROCESSES
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
@@ -26,7 +27,7 @@ Minutes = Annotated[
     float | None,
     typer.Option(
         "--minutes",
-        help="Wall-clock minutes in all, evaluations included.",
+        help="Wall-clock minutes in all, more than 0, evaluations included.",
         show_default=_RECIPE.format(3),
     ),
 ]
@@ -59,11 +60,21 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", help="Of all randomness.", show_default=_RECIPE.format(0)),
+        typer.Option(
+            "--seed",
+            max=LAST_SEED,
+            help="Of all randomness, 0 or more.",
+            show_default=_RECIPE.format(0),
+        ),
     ] = None,
     minutes: Minutes = None,
     steps: Annotated[
-        int | None, typer.Option("--steps", help="Environment steps in all, instead of minutes.")
+        int | None,
+        typer.Option(
+            "--steps",
+            help="Environment steps in all, 1 or more, in place of the recipe's minutes; with "
+            "--minutes the run ends at whichever comes first.",
+        ),
     ] = None,
     algorithm: Annotated[
         str | None,
@@ -90,6 +101,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         typer.Option(
             "--processes",
             min=1,
+            max=MOST_PROCESSES,
             help="pybullet: worlds side by side, each in a process of its own.",
             show_default="the recipe's",
         ),
@@ -150,7 +162,22 @@ class Wishes:
     processes: int | None = None
 
     def overrides(self) -> list[str]:
-        """Return them as `--set` would say them."""
+        """Return them as `--set` would say them.
+
+        Raises:
+            KinfeasError: If a number or a name is none of those that are allowed.
+        """
+        from kinfeas.training.config import TrainConfig
+
+        options.check_settings(
+            TrainConfig,
+            {
+                "--seed": ("seed", self.seed),
+                "--minutes": ("schedule.minutes", self.minutes),
+                "--steps": ("schedule.steps", self.steps),
+                "--algorithm": ("learner.algorithm", self.algorithm),
+            },
+        )
         said: dict[str, object] = {
             "robot": self.robot,
             "task": self.task,

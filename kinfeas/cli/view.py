@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import options
-from kinfeas.cli.output import check_apart, check_file_path, print_table, status, write_json
+from kinfeas.cli import inputs, options
+from kinfeas.cli.output import check_file_path, check_outputs, print_table, status, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -58,7 +58,9 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Settings: every key of the scene, such as [bold]objects.box.position=[1,0,0.115][/].
     """
-    check_apart({"--record": record, "--json": json, "--picture": picture, "--html": html})
+    sources = {"--scene": inputs.named(scene), "--record": inputs.named(record)}
+    sources["--set"] = inputs.of_settings(overrides)
+    check_outputs({"--json": json, "--picture": picture, "--html": html}, sources)
     if record is not None:
         given = {"--scene": scene, "--set": overrides, "--live": live or None}
         for name, value in given.items():

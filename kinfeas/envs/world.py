@@ -13,7 +13,6 @@ from kinfeas.backend import Backend
 from kinfeas.config import Interval
 from kinfeas.drive import action_size
 from kinfeas.envs.reward import RewardConfig, reward
-from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.legs import Pace
 from kinfeas.loop import Loop, Rows, Step
@@ -21,6 +20,7 @@ from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.start import Start
+from kinfeas.tasks.checks import check_start
 from kinfeas.tasks.task import Task, build_legs
 
 __all__ = ["AdapterSpec", "Transition", "World", "WorldConfig"]
@@ -126,12 +126,13 @@ class World:
             rows: Which of the n places they take; all by default, which also sets n.
 
         Raises:
-            KinfeasError: If the task samples anything of another shape.
+            KinfeasError: If the task samples anything of another form.
         """
         rngs = [np.random.default_rng((self.seed, episode)) for episode in episodes]
         starts = [self.task.sample(self.solver, rng) for rng in rngs]
+        legs, joints = len(self.task.legs), len(self.robot.arm)
         for start in starts:
-            _check_start(start, self.task, len(self.robot.arm))
+            check_start(start, f"task {self.task.name!r}", legs, joints)
         stacked = Start(
             np.stack([start.base_pose for start in starts]),
             np.stack([start.joint_positions for start in starts]),
@@ -178,20 +179,6 @@ class World:
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation
-
-
-def _check_start(start: Start, task: Task, joints: int) -> None:
-    """Raise unless the task has sampled arrays as it must: the kernels do not look."""
-    legs = len(task.legs)
-    shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (legs, 7)}
-    for name, shape in shapes.items():
-        value: Any = getattr(start, name, None)
-        numeric = isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
-        if not numeric or value.shape != shape:
-            got = getattr(value, "shape", type(value).__name__)
-            raise KinfeasError(
-                f"task {task.name!r} must sample a {name} of shape {shape} in numbers, not {got}"
-            )
 
 
 def _backend(config: WorldConfig, robot: Robot, backend: Backend | None) -> Backend:

@@ -74,11 +74,26 @@ def load_policy(name: str, robot: Robot) -> Policy:
             f"unknown policy {name!r}{no_such(name, [*BASELINES, pretrained.NAME])}, "
             "or the folder of a training run, or the ONNX file of an export"
         )
+    check_place(Path(name))
     if Path(name).is_file():
         from kinfeas.sim2real.policy_file import read_policy_file
 
         return read_policy_file(Path(name), robot)
     return policy.read_network(Path(name), robot)
+
+
+def check_place(path: Path) -> None:
+    """Check that a policy can be at `path`: a folder, or a file with something in it.
+
+    Raises:
+        KinfeasError: If it cannot.
+    """
+    if path.exists() and not path.is_dir() and not path.is_file():
+        raise KinfeasError(
+            f"{path}: neither the folder of a training run nor the ONNX file of an export"
+        )
+    if path.is_file() and path.stat().st_size == 0:
+        raise KinfeasError(f"{path}: empty, and so not the ONNX file of an export")
 
 
 def load_driver(name: str, robot: Robot) -> Policy:

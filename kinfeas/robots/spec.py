@@ -3,11 +3,19 @@
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from kinfeas.quantities import Metres, Positive
+from kinfeas.config import Interval
+from kinfeas.names import check_name
+from kinfeas.quantities import Metres
 
 Drive = Literal["omnidirectional", "differential"]
+
+# What no robot has exceeded; larger numbers are mistakes, or would make anything feasible.
+Speed = Annotated[float, Interval(low=0.0, high=100.0, open_low=True)]
+JointSpeed = Annotated[float, Interval(low=0.0, high=1000.0, open_low=True)]
+Acceleration = Annotated[float, Interval(low=0.0, high=1e4, open_low=True)]
+Effort = Annotated[float, Interval(low=0.0, high=1e5, open_low=True)]
 
 GOAL_HEIGHTS = ("ggr", "ggr_restricted")
 QUATERNION_TOLERANCE = 1e-3
@@ -19,10 +27,10 @@ class BaseSpec:
     """The block `base`: how the base drives, m/s, rad/s, m/s^2 and rad/s^2."""
 
     drive: Drive
-    max_velocity: Positive
-    max_rotation: Positive
-    max_acceleration: Positive
-    max_rotation_acceleration: Positive
+    max_velocity: Speed
+    max_rotation: Speed
+    max_acceleration: Acceleration
+    max_rotation_acceleration: Acceleration
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,7 @@ class ArmJointSpec:
     """A block within `arm`: what differs from the URDF, m or rad, and per second."""
 
     soft_limits: tuple[float, float] | None = None
-    velocity: Positive | None = None
+    velocity: JointSpeed | None = None
 
     def __post_init__(self) -> None:
         """Check that the limits ascend."""
@@ -47,8 +55,8 @@ class Leeway:
         rotation: Radians.
     """
 
-    position: Positive
-    rotation: Positive
+    position: Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+    rotation: Annotated[float, Interval(low=0.0, high=math.pi, open_low=True)]
 
 
 @dataclass(frozen=True)
@@ -65,7 +73,7 @@ class Gripper:
     fingers: tuple[str, str]
     closed: float
     open: float
-    effort: Positive
+    effort: Effort
 
     def __post_init__(self) -> None:
         """Check that there are two fingers, and that they move."""
@@ -96,6 +104,7 @@ class RobotSpec:
 
     def __post_init__(self) -> None:
         """Check what needs no look into the URDF."""
+        check_name(self.name)
         if not self.arm:
             raise ValueError("'arm' must name at least one joint")
         if abs(math.hypot(*self.gripper_rotation) - 1.0) > QUATERNION_TOLERANCE:

@@ -12,6 +12,7 @@ from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.checks import unchecked
 from kinfeas.tasks.task import Leg, Task
 
 _DRAWS = 1000
@@ -37,7 +38,8 @@ class Stage:
         """
         self.task, self.backend = task, backend
         self.scene = backend.furniture.scene if backend.furniture else None
-        self._known = task.scene if isinstance(task, ChainTask) and self.scene else None
+        self._chain = _chain(task)
+        self._known = self._chain.scene if self._chain and self.scene else None
         if self._known and (handled := self._known.handled) and backend.gripper:
             backend.handle(handled.object, handled.link, rigid=not handled.turns)
 
@@ -82,14 +84,12 @@ class Stage:
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return another episode; a task that moves furniture leads to where `first` does."""
         start = self.task.sample(solver, rng)
-        if isinstance(self.task, ChainTask):
+        if self._chain:
             return replace(start, target_poses=first.target_poses)
         return start
 
     def _moved(self, start: Start) -> Mapping[str, Array]:
-        if not isinstance(self.task, ChainTask):
-            return {}
-        return self.task.object_poses(start.target_poses)
+        return self._chain.object_poses(start.target_poses) if self._chain else {}
 
 
 def task_scene(task: Task) -> Scene | None:
@@ -98,6 +98,13 @@ def task_scene(task: Task) -> Scene | None:
     Raises:
         KinfeasError: If there is no such scene, or it is broken.
     """
-    if isinstance(task, ChainTask) and task.scene is not None:
-        return read_scene(task.scene.name)
+    chain = _chain(task)
+    if chain is not None and chain.scene is not None:
+        return read_scene(chain.scene.name)
     return None
+
+
+def _chain(task: Task) -> ChainTask | None:
+    """Return a task as what moves furniture, if it does."""
+    known = unchecked(task)
+    return known if isinstance(known, ChainTask) else None

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config, strict_yaml
 from kinfeas.config import Interval, no_such
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.names import check_name
 from kinfeas.quantities import Distance, Metres, Position, Radians
 from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.start import Start
@@ -99,7 +100,8 @@ class ChainTask:
     scene: TaskScene | None = None
 
     def __post_init__(self) -> None:
-        """Check that the legs lead to places that there are."""
+        """Check the name, and that the legs lead to places that there are."""
+        check_name(self.name)
         if not self.legs:
             raise ValueError("'legs' must have at least one entry")
         for number, leg in enumerate(self.legs):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.names import check_name
 from kinfeas.quantities import Distance, Metres
 from kinfeas.spatial import Array, make_pose, planar_pose
 from kinfeas.start import Start
@@ -39,7 +40,8 @@ class GoalReaching:
     orientation: Literal["rpy", "so3"] = "rpy"
 
     def __post_init__(self) -> None:
-        """Check that the ranges ascend."""
+        """Check the name, and that the ranges ascend."""
+        check_name(self.name)
         for name, bounds in (("distance", self.distance), ("heights", self.heights)):
             if bounds is not None and bounds[0] > bounds[1]:
                 raise ValueError(f"{name!r} must not descend from {bounds[0]:g} to {bounds[1]:g}")

@@ -5,24 +5,28 @@ from pathlib import Path
 
 from kinfeas import registry
 from kinfeas.files import is_path
+from kinfeas.foreign import is_own
 from kinfeas.tasks.chain import read_chain
+from kinfeas.tasks.checks import CheckedTask
 from kinfeas.tasks.task import Task
 
 
 def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None) -> Task:
     """Return the task of a YAML file (`my/task.yaml`) or of an entry point (`ggr`).
 
+    One whose class comes from outside is looked at whenever it draws an episode.
+
     Args:
         name_or_path: What is to be loaded.
         parameters: Keyword parameters of the entry point, or changes to the file.
 
     Raises:
-        KinfeasError: If there is no such task, or a parameter or its YAML is wrong.
+        KinfeasError: If there is no such task, it lacks legs, or a parameter or its YAML is wrong.
     """
     if is_path(name_or_path):
         return read_chain(Path(name_or_path), parameters)
     task: Task = registry.build("kinfeas.tasks", name_or_path, parameters or {})
-    return task
+    return task if is_own(task) else CheckedTask(task, name_or_path)
 
 
 def task_name(name_or_path: str) -> str:

@@ -6,7 +6,18 @@ from typing import Annotated, Literal
 from kinfeas.config import Interval
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation.physics.world import Place
-from kinfeas.quantities import Count, NotNegative, Positive, Share
+from kinfeas.quantities import (
+    LAST_SEED,
+    MOST_PROCESSES,
+    Count,
+    Episodes,
+    NotNegative,
+    Positive,
+    PositiveShare,
+    Share,
+)
+
+MOST_LAYERS, MOST_TRANSITIONS = 8, 65_536
 
 
 @dataclass(frozen=True)
@@ -32,19 +43,30 @@ class LearnerConfig:
     """
 
     algorithm: Literal["sac", "td3"] = "sac"
-    learning_rate: Positive = 6e-4
+    learning_rate: PositiveShare = 6e-4
     schedule: Literal["constant", "linear"] = "linear"
     batch_size: Count = 256
-    gradient_steps: Count = 1
+    gradient_steps: Annotated[int, Interval(low=1, high=10_000)] = 1
     discount: Share = 0.99
     smoothing: Share = 0.005
     buffer_size: Annotated[int, Interval(low=1, high=10_000_000)] = 1_000_000
     random_steps: Annotated[int, Interval(low=0)] = 3_000
     critic_steps: Annotated[int, Interval(low=0)] = 0
-    hidden: tuple[Count, ...] = (256, 256)
+    hidden: tuple[Annotated[int, Interval(low=1, high=2048)], ...] = (256, 256)
     entropy: NotNegative | Literal["learned"] = 0.01
     exploration_noise: NotNegative = 0.25
     policy_noise: NotNegative = 0.2
+
+    def __post_init__(self) -> None:
+        """Check how much a gradient step takes in, and how deep the network is."""
+        if self.batch_size > MOST_TRANSITIONS:
+            raise ValueError(
+                f"'batch_size' must be at most {MOST_TRANSITIONS}, not {self.batch_size}"
+            )
+        if len(self.hidden) > MOST_LAYERS:
+            raise ValueError(
+                f"'hidden' must have at most {MOST_LAYERS} entries, not {len(self.hidden)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -52,8 +74,9 @@ class ScheduleConfig:
     """How long a run lasts and what it does meanwhile.
 
     Attributes:
-        steps: Environment steps in all; the run ends at them or at `minutes`.
-        minutes: Wall-clock time in all, evaluations included; one of the two is set.
+        steps: Environment steps in all; null for any number.
+        minutes: Wall-clock time in all, evaluations included; null for any time. At least one of
+            the two is set, and the run ends at whichever comes first.
         evaluations: Evaluations, spread evenly over the run; the last one ends it.
         evaluation_episodes: Episodes of each evaluation.
         checkpoint_seconds: Time between checkpoints to resume from.
@@ -61,8 +84,8 @@ class ScheduleConfig:
 
     steps: Count | None = None
     minutes: Positive | None = 3.0
-    evaluations: Count = 3
-    evaluation_episodes: Count = 256
+    evaluations: Annotated[int, Interval(low=1, high=10_000)] = 3
+    evaluation_episodes: Episodes = 256
     checkpoint_seconds: Positive = 30.0
 
     def __post_init__(self) -> None:
@@ -97,10 +120,20 @@ class TrainConfig:
     task: str = "ggr"
     task_parameters: dict[str, object] = field(default_factory=dict)
     seed: Annotated[int, Interval(low=0)] = 0
-    environments: Count = 256
-    hold: Count = 1
+    environments: Annotated[int, Interval(low=1, high=65_536)] = 256
+    hold: Annotated[int, Interval(low=1, high=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
     physics: Place | None = None
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+
+    def __post_init__(self) -> None:
+        """Check the seed, and that no more worlds have physics than a machine has processes."""
+        if self.seed > LAST_SEED:
+            raise ValueError(f"'seed' must be at most {LAST_SEED}, not {self.seed}")
+        if self.physics is not None and self.environments > MOST_PROCESSES:
+            raise ValueError(
+                f"'environments' must be a whole number in [1, {MOST_PROCESSES}] with physics, "
+                f"where each is a process, not {self.environments}"
+            )

@@ -1,7 +1,7 @@
 """SAC and TD3 of Stable-Baselines3, as the configuration asks for them."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -111,8 +111,17 @@ def learn(learner: Learner, config: LearnerConfig) -> None:
         if not _diverged(learner):
             raise
     if _diverged(learner):
-        rate = config.learning_rate
-        raise KinfeasError(f"learning diverged: learner.learning_rate is {rate:g}, try a lower one")
+        raise _divergence(config)
+
+
+def check_losses(losses: Mapping[str, float], config: LearnerConfig) -> None:
+    """Check that what was logged of the learner is finite.
+
+    Raises:
+        KinfeasError: If it is not.
+    """
+    if not all(map(math.isfinite, losses.values())):
+        raise _divergence(config)
 
 
 def take_network(learner: Learner, network: Network) -> None:
@@ -134,6 +143,11 @@ def take_network(learner: Learner, network: Network) -> None:
             spread.bias.fill_(math.log(DEVIATION))
         else:
             learner.actor_target.load_state_dict(learner.actor.state_dict())
+
+
+def _divergence(config: LearnerConfig) -> KinfeasError:
+    rate = config.learning_rate
+    return KinfeasError(f"learning diverged: learner.learning_rate is {rate:g}, try a lower one")
 
 
 def _diverged(learner: Learner) -> bool:

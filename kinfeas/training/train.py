@@ -31,6 +31,7 @@ from kinfeas.training.checkpoint import (
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import (
+    check_losses,
     explore,
     learn,
     make_learner,
@@ -289,6 +290,7 @@ class _Run:
 
     def _evaluate(self, judge: Judge, logs: Logs) -> None:
         """Judge the policy on fixed episodes; keep it if none was better."""
+        self._losses()
         network = network_of(self.learner, self.env.scale)
         records = judge(network, self.config.schedule.evaluation_episodes)
         figures: Mapping[str, Any] = summarize(records)
@@ -308,10 +310,21 @@ class _Run:
     def _row(self) -> dict[str, float]:
         p = self.progress
         row = {"steps": p.steps, "seconds": p.seconds, "train/success": p.success}
+        return row | self._losses()
+
+    def _losses(self) -> dict[str, float]:
+        """Return what the learner logged last.
+
+        Raises:
+            KinfeasError: If it is not finite; then nothing more is judged or kept.
+        """
         values = self.learner.logger.name_to_value
-        return row | {key: float(values[key]) for key in LEARNER if key in values}
+        losses = {key: float(values[key]) for key in LEARNER if key in values}
+        check_losses(losses, self.config.learner)
+        return losses
 
     def _save(self) -> None:
+        self._losses()
         progress = {**vars(self.progress), "recent": list(self.progress.recent)}
         state = {"config": self._identity(), "progress": progress}
 

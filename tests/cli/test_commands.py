@@ -1,4 +1,6 @@
 import json
+import re
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -6,9 +8,11 @@ from typer.testing import CliRunner
 
 from kinfeas import registry
 from kinfeas.cli.main import app
+from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation import evaluate as evaluate_module
 from kinfeas.evaluation import speed as speed_module
+from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.evaluation.speed import Figure, random_network
 from kinfeas.policy import write_network
 
@@ -67,8 +71,16 @@ def test_evaluate_a_robot_by_its_path():
         (["--policy", "follow_ee", "--set", "word.dt=0.1"], "did you mean 'world'"),
         (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
         (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
+        (
+            ["--policy", "follow_ee", "--world", "pybullet", "--head-start", "-1"],
+            r"^--head-start: must be a number in \[0, 100000\], not -1.0",
+        ),
+        (
+            ["--policy", "follow_ee", "--world", "pybullet", "--slow-down", "0"],
+            r"^--slow-down: must be a number in \[1, 1000\], not 0.0",
+        ),
         (["--policy", ""], "not a training run"),
-        (["--policy", "follow_ee", "--sim2real", ""], "unknown configuration 'sim2real/'"),
+        (["--policy", "follow_ee", "--sim2real", ""], "unknown configuration ''; known are harsh, ideal"),
         (["--policy", "follow_ee", "--set", "world.adapters=[{name: nois}]"], "adapter 'nois'"),
     ],
 )
@@ -78,10 +90,23 @@ def test_evaluate_refuses(arguments, message):
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["--policy", "follow_ee", "--episodes", "0"], ["--policy"]]
+    "arguments",
+    [
+        [],
+        ["--policy", "follow_ee", "--episodes", "0"],
+        ["--policy", "follow_ee", "--episodes", "99999999999999999999"],
+        ["--policy", "follow_ee", "--processes", "257"],
+        ["--policy"],
+    ],
 )
 def test_evaluate_is_used_wrongly(arguments):
     assert kinfeas("evaluate", *arguments).exit_code == 2
+
+
+def test_the_help_of_evaluate_names_every_setting_of_its_worlds():
+    shown = set(re.findall(r"\w+", CliRunner().invoke(app, ["evaluate", "--help"]).output))
+    for world in (WorldConfig, PhysicsSettings):
+        assert {field.name for field in fields(world)} <= shown
 
 
 def test_evaluate_with_physics(tmp_path):

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.record import REACHED, read_record
+from kinfeas.cli import deploy
+from kinfeas.record import REACHED, About, read_record
 from tests.cli.conftest import is_one_line
 
 QUICK = ("--set", "generator.gain=1", "--set", "slow_down=1")
@@ -118,7 +119,7 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     ((*GOAL, "--set", "task.orientation=so3"), "--set task.KEY needs --task"),
     ((*GOAL[:2], "--task", "ggr", *QUICK), "--set generator.KEY and --task exclude each other"),
     ((*GOAL[:2], "--task", "ggr", "--rpy", "0", "0", "0"), "--rpy and --task exclude each other"),
-    ((*GOAL, "--sim2real", ""), "unknown configuration 'sim2real/'"),
+    ((*GOAL, "--sim2real", ""), "unknown configuration ''; known are harsh, ideal"),
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.scene=room"),
      "backend 'pybullet': the parameter 'scene' follows from the run"),
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.physics={gravity: -1}"),
@@ -149,6 +150,41 @@ def test_a_run_that_cannot_begin_leaves_no_record(kinfeas, tmp_path):
     done = kinfeas("deploy", "pretrained", "--backend", "ros1", *GOAL[2:])
     assert is_one_line(done)
     assert not list(tmp_path.rglob("*.csv"))
+
+
+def test_an_unwritable_json_does_not_hide_the_run(kinfeas, tmp_path):
+    done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.1",
+                   "--record", "run.csv", "--json", "/dev/full")  # fmt: skip
+    assert done.code == 4
+    assert "control period, median" in done.out
+    stopped, unwritten = done.err.splitlines()
+    assert stopped == "stopped: the goal was not reached within 0.1 s"
+    assert unwritten.startswith("--json: /dev/full: cannot be written")
+    assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
+
+
+@pytest.mark.parametrize(
+    ("task", "end"),
+    [("tidy-up_2", "tidy-up_2"), ("a/b", "a_b"), ("../../up", "______up"), ("* ?", "___")],
+)
+def test_a_task_of_any_name_is_recorded_in_one_folder(tmp_path, monkeypatch, task, end):
+    monkeypatch.chdir(tmp_path)
+    started = "2026-01-02T03:04:05+00:00"
+    about = About("pr2", task, "pretrained", "analytic", 0.02, ("elbow",), started)
+    path = deploy._record_path(about)
+    assert path == Path("runs") / "deploy" / f"20260102-030405-pr2-{end}.csv"
+
+
+def test_a_record_is_never_written_over(kinfeas, tmp_path):
+    (tmp_path / "run.csv").write_text("mine")
+    done = kinfeas("deploy", "pretrained", *GOAL, "--record", "run.csv")
+    assert is_one_line(done)
+    assert "--record: run.csv exists, and a record is never written over" in done.err
+    assert (tmp_path / "run.csv").read_text() == "mine"
+
+
+def test_help_names_baselines_as_policies(kinfeas):
+    assert "follow_ee" in kinfeas("deploy", "--help").out
 
 
 def test_a_policy_of_another_robot_is_refused(kinfeas):

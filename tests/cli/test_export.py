@@ -85,6 +85,10 @@ def test_words_of_a_file_do_nothing_to_the_terminal(kinfeas, file):
         (("--out", "x.onnx"), "give a policy and --out FILE"),
         (("run", "--out", "x.onnx", "--check", "pr2.onnx"), "give a policy and --out FILE"),
         (("--check", "none.onnx"), "none.onnx: cannot be read"),
+        (("--check", "empty.onnx"), "empty.onnx: empty, and so not the ONNX file of an export"),
+        (("empty.onnx", "--out", "x.onnx"), "empty.onnx: not the folder of a training run"),
+        (("follow_ee", "--out", "x.onnx"), "nothing else can be exported"),
+        (("/dev/null", "--out", "x.onnx"), "nothing else can be exported"),
         (("nowhere", "--out", "x.onnx"), "nowhere: not a training run or checkpoint"),
         (("run", "--out", "none/x.onnx"), "none/x.onnx: cannot be written"),
         (("run", "--out", "run"), "run: is a folder"),
@@ -96,6 +100,7 @@ def test_words_of_a_file_do_nothing_to_the_terminal(kinfeas, file):
     ],
 )
 def test_bad_input(kinfeas, run, tmp_path, arguments, words):
+    (tmp_path / "empty.onnx").write_bytes(b"")
     outcome = kinfeas("export", *arguments)
     assert is_one_line(outcome), outcome.err
     assert words in outcome.err

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from kinfeas.cli import output
+from kinfeas.cli.inputs import of_policy
 from kinfeas.demonstrations import write_demonstration
 from kinfeas.errors import KinfeasError
 from tests.cli.conftest import is_one_line
@@ -160,6 +161,83 @@ def test_every_command_refuses_one_file_for_two(kinfeas, tmp_path, line):
     assert is_one_line(done), done.err
     assert "must differ, but both name" in done.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("shown/0.csv", "fit --demonstrations shown --out shown/0.csv"),
+        ("shown/0.csv", "fit --demonstrations shown --out model.yaml --json shown/../shown/0.csv"),
+        ("run/config.yaml", "export run --out run/config.yaml"),
+        ("run/config.yaml", "evaluate --policy run --json run/config.yaml"),
+        ("run/config.yaml", "speed --policy run --json run/config.yaml"),
+        ("run/config.yaml", "benchmark --runs run --json run/config.yaml"),
+        ("run/checkpoints/best/policy.json", "deploy run --json run/checkpoints/best/policy.json"),
+        ("run/checkpoints/best/policy.json",
+         "export run/checkpoints/best --out x.onnx --json run/checkpoints/best/policy.json"),
+        ("mine.yaml", "evaluate --policy pretrained --robot mine.yaml --json mine.yaml"),
+        ("mine.yaml", "evaluate --policy pretrained --task mine.yaml --json ./mine.yaml"),
+        ("mine.yaml", "evaluate --policy pretrained --sim2real mine.yaml --json mine.yaml"),
+        ("mine.yaml", "evaluate --policy pretrained --set task.model=mine.yaml --json mine.yaml"),
+        ("mine.yaml", "ceiling --robot mine.yaml --json mine.yaml"),
+        ("mine.yaml", "ceiling --task mine.yaml --json mine.yaml"),
+        ("mine.yaml", "deploy pretrained --robot mine.yaml --json mine.yaml"),
+        ("mine.yaml", "deploy pretrained --task mine.yaml --json mine.yaml"),
+        ("mine.yaml", "deploy pretrained --sim2real mine.yaml --json mine.yaml"),
+        ("mine.yaml", "deploy pretrained --guards mine.yaml --json mine.yaml"),
+        ("mine.yaml", "export pretrained --robot mine.yaml --out x.onnx --json mine.yaml"),
+        ("mine.yaml", "simulate --robot mine.yaml --json mine.yaml"),
+        ("mine.yaml", "simulate --scene mine.yaml --json mine.yaml"),
+        ("mine.yaml", "simulate --topics mine.yaml --json mine.yaml"),
+        ("mine.yaml", "speed --robot mine.yaml --json mine.yaml"),
+        ("mine.yaml", "view --scene mine.yaml --json mine.yaml"),
+        ("mine.yaml", "benchmark --config mine.yaml --json mine.yaml"),
+        ("mine.yaml", "plugins check waypoints --set file=mine.yaml --json mine.yaml"),
+    ],
+)  # fmt: skip
+def test_no_command_writes_over_what_it_reads(kinfeas, tmp_path, file, line):
+    (tmp_path / "shown").mkdir()
+    (tmp_path / "run" / "checkpoints" / "best").mkdir(parents=True)
+    (tmp_path / file).write_text("mine")
+    done = kinfeas(*line.split())
+    assert is_one_line(done), done.err
+    assert "must differ, but both name" in done.err or "is not written over" in done.err
+    assert (tmp_path / file).read_text() == "mine"
+
+
+def test_results_may_lie_beside_what_is_read(tmp_path):
+    (tmp_path / "run").mkdir()
+    places = of_policy(tmp_path / "run")
+    output.check_outputs({"--json": tmp_path / "run" / "out.json"}, {"--policy": places})
+    with pytest.raises(KinfeasError, match=r"^--json: .*/new belongs to what --policy names"):
+        new = tmp_path / "run" / "checkpoints" / "new"
+        output.check_outputs({"--json": new}, {"--policy": places})
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("view --picture room.txt", "--picture: room.txt must end in .png"),
+        ("view --html room", "--html: room must end in .html"),
+        ("plugins check linear --picture a.jpg", "--picture: a.jpg must end in .png"),
+        ("export pretrained --out pr2.yaml", "--out: pr2.yaml must end in .onnx"),
+        ("deploy pretrained --goal 1 0 1 --record run", "--record: run must end in .csv"),
+    ],
+)
+def test_files_end_in_what_they_are(kinfeas, tmp_path, line, message):
+    done = kinfeas(*line.split())
+    assert is_one_line(done), done.err
+    assert message in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_device_or_a_pipe_may_be_called_anything(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/stdout"), Path("/dev/fd/1"), Path("/dev/null")):
+        output.check_outputs({"--picture": path}, {"--scene": [tmp_path / "room.yaml"]})
+        output.check_suffix("--out", path, ".onnx")
+    for path in (tmp_path / "pipe", Path("/dev/null")):
+        output.check_outputs({"--picture": path}, {"--set": [path, tmp_path / "room.yaml"]})
 
 
 @pytest.mark.parametrize(

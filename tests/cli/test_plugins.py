@@ -34,6 +34,13 @@ def test_info_on_all_kinds(kinfeas, name):
     assert "Annotated" not in outcome.out
 
 
+def test_info_on_a_task_heads_its_grip_as_a_file_does(kinfeas):
+    shown = kinfeas("plugins", "info", "door").out
+    assert "close" in shown
+    assert "grip " in shown
+    assert "gripper" not in shown.partition("legs")[2]
+
+
 def test_info_on_a_robot(kinfeas, tmp_path):
     outcome = kinfeas("plugins", "info", "hsr", "--json", "hsr.json")
     assert "arm_lift_joint" in outcome.out

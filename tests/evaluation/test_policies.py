@@ -73,6 +73,14 @@ def test_the_policy_that_comes_with_the_package(robot, tmp_path, monkeypatch):
     np.testing.assert_array_equal(load_policy("pretrained", robot)(seen), network(seen))
 
 
+def test_what_can_be_no_policy(robot, tmp_path):
+    (tmp_path / "empty.onnx").write_bytes(b"")
+    with pytest.raises(KinfeasError, match=r"empty\.onnx: empty, and so not the ONNX file"):
+        load_policy(str(tmp_path / "empty.onnx"), robot)
+    with pytest.raises(KinfeasError, match=r"^/dev/null: neither the folder of a training run nor"):
+        load_policy("/dev/null", robot)
+
+
 def test_a_folder_that_is_no_run(robot, tmp_path):
     with pytest.raises(KinfeasError, match="not a training run"):
         load_policy(str(tmp_path), robot)

@@ -316,3 +316,66 @@ def test_a_run_that_cannot_begin_is_an_error(run):
     with pytest.raises(KinfeasError, match="not finite"):
         run(robot, Drive())
     assert robot.closed
+
+
+class Broken(AnalyticBackend):
+    """A backend that breaks before anything has moved."""
+
+    def __init__(self, method, answer=None):
+        super().__init__()
+        self.method, self.answer = method, answer
+
+    def reset(self, base_pose, joint_positions, rows=None):
+        if self.method == "reset":
+            if isinstance(self.answer, BaseException):
+                raise self.answer
+            return self.answer
+        return super().reset(base_pose, joint_positions, rows)
+
+    def seed(self, seeds, rows):
+        if self.method == "seed":
+            raise self.answer
+
+
+class BrokenRobot(LiveRobot):
+    def __init__(self, robot, method):
+        super().__init__(robot)
+        self.method = method
+
+    def reset(self, base_pose, joint_positions, rows=None):
+        return LiveRobot.read(self)
+
+    def read(self):
+        if self.method == "read":
+            raise KeyError("no topic")
+        return super().read()
+
+    def stop_call(self):
+        raise RuntimeError("no address")
+
+
+@pytest.mark.parametrize("method", ["reset", "seed"])
+@pytest.mark.parametrize("error", [RuntimeError("boom"), SystemExit(5), OSError("no bus")])
+def test_a_backend_that_cannot_begin_is_one_sentence(run, method, error):
+    backend = Broken(method, error)
+    name = type(error).__name__
+    with pytest.raises(KinfeasError, match=rf"^backend Broken fails in {method}: {name}: .*line"):
+        run(backend, Drive(), real_time=False)
+
+
+def test_a_backend_that_measures_nothing_is_one_sentence(run):
+    with pytest.raises(
+        KinfeasError, match=r"^backend Broken must return a RobotState from reset, "
+    ):
+        run(Broken("reset"), Drive(), real_time=False)
+
+
+@pytest.mark.parametrize(
+    ("method", "sentence"),
+    [("read", "read: KeyError: 'no topic'"), ("stop_call", "stop_call: RuntimeError: no address")],
+)
+def test_a_robot_that_cannot_begin_is_one_sentence(run, pr2, method, sentence):
+    robot = BrokenRobot(pr2.robot, method)
+    guards = Guards(watchdog=None if method == "read" else 0.5)
+    with pytest.raises(KinfeasError, match=f"^backend BrokenRobot fails in {sentence}"):
+        run(robot, Drive(), guards=guards)

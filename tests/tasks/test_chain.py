@@ -116,6 +116,9 @@ def test_least_that_a_file_needs(exact_solver, tmp_path):
     ("text", "message"),
     [
         ("legs: []", "'legs' must have at least one entry"),
+        ("name: ''", "'name' must be printable, not empty and without '/', not ''"),
+        ("name: a/b", "'name' must be printable, not empty and without '/', not 'a/b'"),
+        ('name: "a\\tb"', "'name' must be printable"),
         ("legs: [{place: shelf}]", "'legs.0.place': unknown place 'shelf'; known are cup"),
         ("legs: [{place: cap}]", "did you mean 'cup'"),
         ("legs: [{offset: [0, 0, 1]}]", "'legs.0.place' is missing"),

@@ -65,6 +65,12 @@ def test_sturdy_noise_differs_from_the_default_in_the_noise_alone():
     assert sturdy.world.reward == default.world.reward
 
 
+def test_a_world_with_physics_is_a_process(tiny):
+    with pytest.raises(KinfeasError, match=r"'environments' .* in \[1, 256\] with physics, .* 257"):
+        tiny("physics={}", "environments=257")
+    assert tiny("physics={}", "environments=256").environments == 256
+
+
 def test_a_run_without_an_end_is_refused(tiny):
     with pytest.raises(KinfeasError, match="one of 'steps' and 'minutes' must be set"):
         tiny("schedule.steps=null")
@@ -74,6 +80,10 @@ def test_a_run_without_an_end_is_refused(tiny):
     "override",
     [
         "learner.algorithm=ppo", "learner.discount=1.5", "learner.hidden=[0]", "environments=0",
+        "learner.hidden=[2049]", "learner.hidden=[8,8,8,8,8,8,8,8,8]", "learner.learning_rate=1.1",
+        "learner.batch_size=99999999", "learner.gradient_steps=99999999", "environments=65537",
+        "hold=1001", "schedule.evaluations=99999", "schedule.evaluation_episodes=99999999",
+        "seed=4294967296",
         "learner.learning_rate=0", "schedule.minutes=-1", "seed=-1", "learner.batchsize=3",
     ],
 )  # fmt: skip

@@ -186,6 +186,23 @@ def test_learning_that_diverges_is_a_clear_error(tiny, tmp_path):
         train(replace(settings, learner=learner), tmp_path / "run")
 
 
+def test_a_loss_that_is_no_number_keeps_the_last_checkpoint(tiny, tmp_path, monkeypatch, digest):
+    settings, run = tiny("schedule.steps=4000", "schedule.evaluations=4"), tmp_path / "run"
+    step, before = training._Run._step, {}
+
+    def diverging(self):
+        step(self)
+        if self.progress.steps >= 2000:
+            before.update(before or digest(run / "checkpoints"))
+            self.learner.logger.record("train/critic_loss", float("nan"))
+
+    monkeypatch.setattr(training._Run, "_step", diverging)
+    with pytest.raises(KinfeasError, match="learning diverged: learner"):
+        train(settings, run)
+    assert before
+    assert digest(run / "checkpoints") == before
+
+
 def interrupt_at(monkeypatch, owner, name, call):
     """Let Ctrl-C be pressed within the n-th call of a function."""
     function, calls = getattr(owner, name), []

@@ -14,7 +14,7 @@ from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
 from kinfeas.evaluation.policies import BASELINES
 from kinfeas.files import is_path
-from kinfeas.quantities import Count, Positive
+from kinfeas.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.recipes import default_recipe, find_recipe
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task, task_name
@@ -138,10 +138,12 @@ class StudyConfig:
     physics: PhysicsStudy | None = None
 
     def __post_init__(self) -> None:
-        """Check the baselines' names, and that nothing is there twice."""
+        """Check the baselines' names, how many episodes there are, and that nothing is twice."""
         for name in self.baselines:
             if name not in BASELINES:
                 raise ValueError(f"unknown baseline {name!r}{no_such(name, BASELINES)}")
+        if self.episodes > MOST_EPISODES:
+            raise ValueError(f"'episodes' must be at most {MOST_EPISODES}, not {self.episodes}")
         for key in ("robots", "tasks", "seeds"):
             entries = getattr(self, key)
             if not entries or len(set(entries)) < len(entries):

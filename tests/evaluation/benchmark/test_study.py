@@ -115,6 +115,7 @@ def test_a_task_may_be_a_file(tmp_path, monkeypatch):
         ("seeds=[1, 1]", "none twice"),
         ("robots=[]", "at least one"),
         ("episodes=0", ">= 1"),
+        ("episodes=1000001", "at most 1000000"),
         ("policies=both", "'pretrained'"),
         ("tasks=[ggr, fly]", "unknown task 'fly'"),
         ("robots=[pr3]", "unknown robot 'pr3'"),

@@ -1,0 +1,116 @@
+"""A task whose every episode is looked at: nothing malformed gets into a loop."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.foreign import Blaming, package_of
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.names import check_name
+from kinfeas.start import Start
+from kinfeas.tasks.task import Leg, Task
+
+_UNIT_LENGTH = 1e-6
+
+
+class CheckedTask:
+    """A task that passes on another one's episodes if they have the right form.
+
+    What the task's own code raises becomes an error that names it and the line. Whatever else the
+    task has can be asked of this.
+
+    Args:
+        task: Draws the episodes.
+        name: What to call it in errors.
+
+    Attributes:
+        name: The task's own name.
+        legs: Its legs, as they were when this was made.
+
+    Raises:
+        KinfeasError: If the task has no name or no legs; also from `sample`.
+    """
+
+    def __init__(self, task: Task, name: str) -> None:
+        self.task, self.subject = task, f"task {name!r}"
+        package = package_of(task)
+        with Blaming(f"{self.subject} fails:", package):
+            self.name, self.legs = task.name, task.legs
+        self._check_name()
+        self._check_legs()
+        self._sample = Blaming(f"{self.subject} fails in sample:", package)
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode, its arrays without a leading axis."""
+        with self._sample:
+            start = self.task.sample(solver, rng)
+        check_start(start, self.subject, len(self.legs), len(solver.robot.arm))
+        return start
+
+    def __getattr__(self, name: str) -> Any:
+        # A plugin's class has attributes of its own, which scripts know; a copy in the making none.
+        if name.startswith("__") or "task" not in vars(self):
+            raise AttributeError(name)
+        return getattr(self.task, name)
+
+    def _check_name(self) -> None:
+        if not isinstance(self.name, str):
+            raise KinfeasError(f"{self.subject}: 'name' must be a string, not {self.name!r}")
+        try:
+            check_name(self.name)
+        except ValueError as error:
+            raise KinfeasError(f"{self.subject}: {error}") from error
+
+    def _check_legs(self) -> None:
+        if not isinstance(self.legs, Sequence) or not self.legs:
+            got = "none" if isinstance(self.legs, Sequence) else type(self.legs).__name__
+            raise KinfeasError(f"{self.subject} must have a tuple of at least one leg, not {got}")
+        for leg in self.legs:
+            lacks = next((one.name for one in fields(Leg) if not hasattr(leg, one.name)), None)
+            if lacks is not None:
+                raise KinfeasError(
+                    f"{self.subject} must have legs that are a Leg each, and a "
+                    f"{type(leg).__name__} has no {lacks!r}"
+                )
+
+
+def unchecked(task: Task) -> Task:
+    """Return the task itself, to be asked of what class it is."""
+    return task.task if isinstance(task, CheckedTask) else task
+
+
+def check_start(start: Start, subject: str, legs: int, joints: int) -> None:
+    """Do nothing if an episode has the form that it must have: the kernels do not look.
+
+    Args:
+        start: One episode, its arrays without a leading axis.
+        subject: Whose it is, as the sentence begins.
+        legs: How many legs the task has.
+        joints: How many joints the arm has.
+
+    Raises:
+        KinfeasError: If an array has another shape, or numbers that are not finite, or a pose no
+            unit quaternion.
+    """
+    shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (legs, 7)}
+    for name, shape in shapes.items():
+        value: Any = getattr(start, name, None)
+        numeric = isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
+        if not numeric or value.shape != shape:
+            got = getattr(value, "shape", type(value).__name__)
+            raise KinfeasError(
+                f"{subject} must sample a {name} of shape {shape} in numbers, not {got}"
+            )
+        if not np.isfinite(value).all():
+            raise KinfeasError(f"{subject} samples a {name} with numbers that are not finite")
+        if name != "joint_positions":
+            _check_unit(value, f"{subject} samples a {name}")
+
+
+def _check_unit(poses: Any, subject: str) -> None:
+    off = np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1.0).max(initial=0.0)
+    if not off < _UNIT_LENGTH:
+        raise KinfeasError(f"{subject} whose quaternion is not of unit length")

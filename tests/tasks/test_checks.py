@@ -1,0 +1,157 @@
+import copy
+import pickle
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from kinfeas import registry
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.waypoints import draw_goals
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.sim.stage import task_scene
+from kinfeas.spatial import IDENTITY
+from kinfeas.start import Start
+from kinfeas.tasks.chain import ChainTask, door
+from kinfeas.tasks.checks import CheckedTask, unchecked
+from kinfeas.tasks.ggr import GoalReaching
+from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.task import Leg
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def pr2():
+    return IkSolver(registry.load_robot("pr2"))
+
+
+@dataclass(frozen=True)
+class Given:
+    """A task of the episode that it is made with."""
+
+    start: object = None
+    name: str = "given"
+    legs: tuple = (Leg(),)
+    radius: float = 2.0
+
+    def sample(self, solver, rng):
+        if isinstance(self.start, BaseException):
+            raise self.start
+        return self.start
+
+
+class OwnDoor(ChainTask):
+    """The door with what a plugin adds to it."""
+
+
+def sound(solver):
+    return Start(IDENTITY, solver.robot.home["home"], IDENTITY[np.newaxis])
+
+
+LONG = np.array([0, 0, 0, 0, 0, 0, 1.01])
+BAD = {
+    "nothing": (lambda start: None, r"must sample a base_pose of shape \(7,\) .*, not NoneType"),
+    "a flat base": (lambda start: replace(start, base_pose=IDENTITY[:3]), r"not \(3,\)"),
+    "too few joints": (
+        lambda start: replace(start, joint_positions=np.zeros(2)),
+        r"joint_positions of shape \(7,\) in numbers, not \(2,\)",
+    ),
+    "no goals": (lambda start: replace(start, target_poses=np.empty((0, 7))), r"not \(0, 7\)"),
+    "too many goals": (
+        lambda start: replace(start, target_poses=np.tile(IDENTITY, (3, 1))),
+        r"target_poses of shape \(1, 7\) in numbers, not \(3, 7\)",
+    ),
+    "words": (lambda start: replace(start, base_pose=IDENTITY.astype(str)), "in numbers, not"),
+    "a goal of nan": (
+        lambda start: replace(start, target_poses=np.full((1, 7), np.nan)),
+        "samples a target_poses with numbers that are not finite",
+    ),
+    "endless joints": (
+        lambda start: replace(start, joint_positions=np.full(7, np.inf)),
+        "samples a joint_positions with numbers that are not finite",
+    ),
+    "zeros": (
+        lambda start: replace(start, target_poses=np.zeros((1, 7))),
+        "samples a target_poses whose quaternion is not of unit length",
+    ),
+    "a long base": (lambda start: replace(start, base_pose=LONG), "base_pose whose quaternion"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_malformed_episodes_are_refused(pr2, name):
+    change, sentence = BAD[name]
+    task = Given(change(sound(pr2)))
+    with pytest.raises(KinfeasError, match=rf"^task 'mine' .*{sentence}"):
+        CheckedTask(task, "mine").sample(pr2, RNG)
+    with pytest.raises(KinfeasError, match=rf"^task 'given' .*{sentence}"):
+        World(pr2.robot, task, WorldConfig(), seed=0).start([0])
+
+
+def test_malformed_goals_are_the_tasks_fault_in_a_ceiling_too(pr2):
+    task = CheckedTask(Given(replace(sound(pr2), target_poses=np.zeros((1, 7)))), "mine")
+    with pytest.raises(KinfeasError, match=r"^task 'mine' samples a target_poses whose"):
+        draw_goals(pr2, task, 1, 0)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("boom"), KeyError("x"), SystemExit(5)])
+def test_what_its_code_raises_names_it_and_the_line(pr2, error):
+    task = CheckedTask(Given(error), "mine")
+    name = type(error).__name__
+    with pytest.raises(KinfeasError, match=rf"^task 'mine' fails in sample: {name}: .*\n*.*line"):
+        task.sample(pr2, RNG)
+
+
+@pytest.mark.parametrize(
+    ("task", "sentence"),
+    [
+        (Given(legs=()), "must have a tuple of at least one leg, not none"),
+        (Given(legs=None), "must have a tuple of at least one leg, not NoneType"),
+        (Given(legs=(1,)), "must have legs that are a Leg each, and a int has no 'motion'"),
+        (Given(name=""), "'name' must be printable, not empty"),
+        (Given(name="a/b"), "'name' must be printable, not empty and without '/', not 'a/b'"),
+        (Given(name=3), "'name' must be a string, not 3"),
+        (object(), "fails: AttributeError: 'object' object has no attribute 'name'"),
+    ],
+)
+def test_tasks_that_are_none(task, sentence):
+    with pytest.raises(KinfeasError, match=f"^task 'mine':? {sentence}"):
+        CheckedTask(task, "mine")
+
+
+def test_all_else_comes_through(pr2):
+    task = Given(sound(pr2))
+    checked = CheckedTask(task, "mine")
+    assert checked.sample(pr2, RNG) is task.start
+    assert (checked.name, checked.legs, checked.radius) == ("given", task.legs, 2.0)
+    assert not hasattr(checked, "scene")
+    for again in (copy.deepcopy(checked), pickle.loads(pickle.dumps(checked))):
+        assert (again.name, again.radius) == ("given", 2.0)
+        np.testing.assert_array_equal(again.sample(pr2, RNG).base_pose, IDENTITY)
+
+
+def test_a_chain_of_ones_own_keeps_its_furniture():
+    chain = door()
+    own = OwnDoor(chain.name, chain.legs, chain.places, chain.start, chain.scene)
+    checked = CheckedTask(own, "mine")
+    assert unchecked(checked) is own
+    assert task_scene(checked).name == task_scene(chain).name
+
+
+def nothing():
+    """Return no task."""
+
+
+def test_only_what_comes_from_outside_is_looked_at(monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.tasks", "given", Given)
+    registry.register("kinfeas.tasks", "nothing", nothing)
+    assert isinstance(load_task("given"), CheckedTask)
+    assert isinstance(load_task("ggr"), GoalReaching)
+    assert isinstance(load_task("door"), ChainTask)
+    with pytest.raises(KinfeasError, match="must return an object with the methods sample, not No"):
+        load_task("nothing")
+    with pytest.raises(KinfeasError, match=r"^task 'given' must have a tuple of at least one leg"):
+        load_task("given", {"legs": ()})
