@@ -81,7 +81,7 @@ def test_never_free_where_fcl_sees_contact(record_property):
             if collide(a, b):
                 touching += 1
                 assert near(a, b)
-    record_property("touching", touching)
+    record_property("touching", int(touching))
     assert touching > 1000
 
 
@@ -98,7 +98,7 @@ def test_distance_decides_near_the_margin(record_property, first, second):
             assert near(a, b), gap
         elif near(a, b):
             false_alarms += 1
-    record_property("false_alarms", false_alarms)
+    record_property("false_alarms", int(false_alarms))
     assert false_alarms == 0
 
 
