@@ -12,7 +12,8 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, share, write_json
-from kinfeas.cli.train import Wishes, read_settings, train_run
+from kinfeas.cli.train import train_run
+from kinfeas.cli.train_settings import Wishes, read_settings
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.comparison import Comparison

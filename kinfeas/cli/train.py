@@ -4,7 +4,6 @@ import json
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,13 +12,15 @@ import typer
 from kinfeas.cli import completion, options
 from kinfeas.cli.evaluate import WorldName
 from kinfeas.cli.output import print_table, share, write_json
+from kinfeas.cli.train_settings import Wishes, default_folder, read_settings
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import LAST_SEED, MOST_PROCESSES
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
-    from kinfeas.training.train import Progress, Report
+    from kinfeas.training.progress import Progress
+    from kinfeas.training.train import Report
 
 _RECIPE = "the recipe's, else {}"
 
@@ -144,91 +145,6 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         folder = out or default_folder(settings)
         progress = train_run(settings, folder)
     _show(progress, folder)
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What the options say of a run; None leaves it to the recipe."""
-
-    robot: str | None = None
-    task: str | None = None
-    seed: int | None = None
-    minutes: float | None = None
-    steps: int | None = None
-    algorithm: str | None = None
-    sim2real: str | None = None
-    pybullet: bool | None = None
-    init: str | None = None
-    processes: int | None = None
-
-    def overrides(self) -> list[str]:
-        """Return them as `--set` would say them.
-
-        Raises:
-            KinfeasError: If a number or a name is none of those that are allowed.
-        """
-        from kinfeas.training.config import TrainConfig
-
-        options.check_settings(
-            TrainConfig,
-            {
-                "--seed": ("seed", self.seed),
-                "--minutes": ("schedule.minutes", self.minutes),
-                "--steps": ("schedule.steps", self.steps),
-                "--algorithm": ("learner.algorithm", self.algorithm),
-            },
-        )
-        said: dict[str, object] = {
-            "robot": self.robot,
-            "task": self.task,
-            "seed": self.seed,
-            "learner.algorithm": self.algorithm,
-            "init": self.init,
-            "environments": self.processes,
-        }
-        said = {key: value for key, value in said.items() if value is not None}
-        if self.minutes is not None or self.steps is not None:
-            said |= {"schedule.minutes": self.minutes, "schedule.steps": self.steps}
-        if self.sim2real is not None:
-            said["world.adapters"] = [vars(one) for one in options.read_adapters(self.sim2real)]
-        return [f"{key}={json.dumps(value)}" for key, value in said.items()]
-
-
-def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "TrainConfig":
-    """Return the settings of a run: the recipe, then the options, then `--set`.
-
-    Raises:
-        KinfeasError: If recipe, robot, task, a key or a value is wrong.
-    """
-    from kinfeas.config import load
-    from kinfeas.envs.world import World
-    from kinfeas.recipes import default_recipe, find_recipe
-    from kinfeas.registry import from_anywhere
-    from kinfeas.training.config import TrainConfig
-
-    folder = "train_physics" if wishes.pybullet else "train"
-    if recipe is None:
-        path = default_recipe(folder, options.read_robot(wishes.robot or TrainConfig.robot).name)
-    else:
-        path = find_recipe(recipe, folder)
-    settings = load(TrainConfig, path, [*wishes.overrides(), *overrides])
-    if (settings.physics is None) == bool(wishes.pybullet):
-        raise KinfeasError(
-            f"{path}: a recipe without 'physics', which --world pybullet needs"
-            if wishes.pybullet
-            else f"{path}: a recipe with 'physics', which needs --world pybullet"
-        )
-    # What names something unknown is refused before there is a folder.
-    robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
-    World(options.read_robot(robot), task, settings.world, settings.seed)
-    return replace(settings, robot=from_anywhere(robot), task=from_anywhere(settings.task))
-
-
-def default_folder(settings: "TrainConfig") -> Path:
-    """Return `runs/ROBOT-TASK-SEED`, with `-pybullet` behind it for a run with physics."""
-    robot, task = Path(settings.robot).stem, Path(settings.task).stem
-    physics = "" if settings.physics is None else "-pybullet"
-    return Path("runs") / f"{robot}-{task}-{settings.seed}{physics}"
 
 
 def train_run(settings: "TrainConfig", folder: Path) -> "Progress":

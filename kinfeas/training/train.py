@@ -1,33 +1,23 @@
 """A training run: collect, learn, evaluate, save; and go on after any interruption."""
 
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
 from kinfeas import pretrained, registry
-from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.files import writing
 from kinfeas.folders import find_folder, write_folder
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network, write_network
-from kinfeas.quantities import NotNegative
-from kinfeas.training.checkpoint import (
-    Tally,
-    checked,
-    load_learner,
-    loading,
-    read_state,
-    save_learner,
-)
+from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import (
@@ -41,48 +31,11 @@ from kinfeas.training.learner import (
 )
 from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.process_env import ProcessVecEnv
+from kinfeas.training.progress import Progress, read_progress
 from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
 from kinfeas.training.worlds import Judge, analytic_judge, analytic_world, physics_judge
 
-RECENT = 256
-"""Training episodes that the reported success rate is the mean of."""
-
 LOG_SECONDS = 2.0
-
-
-@dataclass
-class Progress:
-    """How far a run has come.
-
-    Attributes:
-        steps: Environment steps so far.
-        seconds: Wall-clock time so far, over all parts of the run.
-        share: Share of the run that is done, 0-1.
-        success: Share of recent training episodes without a failure, with exploration and noise.
-        best: Success of the best checkpoint in its evaluation, 0-1; -1 before the first one.
-        evaluations: How many evaluations there have been.
-    """
-
-    steps: int = 0
-    seconds: float = 0.0
-    share: float = 0.0
-    success: float = float("nan")
-    best: float = -1.0
-    evaluations: int = 0
-    recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))
-
-
-@dataclass(frozen=True)
-class _Saved:
-    """What a checkpoint holds of the progress; share and success follow from the rest."""
-
-    steps: Tally
-    seconds: NotNegative
-    best: Annotated[float, Interval(low=-1.0, high=1.0)]
-    evaluations: Tally
-    recent: tuple[bool, ...]
-    share: object
-    success: object
 
 
 Report = Callable[[Progress], None]
@@ -149,11 +102,6 @@ def _first_policy(config: TrainConfig) -> Network:
     return found
 
 
-def _success(recent: deque[bool]) -> float:
-    """Return the share of episodes without a failure, NaN before the first one has ended."""
-    return float(np.mean(recent)) if recent else float("nan")
-
-
 class _Run:
     """One training run in its folder."""
 
@@ -187,16 +135,7 @@ class _Run:
         state = read_state(last)
         with loading(last):
             self._check_same(state["config"], last)
-            saved = checked(_Saved, state["progress"])
-            recent = deque(saved.recent, maxlen=RECENT)
-            self.progress = Progress(
-                steps=saved.steps,
-                seconds=saved.seconds,
-                success=_success(recent),
-                best=saved.best,
-                evaluations=saved.evaluations,
-                recent=recent,
-            )
+            self.progress = read_progress(state["progress"])
             # The schedule may have been made longer.
             self.progress.share = self._share()
             self.progress.evaluations = min(self.progress.evaluations, self._evaluations_due())
@@ -264,15 +203,14 @@ class _Run:
             learner._current_progress_remaining = 1.0 - progress.share
             learn(learner, config)
         seen, rewards, dones, infos = self.env.step_wait()
-        after = seen.copy()
-        for row in np.flatnonzero(dones):
+        after, ended = seen.copy(), np.flatnonzero(dones)
+        for row in ended:
             after[row] = infos[row]["terminal_observation"]
-            progress.recent.append(infos[row]["is_success"])
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = seen
-        progress.steps += self.config.environments * self.config.hold
-        progress.success = _success(progress.recent)
+        steps = self.config.environments * self.config.hold
+        progress.add(steps, (infos[row]["is_success"] for row in ended))
 
     def _share(self) -> float:
         schedule = self.config.schedule
@@ -325,8 +263,7 @@ class _Run:
 
     def _save(self) -> None:
         self._losses()
-        progress = {**vars(self.progress), "recent": list(self.progress.recent)}
-        state = {"config": self._identity(), "progress": progress}
+        state = {"config": self._identity(), "progress": self.progress.saved()}
 
         def fill(folder: Path) -> None:
             save_learner(folder, self.learner, self.env.snapshot(), state)

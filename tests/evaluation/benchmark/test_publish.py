@@ -4,7 +4,7 @@ import shlex
 import pytest
 
 from kinfeas import config, pretrained, registry
-from kinfeas.cli.train import Wishes, read_settings
+from kinfeas.cli.train_settings import Wishes, read_settings
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.publish import publish, train_command
 from kinfeas.evaluation.benchmark.runs import Run
