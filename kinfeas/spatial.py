@@ -41,7 +41,7 @@ def compose(parent: Array, child: Array) -> Array:
         parent: Pose, shape (..., 7).
         child: Pose relative to `parent`, shape (..., 7).
     """
-    if parent.shape[-1:] != _POSE or child.shape[-1:] != _POSE:
+    if np.shape(parent)[-1:] != _POSE or np.shape(child)[-1:] != _POSE:
         raise _misshapen(parent, child)
     composed: Array = pose_kernels.compose(parent, child)
     return composed
@@ -49,7 +49,7 @@ def compose(parent: Array, child: Array) -> Array:
 
 def relative(pose: Array, frame: Array) -> Array:
     """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
-    if pose.shape[-1:] != _POSE or frame.shape[-1:] != _POSE:
+    if np.shape(pose)[-1:] != _POSE or np.shape(frame)[-1:] != _POSE:
         raise _misshapen(pose, frame)
     seen: Array = pose_kernels.relative(pose, frame)
     return seen
@@ -63,7 +63,7 @@ def integrate(pose: Array, twist: Array, dt: float) -> Array:
         twist: World-axes twist, shape (..., 6), m/s and rad/s.
         dt: Duration in seconds.
     """
-    if pose.shape[-1:] != _POSE or twist.shape[-1:] != _TWIST:
+    if np.shape(pose)[-1:] != _POSE or np.shape(twist)[-1:] != _TWIST:
         raise _misshapen(pose, twist, "a pose (..., 7) and a twist (..., 6)")
     reached: Array = pose_kernels.integrate(pose, twist, dt)
     return reached
@@ -74,7 +74,7 @@ def twist_between(start: Array, end: Array, dt: float) -> Array:
 
     The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
     """
-    if start.shape[-1:] != _POSE or end.shape[-1:] != _POSE:
+    if np.shape(start)[-1:] != _POSE or np.shape(end)[-1:] != _POSE:
         raise _misshapen(start, end)
     twist: Array = pose_kernels.twist_between(start, end, dt, pose_kernels.TWIST)
     return twist
@@ -90,7 +90,7 @@ def distance(a: Array, b: Array) -> tuple[Array, Array]:
     Returns:
         Distance in metres and angle in radians in [0, pi], each of shape (...).
     """
-    if a.shape[-1:] != _POSE or b.shape[-1:] != _POSE:
+    if np.shape(a)[-1:] != _POSE or np.shape(b)[-1:] != _POSE:
         raise _misshapen(a, b)
     metres, radians = pose_kernels.distance(a, b)
     return metres, radians
@@ -119,4 +119,5 @@ def wrap(angle: Array) -> Array:
 
 def _misshapen(one: Array, other: Array, kinds: str = "poses (..., 7)") -> KinfeasError:
     """Return the error on arrays that the kernels, which do not look, would read or write past."""
-    return KinfeasError(f"the shapes must be those of {kinds}, not {one.shape} and {other.shape}")
+    shapes = f"{np.shape(one)} and {np.shape(other)}"
+    return KinfeasError(f"the shapes must be those of {kinds}, not {shapes}")

@@ -184,3 +184,11 @@ def test_what_is_no_pose_is_refused(function, shape):
 def test_what_is_no_twist_is_refused(pose, twist):
     with pytest.raises(KinfeasError, match=r"a twist \(\.\.\., 6\), not \("):
         integrate(np.ones(pose), np.ones(twist), 0.1)
+
+
+def test_lists_are_arrays():
+    first, second = [1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8], [0.5, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]
+    expected = compose(np.array(first), np.array(second))
+    np.testing.assert_array_equal(compose(first, second), expected)
+    with pytest.raises(KinfeasError, match=r"not \(7,\) and \(6,\)"):
+        compose(first, second[:6])
