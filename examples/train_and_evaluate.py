@@ -9,7 +9,7 @@ from kinfeas import registry
 from kinfeas.config import load
 from kinfeas.evaluation.evaluate import Trial, evaluate
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.recipes import default_recipe
+from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train

@@ -4,12 +4,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from kinfeas import config, registry, strict_yaml
+from kinfeas import config, registry
 from kinfeas.backend import Backend
 from kinfeas.errors import KinfeasError
 from kinfeas.legs import Pace, Pacing
-from kinfeas.recipes import find_recipe
 from kinfeas.robots.robot import Robot
+from kinfeas.storage import strict_yaml
+from kinfeas.storage.recipes import find_recipe
 
 FOLDER = "sim2real"
 """Where the ladder of shipped lists stands among the configurations."""

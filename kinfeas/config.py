@@ -9,9 +9,9 @@ from dataclasses import MISSING, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from kinfeas import strict_yaml
 from kinfeas.errors import KinfeasError
 from kinfeas.schema import Interval, Place, convert_dataclass, default, init_fields, no_such
+from kinfeas.storage import strict_yaml
 
 __all__ = ["Interval", "dump", "from_mapping", "load", "no_such", "to_mapping"]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
+from kinfeas.conformance.checks import CheckedMotion
 from kinfeas.legs import LegMotion, Pace, tool_pose
 from kinfeas.motion import State
-from kinfeas.motion_checks import CheckedMotion
 from kinfeas.robots.robot import Robot
 from kinfeas.rows import Rows, merged, of_rows, with_rows
 from kinfeas.spatial import Array

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
-from kinfeas.files import replacing
-from kinfeas.npz import read_npz
 from kinfeas.quantities import LONGEST, REMOTEST
 from kinfeas.spatial import Array
+from kinfeas.storage.csv_table import read_csv
+from kinfeas.storage.files import replacing
+from kinfeas.storage.npz import read_npz
 
 _AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSES = ("ee_pose", "base_pose", "object_pose")

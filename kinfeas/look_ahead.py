@@ -8,12 +8,12 @@ from scipy.special import ndtri
 
 from kinfeas import registry
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.spread import spread
 from kinfeas.loop import Loop, Rows
 from kinfeas.observation import HORIZON
 from kinfeas.policy import Policy, Situation
 from kinfeas.quantities import Count, Positive, Share
 from kinfeas.spatial import Array
-from kinfeas.spread import spread
 
 _RESTARTS = 2
 """Of IK while it looks ahead, in place of as many as it has when it matters."""

@@ -14,11 +14,11 @@ from safetensors.numpy import load_file, save_file
 from kinfeas import config
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
-from kinfeas.folders import find_folder
 from kinfeas.observation import scaled, size
 from kinfeas.quantities import Count
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
+from kinfeas.storage.folders import find_folder
 
 _WEIGHTS, _ABOUT, _FORMAT = "policy.safetensors", "policy.json", 1
 

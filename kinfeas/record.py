@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import reading, writing
 from kinfeas.quantities import REMOTEST, Positive
 from kinfeas.schema import Place, convert_dataclass
 from kinfeas.spatial import Array
+from kinfeas.storage.files import reading, writing
 
 REACHED = "goal reached"
 """The event that a run ends with if it did what it should."""

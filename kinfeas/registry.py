@@ -14,10 +14,10 @@ from types import FunctionType
 from typing import Any
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import is_path
 from kinfeas.foreign import Blaming
 from kinfeas.robots.robot import Robot, read_robot
 from kinfeas.schema import Place, check_value, no_such
+from kinfeas.storage.files import is_path
 
 GROUPS = {
     "kinfeas.motion_generators": "motion generator",

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from kinfeas.conformance.checks import CheckedMotion, ConformanceError
+from kinfeas.conformance.rules import RULES, Probe, run_trial
+from kinfeas.conformance.trial import Trial
 from kinfeas.errors import KinfeasError
 from kinfeas.motion import MotionGenerator
-from kinfeas.motion_checks import CheckedMotion, ConformanceError
-from kinfeas.motion_rules import RULES, Probe, run_trial
-from kinfeas.motion_trial import Trial
 from kinfeas.spatial import Array
 
 __all__ = ["RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "examine"]

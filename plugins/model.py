@@ -27,12 +27,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from kinfeas import config, strict_yaml
+from kinfeas import config
 from kinfeas.config import Interval, no_such
 from kinfeas.errors import KinfeasError
-from kinfeas.files import is_path
 from kinfeas.quantities import Count, PositiveShare
 from kinfeas.spatial import Array
+from kinfeas.storage import strict_yaml
+from kinfeas.storage.files import is_path
 
 Kind = Literal["imitation", "gaussian_mixture"]
 # Far beyond any room or turn, and near enough that nothing computed from it overflows.

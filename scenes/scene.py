@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
-from kinfeas.files import is_path, reading
 from kinfeas.quantities import Vector
 from kinfeas.robots.urdf import Urdf, parse_urdf
 from kinfeas.scenes.check import check
 from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
 from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec
 from kinfeas.spatial import Array, compose, make_pose
+from kinfeas.storage.files import is_path, reading
 
 T = TypeVar("T")
 

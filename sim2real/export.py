@@ -8,7 +8,6 @@ import numpy as np
 
 from kinfeas import __version__
 from kinfeas.errors import KinfeasError
-from kinfeas.files import reading, write_file
 from kinfeas.observation import CLIP, HORIZON
 from kinfeas.policy import Network, policy_folder, read_network
 from kinfeas.robots.robot import Robot
@@ -17,6 +16,7 @@ from kinfeas.sim2real.policy_about import About, Control, Golden
 from kinfeas.sim2real.policy_file import TOLERANCE, PolicyFile, parse_policy_file
 from kinfeas.sim2real.policy_graph import BATCH, INPUT, IR_VERSION, OPSET, OUTPUT
 from kinfeas.spatial import Array
+from kinfeas.storage.files import reading, write_file
 
 if TYPE_CHECKING:
     import onnx

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import read_file
 from kinfeas.policy import Situation
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real import policy_about
 from kinfeas.sim2real.policy_about import About
 from kinfeas.sim2real.policy_graph import INPUT, OUTPUT, check_graph
 from kinfeas.spatial import Array
+from kinfeas.storage.files import read_file
 
 TOLERANCE = 1e-5
 """How far the actions of a golden pair, which lie in [-1, 1], may be off."""

@@ -8,7 +8,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.legs import Pace
 from kinfeas.policy import Situation
-from kinfeas.recipes import recipes
+from kinfeas.storage.recipes import recipes
 from kinfeas.tasks.ggr import ggr
 
 LADDER = ("ideal", "paper", "pr2_like", "harsh")

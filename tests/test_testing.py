@@ -5,8 +5,8 @@ import copy
 import numpy as np
 import pytest
 
+from kinfeas.conformance.trial import Trial
 from kinfeas.errors import KinfeasError
-from kinfeas.motion_trial import Trial
 from kinfeas.spatial import twist_between
 from kinfeas.testing import RULES, ConformanceError, check_motion_generator, examine
 

@@ -9,9 +9,9 @@ from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.drive import action_toward
 from kinfeas.observation import HORIZON
 from kinfeas.policy import Situation
-from kinfeas.recipes import default_recipe
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.spatial import Array, wrap, yaw
+from kinfeas.storage.recipes import default_recipe
 
 _SLOWEST = 0.05
 """Speed, m/s, at which the base goes on while the EE stands."""

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.spread import spread
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, make_pose, rotation, wrap
-from kinfeas.spread import spread
 
 CONE = 0.7
 """Radians by which the EE may lie off its preferred bearing where the ellipses hold."""

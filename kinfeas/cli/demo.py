@@ -41,7 +41,7 @@ def demo(
     from kinfeas.evaluation.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import Trial
     from kinfeas.evaluation.pages.report import write_report
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     settings = read_settings(Wishes(robot, None, seed, minutes), None, overrides or [])
     folder = free_folder(out)

@@ -68,7 +68,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _make_folders(folder: Path) -> None:
-    from kinfeas.files import writing
+    from kinfeas.storage.files import writing
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise KinfeasError(f"{folder}: is there already, --out needs a new or an empty folder")
@@ -107,7 +107,7 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
 def _draw(mechanism: str, exercise: "Exercise", takes: "Sequence[Take]", path: Path) -> None:
     from kinfeas.evaluation.pictures.demonstrations import demonstrations_figure
     from kinfeas.evaluation.pictures.style import png
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     write_file(path, png(demonstrations_figure(mechanism, exercise, takes), dpi=130))
 

@@ -173,7 +173,7 @@ def _about(wishes: Wishes, setup: "Setup") -> "About":
 
 def _record_path(about: "About") -> Path:
     """Return where a run is recorded if the user does not say it."""
-    from kinfeas.files import writing
+    from kinfeas.storage.files import writing
 
     folder = Path("runs/deploy")
     with writing(folder):

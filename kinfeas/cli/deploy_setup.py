@@ -45,10 +45,11 @@ class Goal(NamedTuple):
 
 def read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
     """Return the settings for a robot, with the user's guards."""
-    from kinfeas import config, strict_yaml
-    from kinfeas.recipes import default_recipe
+    from kinfeas import config
     from kinfeas.sim2real.deploy_config import DeployConfig
     from kinfeas.sim2real.guard_config import Guards
+    from kinfeas.storage import strict_yaml
+    from kinfeas.storage.recipes import default_recipe
 
     path = default_recipe("deploy", robot.name)
     data = strict_yaml.read(path)

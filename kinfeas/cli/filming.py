@@ -75,7 +75,7 @@ def show_episode(
 
 def _write_page(film: "Film", path: Path) -> None:
     from kinfeas.evaluation.pages.film import film_html
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     with status("page"):
         write_file(path, film_html(film).encode())

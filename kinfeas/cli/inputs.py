@@ -19,7 +19,7 @@ _PARTS = (
 
 def named(name: str | Path | None) -> list[Path]:
     """Return the file that a robot, a task, a recipe and the like is named by, if it is one."""
-    from kinfeas.files import is_path
+    from kinfeas.storage.files import is_path
 
     if name is None or not (isinstance(name, Path) or is_path(name) or Path(name).is_file()):
         return []

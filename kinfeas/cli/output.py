@@ -30,7 +30,7 @@ def check_file_path(path: Path | None) -> Path | None:
     Raises:
         KinfeasError: If it cannot.
     """
-    from kinfeas.files import replaced, writing
+    from kinfeas.storage.files import replaced, writing
 
     if path is not None:
         with writing(path):
@@ -97,7 +97,7 @@ def check_suffix(option: str, path: Path, *suffixes: str) -> None:
     Raises:
         KinfeasError: If it is not.
     """
-    from kinfeas.files import replaced
+    from kinfeas.storage.files import replaced
 
     if path.suffix.lower() not in suffixes and replaced(path) is not None:
         raise KinfeasError(f"{option}: {path} must end in {suffixes[0]}")
@@ -117,7 +117,7 @@ def write_json(data: object, path: Path) -> None:
     Raises:
         KinfeasError: If the file cannot be written.
     """
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     write_file(path, text.encode())

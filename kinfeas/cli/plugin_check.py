@@ -17,7 +17,7 @@ from kinfeas.cli.output import (
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.motion_trial import Trial
+    from kinfeas.conformance.trial import Trial
     from kinfeas.testing import Finding
 
 _GROUP = "kinfeas.motion_generators"
@@ -58,7 +58,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     if a rule is broken.
     """
     from kinfeas.config import assigned
-    from kinfeas.motion_trial import Trial
+    from kinfeas.conformance.trial import Trial
 
     check_outputs({"--picture": picture, "--json": json}, {"--set": inputs.of_settings(overrides)})
     parameters = assigned(overrides or [])
@@ -83,11 +83,11 @@ def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["
 
 def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) -> None:
     from kinfeas import registry
+    from kinfeas.conformance.checks import CheckedMotion
+    from kinfeas.conformance.trial import sample_motions
     from kinfeas.evaluation.pictures.motions import motion_figure
     from kinfeas.evaluation.pictures.style import png
-    from kinfeas.files import write_file
-    from kinfeas.motion_checks import CheckedMotion
-    from kinfeas.motion_trial import sample_motions
+    from kinfeas.storage.files import write_file
 
     motion = CheckedMotion(registry.build(_GROUP, name, parameters), name)
     with status("drawing"):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas import registry
-from kinfeas.docstrings import Docstring, read_docstring, unit
+from kinfeas.cli.docstrings import Docstring, read_docstring, unit
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
 from kinfeas.registry import GROUPS, Plugin

@@ -47,7 +47,7 @@ def weigh(
     if picture is not None:
         from kinfeas.evaluation.pictures.sim2real import sim2real_figure
         from kinfeas.evaluation.pictures.style import png
-        from kinfeas.files import write_file
+        from kinfeas.storage.files import write_file
 
         title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)
         with status("drawing"):

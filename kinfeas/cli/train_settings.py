@@ -68,8 +68,8 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     """
     from kinfeas.config import load
     from kinfeas.envs.world import World
-    from kinfeas.recipes import default_recipe, find_recipe
     from kinfeas.registry import from_anywhere
+    from kinfeas.storage.recipes import default_recipe, find_recipe
     from kinfeas.training.config import TrainConfig
 
     folder = "train_physics" if wishes.pybullet else "train"

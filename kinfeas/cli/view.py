@@ -103,7 +103,7 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
     from kinfeas.evaluation.deployed_run import replay_figure
     from kinfeas.evaluation.pictures.style import png
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     write_file(path, png(replay_figure(run, robot), dpi=110))
 
@@ -111,7 +111,7 @@ def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
 def _write_run_page(run: "Record", robot: "Robot", path: Path) -> None:
     from kinfeas.evaluation.deployed_run import recording
     from kinfeas.evaluation.pages.deployed_run import replay_html
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     write_file(path, replay_html(recording(run, robot), robot, run.time).encode())
 
@@ -184,14 +184,14 @@ def _facts(scene: "Scene") -> dict[str, object]:
 def _draw(scene: "Scene", path: Path) -> None:
     from kinfeas.evaluation.pictures.scene import scene_figure
     from kinfeas.evaluation.pictures.style import png
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     write_file(path, png(scene_figure(scene), dpi=110))
 
 
 def _write_page(scene: "Scene", path: Path) -> None:
     from kinfeas.evaluation.pages.scene import ScenePage
-    from kinfeas.files import write_file
+    from kinfeas.storage.files import write_file
 
     page = ScenePage(scene)
     try:

@@ -8,13 +8,14 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas import config, strict_yaml
+from kinfeas import config
 from kinfeas.config import Interval, no_such
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.names import check_name
 from kinfeas.quantities import Distance, Metres, Position, Radians
 from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.start import Start
+from kinfeas.storage import strict_yaml
 from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.scene import TaskScene
 from kinfeas.tasks.task import Leg

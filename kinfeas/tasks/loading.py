@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from kinfeas import registry
-from kinfeas.files import is_path
 from kinfeas.foreign import is_own
+from kinfeas.storage.files import is_path
 from kinfeas.tasks.chain import read_chain
 from kinfeas.tasks.checks import CheckedTask
 from kinfeas.tasks.task import Task

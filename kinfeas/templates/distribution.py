@@ -9,8 +9,8 @@ from string import Template
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.files import writing
 from kinfeas.schema import no_such
+from kinfeas.storage.files import writing
 from kinfeas.templates import Kind
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")

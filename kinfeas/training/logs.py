@@ -7,7 +7,7 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import writing
+from kinfeas.storage.files import writing
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
 """What is taken over from SB3's own log."""

@@ -13,10 +13,10 @@ from kinfeas import config as configuration
 from kinfeas import pretrained, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.files import writing
-from kinfeas.folders import find_folder, write_folder
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network, write_network
+from kinfeas.storage.files import writing
+from kinfeas.storage.folders import find_folder, write_folder
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted

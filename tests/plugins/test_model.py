@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas import config, registry, strict_yaml
+from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.plugins import model as module
 from kinfeas.plugins.model import Model, read_model, rounded, shipped_models, write_model
+from kinfeas.storage import strict_yaml
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import KINDS
 

@@ -2,8 +2,8 @@ import pytest
 
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.recipes import default_recipe, recipes
 from kinfeas.sim2real.deploy_config import DeployConfig, build_backend
+from kinfeas.storage.recipes import default_recipe, recipes
 
 
 def test_the_default_file_says_what_the_defaults_are():

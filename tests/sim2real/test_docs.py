@@ -10,7 +10,7 @@ import pytest
 from kinfeas import registry
 from kinfeas.adapters import read_sim2real
 from kinfeas.backend import Resumable
-from kinfeas.recipes import recipes
+from kinfeas.storage.recipes import recipes
 
 PAGE = (Path(__file__).parents[2] / "docs" / "sim2real.md").read_text(encoding="utf-8")
 NAMES = sorted(plugin.name for plugin in registry.plugins("kinfeas.adapters"))

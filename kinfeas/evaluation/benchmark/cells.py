@@ -20,13 +20,13 @@ from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics.evaluate import is_judged, physics_figures, run_part
 from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial, to_lists
 from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD, load_driver, load_policy
-from kinfeas.files import is_path, reading, write_file, writing
 from kinfeas.look_ahead import Foresight
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim.stage import task_scene
+from kinfeas.storage.files import is_path, reading, write_file, writing
 from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.tasks.task import Task
 

@@ -33,7 +33,7 @@ from kinfeas.evaluation.pictures.episodes import episodes_figure
 from kinfeas.evaluation.pictures.style import STYLE, png
 from kinfeas.evaluation.policies import LOOK_AHEAD, load_policy
 from kinfeas.evaluation.recording import Recording, record_episodes
-from kinfeas.files import write_file, writing
+from kinfeas.storage.files import write_file, writing
 from kinfeas.tasks.loading import load_task
 
 

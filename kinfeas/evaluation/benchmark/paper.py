@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from kinfeas import config
-from kinfeas.recipes import find_recipe
+from kinfeas.storage.recipes import find_recipe
 
 Shares = dict[str, tuple[float, float]]
 """By policy: per cent of episodes without a failure, and never more than 5 cm off."""

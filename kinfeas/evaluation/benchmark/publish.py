@@ -10,8 +10,8 @@ from typing import Any
 from kinfeas import __version__, config
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.runs import Run
-from kinfeas.folders import find_folder, write_folder
-from kinfeas.recipes import default_recipe
+from kinfeas.storage.folders import find_folder, write_folder
+from kinfeas.storage.recipes import default_recipe
 from kinfeas.training.config import TrainConfig
 
 _WEIGHTS, _ABOUT = "policy.safetensors", "policy.json"

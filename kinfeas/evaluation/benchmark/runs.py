@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.evaluate import worker_pool
-from kinfeas.folders import find_folder
+from kinfeas.storage.folders import find_folder
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
 

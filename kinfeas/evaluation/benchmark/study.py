@@ -13,10 +13,10 @@ from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
 from kinfeas.evaluation.policies import BASELINES
-from kinfeas.files import is_path
 from kinfeas.quantities import MOST_EPISODES, Count, Positive
-from kinfeas.recipes import default_recipe, find_recipe
 from kinfeas.robots.robot import Robot
+from kinfeas.storage.files import is_path
+from kinfeas.storage.recipes import default_recipe, find_recipe
 from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.training.config import TrainConfig
 

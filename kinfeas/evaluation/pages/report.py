@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from kinfeas.evaluation.benchmark.paper import paper_figures
-from kinfeas.files import write_file
 from kinfeas.metrics import Share
+from kinfeas.storage.files import write_file
 
 _VERSIONS = ("kinfeas", "numpy", "numba", "torch", "stable-baselines3")
 

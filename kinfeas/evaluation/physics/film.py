@@ -17,9 +17,9 @@ from kinfeas.evaluation.physics.overlay import paths, shaded, write_below
 from kinfeas.evaluation.physics.recording import PhysicsRecording
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.evaluation.pictures.style import DESIRED, EE, FAILURE, GOAL
-from kinfeas.files import replacing
 from kinfeas.sim.camera import paint_floor, show_moment, take_picture
 from kinfeas.sim.physics import Physics
+from kinfeas.storage.files import replacing
 
 SUFFIXES = (".gif", ".mp4", ".png")
 """What a film can be written as."""

@@ -17,12 +17,12 @@ from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
 from kinfeas.quantities import PositiveSeconds, Seconds, SlowDown
-from kinfeas.recipes import default_recipe
 from kinfeas.robots.robot import Robot
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.contacts import Contacts
 from kinfeas.sim.physics import PhysicsConfig
 from kinfeas.sim.stage import Stage, task_scene
+from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.task import Task
 
 _AFTERWARDS = 2.0  # s, in which what was put down comes to rest

@@ -8,8 +8,8 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from kinfeas.conformance.trial import Samples, Trial
 from kinfeas.evaluation.pictures.style import FAILURE, FAINT, GOAL, INK, STYLE
-from kinfeas.motion_trial import Samples, Trial
 from kinfeas.spatial import Array
 
 _WIDTH, _HEIGHT = 11.0, 7.2

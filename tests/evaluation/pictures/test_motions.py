@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from kinfeas.conformance.checks import CheckedMotion
+from kinfeas.conformance.trial import Samples, Trial, sample_motions
 from kinfeas.evaluation.pictures.motions import motion_figure
 from kinfeas.evaluation.pictures.style import png
-from kinfeas.motion_checks import CheckedMotion
-from kinfeas.motion_trial import Samples, Trial, sample_motions
 from kinfeas.plugins.linear import Linear
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinfeas.conformance.checks import CheckedMotion
+from kinfeas.conformance.trial import Trial
 from kinfeas.motion import State
-from kinfeas.motion_checks import CheckedMotion
-from kinfeas.motion_trial import Trial
 from kinfeas.spatial import Array, distance, integrate
 
 _ARRIVED_METRES, _ARRIVED_DEGREES = 0.01, 3.0

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from kinfeas.conformance.checks import CheckedMotion, ConformanceError
 from kinfeas.errors import KinfeasError
-from kinfeas.motion_checks import CheckedMotion, ConformanceError
 from kinfeas.plugins.linear import Linear
 from kinfeas.spatial import IDENTITY
 

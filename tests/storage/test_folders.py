@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.folders import find_folder, write_folder
+from kinfeas.storage.folders import find_folder, write_folder
 
 
 class Killed(BaseException):

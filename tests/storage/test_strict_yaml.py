@@ -7,8 +7,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas import strict_yaml
 from kinfeas.errors import KinfeasError
+from kinfeas.storage import strict_yaml
 
 SCALARS = (
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=20)

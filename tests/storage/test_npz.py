@@ -4,9 +4,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from kinfeas import npz
 from kinfeas.errors import KinfeasError
-from kinfeas.npz import read_npz
+from kinfeas.storage import npz
+from kinfeas.storage.npz import read_npz
 
 NAMES = ("time", "ee_pose")
 

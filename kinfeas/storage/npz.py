@@ -12,7 +12,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import reading
+from kinfeas.storage.files import reading
 
 MAX_BYTES = 200_000_000
 """More than a demonstration of an hour at 300 Hz unpacks to."""

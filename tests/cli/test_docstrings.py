@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.docstrings import read_docstring, unit
+from kinfeas.cli.docstrings import read_docstring, unit
 
 
 class Documented:

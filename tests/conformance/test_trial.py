@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from kinfeas.conformance.checks import CheckedMotion
+from kinfeas.conformance.trial import Trial, sample_motions
 from kinfeas.errors import KinfeasError
-from kinfeas.motion_checks import CheckedMotion
-from kinfeas.motion_trial import Trial, sample_motions
 from kinfeas.plugins.linear import Linear
 from kinfeas.spatial import distance
 

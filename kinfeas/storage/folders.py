@@ -7,7 +7,7 @@ from pathlib import Path
 from safetensors import SafetensorError
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import writing
+from kinfeas.storage.files import writing
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from kinfeas.csv_table import read_csv
 from kinfeas.errors import KinfeasError
+from kinfeas.storage.csv_table import read_csv
 
 
 def write(folder, text):

@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import read_file, reading, write_file
+from kinfeas.storage.files import read_file, reading, write_file
 
 MAX_BYTES = 1_000_000
 """More than any file written by hand; it keeps a wrong path from filling the memory."""

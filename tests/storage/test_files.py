@@ -6,7 +6,7 @@ from threading import Thread
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import is_path, read_file, reading, replaced, replacing, write_file
+from kinfeas.storage.files import is_path, read_file, reading, replaced, replacing, write_file
 
 
 @pytest.mark.parametrize("name", ["my.yaml", "my.yml", "folder/my.yaml", "./my", "/my"])

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas.conformance.checks import CheckedMotion
 from kinfeas.errors import KinfeasError
-from kinfeas.motion_checks import CheckedMotion
 from kinfeas.quantities import LONGEST
 from kinfeas.spatial import Array, integrate, make_pose
 

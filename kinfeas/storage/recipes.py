@@ -4,8 +4,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import is_path
 from kinfeas.schema import no_such
+from kinfeas.storage.files import is_path
 
 _SUFFIX = ".yaml"
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas.errors import KinfeasError
-from kinfeas.files import reading
 from kinfeas.spatial import Array
+from kinfeas.storage.files import reading
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What every motion generator keeps to: the rules, the trial that shows it, and checks at work."""
