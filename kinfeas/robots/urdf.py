@@ -115,7 +115,7 @@ def _joint(element: Element) -> Joint:
         parent=element.need("parent").text("link"),
         child=element.need("child").text("link"),
         origin=element.origin(),
-        axis=_axis(element),
+        axis=_axis(element, kind),
         lower=lower,
         upper=upper,
         soft_lower=soft_lower,
@@ -134,7 +134,7 @@ def _limits(joint: Element, kind: str) -> tuple[float, float]:
     if kind == "continuous":
         return -math.inf, math.inf
     limit = joint.need("limit")
-    lower, upper = limit.number("lower"), limit.number("upper")
+    lower, upper = limit.number("lower", 0.0), limit.number("upper", 0.0)
     if lower > upper:
         raise limit.error(f"'lower' is {lower:g}, above 'upper', which is {upper:g}")
     return lower, upper
@@ -160,7 +160,7 @@ def _rates(joint: Element, kind: str) -> tuple[float, float]:
     limit = joint.child("limit")
     if limit is None:  # only a continuous joint comes here without one
         return math.inf, math.inf
-    return limit.not_negative("velocity"), limit.not_negative("effort", math.inf)
+    return limit.not_negative("velocity", 0.0), limit.not_negative("effort", math.inf)
 
 
 def _dynamics(joint: Element) -> tuple[float, float]:
@@ -171,9 +171,11 @@ def _dynamics(joint: Element) -> tuple[float, float]:
     return dynamics.not_negative("damping", 0.0), dynamics.not_negative("friction", 0.0)
 
 
-def _axis(joint: Element) -> tuple[float, float, float]:
-    element = joint.child("axis")
-    axis = np.array(element.vector("xyz", 3, (1.0, 0.0, 0.0)) if element else (1.0, 0.0, 0.0))
+def _axis(joint: Element, kind: str) -> tuple[float, float, float]:
+    element, default = joint.child("axis"), (1.0, 0.0, 0.0)
+    if element is None or kind == "fixed":  # for which exporters write 0 0 0
+        return default
+    axis = np.array(element.vector("xyz", 3, default))
     length = float(np.linalg.norm(axis))
     if length == 0.0:
         raise joint.error("the axis must not be zero")

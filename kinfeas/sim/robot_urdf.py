@@ -1,12 +1,17 @@
 """The URDF that PyBullet gets: the robot's own, on planar joints and without idle ones."""
 
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
-from kinfeas.robots.elements import read_xml
+from kinfeas.robots.elements import Element, read_xml
+from kinfeas.robots.meshes import find_mesh
 from kinfeas.robots.robot import Robot
-from kinfeas.sim.meshes import place_meshes
 from kinfeas.sim.moving_joints import moving_joints
 from kinfeas.sim.welding import set_origin, weld
+
+MESH_FORMATS = (".stl", ".obj", ".dae")
+"""What PyBullet reads; of STL files, the binary ones."""
 
 PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
 """What the base stands on: it slides along the world's x and y, then turns."""
@@ -29,7 +34,7 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
         KinfeasError: If a mesh is not there or PyBullet cannot read it.
     """
     xml = read_xml(robot.urdf_path, "robot").xml
-    place_meshes(xml, robot.urdf_path)
+    _place_meshes(xml, robot.urdf_path)
     moving = moving_joints(robot)
     for element in xml.findall("joint"):
         name = element.get("name")
@@ -42,6 +47,15 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
     for element in reversed(_planar_base(robot.urdf.root)):
         xml.insert(0, element)
     return ElementTree.tostring(xml, encoding="unicode"), part_of
+
+
+def _place_meshes(robot: Any, urdf: Path) -> None:
+    """Name every mesh by its absolute path, so that the text may be read from anywhere."""
+    for link in robot.findall("link"):
+        where = f"{urdf}: link {link.get('name')!r}, <mesh>"
+        for mesh in link.iterfind("*/geometry/mesh"):
+            path = find_mesh(Element(mesh, where), urdf.absolute().parent, MESH_FORMATS)
+            mesh.set("filename", str(path))
 
 
 def _planar_base(root: str) -> list[ElementTree.Element]:

@@ -176,6 +176,18 @@ def test_reads_mimic(tmp_path):
     assert urdf.path_to("base") == ()
 
 
+def test_a_fixed_joint_needs_no_axis_whatever_its_file_says(tmp_path):
+    fixed = '<joint name="elbow" type="fixed"><parent link="base"/><child link="hand"/>'
+    links = '<link name="base"/><link name="hand"/>'
+    text = f'<robot name="arm">{links}{fixed}<axis xyz="0 0 0"/></joint></robot>'
+    assert parse_urdf(write(tmp_path, text)).joints["elbow"].kind == "fixed"
+
+
+def test_a_limit_that_is_not_given_is_zero_as_the_format_has_it(tmp_path):
+    elbow = parse_urdf(write(tmp_path, ARM.replace('lower="-1" ', ""))).joints["elbow"]
+    assert (elbow.lower, elbow.upper) == (0.0, 2.0)
+
+
 def test_followers_lead_to_the_joint_that_moves_by_itself(tmp_path):
     tip = FINGER.replace("finger", "tip").replace("hand", "finger").replace("knuckle", "end")
     tip = tip.replace('joint="elbow" multiplier="2"', 'joint="knuckle" multiplier="-3" offset="1"')
@@ -232,9 +244,8 @@ def test_followers_lead_to_the_joint_that_moves_by_itself(tmp_path):
         ('xyz="1 2 3"', 'xyz="1 2 1_0"', "'xyz' must be 3 finite numbers"),
         ('xyz="0 3 4"', 'xyz="0 0 0"', "joint 'elbow': the axis must not be zero"),
         ("<limit ", "<limits ", "joint 'elbow': <limit> is missing"),
-        ('velocity="3"', "", "<limit>: the attribute 'velocity' is missing"),
         ('velocity="3"', 'velocity="-3"', "'velocity' must be at least 0"),
-        ('lower="-1"', "", "<limit>: the attribute 'lower' is missing"),
+        ('upper="2"', 'upper="-2"', "'lower' is -1, above 'upper', which is -2"),
         ('lower="-1"', 'lower="3"', "'lower' is 3, above 'upper', which is 2"),
         ('parent link="base"', 'parent link="bass"', "joint 'elbow': there is no link 'bass'"),
         ('child link="hand"', 'child link="hnad"', "joint 'elbow': there is no link 'hnad'"),
