@@ -25,6 +25,7 @@ LAYERS = (
             "names",
             "quantities",
             "pose_kernels",
+            "kernel_cache",
         },
     ),
     (
@@ -56,7 +57,7 @@ LAYERS = (
             "testing",
         },
     ),
-    ({"loop", "look_ahead"}, {"plugins"}, {"scenes"}, {"tasks"}, {"baselines"}),
+    ({"loop", "look_ahead"}, {"plugins"}, {"scenes"}, {"tasks"}, {"baselines"}, {"draft"}),
     ({"envs"}, {"sim"}, {"sim2real"}),
     ({"training", "evaluation"},),
     ({"cli"},),
@@ -75,6 +76,7 @@ CONFINED = {
     "onnx": ("kinfeas.sim2real.export",),
     "onnxruntime": ("kinfeas.sim2real.policy_file",),
     "movement_primitives": ("kinfeas.plugins.forcing",),
+    "trimesh": ("kinfeas.draft",),
     "viser": ("kinfeas.evaluation.pages.viser_server",),
 }
 

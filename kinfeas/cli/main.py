@@ -21,6 +21,7 @@ from kinfeas.cli import (
     export,
     fit,
     plugins,
+    robot,
     simulate,
     speed,
     train,
@@ -48,6 +49,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "view": view.view,
     },
     "Robots": {
+        "robot": robot.robot,
         "export": export.export,
         "deploy": deploy.deploy,
         "simulate": simulate.simulate,

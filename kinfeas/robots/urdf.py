@@ -81,10 +81,10 @@ def _mass(link: Element) -> float:
 
 
 def _shapes(elements: Iterable[Element]) -> list[Shape]:
-    return [shape for shape in map(_shape, elements) if shape]
+    return [shape for shape in map(read_shape, elements) if shape]
 
 
-def _shape(element: Element) -> Shape | None:
+def read_shape(element: Element) -> Shape | None:
     """Return the primitive of a <visual> or <collision>, or None if it is a mesh."""
     pose, geometry = element.origin(), element.need("geometry")
     if box := geometry.child("box"):

@@ -7,8 +7,9 @@ from xml.etree import ElementTree
 from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.meshes import find_mesh
 from kinfeas.robots.robot import Robot
+from kinfeas.robots.xml_text import set_origin
 from kinfeas.sim.moving_joints import moving_joints
-from kinfeas.sim.welding import set_origin, weld
+from kinfeas.sim.welding import weld
 
 MESH_FORMATS = (".stl", ".obj", ".dae")
 """What PyBullet reads; of STL files, the binary ones."""

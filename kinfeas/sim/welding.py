@@ -1,6 +1,5 @@
 """Links that cannot move against each other become one: a physics step costs by the link."""
 
-import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from kinfeas.robots.elements import Element
+from kinfeas.robots.xml_text import numbers_text, set_origin
 from kinfeas.spatial import Array, compose, rotation
 
 _MOMENTS = {
@@ -65,17 +65,6 @@ def weld(robot: Any, keep: Collection[str]) -> dict[str, str]:
     return part_of
 
 
-def set_origin(element: Any, pose: Array) -> None:
-    """Give an element of a URDF an <origin>, pose of shape (7,), in place of its own."""
-    for old in element.findall("origin"):
-        element.remove(old)
-    with warnings.catch_warnings():
-        # Of many angles for one rotation, in gimbal lock, any will do.
-        warnings.simplefilter("ignore", UserWarning)
-        rpy = rotation(pose).as_euler("xyz")
-    ElementTree.SubElement(element, "origin", xyz=_text(pose[:3]), rpy=_text(rpy))
-
-
 def _add(link: Any, part: Any, pose: Array) -> None:
     """Add what `part` weighs and looks like to a link in whose frame it has the pose."""
     for tag in ("visual", "collision"):
@@ -122,11 +111,7 @@ def _set_mass(link: Any, mass: _Mass) -> None:
     for old in link.findall("inertial"):
         link.remove(old)
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_text(mass.centre), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "origin", xyz=numbers_text(mass.centre), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(mass.mass))
     moments = {name: repr(float(mass.moments[at])) for name, at in _MOMENTS.items()}
     ElementTree.SubElement(inertial, "inertia", moments)
-
-
-def _text(numbers: Array) -> str:
-    return " ".join(repr(number) for number in numbers.tolist())

@@ -1,0 +1,162 @@
+"""`kinfeas robot`: the files of a robot, from its URDF."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from kinfeas.cli import options
+from kinfeas.cli.output import (
+    check_file_path,
+    check_outputs,
+    print_table,
+    progress,
+    share,
+    status,
+    write_json,
+)
+from kinfeas.errors import KinfeasError
+
+if TYPE_CHECKING:
+    from kinfeas.draft.draft import Draft
+    from kinfeas.robots.robot import Robot
+
+
+def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
+    urdf: Annotated[
+        Path,
+        typer.Argument(metavar="FILE.urdf", help="URDF of a mobile manipulator, meshes or not."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for NAME.yaml and NAME.urdf, which are new there.")
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option("--name", help="Short name of the robot.", show_default="the URDF's file"),
+    ] = None,
+    drive: Annotated[
+        Literal["differential", "omnidirectional"],
+        typer.Option("--drive", help="How the base moves."),
+    ] = "differential",
+    ee: Annotated[
+        str | None,
+        typer.Option(
+            "--ee",
+            help="Link that IK places.",
+            show_default="where the longest chain of joints parts into fingers",
+        ),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            "--base",
+            help="Link that is the base; what it does not carry is left out.",
+            show_default="the first link with a shape",
+        ),
+    ] = None,
+    json: options.JsonPath = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture", help="Draw the robot at its home into this PNG.", callback=check_file_path
+        ),
+    ] = None,
+) -> None:
+    """Draft the YAML of a robot from its URDF: arm, hand, home, heights, links that may touch.
+
+    Meshes become primitives in a URDF beside it, so that self-collision is checked and nothing
+    else is needed. What is guessed is called so in the YAML: [bold]look at it[/], the base's speed
+    above all.
+    """
+    from kinfeas.draft.draft import DraftOptions, draft_robot
+    from kinfeas.robots.robot import read_robot
+
+    called = _checked_name(urdf.stem if name is None else name)
+    yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))
+    written = {"--json": json, "--picture": picture}
+    check_outputs(written, {"FILE.urdf": [urdf], "--out": [yaml_path, urdf_path]})
+    _make_folder(out, (yaml_path, urdf_path))
+    with progress(f"looking at {urdf.name}") as advance:
+        draft = draft_robot(urdf, DraftOptions(called, ee, base, drive), advance)
+    _write(draft, yaml_path, urdf_path)
+    if json is not None:
+        write_json(_figures(draft), json)
+    if picture is not None:
+        with status("drawing"):
+            _draw(read_robot(yaml_path), picture)
+    _show(draft, yaml_path)
+
+
+def _checked_name(name: str) -> str:
+    from kinfeas.names import check_name
+
+    try:
+        check_name(name)
+    except ValueError as error:
+        raise KinfeasError(f"--name: {error}") from error
+    return name
+
+
+def _make_folder(folder: Path, files: tuple[Path, ...]) -> None:
+    from kinfeas.storage.files import writing
+
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for path in files:
+        if path.exists():
+            raise KinfeasError(f"{path}: is there already, --out needs a folder without it")
+        check_file_path(path)
+
+
+def _write(draft: "Draft", yaml_path: Path, urdf_path: Path) -> None:
+    from kinfeas.storage.files import write_file
+
+    write_file(urdf_path, draft.urdf.encode())
+    write_file(yaml_path, draft.yaml.encode())
+
+
+def _figures(draft: "Draft") -> dict[str, object]:
+    spec, guesses = draft.spec, draft.guesses
+    return {
+        "robot": spec.name,
+        "ee_frame": spec.ee_frame,
+        "arm": list(spec.arm),
+        "home": list(spec.home["home"]),
+        "goal_heights": {name: list(band) for name, band in spec.goal_heights.items()},
+        "ignored_collisions": [list(pair) for pair in spec.ignored_collisions],
+        "free_of_self_collision": draft.free,
+        "heights_m": draft.heights.at.tolist(),
+        "reachable": draft.heights.share.tolist(),
+        "root_above_floor_m": guesses.lifted,
+        "guessed_velocities": list(guesses.speeds),
+        "guessed_limits": list(guesses.limits),
+    }
+
+
+def _draw(robot: "Robot", path: Path) -> None:
+    from kinfeas.evaluation.pictures.robot import robot_figure
+    from kinfeas.evaluation.pictures.style import png
+    from kinfeas.storage.files import write_file
+
+    write_file(path, png(robot_figure(robot), dpi=130))
+
+
+def _show(draft: "Draft", path: Path) -> None:
+    spec, guesses = draft.spec, draft.guesses
+    (low, high), (easy_low, easy_high) = spec.goal_heights.values()
+    fingers = "none found" if spec.gripper is None else ", ".join(spec.gripper.fingers)
+    rows = [
+        ["EE frame", spec.ee_frame],
+        ["arm", f"{len(spec.arm)} joints: {', '.join(spec.arm)}"],
+        ["fingers", fingers],
+        ["goal heights", f"{low:g} - {high:g} m, comfortable {easy_low:g} - {easy_high:g} m"],
+        ["free of self-collision", f"{share(draft.free)} of all configurations"],
+        ["pairs of links that may touch", str(len(spec.ignored_collisions))],
+    ]
+    if guesses.lifted:
+        rows.append(["root", f"{guesses.lifted:g} m above the floor: one on it was added"])
+    if guesses.speeds:
+        rows.append(["velocities guessed", ", ".join(guesses.speeds)])
+    print_table(f"{spec.name}, as its URDF has it", ["", "found"], rows)
+    typer.echo(f"look through it: {path}")
+    typer.echo(f"what it can reach: kinfeas ceiling --robot {path}")

@@ -1,0 +1,122 @@
+"""A URDF of primitives: the links and joints of another one, its meshes boxed in."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from kinfeas.draft.arm import rigid_with
+from kinfeas.draft.meshes import read_triangles
+from kinfeas.draft.primitives import MARGIN, fit_primitives
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.elements import Element, read_xml
+from kinfeas.robots.urdf import Link, Shape, Urdf, parse_urdf, read_shape
+from kinfeas.robots.xml_text import numbers_text, set_origin
+from kinfeas.spatial import compose
+
+_DIGITS = 4
+"""Of lengths in metres and of angles: what they take away is less than what `MARGIN` adds."""
+
+assert MARGIN > 10.0**-_DIGITS
+
+_FEATHER = 0.1
+"""Kilograms that a mere frame may weigh, since some physics engines want them all to."""
+
+
+def boxed_urdf(
+    path: Path, base: str | None = None, on_link: Callable[[str], None] | None = None
+) -> str:
+    """Return the text of a URDF that needs no other file: all of its shapes are primitives.
+
+    Links and joints stay as they are, with their inertias. Each collision mesh becomes one to four
+    primitives that hold it; where a robot has no collision shapes at all, its visual ones stand in.
+    What is seen is what collides.
+
+    Args:
+        path: The robot's own URDF.
+        base: The link that becomes the root, with what it carries; by default the first one that is
+            more than a frame, for simulators hang robots on joints that stand for a floor.
+        on_link: Called with the name of each link that is done.
+
+    Raises:
+        KinfeasError: If the URDF is broken, has no link `base`, or a mesh cannot be read.
+    """
+    urdf, robot = parse_urdf(path), read_xml(path, "robot")
+    kept = carried(urdf, base or first_body(urdf), str(path))
+    kind = "collision" if robot.xml.find("link/collision") is not None else "visual"
+    out = ElementTree.Element("robot", name=urdf.name)
+    for link in robot.children("link"):
+        name = link.text("name")
+        if name not in kept:
+            continue
+        shapes = _shapes(Element(link.xml, f"{path}: link {name!r}"), kind, path.absolute().parent)
+        out.append(_link(name, link.xml.find("inertial"), shapes))
+        if on_link is not None:
+            on_link(name)
+    for joint in robot.children("joint"):
+        if urdf.joints[joint.text("name")].parent in kept:
+            out.append(joint.xml)
+    ElementTree.indent(out)
+    return ElementTree.tostring(out, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def first_body(urdf: Urdf) -> str:
+    """Return the root, or the link that it leads to by joints between mere frames that move."""
+    link = urdf.root
+    while True:
+        group = rigid_with(urdf, link)
+        if any(_is_body(urdf.links[name]) for name in group):
+            return link
+        moving = [joint for joint in urdf.joints.values() if joint.moves and joint.parent in group]
+        if len(moving) != 1:
+            return urdf.root
+        link = moving[0].child
+
+
+def _is_body(link: Link) -> bool:
+    return bool(link.shapes) or link.mesh_collisions or link.mass > _FEATHER
+
+
+def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
+    """Return a link and all that it carries.
+
+    Raises:
+        KinfeasError: If there is no such link.
+    """
+    if link not in urdf.links:
+        raise KinfeasError(f"{source}: there is no link {link!r}, only {', '.join(urdf.links)}")
+    above = [joint.name for joint in urdf.joints.values() if joint.parent == link]
+    return frozenset({link}).union(*(urdf.below(name) for name in above))
+
+
+def _shapes(link: Element, kind: str, folder: Path) -> Iterable[Shape]:
+    for element in link.children(kind):
+        if own := read_shape(element):
+            yield own
+            continue
+        mesh = element.need("geometry").need("mesh")
+        pose = element.origin()
+        for shape in fit_primitives(read_triangles(mesh, folder)):
+            yield Shape(shape.kind, shape.size, compose(pose, shape.pose))
+
+
+def _link(name: str, inertial: Any, shapes: Iterable[Shape]) -> ElementTree.Element:
+    link = ElementTree.Element("link", name=name)
+    if inertial is not None:
+        link.append(inertial)
+    for shape in shapes:
+        for tag in ("visual", "collision"):
+            element = ElementTree.SubElement(link, tag)
+            set_origin(element, shape.pose, _DIGITS)
+            geometry = ElementTree.SubElement(element, "geometry")
+            ElementTree.SubElement(geometry, shape.kind, _size(shape))
+    return link
+
+
+def _size(shape: Shape) -> dict[str, str]:
+    if shape.kind == "box":
+        return {"size": numbers_text(shape.size, _DIGITS)}
+    names = ("radius", "length")
+    return {
+        name: numbers_text([size], _DIGITS) for name, size in zip(names, shape.size, strict=False)
+    }

@@ -1,0 +1,164 @@
+"""The draft of a robot: all that its URDF tells, in the two files that kinfeas reads."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from kinfeas.draft.arm import Arm, find_arm
+from kinfeas.draft.boxed import boxed_urdf
+from kinfeas.draft.footprint import on_the_floor
+from kinfeas.draft.hand import read_hand
+from kinfeas.draft.reach import (
+    EASY,
+    WORTH,
+    Heights,
+    built_to_touch,
+    comfortable,
+    free_share,
+    useful_heights,
+    with_pairs,
+)
+from kinfeas.draft.stated import stated
+from kinfeas.draft.text import Guesses, robot_yaml
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.robot import Robot, read_robot
+from kinfeas.robots.spec import Drive, RobotSpec
+from kinfeas.robots.urdf import parse_urdf
+
+_HARD = 0.2
+"""Share of reachable goals below which no height is worth learning."""
+
+_BOXING, _TOUCHING, _REACHING = 0.5, 0.1, 0.4
+"""Shares of the work."""
+
+Band = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DraftOptions:
+    """What a URDF does not tell.
+
+    Attributes:
+        name: Short name of the robot; that of the URDF file by default.
+        hand: Link that IK places; it is looked for by default.
+        base: Link that becomes the root, with what it carries; by default the first one that is
+            more than a frame.
+        drive: How the base moves.
+    """
+
+    name: str | None = None
+    hand: str | None = None
+    base: str | None = None
+    drive: Drive = "differential"
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A robot and the texts of its files.
+
+    Attributes:
+        spec: What its YAML file says.
+        yaml: The text of that file.
+        urdf: The text of its URDF.
+        heights: Where goals can be reached.
+        free: Share of configurations in which it does not touch itself, 0-1.
+        guesses: What stands in the YAML file without being in the URDF.
+    """
+
+    spec: RobotSpec
+    yaml: str
+    urdf: str
+    heights: Heights
+    free: float
+    guesses: Guesses
+
+
+def draft_robot(
+    path: Path, options: DraftOptions, on_done: Callable[[float], None] | None = None
+) -> Draft:
+    """Return what the URDF of a mobile manipulator tells, and guesses for the rest.
+
+    Args:
+        path: The URDF, with or without meshes.
+        options: What it does not tell.
+        on_done: Called with the share of all work, 0-1, that has just been done.
+
+    Raises:
+        KinfeasError: If the URDF or one of its meshes is broken, there is no arm or more than one,
+            or the arm reaches hardly any goal.
+    """
+    tell = on_done or (lambda share: None)
+    links = len(parse_urdf(path).links)
+    boxed = boxed_urdf(path, options.base, lambda _: tell(_BOXING / links))
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        urdf, spec, guesses = _stated(path, boxed, options, folder)
+        robot = _read(spec, urdf, folder)
+    touching = built_to_touch(robot)
+    robot = with_pairs(robot, touching)
+    home = comfortable(robot)
+    tell(_TOUCHING)
+    heights = useful_heights(robot, lambda share: tell(_REACHING * share))
+    ggr, restricted = bands(heights, str(path))
+    spec = replace(
+        spec,
+        home={"home": tuple(home.tolist())},
+        goal_heights={"ggr": ggr, "ggr_restricted": restricted},
+        ignored_collisions=tuple(touching),
+    )
+    guesses = replace(guesses, touching=touching)
+    return Draft(spec, robot_yaml(spec, guesses), urdf, heights, free_share(robot), guesses)
+
+
+def bands(heights: Heights, source: str) -> tuple[Band, Band]:
+    """Return the heights that are worth learning, metres, and the comfortable ones.
+
+    Raises:
+        KinfeasError: If hardly any goal is reached at any height; it names `source`.
+    """
+    for least in (WORTH, WORTH / 2.0, _HARD):
+        if band := heights.band(least):
+            break
+    else:
+        best = int(np.argmax(heights.share))
+        raise KinfeasError(
+            f"{source}: the arm reaches hardly any goal: at best {heights.share[best]:.0%}, "
+            f"{heights.at[best]:g} m above the floor; is the hand the link that it should be?"
+        )
+    quarter = (band[1] - band[0]) / 4.0
+    middle = (round(band[0] + quarter, 3), round(band[1] - quarter, 3))
+    return band, heights.band(EASY) or middle
+
+
+def _stated(
+    path: Path, boxed: str, options: DraftOptions, folder: Path
+) -> tuple[str, RobotSpec, Guesses]:
+    """Return the text of the URDF, on the floor, and what it states; errors name `path`."""
+    draft = folder / path.name
+    draft.write_text(boxed, encoding="utf-8")
+    arm = find_arm(parse_urdf(draft), options.hand, str(path))
+    text, lifted = on_the_floor(draft, arm)
+    draft.write_text(text, encoding="utf-8")
+    urdf = parse_urdf(draft)
+    spec = stated(options.name or path.stem, urdf, arm, read_hand(urdf, arm), options.drive)
+    return text, spec, _guesses(spec, arm, lifted)
+
+
+def _guesses(spec: RobotSpec, arm: Arm, lifted: float) -> Guesses:
+    names = [joint.name for joint in arm.joints]
+    return Guesses(
+        lifted=lifted,
+        speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
+        limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
+    )
+
+
+def _read(spec: RobotSpec, urdf: str, folder: Path) -> Robot:
+    """Return the robot as kinfeas reads it from its files."""
+    (folder / spec.urdf).write_text(urdf, encoding="utf-8")
+    path = folder / f"{spec.name}.yaml"
+    path.write_text(robot_yaml(spec, Guesses()), encoding="utf-8")
+    return read_robot(path)

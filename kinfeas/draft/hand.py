@@ -1,0 +1,116 @@
+"""How a hand is made: its fingers, where they point, and where they meet."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.draft.arm import Arm, rigid_with
+from kinfeas.draft.placed import Placed, link_pose, place
+from kinfeas.robots.spec import Gripper
+from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.spatial import Array, relative
+
+_PAIR = 2
+_MOST_EFFORT = 1e4
+"""N or N m: more than that stands for none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """What a robot's YAML says of its hand.
+
+    Attributes:
+        tip: Between the ends of the fingers, in the hand's frame, shape (3,), metres.
+        rotation: Quaternion xyzw (4,), from the common gripper convention to that frame.
+        gripper: How it closes; None if there are not two fingers with one range of positions.
+    """
+
+    tip: Array
+    rotation: Array
+    gripper: Gripper | None
+
+
+def read_hand(urdf: Urdf, arm: Arm) -> Hand:
+    """Return what the shapes and fingers of a hand say: axes are those of its frame, the nearest.
+
+    It approaches along the way from the last joint of the arm to the fingers, or to the farthest
+    shape of a hand without.
+    """
+    fingers = arm.fingers if len(arm.fingers) == _PAIR else ()
+    closed, opened = _ends(urdf, arm, fingers)
+    shapes = _hand_shapes(urdf, arm)
+    at = [_middle(urdf, arm, finger, opened) for finger in fingers]
+    front = np.mean(at, axis=0) if at else _farthest(shapes)
+    wrist = relative(
+        link_pose(urdf, arm.joints[-1].child, {}), link_pose(urdf, arm.hand, {})
+    )[:3]  # fmt: skip
+    x = _axis(front - wrist)
+    across = at[1] - at[0] if at else np.roll(x, 1)
+    y = np.abs(_axis(across - (across @ x) * x))  # either finger may be the first
+    reach = max((shape.reach(x) for shape in shapes), default=0.0)
+    tip = front - (front @ x) * x + reach * x if at else reach * x
+    to_gripper = np.stack([x, y, np.cross(x, y)])
+    quaternion = Rotation.from_matrix(to_gripper).as_quat(canonical=True)
+    return Hand(tip, quaternion, _gripper(urdf, fingers, closed, opened))
+
+
+def _ends(
+    urdf: Urdf, arm: Arm, fingers: tuple[Joint, ...]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the positions of the joints that move the fingers, closed and open."""
+    leaders = {urdf.followed(finger)[0] for finger in fingers}
+    low = {joint.name: max(joint.lower, -math.pi) for joint in leaders}
+    high = {joint.name: min(joint.upper, math.pi) for joint in leaders}
+    if not fingers:
+        return {}, {}
+
+    def gap(positions: dict[str, float]) -> float:
+        one, other = (_middle(urdf, arm, finger, positions) for finger in fingers)
+        return float(np.linalg.norm(one - other))
+
+    return (low, high) if gap(low) <= gap(high) else (high, low)
+
+
+def _gripper(
+    urdf: Urdf, fingers: tuple[Joint, ...], closed: dict[str, float], opened: dict[str, float]
+) -> Gripper | None:
+    """Return the fingers as the robot's YAML has them, or None if that has no words for them."""
+    if not fingers or any(urdf.followed(finger)[1:] != (1.0, 0.0) for finger in fingers):
+        return None
+    shut, wide, effort = {*closed.values()}, {*opened.values()}, min(one.effort for one in fingers)
+    if len(shut) > 1 or len(wide) > 1 or shut == wide or not 0.0 < effort < _MOST_EFFORT:
+        return None
+    first, second = (finger.name for finger in fingers)
+    return Gripper((first, second), shut.pop(), wide.pop(), effort)
+
+
+def _middle(urdf: Urdf, arm: Arm, finger: Joint, positions: dict[str, float]) -> Array:
+    """Return the middle of a finger's shapes in the hand's frame, shape (3,)."""
+    shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, positions)
+    middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
+    return middle
+
+
+def _hand_shapes(urdf: Urdf, arm: Arm) -> list[Placed]:
+    """Return the shapes of the hand and its fingers in the hand's frame."""
+    links = rigid_with(urdf, arm.hand)
+    for finger in arm.fingers:
+        links |= urdf.below(finger.name)
+    return place(urdf, sorted(links), arm.hand, {})
+
+
+def _farthest(shapes: list[Placed]) -> Array:
+    """Return the middle of the shape that is farthest from the hand's frame, shape (3,)."""
+    return max(
+        (shape.pose[:3] for shape in shapes), key=np.linalg.norm, default=np.array([1.0, 0.0, 0.0])
+    )
+
+
+def _axis(direction: Array) -> Array:
+    """Return the axis of the frame that is nearest to a direction, either way, shape (3,)."""
+    axis = np.zeros(3)
+    largest = int(np.argmax(np.abs(direction)))
+    axis[largest] = 1.0 if direction[largest] >= 0.0 else -1.0
+    return axis

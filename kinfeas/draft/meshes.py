@@ -1,0 +1,51 @@
+"""The triangles of mesh files."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from kinfeas.errors import KinfeasError
+from kinfeas.foreign import Blaming
+from kinfeas.robots.elements import Element
+from kinfeas.robots.meshes import find_mesh
+from kinfeas.spatial import Array
+
+FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".off")
+
+_LARGEST = 200_000_000  # bytes
+_READERS = ("trimesh", "collada")
+
+
+def read_triangles(mesh: Element, folder: Path) -> Array:
+    """Return the triangles of an element <mesh>, scaled as it says, shape (t, 3, 3), metres.
+
+    Args:
+        mesh: The element.
+        folder: Where the URDF lies, an absolute path.
+
+    Raises:
+        KinfeasError: If there is no such file, it cannot be read, or it holds no triangle.
+    """
+    path = find_mesh(mesh, folder, FORMATS)
+    if path.stat().st_size > _LARGEST:
+        raise mesh.error(f"{str(path)!r} is too large, at most {_LARGEST} bytes are allowed")
+    triangles = _load(path, mesh.where) * np.array(mesh.vector("scale", 3, (1.0, 1.0, 1.0)))
+    if not len(triangles) or not np.isfinite(triangles).all():
+        raise mesh.error(f"{str(path)!r} holds no triangles, or corners that are not finite")
+    return triangles
+
+
+def _load(path: Path, where: str) -> Array:
+    if not all(map(find_spec, _READERS)):
+        raise KinfeasError(
+            f"{where}: meshes are read by packages that are not there: "
+            "pip install 'kinfeas[meshes]'"
+        )
+    import trimesh
+
+    with Blaming(f"{where}: {str(path)!r} cannot be read as a mesh:"):
+        scene = trimesh.load_scene(path)
+        metres = trimesh.units.unit_conversion(scene.units or "meters", "meters")
+        return np.asarray(scene.to_mesh().triangles, dtype=np.float64) * metres
+    raise AssertionError  # the context raises, or the block returns

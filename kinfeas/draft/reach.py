@@ -1,0 +1,170 @@
+"""What random configurations tell of a robot: links that may touch, a home, useful heights."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.draft.placed import link_pose
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ceiling import reachable
+from kinfeas.kinematics.chain import build_chain
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
+from kinfeas.robots.robot import Robot
+from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.spatial import Array, make_pose, rotation, twist_between
+
+OFTEN, ALWAYS = 1.0 / 3.0, 0.95
+"""Share of configurations in which near neighbours, and any two links, touch that are built so."""
+
+_NEAR = 2
+"""Joints that turn between near neighbours at most: primitives around their meshes overlap."""
+
+WORTH, EASY = 0.8, 0.98
+"""Share of goals that can be reached at heights worth learning, and at comfortable ones."""
+
+_PARALLEL = 0.999  # cosine of the angle between two axes
+_CONFIGURATIONS = 4096
+_STEP, _GOALS = 0.1, 48  # metres between heights, and goals at each
+_STAGES = (4, 32, 256)
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Where goals can be reached from some base pose.
+
+    Attributes:
+        at: Heights, ascending, shape (h,), metres.
+        share: Of goals of any orientation there, 0-1, shape (h,).
+    """
+
+    at: Array
+    share: Array
+
+    def band(self, least: float) -> tuple[float, float] | None:
+        """Return the largest range of heights in which at least such a share is reached, if any."""
+        good = np.concatenate([[False], self.share >= least, [False]])
+        edges = np.flatnonzero(good[1:] != good[:-1])
+        starts, ends = edges[::2], edges[1::2] - 1
+        if not len(starts):
+            return None
+        longest = int(np.argmax(ends - starts))
+        low, high = self.at[starts[longest]], self.at[ends[longest]]
+        return (float(low), float(high)) if low < high else None
+
+
+def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
+    """Return the pairs of links that may touch, for they are built so or their shapes are too wide.
+
+    These are links that slide in one another, near neighbours that touch often, and others that
+    touch always.
+
+    Returns:
+        The share of configurations in which each pair touches, 0-1, by their names.
+    """
+    model, joints = build_collision_model(robot), spread_configurations(robot, _CONFIGURATIONS)
+    named = [link.name for link in robot.urdf.links.values() for _ in link.shapes]
+    shapes = [tuple(sorted((named[a], named[b]))) for a, b in model.pairs]
+    found = {}
+    for pair in checked_links(robot):
+        rows = [row for row, of_links in enumerate(shapes) if of_links == pair]
+        alone = model._replace(pairs=np.ascontiguousarray(model.pairs[rows]))
+        share = float(self_collides(alone, joints).mean()) if rows else 0.0
+        if share > _allowed(robot.urdf, *pair):
+            found[pair] = share
+    return found
+
+
+def _allowed(urdf: Urdf, one: str, other: str) -> float:
+    """Return the share of configurations in which two links may touch and still be looked at."""
+    between = [j for j in {*urdf.path_to(one)} ^ {*urdf.path_to(other)} if j.moves]
+    turning = sum(joint.kind != "prismatic" for joint in between)
+    if turning == 0 and _in_line(urdf, between):
+        return 0.0
+    return OFTEN if turning <= _NEAR else ALWAYS
+
+
+def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
+    """Return whether joints slide along one line, as the parts of a telescope do."""
+    poses = [(link_pose(urdf, joint.child, {}), joint.axis) for joint in slides]
+    first, *others = [rotation(pose).apply(axis) for pose, axis in poses]
+    return all(abs(float(first @ other)) > _PARALLEL for other in others)
+
+
+def free_share(robot: Robot) -> float:
+    """Return the share of configurations in which the robot does not touch itself, 0-1."""
+    joints = spread_configurations(robot, _CONFIGURATIONS)
+    return float(1.0 - self_collides(build_collision_model(robot), joints).mean())
+
+
+def comfortable(robot: Robot) -> Array:
+    """Return a configuration in which the hand can move any way, shape (j,).
+
+    Of those in which the robot does not touch itself, the hand is ahead of the base, and neither
+    low nor high for this arm, it is the most dexterous one: the least singular value of its
+    Jacobian, less near joint limits (Yoshikawa 1985; Tsai 1986), is the largest.
+
+    Raises:
+        KinfeasError: If the robot touches itself in all configurations.
+    """
+    lower, upper = robot.finite_joint_limits
+    joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
+    free = joints[~self_collides(build_collision_model(robot), joints)]
+    if not len(free):
+        raise KinfeasError(
+            f"{robot.name}: in all of {len(joints)} configurations it touches itself"
+        )
+    ee = forward(build_chain(robot), free)[:, :3]
+    low, high = np.quantile(ee[:, 2], [0.25, 0.75])
+    wanted = (ee[:, 0] > 0.0) & (ee[:, 2] >= low) & (ee[:, 2] <= high)
+    among = free[wanted] if wanted.any() else free
+    best: Array = among[np.argmax(_dexterity(robot, among))]
+    return best
+
+
+def _dexterity(robot: Robot, joints: Array) -> Array:
+    """Return how freely the hand moves in configurations (n, j), shape (n,)."""
+    chain, (lower, upper) = build_chain(robot), robot.finite_joint_limits
+    here, small = forward(chain, joints), 1e-6
+    columns = [
+        twist_between(here, forward(chain, joints + small * unit), small)
+        for unit in np.eye(joints.shape[1])
+    ]
+    jacobian = np.stack(columns, axis=-1) * np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
+    freedom = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
+    bounded = ~robot.continuous
+    room = 4.0 * (joints - lower) * (upper - joints) / (upper - lower) ** 2
+    return freedom * room[:, bounded].min(axis=1, initial=1.0)
+
+
+def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:
+    """Return how many goals can be reached at which heights, from the floor up.
+
+    The goals have random orientations, as those that a policy learns from. IK decides, from up to
+    256 base poses around each of them.
+
+    Args:
+        robot: The robot.
+        on_done: Called with the share of all work, 0-1, that has just been done.
+    """
+    solver, rng = IkSolver(robot, IkOptions()), np.random.default_rng(_SEED)
+    ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
+    at = np.arange(_STEP, max(float(ee.max()), 2.0 * _STEP) + _STEP, _STEP)
+    shares = []
+    for height in at:
+        turn = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))
+        goals = make_pose(np.tile([0.0, 0.0, height], (_GOALS, 1)), turn)
+        shares.append(reachable(solver, goals, _STAGES).share.value)
+        if on_done is not None:
+            on_done(1.0 / len(at))
+    return Heights(at.round(3), np.array(shares))
+
+
+def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
+    """Return the robot with pairs of links that may touch, besides those that may already."""
+    more = frozenset(map(frozenset, pairs))
+    return replace(robot, ignored_collisions=robot.ignored_collisions | more)

@@ -1,0 +1,73 @@
+"""What a URDF states of a robot by itself, as its YAML file has it."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from kinfeas.draft.arm import Arm
+from kinfeas.draft.hand import Hand
+from kinfeas.kinematics.ik import POSE_DIMENSIONS
+from kinfeas.robots.spec import ArmJointSpec, BaseSpec, Drive, Leeway, RobotSpec
+from kinfeas.robots.urdf import Joint, Urdf
+
+_WIDEST = 4.0 * math.pi
+"""Radians: a wider range of a joint that turns stands for no limit."""
+
+_TURN, _SLIDE = 1.0, 0.1
+"""rad/s and m/s of joints to which the URDF gives no speed."""
+
+# What the shipped robots have in common, and HSR's leeway for arms that cannot reach every pose.
+_SPEED, _ROTATION, _ACCELERATION, _ROTATION_ACCELERATION = 0.2, 1.0, 1.0, 2.0
+_LEEWAY = Leeway(position=0.1, rotation=0.2094)
+_HEIGHTS = {"ggr": (0.2, 1.4), "ggr_restricted": (0.4, 1.1)}
+
+
+def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSpec:
+    """Return the YAML file of a robot, with stopgaps for what has to be tried out.
+
+    These are the home, in the middle of the joint ranges, the goal heights, and pairs of links that
+    may touch, none.
+    """
+    joints = {joint.name: _joint(joint) for joint in arm.joints}
+    return RobotSpec(
+        name=name,
+        urdf=Path(f"{name}.urdf"),
+        ee_frame=arm.hand,
+        tool_tip=_triple(hand.tip),
+        gripper_rotation=tuple(hand.rotation.round(7).tolist()),
+        base=BaseSpec(drive, _SPEED, _ROTATION, _ACCELERATION, _ROTATION_ACCELERATION),
+        arm=joints,
+        home={"home": tuple(_middle(joint, joints[joint.name]) for joint in arm.joints)},
+        goal_heights=_HEIGHTS,
+        fixed_joints=_half_open(urdf, hand),
+        leeway=_LEEWAY if len(joints) < POSE_DIMENSIONS else None,
+        gripper=hand.gripper,
+    )
+
+
+def _joint(joint: Joint) -> ArmJointSpec:
+    known = 0.0 < joint.velocity < math.inf
+    endless = joint.kind == "revolute" and joint.upper - joint.lower > _WIDEST
+    return ArmJointSpec(
+        soft_limits=(-3.1416, 3.1416) if endless else None,
+        velocity=None if known else _SLIDE if joint.kind == "prismatic" else _TURN,
+    )
+
+
+def _middle(joint: Joint, spec: ArmJointSpec) -> float:
+    lower, upper = spec.soft_limits or (joint.soft_lower, joint.soft_upper)
+    return (lower + upper) / 2.0 if math.isfinite(upper - lower) else 0.0
+
+
+def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
+    """Return where the joints stand that move the fingers."""
+    if hand.gripper is None:
+        return {}
+    leaders = {urdf.followed(urdf.joints[finger])[0].name for finger in hand.gripper.fingers}
+    return dict.fromkeys(sorted(leaders), round((hand.gripper.closed + hand.gripper.open) / 2.0, 4))
+
+
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (round(float(number), 4) + 0.0 for number in vector)
+    return x, y, z

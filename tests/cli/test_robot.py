@@ -1,0 +1,70 @@
+import json
+
+import pytest
+
+from kinfeas.robots.robot import read_robot
+from tests.cli.conftest import is_one_line
+from tests.draft.conftest import ARM
+
+
+@pytest.fixture
+def robot(kinfeas, tmp_path, monkeypatch):
+    """Return a function that runs `kinfeas robot dolly.urdf ARGUMENTS`, with few goals."""
+    monkeypatch.setattr("kinfeas.draft.reach._GOALS", 8)
+    monkeypatch.setattr("kinfeas.draft.reach._STAGES", (4, 16))
+    (tmp_path / "dolly.urdf").write_text(ARM)
+    return lambda *arguments: kinfeas("robot", "dolly.urdf", *arguments)
+
+
+def test_writes_a_robot_that_other_commands_take(robot, kinfeas, tmp_path):
+    outcome = robot("--out", "new", "--json", "found.json", "--picture", "dolly.png")
+    assert outcome.code == 0, outcome.err
+    found = json.loads((tmp_path / "found.json").read_text())
+    known = read_robot(tmp_path / "new" / "dolly.yaml")
+    assert found["arm"] == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
+    assert found["guessed_velocities"] == ["pan"]
+    assert len(found["heights_m"]) == len(found["reachable"])
+    assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
+    assert "3 joints: pan, lift, elbow" in outcome.out
+    assert "kinfeas ceiling --robot new/dolly.yaml" in outcome.out
+    evaluated = kinfeas(
+        "evaluate", "--robot", "new/dolly.yaml", "--policy", "follow_ee", "--episodes", "2"
+    )
+    assert evaluated.code == 0, evaluated.err
+
+
+def test_what_is_there_stays(robot, tmp_path):
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "dolly.yaml").write_text("mine")
+    outcome = robot("--out", "new")
+    assert outcome.code == 2
+    assert is_one_line(outcome)
+    assert "new/dolly.yaml: is there already" in outcome.err
+    assert (tmp_path / "new" / "dolly.yaml").read_text() == "mine"
+    assert robot("--out", "new", "--name", "other").code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--ee", "plam"), "there is no link 'plam' (did you mean 'palm'?)"),
+        (("--base", "bass"), "there is no link 'bass'"),
+        (("--name", "a/b"), "--name: 'name' must be printable"),
+        (("--name", ""), "--name: 'name' must be printable"),
+        (("--picture", "dolly.jpg"), "--picture: dolly.jpg must end in .png"),
+        (("--json", "dolly.urdf"), "FILE.urdf and --json must differ"),
+    ],
+)
+def test_bad_input_is_one_line(robot, tmp_path, arguments, message):
+    outcome = robot("--out", "new", *arguments)
+    assert outcome.code == 2
+    assert is_one_line(outcome)
+    assert message in outcome.err
+    assert not (tmp_path / "new" / "dolly.yaml").exists()
+
+
+def test_a_urdf_that_is_not_there_is_one_line(kinfeas):
+    outcome = kinfeas("robot", "none.urdf", "--out", "new")
+    assert outcome.code == 2
+    assert is_one_line(outcome)
+    assert "none.urdf: cannot be read" in outcome.err

@@ -1,0 +1,59 @@
+import pytest
+
+from kinfeas import registry
+from kinfeas.draft.arm import find_arm, rigid_with
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.urdf import parse_urdf
+
+
+@pytest.mark.parametrize("name", ["tiago", "hsr"])
+def test_finds_the_arms_of_shipped_robots(name):
+    robot = registry.load_robot(name)
+    arm = find_arm(robot.urdf, None, name)
+    assert [joint.name for joint in arm.joints] == [joint.name for joint in robot.arm]
+    assert arm.hand in rigid_with(robot.urdf, robot.ee_frame)
+    assert {finger.name for finger in arm.fingers} == set(robot.gripper.fingers)
+
+
+def test_two_arms_have_to_be_told_apart():
+    urdf = registry.load_robot("pr2").urdf
+    hands = "r_gripper_palm_link or l_gripper_palm_link"
+    with pytest.raises(KinfeasError, match=f"pr2: there are several arms: .* {hands}"):
+        find_arm(urdf, None, "pr2")
+    arm = find_arm(urdf, "l_gripper_palm_link", "pr2")
+    assert arm.joints[-1].name == "l_wrist_roll_joint"
+
+
+def test_the_hand_is_where_the_longest_way_parts_into_fingers(dolly):
+    arm = find_arm(parse_urdf(dolly), None, "dolly")
+    assert arm.hand == "palm"
+    assert [joint.name for joint in arm.joints] == ["pan", "lift", "elbow"]
+    assert [joint.name for joint in arm.fingers] == ["l", "r"]
+
+
+def test_without_fingers_it_is_the_last_link(changed):
+    fingers = [('name="l" type="prismatic"', 'name="l" type="fixed"')]
+    fingers.append(('name="r" type="prismatic"', 'name="r" type="fixed"'))
+    assert find_arm(parse_urdf(changed(*fingers)), None, "dolly").hand == "palm"
+
+
+@pytest.mark.parametrize(
+    ("hand", "message"),
+    [
+        ("plam", r"dolly: there is no link 'plam' \(did you mean 'palm'\?\)"),
+        ("base", "no joint moves between 'base' and 'base'"),
+    ],
+)
+def test_links_that_cannot_be_hands_are_one_sentence(dolly, hand, message):
+    with pytest.raises(KinfeasError, match=message):
+        find_arm(parse_urdf(dolly), hand, "dolly")
+
+
+def test_a_robot_without_an_arm_is_one_sentence(changed):
+    urdf = parse_urdf(changed(('type="revolute"', 'type="fixed"'), ("continuous", "fixed")))
+    with pytest.raises(KinfeasError, match="no link has 3 moving joints above it: no arm"):
+        find_arm(urdf, None, "dolly")
+
+
+def test_links_on_fixed_joints_cannot_move_against_each_other(dolly):
+    assert rigid_with(parse_urdf(dolly), "tool") == {"wrist", "palm", "tool"}

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from kinfeas.draft.boxed import boxed_urdf, carried, first_body
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.urdf import parse_urdf
+
+MESHED = '<mesh filename="part.stl" scale="0.1 0.2 0.3"/>'
+
+
+def stl(triangles):
+    """Return the text of an STL file."""
+    facets = [
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle)
+        + "endloop\nendfacet\n"
+        for triangle in triangles
+    ]
+    return f"solid part\n{''.join(facets)}endsolid part\n"
+
+
+@pytest.fixture
+def meshed(changed, cube):
+    """The robot with a box of 0.1 x 0.2 x 0.3 m as a mesh in place of its palm's box."""
+    path = changed(('<box size="0.04 0.1 0.04"/>', MESHED))
+    path.with_name("part.stl").write_text(stl(cube))
+    return path
+
+
+def boxed(path, tmp_path, **options):
+    out = tmp_path / "boxed.urdf"
+    out.write_text(boxed_urdf(path, **options))
+    return parse_urdf(out)
+
+
+def test_primitives_and_joints_stay_as_they_are(dolly, tmp_path):
+    before, after = parse_urdf(dolly), boxed(dolly, tmp_path)
+    assert list(after.links) == list(before.links)
+    for name, joint in before.joints.items():
+        np.testing.assert_array_equal(after.joints[name].origin, joint.origin)
+        assert after.joints[name].axis == joint.axis
+    for name, link in before.links.items():
+        shapes = after.links[name].shapes
+        assert [shape.size for shape in shapes] == [shape.size for shape in link.shapes]
+
+
+def test_a_mesh_becomes_a_primitive_that_holds_it(meshed, tmp_path):
+    pytest.importorskip("trimesh")
+    palm = boxed(meshed, tmp_path).links["palm"]
+    (shape,) = palm.shapes
+    assert not palm.mesh_collisions
+    np.testing.assert_allclose(sorted(shape.size), [0.101, 0.201, 0.301], atol=1e-4)
+    assert np.all(np.array(sorted(shape.size)) > [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "link 'palm', <collision>, <geometry>, <mesh>: there is no 'part.stl'"),
+        ("solid\nendsolid\n", "holds no triangles"),
+        (stl([[[0, 0, 0], [0, 0, "nan"], [1, 0, 0]]]), "not finite"),
+    ],
+)
+def test_broken_meshes_are_one_sentence(changed, content, message):
+    pytest.importorskip("trimesh")
+    path = changed(('<box size="0.04 0.1 0.04"/>', MESHED))
+    if content is not None:
+        path.with_name("part.stl").write_text(content)
+    with pytest.raises(KinfeasError, match=f"changed.urdf: .*{message}"):
+        boxed_urdf(path)
+
+
+def test_meshes_need_what_reads_them(meshed, monkeypatch):
+    monkeypatch.setattr("kinfeas.draft.meshes.find_spec", lambda name: None)
+    with pytest.raises(KinfeasError, match=r"pip install 'kinfeas\[meshes\]'"):
+        boxed_urdf(meshed)
+
+
+def test_what_is_seen_stands_in_where_nothing_collides(changed, tmp_path):
+    path = changed(("collision>", "visual>"))
+    assert boxed(path, tmp_path).links["palm"].shapes[0].size == (0.04, 0.1, 0.04)
+
+
+FLOOR = (
+    '<link name="world"/><joint name="slide" type="prismatic"><parent link="world"/>'
+    '<child link="base"/><limit lower="-9" upper="9" velocity="1"/></joint>'
+)
+
+
+def test_joints_that_stand_for_a_floor_are_left_out(changed, tmp_path):
+    path = changed(('<robot name="dolly">', f'<robot name="dolly">{FLOOR}'))
+    assert parse_urdf(path).root == "world"
+    urdf = boxed(path, tmp_path)
+    assert (urdf.root, first_body(urdf)) == ("base", "base")
+    assert "slide" not in urdf.joints
+
+
+def test_the_base_can_be_chosen(dolly, tmp_path):
+    urdf = boxed(dolly, tmp_path, base="upper")
+    assert (urdf.root, set(urdf.joints)) == ("upper", {"elbow", "mount", "frame", "l", "r"})
+    with pytest.raises(KinfeasError, match="there is no link 'bass'"):
+        boxed_urdf(dolly, "bass")
+
+
+def test_a_link_is_carried_with_all_that_hangs_on_it(dolly):
+    assert carried(parse_urdf(dolly), "palm", "") == {"palm", "tool", "left", "right"}

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+from kinfeas.draft.draft import DraftOptions, bands, draft_robot
+from kinfeas.draft.reach import Heights
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import read_robot
+
+
+def written(draft, folder):
+    name = draft.spec.name
+    (folder / f"{name}.urdf").write_text(draft.urdf)
+    path = folder / f"{name}.yaml"
+    path.write_text(draft.yaml)
+    return path
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Fewer goals, so that it is quick."""
+    monkeypatch.setattr("kinfeas.draft.reach._GOALS", 8)
+    monkeypatch.setattr("kinfeas.draft.reach._STAGES", (4, 16))
+
+
+def test_a_draft_is_a_robot(dolly, tmp_path, few):
+    told = []
+    draft = draft_robot(dolly, DraftOptions(name="my dolly", drive="omnidirectional"), told.append)
+    assert sum(told) == pytest.approx(1.0)
+    robot = read_robot(written(draft, tmp_path))
+    assert (robot.name, robot.ee_frame, robot.base.drive) == ("my dolly", "palm", "omnidirectional")
+    assert [joint.name for joint in robot.arm] == ["pan", "lift", "elbow"]
+    assert robot.leeway is not None
+    assert robot.gripper.fingers == ("l", "r")
+    assert robot.fixed_joints["l"] == 0.02
+    np.testing.assert_array_equal(robot.home["home"], draft.spec.home["home"])
+    assert IkSolver(robot).solve(np.eye(7)[6:], robot.home["home"][np.newaxis])
+
+
+def test_what_is_guessed_is_called_so(dolly, few):
+    draft = draft_robot(dolly, DraftOptions())
+    assert draft.guesses.speeds == ("pan",)
+    assert draft.guesses.limits == ("elbow",)
+    assert "  pan: {velocity: 1}  # guess\n" in draft.yaml
+    assert "  elbow: {soft_limits: [-3.1416, 3.1416]}  # guess\n" in draft.yaml
+    assert "  lift: {}\n" in draft.yaml
+
+
+def test_equal_urdfs_make_equal_drafts(dolly, few):
+    once, again = (draft_robot(dolly, DraftOptions()) for _ in range(2))
+    assert (once.yaml, once.urdf) == (again.yaml, again.urdf)
+
+
+def test_names_that_yaml_takes_for_something_else_are_quoted(changed, tmp_path, few):
+    draft = draft_robot(changed(('"lift"', '"on"'), ('"pan"', '"a: b"')), DraftOptions())
+    robot = read_robot(written(draft, tmp_path))
+    assert [joint.name for joint in robot.arm] == ["a: b", "on", "elbow"]
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [
+        ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], ((1.0, 4.0), (2.0, 3.0))),
+        ([0.1, 0.5, 0.5, 0.5, 0.5, 0.1], ((1.0, 4.0), (1.75, 3.25))),
+    ],
+)
+def test_heights_are_those_that_are_worth_learning(share, expected):
+    assert bands(Heights(np.arange(6.0), np.array(share)), "arm") == expected
+
+
+def test_an_arm_that_reaches_nothing_is_one_sentence():
+    heights = Heights(np.arange(3.0), np.array([0.0, 0.1, 0.0]))
+    with pytest.raises(
+        KinfeasError, match=r"arm: the arm reaches hardly any goal: at best 10%, 1 m"
+    ):
+        bands(heights, "arm")

@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+from kinfeas.draft.arm import find_arm
+from kinfeas.draft.footprint import on_the_floor
+from kinfeas.draft.placed import place
+from kinfeas.robots.urdf import parse_urdf
+
+
+def stand(path, tmp_path):
+    text, lifted = on_the_floor(path, find_arm(parse_urdf(path), None, "dolly"))
+    out = tmp_path / "standing.urdf"
+    out.write_text(text)
+    return parse_urdf(out), lifted
+
+
+def test_a_root_on_the_floor_stays(dolly, tmp_path):
+    urdf, lifted = stand(dolly, tmp_path)
+    assert (urdf.root, lifted) == ("base", 0.0)
+
+
+@pytest.mark.parametrize("name", ["base_footprint", "footprint"])
+def test_a_root_above_the_floor_gets_one_below(changed, tmp_path, name):
+    changes = [('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"')]
+    if name == "footprint":
+        changes.append(("head", "base_footprint"))
+    urdf, lifted = stand(changed(*changes), tmp_path)
+    assert (urdf.root, lifted) == (name, 0.3)
+    down = np.array([0.0, 0.0, -1.0])
+    lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, {}))
+    assert lowest == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,80 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas import registry
+from kinfeas.draft.reach import (
+    Heights,
+    built_to_touch,
+    comfortable,
+    free_share,
+    useful_heights,
+    with_pairs,
+)
+from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.chain import build_chain
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.self_collision import build_collision_model, self_collides
+
+HEIGHTS = np.arange(6.0)
+
+
+@pytest.fixture(params=["tiago", "hsr"])
+def robot(request):
+    return registry.load_robot(request.param)
+
+
+def test_shipped_robots_have_no_more_pairs_to_leave_out(robot):
+    assert not built_to_touch(robot)
+
+
+def test_what_may_touch_need_not_be_told(robot):
+    told = {tuple(sorted(pair)) for pair in robot.ignored_collisions}
+    bare = replace(robot, ignored_collisions=frozenset())
+    found = built_to_touch(bare)
+    assert set(found) <= told
+    assert all(0.0 < share <= 1.0 for share in found.values())
+    assert free_share(with_pairs(bare, found)) > 0.3
+
+
+def test_a_home_is_within_limits_free_and_ahead(robot):
+    home = comfortable(robot)
+    lower, upper = robot.finite_joint_limits
+    assert np.all((lower <= home) & (home <= upper))
+    assert not self_collides(build_collision_model(robot), home)
+    assert forward(build_chain(robot), home)[0] > 0.0
+
+
+def test_a_robot_that_always_touches_itself_is_one_sentence(robot, monkeypatch):
+    monkeypatch.setattr(
+        "kinfeas.draft.reach.self_collides", lambda model, joints: np.ones(len(joints), bool)
+    )
+    with pytest.raises(KinfeasError, match="in all of 4096 configurations it touches itself"):
+        comfortable(robot)
+
+
+@pytest.mark.parametrize(
+    ("share", "least", "band"),
+    [
+        ([0, 1, 1, 1, 0, 0], 0.5, (1.0, 3.0)),
+        ([1, 1, 0, 1, 1, 1], 0.5, (3.0, 5.0)),
+        ([0, 1, 0, 0, 0, 0], 0.5, None),
+        ([0, 0, 0, 0, 0, 0], 0.5, None),
+        ([0.2, 0.9, 0.7, 0.9, 0.95, 0.9], 0.8, (3.0, 5.0)),
+    ],
+)
+def test_a_band_is_the_largest_range_of_heights(share, least, band):
+    assert Heights(HEIGHTS, np.array(share, dtype=float)).band(least) == band
+
+
+@pytest.mark.slow
+def test_useful_heights_are_those_of_the_robots_file():
+    told = []
+    robot = registry.load_robot("tiago")
+    heights = useful_heights(robot, told.append)
+    assert sum(told) == pytest.approx(1.0)
+    low, high = robot.goal_heights["ggr_restricted"]
+    inside = (heights.at >= low) & (heights.at <= high)
+    assert np.all(heights.share[inside] > 0.9)
+    assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5
