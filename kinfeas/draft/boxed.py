@@ -1,6 +1,6 @@
 """A URDF of primitives: the links and joints of another one, its meshes boxed in."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -10,7 +10,7 @@ from kinfeas.draft.meshes import read_triangles
 from kinfeas.draft.primitives import MARGIN, fit_primitives
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.elements import Element, read_xml
-from kinfeas.robots.urdf import Link, Shape, Urdf, parse_urdf, read_shape
+from kinfeas.robots.urdf import Shape, Urdf, parse_urdf, read_shape
 from kinfeas.robots.xml_text import numbers_text, set_origin
 from kinfeas.spatial import compose
 
@@ -19,8 +19,8 @@ _DIGITS = 4
 
 assert MARGIN > 10.0**-_DIGITS
 
-_FEATHER = 0.1
-"""Kilograms that a mere frame may weigh, since some physics engines want them all to."""
+_COLOURS = ("0.78 0.8 0.83 1", "0.45 0.6 0.77 1")
+"""Of links that are an even and an odd number of joints away from the root."""
 
 
 def boxed_urdf(
@@ -29,28 +29,29 @@ def boxed_urdf(
     """Return the text of a URDF that needs no other file: all of its shapes are primitives.
 
     Links and joints stay as they are, with their inertias. Each collision mesh becomes one to four
-    primitives that hold it; where a robot has no collision shapes at all, its visual ones stand in.
-    What is seen is what collides.
+    primitives that hold it; where links that are joined rigidly have no collision shape among them,
+    their visual ones stand in. What is seen is what collides.
 
     Args:
         path: The robot's own URDF.
-        base: The link that becomes the root, with what it carries; by default the first one that is
-            more than a frame, for simulators hang robots on joints that stand for a floor.
+        base: The link that becomes the root, with what it carries; by default the first one with a
+            shape, for simulators hang robots on joints that stand for a floor.
         on_link: Called with the name of each link that is done.
 
     Raises:
         KinfeasError: If the URDF is broken, has no link `base`, or a mesh cannot be read.
     """
     urdf, robot = parse_urdf(path), read_xml(path, "robot")
-    kept = carried(urdf, base or first_body(urdf), str(path))
-    kind = "collision" if robot.xml.find("link/collision") is not None else "visual"
+    links = {link.text("name"): link for link in robot.children("link")}
+    kept = carried(urdf, base or _first_body(urdf, links), str(path))
     out = ElementTree.Element("robot", name=urdf.name)
-    for link in robot.children("link"):
-        name = link.text("name")
-        if name not in kept:
-            continue
-        shapes = _shapes(Element(link.xml, f"{path}: link {name!r}"), kind, path.absolute().parent)
-        out.append(_link(name, link.xml.find("inertial"), shapes))
+    for name in filter(kept.__contains__, links):
+        link = Element(links[name].xml, f"{path}: link {name!r}")
+        rigid = [links[one] for one in rigid_with(urdf, name)]
+        kind = "collision" if any(one.child("collision") for one in rigid) else "visual"
+        shapes = _shapes(link, kind, path.absolute().parent)
+        turned = sum(joint.moves for joint in urdf.path_to(name))
+        out.append(_link(name, link.xml.find("inertial"), shapes, _COLOURS[turned % 2]))
         if on_link is not None:
             on_link(name)
     for joint in robot.children("joint"):
@@ -60,21 +61,17 @@ def boxed_urdf(
     return ElementTree.tostring(out, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def first_body(urdf: Urdf) -> str:
-    """Return the root, or the link that it leads to by joints between mere frames that move."""
+def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:
+    """Return the root, or the link with a shape that it leads to by joints between mere frames."""
     link = urdf.root
     while True:
         group = rigid_with(urdf, link)
-        if any(_is_body(urdf.links[name]) for name in group):
+        if any(links[name].child(kind) for name in group for kind in ("collision", "visual")):
             return link
         moving = [joint for joint in urdf.joints.values() if joint.moves and joint.parent in group]
         if len(moving) != 1:
             return urdf.root
         link = moving[0].child
-
-
-def _is_body(link: Link) -> bool:
-    return bool(link.shapes) or link.mesh_collisions or link.mass > _FEATHER
 
 
 def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
@@ -100,7 +97,7 @@ def _shapes(link: Element, kind: str, folder: Path) -> Iterable[Shape]:
             yield Shape(shape.kind, shape.size, compose(pose, shape.pose))
 
 
-def _link(name: str, inertial: Any, shapes: Iterable[Shape]) -> ElementTree.Element:
+def _link(name: str, inertial: Any, shapes: Iterable[Shape], colour: str) -> ElementTree.Element:
     link = ElementTree.Element("link", name=name)
     if inertial is not None:
         link.append(inertial)
@@ -110,6 +107,9 @@ def _link(name: str, inertial: Any, shapes: Iterable[Shape]) -> ElementTree.Elem
             set_origin(element, shape.pose, _DIGITS)
             geometry = ElementTree.SubElement(element, "geometry")
             ElementTree.SubElement(geometry, shape.kind, _size(shape))
+            if tag == "visual":
+                material = ElementTree.SubElement(element, "material", name=f"of_{name}")
+                ElementTree.SubElement(material, "color", rgba=colour)
     return link
 
 

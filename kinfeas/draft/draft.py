@@ -44,8 +44,8 @@ class DraftOptions:
     Attributes:
         name: Short name of the robot; that of the URDF file by default.
         hand: Link that IK places; it is looked for by default.
-        base: Link that becomes the root, with what it carries; by default the first one that is
-            more than a frame.
+        base: Link that becomes the root, with what it carries; by default the first one with a
+            shape.
         drive: How the base moves.
     """
 

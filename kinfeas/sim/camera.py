@@ -127,7 +127,7 @@ def _draw(
     return colour, depth, np.reshape(np.asarray(seen, dtype=np.intp), (height, width))
 
 
-def spread(size: tuple[int, int]) -> float:
+def unit_width(size: tuple[int, int]) -> float:
     """Return the metres that a picture is wide at a distance of one metre, its lesser side."""
     width, height = size
     return float(2.0 * np.tan(_FIELD / 2.0) * min(1.0, width / height))

@@ -8,6 +8,7 @@ from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.meshes import find_mesh
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.xml_text import set_origin
+from kinfeas.sim.inertia import mend_inertias
 from kinfeas.sim.moving_joints import moving_joints
 from kinfeas.sim.welding import weld
 
@@ -45,6 +46,7 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
             element.set("type", "fixed")
             set_origin(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
     part_of = weld(xml, keep={robot.ee_frame})
+    mend_inertias(xml)
     for element in reversed(_planar_base(robot.urdf.root)):
         xml.insert(0, element)
     return ElementTree.tostring(xml, encoding="unicode"), part_of

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.draft.boxed import boxed_urdf, carried, first_body
+from kinfeas.draft.boxed import boxed_urdf, carried
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.urdf import parse_urdf
 
@@ -77,8 +77,13 @@ def test_meshes_need_what_reads_them(meshed, monkeypatch):
 
 
 def test_what_is_seen_stands_in_where_nothing_collides(changed, tmp_path):
-    path = changed(("collision>", "visual>"))
-    assert boxed(path, tmp_path).links["palm"].shapes[0].size == (0.04, 0.1, 0.04)
+    seen = '<link name="tool"><visual><geometry><sphere radius="0.3"/></geometry></visual></link>'
+    path = changed(('<link name="tool"/>', seen))
+    assert not boxed(path, tmp_path).links["tool"].shapes
+    path = changed(('<link name="tool"/>', seen), ("collision>", "visual>"))
+    links = boxed(path, tmp_path).links
+    assert links["palm"].shapes[0].size == (0.04, 0.1, 0.04)
+    assert links["tool"].shapes[0].size == (0.3,)
 
 
 FLOOR = (
@@ -91,7 +96,7 @@ def test_joints_that_stand_for_a_floor_are_left_out(changed, tmp_path):
     path = changed(('<robot name="dolly">', f'<robot name="dolly">{FLOOR}'))
     assert parse_urdf(path).root == "world"
     urdf = boxed(path, tmp_path)
-    assert (urdf.root, first_body(urdf)) == ("base", "base")
+    assert urdf.root == "base"
     assert "slide" not in urdf.joints
 
 

@@ -1,0 +1,96 @@
+"""Inertias of links: read, written, and made such as a body can have."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from kinfeas.robots.elements import Element
+from kinfeas.robots.xml_text import numbers_text
+from kinfeas.spatial import Array, rotation
+
+_MOMENTS = {
+    "ixx": (0, 0),
+    "iyy": (1, 1),
+    "izz": (2, 2),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyz": (1, 2),
+}
+
+_SMALLEST = 0.01
+"""Radius of gyration of bodies whose file gives them none, metres."""
+
+_SLACK = 1e-6
+"""Share of a moment that is no more than a rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Inertia of a link.
+
+    Attributes:
+        mass: kg.
+        centre: Of mass, in the link's frame, shape (3,), metres.
+        moments: About the centre along the link's axes, shape (3, 3), kg m^2.
+    """
+
+    mass: float
+    centre: Array
+    moments: Array
+
+    def about(self, point: Array) -> Array:
+        """Return the moments about a point (3,), by the parallel axis theorem, shape (3, 3)."""
+        arm = self.centre - point
+        moments: Array = self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return moments
+
+
+def read_inertia(link: Any) -> Inertia | None:
+    """Return what the element <link> of a URDF says, None if it says nothing."""
+    inertial = Element(link, "").child("inertial")
+    if inertial is None:
+        return None
+    pose, moments = inertial.origin(), np.zeros((3, 3))
+    inertia = inertial.need("inertia")
+    for name, (row, column) in _MOMENTS.items():
+        moments[row, column] = moments[column, row] = inertia.number(name, 0.0)
+    turn = rotation(pose).as_matrix()
+    return Inertia(inertial.need("mass").number("value"), pose[:3], turn @ moments @ turn.T)
+
+
+def write_inertia(link: Any, inertia: Inertia) -> None:
+    """Put an inertia into an element <link>, in place of its own."""
+    for old in link.findall("inertial"):
+        link.remove(old)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=numbers_text(inertia.centre), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=repr(inertia.mass))
+    moments = {name: repr(float(inertia.moments[at])) for name, at in _MOMENTS.items()}
+    ElementTree.SubElement(inertial, "inertia", moments)
+
+
+def possible(inertia: Inertia) -> Inertia:
+    """Return an inertia that a body can have: the same one, or with moments added about all axes.
+
+    No principal moment of a body is larger than the other two together. Vendors' files break that,
+    and PyBullet takes such a link for one without inertia, which flies off when it is touched.
+    """
+    small, middle, large = np.linalg.eigvalsh(inertia.moments)
+    excess, none = large - small - middle, small <= 0.0
+    if excess <= _SLACK * large and not none:
+        return inertia
+    lacking = max(excess, inertia.mass * _SMALLEST**2 - small if none else 0.0) * (1.0 + _SLACK)
+    return replace(inertia, moments=inertia.moments + lacking * np.eye(3))
+
+
+def mend_inertias(robot: Any) -> None:
+    """Make the inertia of every link of the element <robot> possible; links without mass stay."""
+    for link in robot.findall("link"):
+        inertia = read_inertia(link)
+        if inertia is None or inertia.mass == 0.0:
+            continue
+        mended = possible(inertia)
+        if mended is not inertia:
+            write_inertia(link, mended)
