@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from kinfeas import config, registry
 from kinfeas.backend import Backend
+from kinfeas.conformance.adapter import CheckedAdapter
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import Blaming, is_own, package_of
 from kinfeas.legs import Pace, Pacing
 from kinfeas.robots.robot import Robot
 from kinfeas.storage import strict_yaml
@@ -80,14 +82,17 @@ def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Bac
         robot: Whom it moves.
 
     Raises:
-        KinfeasError: If there is no such adapter, or it refuses its parameters. Later, if the
-            hooks of one from outside raise, or return what is malformed.
+        KinfeasError: If there is no such adapter, or it refuses its parameters. Later, if one from
+            outside raises, or returns what is malformed.
     """
     for adapter in adapters:
         given = {"backend": backend, "robot": robot, **adapter.parameters}
         backend = registry.build("kinfeas.adapters", adapter.name, given)
+        subject = f"adapter {adapter.name!r}"
         if isinstance(backend, Hooked):
-            backend.look_at_hooks(f"adapter {adapter.name!r}")
+            backend.look_at_hooks(subject)
+        elif not is_own(backend):
+            backend = CheckedAdapter(backend, subject)
     return backend
 
 
@@ -100,8 +105,18 @@ def chain(backend: Backend) -> Iterator[Backend]:
 
 
 def paced(backend: Backend, pace: Pace) -> Pace:
-    """Return the pace that the adapters around a backend make of `pace`."""
+    """Return the pace that the adapters around a backend make of `pace`.
+
+    Raises:
+        KinfeasError: If one from outside fails, or makes no pace of it.
+    """
     for link in chain(backend):
         if isinstance(link, Pacing):
-            pace = link.pace(pace)
+            subject = f"adapter {type(link).__name__}"
+            with Blaming(f"{subject} fails in pace:", package_of(link)):
+                answer: Any = link.pace(pace)
+            if not isinstance(answer, Pace):
+                got = type(answer).__name__
+                raise KinfeasError(f"{subject} must return a Pace from pace, not {got}")
+            pace = answer
     return pace

@@ -8,6 +8,7 @@ import csv
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,13 +92,17 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
     All of it or nothing is written: what was there stays until it is complete.
 
     Raises:
-        KinfeasError: If the suffix is another one or the file cannot be written.
+        KinfeasError: If the suffix is another one, the demonstration is none that could be read
+            back, or the file cannot be written.
     """
     if path.suffix not in _READERS:
         raise KinfeasError(f"{path}: must be a .csv or .npz file")
     known = not np.isnan(demonstration.base_pose).all()
     poses = [pose for pose in _POSES if known or pose != _BASE]
-    arrays = {name: getattr(demonstration, name) for name in ("time", *poses)}
+    arrays: dict[str, Any] = {
+        name: np.asarray(getattr(demonstration, name)) for name in ("time", *poses)
+    }
+    _from_arrays(arrays, path)
     with replacing(path) as fresh:
         if path.suffix == ".npz":
             np.savez_compressed(fresh, **arrays)
@@ -135,6 +140,10 @@ def _read_npz(path: Path, optional: Collection[str]) -> Demonstration:
     for name in ("time", *_POSES):
         if name not in values and name not in optional:
             raise KinfeasError(f"{path}: key {name!r} is missing")
+    return _from_arrays(values, path)
+
+
+def _from_arrays(values: Mapping[str, NDArray[Any]], path: Path) -> Demonstration:
     samples = values["time"].size
     for name, value in values.items():
         shape = (samples,) if name == "time" else (samples, 7)
@@ -160,7 +169,8 @@ def _checked(
     _refuse(stuck, "time", "does not ascend from the sample before", place)
     _refuse(time - time[0] > LONGEST, "time", f"is more than {LONGEST:g} s after the first", place)
     for name, pose in arrays.items():
-        _refuse(np.any(np.abs(pose) > REMOTEST, axis=1), name, f"is beyond {REMOTEST:g} m", place)
+        away = np.any(np.abs(pose) > REMOTEST, axis=1)
+        _refuse(away, name, f"is beyond {REMOTEST:,.0f} m", place)
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
         _refuse(np.abs(norm - 1.0) > _NOT_UNIT, name, "has no unit quaternion (xyzw)", place)
         pose[:, 3:] /= norm[:, np.newaxis]

@@ -11,23 +11,9 @@ _OWN = "kinfeas"
 # A sentence already, or the machine's trouble.
 _NOBODYS = (KinfeasError, MemoryError, SystemError)
 
-# Somebody at the keyboard may wish to end the program; a plugin may not.
-_BLAMED = (Exception, SystemExit)
-
-USUAL = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    NameError,
-    OSError,
-    RuntimeError,
-    SystemExit,
-    TypeError,
-    ValueError,
-)
-"""What code that calculates raises, and `sys.exit`, for places where a context would cost much."""
+BLAMED = (Exception, SystemExit)
+"""What code of others may raise: somebody at the keyboard may wish to end the program, a plugin may
+not. To be caught, and given to `Blaming.blame`, where a context would cost much."""
 
 
 def is_own(thing: object) -> bool:
@@ -74,7 +60,7 @@ class Blaming:
         Raises:
             KinfeasError: Names the subject, what it raised, and the line.
         """
-        if not isinstance(error, _BLAMED) or isinstance(error, _NOBODYS):
+        if not isinstance(error, BLAMED) or isinstance(error, _NOBODYS):
             return
         # A library that is not installed is no mistake of ours.
         if self.package == _OWN and not isinstance(error, ImportError):

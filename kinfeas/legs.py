@@ -1,5 +1,6 @@
 """What a course is made of: legs, how near to their ends is there, and the pace of a robot."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -71,6 +72,31 @@ class Pace:
             raise KinfeasError(
                 f"slow_down must be a number {SLOWEST} in all, not {self.slow_down:g}"
             )
+        for name in ("head_start", "settle", "spread", "patience"):
+            seconds = getattr(self, name)
+            if not 0.0 <= seconds < math.inf:
+                raise KinfeasError(f"{name} must be a number >= 0 in all, not {seconds:g}")
+
+
+@dataclass(frozen=True)
+class PaceSettings:
+    """What can be set of the pace of a robot with inertia.
+
+    Attributes:
+        slow_down: How many times longer than planned the EE motions last.
+        head_start: Seconds that the EE stands still at first, while the base moves already.
+        patience: Seconds for which motion and base wait at most for an arm that swings to another
+            configuration.
+    """
+
+    slow_down: SlowDown = 1.0
+    head_start: Seconds = 0.0
+    patience: Seconds = PATIENCE_SECONDS
+
+    @property
+    def pace(self) -> Pace:
+        """How EE motions are carried out."""
+        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS, patience=self.patience)
 
 
 @runtime_checkable

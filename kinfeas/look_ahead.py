@@ -1,18 +1,20 @@
 """A policy that tries its own future out: the motion is known, so what will fail shows early."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from kinfeas import registry
+from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.spread import spread
 from kinfeas.loop import Loop, Rows
 from kinfeas.observation import HORIZON
 from kinfeas.policy import Policy, Situation
-from kinfeas.quantities import Count, Positive, Share
+from kinfeas.quantities import LONGEST, PositiveSeconds, Share
 from kinfeas.spatial import Array
 
 _RESTARTS = 2
@@ -41,15 +43,15 @@ class Foresight:
     Attributes:
         seconds: Of control that are tried out; a motion that is slowed down gets less far in them.
         every: Seconds between looks.
-        tries: Deviations from the policy that are tried where it would fail.
+        tries: Deviations from the policy that are tried where it would fail; the first is none.
         spread: Their standard deviation, in units of the action.
         jump: What an arm jump costs, in kinematic failures.
     """
 
-    seconds: Positive = 6.0
-    every: Positive = 0.5
-    tries: Count = 32
-    spread: Positive = 0.8
+    seconds: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
+    every: PositiveSeconds = 0.5
+    tries: Annotated[int, Interval(low=1, high=1000)] = 32
+    spread: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
     jump: Share = 0.1
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
+from kinfeas.conformance.adapter import unchecked
 from kinfeas.course import Course
 from kinfeas.drive import action_size, base_twist
 from kinfeas.errors import KinfeasError
@@ -172,9 +173,8 @@ class Loop:
             KinfeasError: If the backend cannot be put into arrays.
         """
         if not isinstance(self.backend, Resumable):
-            raise KinfeasError(
-                f"{type(self.backend).__name__} cannot be saved in the midst of a run"
-            )
+            name = type(unchecked(self.backend)).__name__
+            raise KinfeasError(f"{name} cannot be saved in the midst of a run")
         return {**self.imagined(), **self.backend.snapshot()}
 
     def imagined(self) -> dict[str, NDArray[Any]]:
@@ -191,7 +191,8 @@ class Loop:
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""
         if not isinstance(self.backend, Resumable):
-            raise KinfeasError(f"{type(self.backend).__name__} cannot go on from a saved run")
+            name = type(unchecked(self.backend)).__name__
+            raise KinfeasError(f"{name} cannot go on from a saved run")
         self.course.restore(snapshot)
         self._measured(self.backend.restore(snapshot))
         self.sent, self.periods = snapshot["sent"].copy(), snapshot["periods"].copy()

@@ -17,6 +17,10 @@ from typing import Any
 import numpy as np
 from numba import guvectorize, njit
 
+from kinfeas import kernel_cache
+
+kernel_cache.settle()  # before the first kernel; all modules with others import this one
+
 inlined = njit(cache=True, error_model="numpy", forceinline=True)
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
@@ -115,16 +116,20 @@ class Recorder:
         self.path, self._begun = path, False
         with writing(path):
             self._file: TextIO = path.open("x", encoding="utf-8", newline="", buffering=1)
-            self._file.write(f"# {_FORMAT} {json.dumps(asdict(about))}\n{_header(about.joints)}")
+            try:
+                self._file.write(
+                    f"# {_FORMAT} {json.dumps(asdict(about))}\n{_header(about.joints)}"
+                )
+            except OSError:
+                self._end()
+                raise
 
     def __enter__(self) -> "Recorder":
         """Return the recorder."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
-        if not self._begun:
-            self.path.unlink(missing_ok=True)
+        self._end()
 
     def write(self, moment: Moment) -> None:
         """Append a line.
@@ -147,6 +152,13 @@ class Recorder:
         with writing(self.path):
             self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
         self._begun = True
+
+    def _end(self) -> None:
+        """Close the file, and remove it if it holds nothing of a run."""
+        with suppress(OSError):  # what a full disk did not take: `write` has raised for it
+            self._file.close()
+        if not self._begun:
+            self.path.unlink(missing_ok=True)
 
 
 def read_record(path: Path) -> Record:
@@ -223,7 +235,7 @@ def _row(line: str, width: int, place: str) -> tuple[list[float], str]:
     if not np.isfinite([time, *numbers]).all():
         raise KinfeasError(f"{place}: holds a number that is not finite")
     if np.nanmax(np.abs([time, age, *numbers])) > REMOTEST:
-        raise KinfeasError(f"{place}: holds a number beyond {REMOTEST:g}, which nothing can be")
+        raise KinfeasError(f"{place}: holds a number beyond {REMOTEST:,.0f}, which nothing can be")
     if numbers[-2] not in (0.0, 1.0) or numbers[-1] < 0.0 or numbers[-1] % 1.0:
         raise KinfeasError(f"{place}: 'feasible' must be 0 or 1 and 'leg' a whole number >= 0")
     return [time, age, *numbers], entries[-1]

@@ -38,11 +38,16 @@ class Interval:
         """Return the words that follow "a number": `> 0`, `<= 1` or `in (0, 1]`."""
         everything = Interval()
         if self.high == everything.high:
-            return f"{'>' if self.open_low else '>='} {self.low:g}"
+            return f"{'>' if self.open_low else '>='} {_digits(self.low)}"
         if self.low == everything.low:
-            return f"{'<' if self.open_high else '<='} {self.high:g}"
+            return f"{'<' if self.open_high else '<='} {_digits(self.high)}"
         ends = "(" if self.open_low else "[", ")" if self.open_high else "]"
-        return f"in {ends[0]}{self.low:g}, {self.high:g}{ends[1]}"
+        return f"in {ends[0]}{_digits(self.low)}, {_digits(self.high)}{ends[1]}"
+
+
+def _digits(number: float) -> str:
+    """Return a number with no more digits than one reads, a million and its like in full."""
+    return f"{number:.0f}" if 1e6 <= abs(number) < 1e12 else f"{number:g}"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import Positive, Vector
-from kinfeas.scenes.mechanism import Joint
+from kinfeas.scenes.mechanism import MechanismJoint
 from kinfeas.scenes.objects import SceneObject, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.schema import no_such
@@ -55,7 +55,7 @@ class Exercise:
         part: The same of what moves, while it is closed.
     """
 
-    joint: Joint
+    joint: MechanismJoint
     handle: Array
     plan: Plan
     body: Corners
@@ -83,12 +83,12 @@ def load_exercise(name: str) -> Exercise:
     )
 
 
-def _joint(room: Scene, name: str, inertia: float) -> Joint:
+def _joint(room: Scene, name: str, inertia: float) -> MechanismJoint:
     handle = room.handles[name]
     one = room.objects[handle.object]
     joint = one.urdf.joints[str(handle.joint)]
     frame = one.link_poses()[joint.child]
-    return Joint(
+    return MechanismJoint(
         kind="slide" if joint.kind == "prismatic" else "hinge",
         origin=_vector(frame[:3]),
         axis=_vector(rotation(frame).apply(joint.axis)),

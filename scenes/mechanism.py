@@ -22,7 +22,7 @@ class Mechanism(Protocol):
 
 
 @dataclass(frozen=True)
-class Joint:
+class MechanismJoint:
     """A hinge or a slide.
 
     Attributes:
@@ -87,7 +87,7 @@ class AnalyticMechanism:
         handle: Pose of the handle while closed, world, shape (7,).
     """
 
-    def __init__(self, joint: Joint, handle: Array) -> None:
+    def __init__(self, joint: MechanismJoint, handle: Array) -> None:
         self._joint, self._handle = joint, handle
         self.position = 0.0
         self._velocity = 0.0

@@ -108,8 +108,13 @@ class CommandGuard(Passing):
             self.backend.step(self.base_twist, self.joint_targets, self._dt)
 
     def close(self) -> None:
-        """Close the backend; it may be called twice."""
-        self.backend.close()
+        """Close the backend; it may be called twice.
+
+        Raises:
+            KinfeasError: If a backend from outside fails.
+        """
+        with blaming(self.backend, "close"):
+            self.backend.close()
 
     def _arm(self, targets: Array, dt: float) -> Array:
         """Return how far toward targets, shape (j,), the arm is sent on."""

@@ -7,40 +7,30 @@ from kinfeas import registry
 from kinfeas.backend import Backend
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
-from kinfeas.quantities import Seconds, SlowDown
+from kinfeas.legs import PaceSettings
+from kinfeas.look_ahead import Foresight
 from kinfeas.sim2real.guard_config import Guards
 
 
 @dataclass(frozen=True)
-class DeployConfig:
-    """What can be set of a deployment beside policy, robot, backend and goal.
+class DeployConfig(PaceSettings):
+    """What can be set of a deployment beside policy, robot, backend, goal and its pace.
 
     Attributes:
-        slow_down: How many times longer than planned the EE motions last.
-        head_start: Seconds that the EE stands still at first, while the base moves already.
-        patience: Seconds for which motion and base wait at most for an arm that swings to another
-            configuration.
         guards: When it is stopped.
         generator: Keyword parameters of the motion generator of a goal.
         task: Keyword parameters of the task.
         backend: Keyword parameters of the backend, beside those that every robot gives it.
         ik: How hard IK searches.
+        look_ahead: How far and how widely it looks, if it looks ahead.
     """
 
-    slow_down: SlowDown = 1.0
-    head_start: Seconds = 0.0
-    patience: Seconds = PATIENCE_SECONDS
     guards: Guards = field(default_factory=Guards)
     generator: dict[str, object] = field(default_factory=dict)
     task: dict[str, object] = field(default_factory=dict)
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
-
-    @property
-    def pace(self) -> Pace:
-        """How EE motions are carried out."""
-        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS, patience=self.patience)
+    look_ahead: Foresight = field(default_factory=Foresight)
 
 
 def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:

@@ -36,6 +36,7 @@ class Outcome:
         seconds: How long it lasted.
         failures: Control periods without an IK solution.
         timing: How regular they were.
+        unclosed: Why the backend could not be closed, or nothing.
     """
 
     code: Code
@@ -44,6 +45,7 @@ class Outcome:
     seconds: float
     failures: int
     timing: Timing
+    unclosed: str = ""
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,8 @@ def make_goal_task(
     """
     numbers = np.array([*position, *(orientation or ())])
     if not (np.abs(numbers) <= REMOTEST).all():
-        raise KinfeasError(f"a goal must be made of finite numbers of at most {REMOTEST:g} in size")
+        most = f"at most {REMOTEST:,.0f} in size"
+        raise KinfeasError(f"a goal must be made of finite numbers of {most}")
     if orientation is None:
         return GoalTask(numbers, None, motion)
     turn = numbers[3:]

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from kinfeas.adapters import AdapterSpec, wrap
 from kinfeas.backend import Backend, Live, RobotState
-from kinfeas.errors import KinfeasError
-from kinfeas.foreign import USUAL
+from kinfeas.foreign import BLAMED
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.command_guard import CommandGuard, check_command
 from kinfeas.sim2real.fault import Fault
@@ -48,6 +47,7 @@ class Guarded(Passing):
     Attributes:
         state: What was measured last and believed.
         unstopped: Why the base could not be commanded to zero, or nothing.
+        unclosed: Why the backend could not be closed, or nothing.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Guarded(Passing):
         self._measured = MeasurementGuard(robot, self.guards, needs_age=needs_age)
         self._steady = self._wall = np.nan
         self._fails = 0
-        self.unstopped = ""
+        self.unstopped = self.unclosed = ""
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
 
     @property
@@ -158,18 +158,18 @@ class Guarded(Passing):
         """
         try:
             self._commands.stop()
-        except (KinfeasError, *USUAL) as error:
+        except BLAMED as error:
             # What has led here is what the user must hear of; the watchdog tries again.
             self.unstopped = str(error) or type(error).__name__
 
     def close(self) -> None:
-        """Stop the base and close the backend; it may be called twice."""
+        """Stop the base and close the backend; it may be called twice, and raises nothing."""
         self.stop()
         try:
             self.backend.close()
-        except KinfeasError:
+        except BLAMED as error:
             if not self.unstopped:  # or else it is known already that nothing can be sent
-                raise
+                self.unclosed = str(error) or type(error).__name__
 
     def _check_delay(self) -> None:
         """Raise if the measurement that a command is made of has become too old meanwhile."""

@@ -135,6 +135,7 @@ class Link(Protocol):
         ...
 
 
+@runtime_checkable
 class RobotLink(Protocol):
     """The robot's end of a transport, for whatever plays the robot."""
 

@@ -4,6 +4,7 @@ import signal
 import sys
 import traceback
 from contextlib import closing, nullcontext, suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from kinfeas.adapters import paced
 from kinfeas.backend import blaming
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import USUAL
+from kinfeas.foreign import BLAMED
 from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
 from kinfeas.record import REACHED, Moment, Recorder
@@ -39,7 +40,8 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
         run.connect()
         with run.watch() as watchdog:
             run.start()
-            return run.drive(watchdog, signals)
+            outcome = run.drive(watchdog, signals)
+    return replace(outcome, unclosed=run.guarded.unclosed)
 
 
 class _Run:
@@ -103,7 +105,7 @@ class _Run:
             code, reason = self.go(watchdog, signals)
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
-        except USUAL as error:
+        except BLAMED as error:
             # A mistake in somebody's code, who needs to know where.
             self.guarded.stop()
             traceback.print_exc()

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,63 @@ def test_a_file_that_is_not_there_is_named(tmp_path, monkeypatch):
 def test_wrong_adapters_are_one_sentence(pr2):
     with pytest.raises(KinfeasError, match="did you mean 'base_noise'"):
         wrap(AnalyticBackend(), [AdapterSpec("base_nose")], pr2)
+
+
+class Pacer:
+    """A backend around a backend that answers what a test says."""
+
+    answer = None
+
+    def __init__(self, backend, robot):
+        self.backend = backend
+
+    def pace(self, pace):
+        return self.answer(pace)
+
+    def reset(self, *arguments):
+        return self.backend.reset(*arguments)
+
+    def step(self, *arguments):
+        return self.backend.step(*arguments)
+
+    def close(self):
+        self.backend.close()
+
+
+def lost(pace):
+    raise KeyError("pace")
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (lambda pace: None, "^adapter Pacer must return a Pace from pace, not NoneType$"),
+        (lost, r"^adapter Pacer fails in pace: KeyError: 'pace' \(test_adapters.py, line \d+\)$"),
+        (
+            lambda pace: replace(pace, head_start=np.nan),
+            "^head_start must be a number >= 0 in all, n",
+        ),
+        (
+            lambda pace: replace(pace, patience=-1.0),
+            "^patience must be a number >= 0 in all, not -1$",
+        ),
+    ],
+)
+def test_a_pace_that_is_none_is_one_sentence(pr2, monkeypatch, answer, sentence):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    monkeypatch.setattr(Pacer, "answer", staticmethod(answer))
+    registry.register("kinfeas.adapters", "pacer", Pacer)
+    with pytest.raises(KinfeasError, match=sentence):
+        paced(wrap(AnalyticBackend(), [AdapterSpec("pacer")], pr2), Pace())
+
+
+def test_the_pace_of_an_adapter_from_outside_counts_once(pr2, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    twice = staticmethod(lambda pace: replace(pace, slow_down=2.0 * pace.slow_down))
+    monkeypatch.setattr(Pacer, "answer", twice)
+    registry.register("kinfeas.adapters", "pacer", Pacer)
+    backend = wrap(AnalyticBackend(), [AdapterSpec("pacer"), AdapterSpec("head_start")], pr2)
+    assert paced(backend, Pace()) == Pace(slow_down=2.0, head_start=3.0)
 
 
 def test_the_first_one_is_innermost_and_a_backend_alone_has_its_pace(pr2):

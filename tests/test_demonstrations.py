@@ -1,5 +1,6 @@
 import re
 import resource
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,7 +144,7 @@ def arrays(**replaced):
         ({"time": np.array(list("abcde"))}, "time: must hold numbers"),
         ({"time": np.array([0, 1, 1, 2, 3])}, r"time\[2\]: does not ascend"),
         ({"time": np.array([0, 1, 2, 3, 1e300])}, r"time\[4\]: is more than 100000 s after"),
-        ({"ee_pose": np.full((5, 7), 1e300)}, r"ee_pose\[0\]: is beyond 1e\+08 m"),
+        ({"ee_pose": np.full((5, 7), 1e300)}, r"ee_pose\[0\]: is beyond 100,000,000 m"),
         ({"ee_pose": np.zeros((5, 7))}, r"ee_pose\[0\]: has no unit quaternion"),
         ({"ee_pose": np.array([None] * 5)}, "no NPZ file of plain arrays"),
     ],
@@ -193,6 +194,24 @@ def test_what_is_not_there(tmp_path):
 def test_what_cannot_be_written(tmp_path, name):
     with pytest.raises(KinfeasError, match=r"must be a|cannot be written"):
         write_demonstration(demonstration(), tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"ee_pose": np.zeros((5, 6))}, r"ee_pose: must hold numbers of shape \(5, 7\), not"),
+        ({"time": np.arange(2.0)}, r"ee_pose: must hold numbers of shape \(2, 7\), not"),
+        ({"time": np.zeros(5)}, r"time\[1\]: does not ascend"),
+        ({"object_pose": np.full((5, 7), np.nan)}, r"object_pose\[0\]: is not finite"),
+        ({"ee_pose": np.zeros((5, 7))}, r"ee_pose\[0\]: has no unit quaternion"),
+    ],
+)
+def test_what_could_not_be_read_back_is_not_written(tmp_path, suffix, changes, message):
+    path = tmp_path / f"one.{suffix}"
+    with pytest.raises(KinfeasError, match=message):
+        write_demonstration(replace(demonstration(), **changes), path)
+    assert not path.exists()
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz"])

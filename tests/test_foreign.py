@@ -1,10 +1,9 @@
-import sys
 import types
 
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import USUAL, Blaming
+from kinfeas.foreign import BLAMED, Blaming
 
 
 class OwnError(Exception):
@@ -53,7 +52,11 @@ def test_without_an_error_nothing_happens_again_and_again():
         raise ValueError("no")
 
 
-def test_usual_errors_are_none_of_the_machine():
-    nobodys = (MemoryError, SystemError, KeyboardInterrupt)
-    assert not any(issubclass(one, USUAL) for one in nobodys)
-    assert sys.exception() is None
+@pytest.mark.parametrize("error", [MemoryError(), SystemError(), KinfeasError("known")])
+def test_what_is_caught_as_anybodys_is_blamed_on_nobody(error):
+    assert isinstance(error, BLAMED)
+    assert Blaming("it fails:").blame(error) is None
+
+
+def test_nobody_at_the_keyboard_is_kept_from_ending_the_program():
+    assert not issubclass(KeyboardInterrupt, BLAMED)

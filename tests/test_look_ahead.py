@@ -144,3 +144,5 @@ def test_is_loaded_by_name():
 
     assert isinstance(load_driver("look_ahead:follow_ee", robot), LookAhead)
     assert not isinstance(load_driver("follow_ee", robot), LookAhead)
+    assert load_driver("look_ahead:follow_ee", robot).foresight == Foresight()
+    assert load_driver("look_ahead:follow_ee", robot, NEAR).foresight is NEAR

@@ -5,8 +5,10 @@ import pytest
 
 from kinfeas import spatial
 from kinfeas.backend import RobotState
+from kinfeas.conformance.adapter import CheckedAdapter
 from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.legs import LegMotion, Pace
 from kinfeas.loop import Loop
@@ -283,6 +285,15 @@ def test_backends_that_draw_get_a_seed_for_each_episode(solver):
     assert len(set(first)) == 4
     loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
     assert backend.given[-1] == ([first[2]], [1])
+
+
+def test_a_backend_that_cannot_be_saved_is_named(solver):
+    for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'")):
+        loop = Loop(solver, [LegMotion(Linear())], backend)
+        with pytest.raises(KinfeasError, match=r"^Recorder cannot be saved in the midst of a run$"):
+            loop.snapshot()
+        with pytest.raises(KinfeasError, match=r"^Recorder cannot go on from a saved run$"):
+            loop.restore({})
 
 
 def test_snapshot_goes_on_to_the_bit(solver):

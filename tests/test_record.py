@@ -1,3 +1,6 @@
+import resource
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 
@@ -68,6 +71,33 @@ def test_is_readable_wherever_it_breaks_off(path):
     assert len(read_record(path).time) == 2
 
 
+@contextmanager
+def full_disk(size):
+    """Let no file grow beyond a size."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_is_one_error_and_leaves_what_was_written(path):
+    with Recorder(path, ABOUT) as recorder:
+        recorder.write(moment(1))
+        with full_disk(path.stat().st_size + 20):
+            with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written"):
+                recorder.write(moment(2))
+            recorder.__exit__()
+    assert read_record(path).time.tolist() == [0.02]
+
+
+def test_a_disk_that_is_full_before_the_run_keeps_no_file(path):
+    with full_disk(20), pytest.raises(KinfeasError, match=r"run\.csv: cannot be written"):
+        Recorder(path, ABOUT)
+    assert not path.exists()
+
+
 def test_never_writes_over_another_record(path):
     write(path, [moment(0)])
     with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written: File exists"):
@@ -87,7 +117,7 @@ def test_never_writes_over_another_record(path):
         ('["shoulder", "elbow, the left"]', "5", "line 1: 'joints' must be a list"),
         ("elbow, the left\"]", "wrist\"]", "line 2: not the columns"),
         ("\n0.0200,", "\nnan,", "line 4: holds a number that is not finite"),
-        ("\n0.0200,", "\n1e300,", r"line 4: holds a number beyond 1e\+08"),
+        ("\n0.0200,", "\n1e300,", r"line 4: holds a number beyond 100,000,000,"),
         ("\n0.0200,", "\nsoon,", "line 4: could not convert"),
         ("\n0.0200,", "\n0.0200,1,", "line 4: "),
     ],

@@ -226,6 +226,9 @@ def test_unsupported_field_is_the_programmers_error():
         (Interval(low=2, open_low=True), (3,), (2,), "> 2"),
         (Interval(high=2), (2, -1e300), (3,), "<= 2"),
         (Interval(high=2, open_high=True), (1,), (2,), "< 2"),
+        (Interval(1, 10_000_000), (1e7,), (1e7 + 1,), "in [1, 10000000]"),
+        (Interval(-1e6, 2.5e6), (0,), (3e6,), "in [-1000000, 2500000]"),
+        (Interval(low=1e-9, high=1e300), (1,), (0,), "in [1e-09, 1e+300]"),
     ],
 )
 def test_interval(interval, inside, outside, text):

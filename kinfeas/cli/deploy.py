@@ -109,7 +109,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--look-ahead",
             help="Try the next 6 s out every 0.5 s, beside the control loop, and deviate from the "
-            "policy where it would fail or the arm jump.",
+            "policy where it would fail or the arm jump. Settings: look_ahead.KEY.",
         ),
     ] = False,
     overrides: options.Overrides = None,
@@ -117,7 +117,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Drive a robot to a goal or through a task, behind guards, and record the run.
 
-    Settings: [bold]guards.KEY[/], slow_down, head_start, patience, ik, and the parameters
+    Settings: [bold]guards.KEY[/], slow_down, head_start, patience, ik, [bold]look_ahead.KEY[/]
+    (seconds that are tried out, every so many seconds, tries, spread, jump), and the parameters
     [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/].
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
@@ -133,6 +134,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     check_outputs({"--record": record, "--json": json}, sources)
     if record is not None and record.exists():
         raise KinfeasError(f"--record: {record} exists, and a record is never written over")
+    options.check_look_ahead(overrides, wanted=look_ahead)
     wishes = Wishes(
         policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time, look_ahead
     )
@@ -150,6 +152,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         sys.stderr.write(f"stopped: {outcome.reason}\n")
     if outcome.unstopped:
         sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
+    if outcome.unclosed:
+        sys.stderr.write(f"the backend could not be closed: {outcome.unclosed}\n")
     if json is not None:
         _write_json(outcome, recorder.path, json)
     raise typer.Exit(int(outcome.code))
@@ -179,7 +183,10 @@ def _record_path(about: "About") -> Path:
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
-    return folder / f"{date}-{_plain(Path(about.robot).stem)}-{_plain(about.task)}.csv"
+    name = f"{date}-{_plain(Path(about.robot).stem)}-{_plain(about.task)}"
+    names = (name, *(f"{name}-{number}" for number in range(2, 100)))  # begun in the same second
+    paths = [folder / f"{one}.csv" for one in names]
+    return next((path for path in paths if not path.exists()), paths[0])
 
 
 def _plain(name: str) -> str:

@@ -99,7 +99,7 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
 
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
-    policy = LookAhead(trained) if wishes.look_ahead else trained
+    policy = LookAhead(trained, config.look_ahead) if wishes.look_ahead else trained
     warm_up(solver, policy, task, wishes.dt, adapters)
     if wishes.backend == _WORLD:
         from kinfeas.config import from_mapping
@@ -115,7 +115,7 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         backend = build_backend(wishes.backend, config.backend, robot=robot)
     # A world without a clock waits for a look, and so comes out the same each time.
     if wishes.look_ahead and (wishes.real_time or isinstance(backend, Live)):
-        policy = LookAheadThread(trained)
+        policy = LookAheadThread(trained, config.look_ahead)
     return Setup(
         solver=solver,
         policy=policy,

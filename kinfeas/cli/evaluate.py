@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from kinfeas.robots.robot import Robot
 
     OnDone = Callable[[int], None]
-    Run = Callable[[Specs, OnDone | None], Summary]
+    WatchedEvaluation = Callable[[Specs, OnDone | None], Summary]
     """Evaluates within adapters; the second argument takes the numbers of ended episodes."""
 
 _EPISODES = {"analytic": 500, "pybullet": 50}
@@ -91,7 +91,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--look-ahead",
             help="Try the next 6 s out every 0.5 s, and deviate from the policy where it would "
-            "fail or the arm jump; many times slower.",
+            "fail or the arm jump; many times slower. Settings: look_ahead.KEY.",
         ),
     ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
@@ -116,8 +116,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik, and reward, which
     changes no figure; with physics dt, max_failures, max_seconds, adapters, ik, physics, patience,
-    slow_down, head_start, objects) and [bold]task.KEY[/], the task's own parameters, such as
-    [bold]task.orientation=so3[/].
+    slow_down, head_start, objects), [bold]task.KEY[/], the task's own parameters, such as
+    [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds that are tried out, every so
+    many seconds, tries, spread, jump).
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.
     [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
@@ -132,6 +133,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     check_outputs(outputs, sources)
     if look_ahead:
         policy = f"look_ahead:{policy}"
+    options.check_look_ahead(overrides, wanted=policy.startswith("look_ahead:"))
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
     said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
@@ -202,7 +204,7 @@ def _analytic(
     seed: int,
     processes: int,
     overrides: list[str] | None,
-) -> "Run":
+) -> "WatchedEvaluation":
     from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, trial_ceiling
     from kinfeas.evaluation.evaluate import evaluate as judge
     from kinfeas.evaluation.policies import load_driver
@@ -212,7 +214,7 @@ def _analytic(
     known = options.read_robot(robot)
     _check_adapters(config.world.adapters, known)
     trial = Trial(known, options.read_task(task, config.task), episodes, seed, config.world)
-    driver = load_driver(policy, known)
+    driver = load_driver(policy, known, config.look_ahead)
     with progress("ceiling") as advance:
         ceiling = trial_ceiling(trial, advance)
 
@@ -236,12 +238,13 @@ def _put_to(
     config = physics_config(known, overrides)
     _check_adapters(config.world.adapters, known)
     read = options.read_task(task, config.task)
-    return PhysicsTrial(known, read, episodes, seed, config.world), load_driver(policy, known)
+    driver = load_driver(policy, known, config.look_ahead)
+    return PhysicsTrial(known, read, episodes, seed, config.world), driver
 
 
 def _physics(
     policy: str, trial: "PhysicsTrial", driver: "Policy", processes: int, *, gui: bool
-) -> "Run":
+) -> "WatchedEvaluation":
     from kinfeas.evaluation.evaluate import Trial, trial_ceiling
     from kinfeas.evaluation.physics.evaluate import evaluate_physics
 

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import inputs, options
-from kinfeas.cli.output import check_file_path, check_outputs, print_table, status, write_json
+from kinfeas.cli.output import (
+    check_file_path,
+    check_outputs,
+    check_suffix,
+    print_table,
+    status,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from kinfeas.plugins.fit import Fit
@@ -49,6 +56,8 @@ def fit(
 
     sources = {"--demonstrations": inputs.of_demonstrations(demonstrations)}
     check_outputs({"--out": out, "--json": json}, sources)
+    # By this ending a generator knows the path of a model from a name.
+    check_suffix("--out", out, ".yaml", ".yml")
     # The folder's name only: where it lies on this machine says nothing to others.
     folder = shlex.quote(demonstrations.resolve().name)
     command = (

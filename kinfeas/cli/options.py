@@ -18,6 +18,7 @@ import typer
 
 from kinfeas.cli import completion
 from kinfeas.cli.output import check_file_path
+from kinfeas.errors import KinfeasError
 from kinfeas.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 
 if TYPE_CHECKING:
@@ -101,6 +102,18 @@ def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
     from kinfeas import config
 
     return config.from_mapping(cls, {}, "settings", overrides or ())
+
+
+def check_look_ahead(overrides: list[str] | None, *, wanted: bool) -> None:
+    """Check that `--set` says nothing of looking ahead unless that is `wanted`.
+
+    Raises:
+        KinfeasError: If it does.
+    """
+    from kinfeas.config import assigned
+
+    if not wanted and "look_ahead" in assigned(overrides or ()):
+        raise KinfeasError("--set look_ahead.KEY needs --look-ahead")
 
 
 def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:

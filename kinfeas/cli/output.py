@@ -126,7 +126,7 @@ def write_json(data: object, path: Path) -> None:
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str | Text"]]) -> None:
     """Print rows of text; columns whose name begins with a blank are set flush right.
 
-    A string is shown as it stands: no part of it is markup or moves the cursor.
+    A string is shown as it stands and whole: no part of it is markup or moves the cursor.
     """
     from rich.console import Console
     from rich.table import Table
@@ -134,7 +134,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str
     table = Table(title=_plain(title, "table.title"), title_justify="left")
     for column in columns:
         side: Literal["left", "right"] = "right" if column.startswith(" ") else "left"
-        table.add_column(_plain(column.strip()), justify=side)
+        table.add_column(_plain(column.strip()), justify=side, overflow="fold")
     for row in rows:
         table.add_row(*(_plain(cell) if isinstance(cell, str) else cell for cell in row))
     Console().print(table)
@@ -186,6 +186,7 @@ class _Lines:
 
     def __init__(self, text: str, total: float) -> None:
         self._text, self._total, self._done = _plain(text).plain, total, 0.0
+        self._slow = 0.0  # done with the first call, if that took as long as a line
         self._begun = self._last = time.monotonic()
 
     def __call__(self, amount: float) -> None:
@@ -195,8 +196,13 @@ class _Lines:
             return
         self._last = now
         share = min(self._done / self._total, 1.0)
-        left = (now - self._begun) * (1.0 - share) / share
-        sys.stderr.write(f"{share:4.0%}  {self._text}, {minutes(left)} left\n")
+        if self._done == amount:  # kernels were compiled meanwhile: nothing is known of the rest
+            self._begun, self._slow = now, share
+        left = ""
+        if share > self._slow:
+            seconds = (now - self._begun) * (1.0 - share) / (share - self._slow)
+            left = f", {minutes(seconds)} left"
+        sys.stderr.write(f"{share:4.0%}  {self._text}{left}\n")
         sys.stderr.flush()
 
 

@@ -1,5 +1,6 @@
 """`kinfeas plugins new`: a small distribution to begin with."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -25,4 +26,5 @@ def new(
     folder = out or Path(f"kinfeas-{name.replace('_', '-')}")
     for path in write_distribution(kind, name, folder):
         typer.echo(str(path))
-    typer.echo(f"install it: pip install -e {folder}\ntest it: pytest {folder}")
+    quoted = shlex.quote(str(folder))
+    typer.echo(f"install it: pip install -e {quoted}\ntest it: pytest {quoted}")

@@ -8,11 +8,11 @@ from kinfeas.cli.output import print_table, progress, share, status
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.evaluation.sim2real import Cost, Run, Specs
+    from kinfeas.evaluation.sim2real import Cost, Evaluation, Specs
 
 
 def weigh(
-    run: "Run", name: str, adapters: "Specs", picture: Path | None
+    run: "Evaluation", name: str, adapters: "Specs", picture: Path | None
 ) -> tuple["Summary", dict[str, object], Callable[[], None]]:
     """Return what a policy does within adapters.
 

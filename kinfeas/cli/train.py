@@ -207,7 +207,7 @@ def _show(progress: "Progress", folder: Path) -> None:
         ["time", f"{progress.seconds / 60.0:.1f} min"],
         ["steps per second, evaluations included", f"{progress.steps / progress.seconds:,.0f}"],
         [
-            f"success of the best checkpoint, {figures['episodes']} episodes",
+            f"best checkpoint's success, {figures['episodes']} episodes",
             share(*(float(figures[key]) for key in ("success", "success_low", "success_high"))),
         ],
         ["it came after steps", f"{figures['steps']:,}"],

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import USUAL, Blaming
+from kinfeas.foreign import BLAMED, Blaming
 from kinfeas.motion import Demonstrated, MotionGenerator, State
 from kinfeas.spatial import Array
 
@@ -71,7 +71,7 @@ class CheckedMotion:
         """Return the world poses at which the motions end, shape (n, 7)."""
         try:
             goal = self.generator.goal_pose(state)
-        except USUAL as error:
+        except BLAMED as error:
             self._goal_pose.blame(error)
             raise
         n = _count(state)
@@ -84,7 +84,7 @@ class CheckedMotion:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         try:
             answer = self.generator.twist(state, ee_pose, dt)
-        except USUAL as error:
+        except BLAMED as error:
             self._twist.blame(error)
             raise
         if not _plausible(answer, len(ee_pose)):

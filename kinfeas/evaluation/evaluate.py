@@ -15,6 +15,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.ceiling import measure_ceiling
 from kinfeas.evaluation.episodes import BATCH, run_episodes
+from kinfeas.look_ahead import Foresight
 from kinfeas.metrics import EpisodeRecords, Figures, Share, summarize
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
@@ -64,10 +65,12 @@ class EvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
+        look_ahead: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)
+    look_ahead: Foresight = field(default_factory=Foresight)
 
 
 def evaluate(

@@ -2,12 +2,16 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kinfeas import policy, pretrained
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from kinfeas.look_ahead import Foresight
 
 
 # Each is imported when it is asked for: a deployed policy needs none of them.
@@ -96,8 +100,13 @@ def check_place(path: Path) -> None:
         raise KinfeasError(f"{path}: empty, and so not the ONNX file of an export")
 
 
-def load_driver(name: str, robot: Robot) -> Policy:
+def load_driver(name: str, robot: Robot, foresight: "Foresight | None" = None) -> Policy:
     """Return what `load_policy` does, or for `look_ahead:NAME` that policy, looking ahead.
+
+    Args:
+        name: Of the policy.
+        robot: Who moves.
+        foresight: How far and how widely it looks; the defaults by default.
 
     Raises:
         KinfeasError: As `load_policy`.
@@ -106,4 +115,4 @@ def load_driver(name: str, robot: Robot) -> Policy:
         return load_policy(name, robot)
     from kinfeas.look_ahead import LookAhead
 
-    return LookAhead(load_policy(name.removeprefix(LOOK_AHEAD), robot))
+    return LookAhead(load_policy(name.removeprefix(LOOK_AHEAD), robot), foresight)

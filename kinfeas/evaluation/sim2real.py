@@ -7,7 +7,7 @@ from kinfeas.adapters import AdapterSpec
 from kinfeas.evaluation.evaluate import Summary
 
 Specs = tuple[AdapterSpec, ...]
-Run = Callable[[Specs], Summary]
+Evaluation = Callable[[Specs], Summary]
 """Evaluates a policy within adapters, the first one innermost."""
 
 NONE, ALL = "none", "all"
@@ -65,13 +65,13 @@ AXES = (
 """What a robot's owner can measure or choose."""
 
 
-def measure_costs(run: Run, adapters: Specs) -> list[Cost]:
+def measure_costs(run: Evaluation, adapters: Specs) -> list[Cost]:
     """Return the figures without adapters, within each one alone, and within all."""
     alone = [Cost(adapter.name, run((adapter,))) for adapter in adapters]
     return [Cost(NONE, run(())), *alone, Cost(ALL, run(adapters))]
 
 
-def measure_sweeps(run: Run, adapters: Specs, axes: Sequence[Axis] = AXES) -> list[Sweep]:
+def measure_sweeps(run: Evaluation, adapters: Specs, axes: Sequence[Axis] = AXES) -> list[Sweep]:
     """Return the figures along each axis, with all other numbers of `adapters` as they are."""
     return [
         Sweep(axis, tuple(run(with_value(adapters, axis, value)) for value in axis.values))

@@ -1,7 +1,13 @@
-"""Folders that are replaced as a whole: whoever is killed while writing one loses nothing."""
+"""Folders that are replaced as a whole, and folders that one process works in at a time.
 
+Whoever is killed while writing one loses nothing.
+"""
+
+import fcntl
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from safetensors import SafetensorError
@@ -40,6 +46,33 @@ def find_folder(folder: Path) -> Path:
     """Return `folder`, or what a writer killed while replacing it left in its place."""
     old = _old(folder)
     return old if old.is_dir() and not folder.is_dir() else folder
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for the same out of a folder, until the end or a kill.
+
+    A file system that has no locks lets all of them in.
+
+    Raises:
+        KinfeasError: If another process is in it, or there is no such folder.
+    """
+    with writing(folder):
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        _take(lock, folder)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _take(lock: int, folder: Path) -> None:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise KinfeasError(f"{folder}: another process is at work in it") from error
+    except OSError:
+        return  # there are no locks here
 
 
 def _old(folder: Path) -> Path:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from kinfeas.config import Interval
 from kinfeas.envs.world import WorldConfig
-from kinfeas.evaluation.physics.world import Place
+from kinfeas.evaluation.physics.world import PhysicsChanges
 from kinfeas.quantities import (
     LAST_SEED,
     MOST_PROCESSES,
@@ -123,7 +123,7 @@ class TrainConfig:
     environments: Annotated[int, Interval(low=1, high=65_536)] = 256
     hold: Annotated[int, Interval(low=1, high=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
-    physics: Place | None = None
+    physics: PhysicsChanges | None = None
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

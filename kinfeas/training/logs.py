@@ -1,6 +1,7 @@
 """What a training run writes down as it goes: `metrics.csv` and TensorBoard."""
 
 import csv
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,25 +48,34 @@ class Logs:
             fresh.replace(self.path)
             self._file = self.path.open("a", newline="", encoding="utf-8")
         self._table = _table(self._file)
-        board = out / "tensorboard"
-        with writing(board):
-            self._board = SummaryWriter(str(board), purge_step=steps, flush_secs=_FLUSH_SECONDS)
+        self._folder = out / "tensorboard"
+        with writing(self._folder):
+            self._board = SummaryWriter(
+                str(self._folder), purge_step=steps, flush_secs=_FLUSH_SECONDS
+            )
 
     def __enter__(self) -> "Logs":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._board.close()
+        with suppress(OSError):  # what a full disk did not take: `write` has raised for it
+            self._file.close()
+        with writing(self._folder):
+            self._board.close()
 
     def write(self, row: dict[str, float]) -> None:
-        """Write one row of figures."""
+        """Write one row of figures.
+
+        Raises:
+            KinfeasError: If it, or one before it, cannot be written.
+        """
         with writing(self.path):
             self._table.writerow(row)
             self._file.flush()
-        for key, value in row.items():
-            if key != "steps":
-                self._board.add_scalar(key, value, int(row["steps"]))
+        with writing(self._folder):  # by a thread, which hands on its errors
+            for key, value in row.items():
+                if key != "steps":
+                    self._board.add_scalar(key, value, int(row["steps"]))
 
 
 def _table(file: Any) -> "csv.DictWriter[str]":

@@ -1,5 +1,6 @@
 """A training run: collect, learn, evaluate, save; and go on after any interruption."""
 
+import shlex
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,7 +17,7 @@ from kinfeas.evaluation.policies import load_policy
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network, write_network
 from kinfeas.storage.files import writing
-from kinfeas.storage.folders import find_folder, write_folder
+from kinfeas.storage.folders import alone, find_folder, write_folder
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
@@ -52,30 +53,38 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     Raises:
         KinfeasError: If the folder exists with something in it, or cannot be written.
     """
-    with writing(out):
-        if out.is_dir() and any(out.iterdir()):
-            raise KinfeasError(f"{out}: already there; use --resume {out}, or another --out")
+    _check_new(out)
     # What is wrong with the configuration shows here, before anything is written.
     config = _fitted(config)
     run = _Run(config, out)
     run.begin()
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    configuration.dump(config, out / "config.yaml")
-    return run.go(report)
+    with alone(out):
+        _check_new(out)  # another run may have begun there since
+        configuration.dump(config, out / "config.yaml")
+        return run.go(report)
 
 
 def resume(out: Path, report: Report | None = None) -> Progress:
     """Go on with a run from its last checkpoint and return how far it came.
 
     Raises:
-        KinfeasError: If the folder is no run, or its checkpoint is broken.
+        KinfeasError: If the folder is no run, its checkpoint is broken, or the run still goes on.
     """
     if not (out / "config.yaml").is_file():
         raise KinfeasError(f"{out}: not a training run: there is no config.yaml in it")
-    run = _Run(configuration.load(TrainConfig, out / "config.yaml"), out)
-    run.load()
-    return run.go(report)
+    with alone(out):
+        run = _Run(configuration.load(TrainConfig, out / "config.yaml"), out)
+        run.load()
+        return run.go(report)
+
+
+def _check_new(out: Path) -> None:
+    with writing(out):
+        if out.is_dir() and any(out.iterdir()):
+            again = f"--resume {shlex.quote(str(out))}"
+            raise KinfeasError(f"{out}: already there; use {again}, or another --out")
 
 
 def _fitted(config: TrainConfig) -> TrainConfig:

@@ -46,7 +46,7 @@ def physics_world(config: TrainConfig) -> World:
     assert config.physics is not None
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
     stage = make_stage(robot, task, config.physics)
-    return make_physics_world(robot, stage, config.world, config.physics, config.seed)
+    return make_physics_world(robot, stage, config.world, config.physics.pace, config.seed)
 
 
 def analytic_judge(config: TrainConfig, network: Network) -> Judge:
@@ -68,17 +68,17 @@ def analytic_judge(config: TrainConfig, network: Network) -> Judge:
 
 def physics_judge(config: TrainConfig) -> Judge:
     """Return what judges policies in the PyBullet world, in as many processes as learn."""
-    place, world = config.physics, config.world
-    assert place is not None
+    physics, world = config.physics, config.world
+    assert physics is not None
     settings = PhysicsSettings(
         dt=world.dt,
-        slow_down=place.slow_down,
-        head_start=place.head_start,
-        objects=place.objects,
-        patience=place.patience,
+        slow_down=physics.slow_down,
+        head_start=physics.head_start,
+        objects=physics.objects,
+        patience=physics.patience,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,
-        physics=place.physics,
+        physics=physics.physics,
     )
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
     trial = PhysicsTrial(robot, task, 1, config.seed + EVALUATION_SEED, settings)

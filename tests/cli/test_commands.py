@@ -14,6 +14,7 @@ from kinfeas.evaluation import evaluate as evaluate_module
 from kinfeas.evaluation import speed as speed_module
 from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.evaluation.speed import Figure, random_network
+from kinfeas.look_ahead import Foresight, LookAhead
 from kinfeas.policy import write_network
 
 SHORT = ["--set", "world.max_seconds=3.0", "--episodes", "3"]
@@ -36,6 +37,20 @@ def test_evaluate(tmp_path):
     assert figures["episodes"] == 3
     assert figures["policy"] == "follow_ee"
     assert 0.0 <= figures["ceiling"] <= 1.0
+
+
+@pytest.mark.parametrize("world", ["analytic", "pybullet"])
+def test_how_far_and_widely_to_look_ahead_can_be_set(tmp_path, monkeypatch, world):
+    seen = []
+    monkeypatch.setattr(LookAhead, "watch", lambda self, loop: seen.append(self.foresight))
+    monkeypatch.setattr(LookAhead, "act", lambda self, situation: self.policy.act(situation))
+    if world == "pybullet":
+        pytest.importorskip("pybullet")
+    chosen = ["--set", "look_ahead.seconds=2", "--set", "look_ahead.tries=8"]
+    short = ["--world", world, "--episodes", "1", "--set", "world.max_seconds=0.2"]
+    for more in ([], chosen):
+        kinfeas("evaluate", "--policy", "follow_ee", "--look-ahead", *short, *more)
+    assert seen == [Foresight(), Foresight(seconds=2.0, tries=8)]
 
 
 def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch):
@@ -70,6 +85,8 @@ def test_evaluate_a_robot_by_its_path():
         (["--policy", "follow_ee", "--set", "world.dt=0"], "world.dt"),
         (["--policy", "follow_ee", "--set", "word.dt=0.1"], "did you mean 'world'"),
         (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
+        (["--policy", "follow_ee", "--set", "look_ahead.tries=8"], "needs --look-ahead$"),
+        (["--policy", "follow_ee", "--look-ahead", "--set", "look_ahead.tris=8"], "'tries'"),
         (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
         (
             ["--policy", "follow_ee", "--world", "pybullet", "--head-start", "-1"],
@@ -105,7 +122,7 @@ def test_evaluate_is_used_wrongly(arguments):
 
 def test_the_help_of_evaluate_names_every_setting_of_its_worlds():
     shown = set(re.findall(r"\w+", CliRunner().invoke(app, ["evaluate", "--help"]).output))
-    for world in (WorldConfig, PhysicsSettings):
+    for world in (WorldConfig, PhysicsSettings, Foresight):
         assert {field.name for field in fields(world)} <= shown
 
 

@@ -8,9 +8,19 @@ from pathlib import Path
 
 import pytest
 
+from kinfeas import registry
 from kinfeas.cli import deploy
+from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.record import REACHED, About, read_record
 from tests.cli.conftest import is_one_line
+
+
+class Clinging(AnalyticBackend):
+    """A world that cannot be closed."""
+
+    def close(self):
+        raise RuntimeError("still busy")
+
 
 QUICK = ("--set", "generator.gain=1", "--set", "slow_down=1")
 GOAL = ("--backend", "analytic", "--goal", "0.9", "0.1", "0.8")
@@ -45,8 +55,9 @@ def test_drives_to_a_goal_and_records_it(kinfeas, tmp_path):
 
 def test_looking_ahead_carries_on_where_the_policy_alone_gets_stuck(kinfeas, tmp_path):
     wide = ("--backend", "analytic", "--robot", "tiago", "--task", "ggr", "--seed", "7")
-    runs = {}
-    for name, more in (("alone", ()), ("ahead", ("--look-ahead",)), ("again", ("--look-ahead",))):
+    runs, ahead = {}, ("--look-ahead",)
+    more_of_it = (*ahead, "--set", "look_ahead.tries=32", "--set", "look_ahead.seconds=6")
+    for name, more in (("alone", ()), ("ahead", ahead), ("again", more_of_it)):
         done = kinfeas("deploy", "pretrained", *wide, "--seconds", "30", "--as-fast-as-possible",
                        "--record", f"{name}.csv", *more)  # fmt: skip
         runs[name] = done.code, read_record(tmp_path / f"{name}.csv")
@@ -126,6 +137,11 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
      "backend.physics: 'gravity' must be a number >= 0, not -1"),
     (("--backend", "ros1", *GOAL[2:], "--set", "backend.patience=soon"),
      "'patience' must be a finite number, not 'soon'"),
+    ((*GOAL, "--set", "look_ahead.tries=8"), "--set look_ahead.KEY needs --look-ahead"),
+    ((*GOAL, "--look-ahead", "--set", "look_ahead.tries=0"),
+     "'look_ahead.tries' must be a whole number in [1, 1000], not 0"),
+    ((*GOAL, "--look-ahead", "--set", "look_ahead.seconds=0"),
+     "'look_ahead.seconds' must be a number in [0.1, 100000], not 0"),
     ((*GOAL, "--generator", "linea"), "unknown motion generator 'linea'"),
     ((*GOAL, "--rate", "5"), "guards.max_age of 0.2 s needs a rate of at least 7.5 Hz, not 5 Hz"),
     ((*GOAL, "--record", "/nowhere/run.csv"), "cannot be written"),
@@ -163,6 +179,21 @@ def test_an_unwritable_json_does_not_hide_the_run(kinfeas, tmp_path):
     assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
 
 
+def test_a_backend_that_cannot_be_closed_does_not_hide_the_run(kinfeas, tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.backends", "clinging", Clinging)
+    done = kinfeas("deploy", "pretrained", "--backend", "clinging", *GOAL[2:], *QUICK,
+                   "--as-fast-as-possible", "--record", "run.csv",
+                   "--json", "run.json")  # fmt: skip
+    assert done.code == 0
+    assert REACHED in done.out
+    blamed = "backend Clinging fails in close: RuntimeError: still busy (test_deploy.py, line "
+    assert done.err.startswith(f"the backend could not be closed: {blamed}")
+    assert done.err.count("\n") == 1
+    assert read_record(tmp_path / "run.csv").event[-1] == REACHED
+    assert json.loads((tmp_path / "run.json").read_text())["unclosed"].startswith(blamed)
+
+
 @pytest.mark.parametrize(
     ("task", "end"),
     [("tidy-up_2", "tidy-up_2"), ("a/b", "a_b"), ("../../up", "______up"), ("* ?", "___")],
@@ -173,6 +204,15 @@ def test_a_task_of_any_name_is_recorded_in_one_folder(tmp_path, monkeypatch, tas
     about = About("pr2", task, "pretrained", "analytic", 0.02, ("elbow",), started)
     path = deploy._record_path(about)
     assert path == Path("runs") / "deploy" / f"20260102-030405-pr2-{end}.csv"
+
+
+def test_runs_that_begin_at_once_are_recorded_apart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    about = About("pr2", "goal", "p", "analytic", 0.02, (), "2026-01-02T03:04:05+00:00")
+    for end in ("goal.csv", "goal-2.csv", "goal-3.csv"):
+        path = deploy._record_path(about)
+        assert path.name == f"20260102-030405-pr2-{end}"
+        path.touch()
 
 
 def test_a_record_is_never_written_over(kinfeas, tmp_path):

@@ -59,6 +59,8 @@ def test_learns_the_other_kind(kinfeas, shown):
             f"less than or equal to {MOST_COMPONENTS}",
         ),
         (["--demonstrations", "shown", "--out", "missing/door.yaml"], "cannot be written"),
+        (["--demonstrations", "shown", "--out", "door.csv"], "--out: door.csv must end in .yaml"),
+        (["--demonstrations", "nowhere", "--out", "door"], "--out: door must end in .yaml"),
         ([], "--demonstrations"),
     ],
 )

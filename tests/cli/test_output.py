@@ -64,6 +64,14 @@ def test_tables_hold_every_cell(capsys):
         assert text in printed
 
 
+def test_a_narrow_table_cuts_nothing_off(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    name = "runs/deploy/20260102-030405-pr2-tidy_up_the_kitchen.csv"
+    output.print_table("title", ["", ""], [["record", name]])
+    rows = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
+    assert "".join(row[2].strip() for row in rows) == name
+
+
 def test_progress_goes_to_standard_error(capsys):
     with output.progress("work", 2) as advance:
         advance(1)
@@ -87,6 +95,17 @@ def test_long_work_leaves_lines_in_a_file(capfd, monkeypatch):
             now = seconds
             advance(1.0)
     assert capfd.readouterr() == ("", " 25%  8 cells, 1:00 left\n 50%  8 cells, 4:00 left\n")
+
+
+def test_a_slow_beginning_says_nothing_of_the_rest(capfd, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(output.time, "monotonic", lambda: now)
+    with output.progress("ceiling") as advance:
+        for seconds, amount in ((20.0, 0.0007), (40.0, 0.0), (60.0, 0.1993)):
+            now = seconds
+            advance(amount)
+    lines = "  0%  ceiling\n  0%  ceiling\n 20%  ceiling, 2:41 left\n"
+    assert capfd.readouterr() == ("", lines)
 
 
 def test_times_are_rounded_whole():

@@ -163,3 +163,8 @@ def test_new_writes_a_distribution_here(kinfeas, tmp_path):
     outcome = kinfeas("plugins", "new", "my_motion")
     assert "pytest kinfeas-my-motion" in outcome.out
     assert (tmp_path / "kinfeas-my-motion" / "pyproject.toml").is_file()
+
+
+def test_new_quotes_what_is_to_be_typed(kinfeas):
+    outcome = kinfeas("plugins", "new", "my_motion", "--out", "my motions")
+    assert "pip install -e 'my motions'\ntest it: pytest 'my motions'\n" in outcome.out

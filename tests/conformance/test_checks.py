@@ -117,6 +117,15 @@ def test_what_its_code_raises_names_it(method):
         ask(Answers(**{method: KeyError("x")}))
 
 
+class OwnError(Exception):
+    """What a plugin's author may think up."""
+
+
+def test_errors_may_be_of_any_class():
+    with pytest.raises(KinfeasError, match=r"fails in twist: OwnError: oh .*line \d+"):
+        ask(Answers(twist=OwnError("oh")))
+
+
 def test_it_cannot_end_the_program():
     with pytest.raises(KinfeasError, match="fails in twist: SystemExit: 5"):
         ask(Answers(twist=SystemExit(5)))

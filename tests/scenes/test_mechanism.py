@@ -5,17 +5,17 @@ from hypothesis import strategies as st
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
-from kinfeas.scenes.mechanism import AnalyticMechanism, Joint
+from kinfeas.scenes.mechanism import AnalyticMechanism, MechanismJoint
 from kinfeas.spatial import IDENTITY, distance, make_pose, rotation
 
-HINGE = Joint("hinge", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 2.0), 0.5, 0.0, 0.0)
-SLIDE = Joint("slide", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.4), 2.0, 0.0, 0.0)
+HINGE = MechanismJoint("hinge", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 2.0), 0.5, 0.0, 0.0)
+SLIDE = MechanismJoint("slide", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.4), 2.0, 0.0, 0.0)
 HANDLE = make_pose(np.array([0.0, 0.0, 0.6]), rotation(IDENTITY))
 DT = 0.001
 
 
 def joint(of, **changes):
-    return config.from_mapping(Joint, {**config.to_mapping(of), **changes}, "test")
+    return config.from_mapping(MechanismJoint, {**config.to_mapping(of), **changes}, "test")
 
 
 def pulled(of, force, seconds, start=0.0):

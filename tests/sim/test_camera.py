@@ -10,8 +10,8 @@ from kinfeas.sim.camera import (
     link_poses,
     show_moment,
     solids,
-    spread,
     take_picture,
+    unit_width,
 )
 from tests.sim.conftest import stay, twist
 
@@ -70,4 +70,4 @@ def test_all_that_is_seen_but_the_floor(world):
 
 
 def test_the_lesser_side_counts():
-    assert spread((200, 100)) == spread((100, 100)) == 2.0 * spread((50, 100))
+    assert unit_width((200, 100)) == unit_width((100, 100)) == 2.0 * unit_width((50, 100))

@@ -39,6 +39,10 @@ class Answering(Adapter):
         return self.answer("view", state)
 
 
+class OwnError(Exception):
+    """What a plugin's author may think up."""
+
+
 class Orphan(Adapter):
     def __init__(self, backend, robot):
         self.backend = backend
@@ -95,6 +99,16 @@ BAD = {
     "a flat base": ("view", changed(base_pose=BASE[:, :3]), r"a base_pose of shape \(2, 7\) from"),
     "lost joints": ("view", changed(joint_positions=TWIST), r"joint_positions of shape \(2, 7\)"),
     "a base of nan": ("view", changed(base_pose=BASE * np.nan), "a base_pose from view with"),
+    "no truth": (
+        "view",
+        changed(truth="yes"),
+        "must return a RobotState as truth from view, not st",
+    ),
+    "a truth of nan": (
+        "view",
+        changed(truth=RobotState(BASE * np.nan, np.zeros((2, 7)))),
+        "returns a base_pose as truth from view with numbers",
+    ),
     "no EE": ("view", changed(ee_in_base=BASE + np.inf), "an ee_in_base from view with numbers"),
 }
 
@@ -108,7 +122,7 @@ def test_malformed_answers_are_refused(run, name):
 
 
 @pytest.mark.parametrize("hook", ["begin", "command", "advance", "view"])
-@pytest.mark.parametrize("error", [RuntimeError("boom"), KeyError("x"), SystemExit(5)])
+@pytest.mark.parametrize("error", [RuntimeError("b"), KeyError("x"), SystemExit(5), OwnError("o")])
 def test_what_a_hook_raises_names_the_adapter(run, hook, error):
     name = type(error).__name__
     with pytest.raises(KinfeasError, match=rf"^adapter 'mine' fails in {hook}: {name}: .*line \d"):
@@ -125,6 +139,11 @@ def test_what_a_hook_raises_names_the_adapter(run, hook, error):
 def test_adapters_that_are_none(run, name, sentence):
     with pytest.raises(KinfeasError, match=sentence):
         run(name=name)
+
+
+def test_the_machines_trouble_stays_what_it_is(run):
+    with pytest.raises(MemoryError):
+        run(command=MemoryError())
 
 
 def test_sound_answers_come_through(run):

@@ -342,6 +342,22 @@ def test_a_stop_that_fails_in_any_way_is_told():
     assert guard.unstopped == "the bus is gone"
 
 
+class OwnError(Exception):
+    """What a plugin's author may think up."""
+
+
+def test_a_robot_that_neither_stops_nor_lets_go_is_told_once():
+    guard, backend = guarded(kind=Following)
+
+    def breaks(*_):
+        raise OwnError("the bus is gone")
+
+    guard.step(twist(0.01), stays(guard), DT)
+    backend.step = backend.close = breaks
+    guard.close()
+    assert (guard.unstopped, guard.unclosed) == ("the bus is gone", "")
+
+
 @pytest.mark.parametrize(
     "name", ["base_noise", "actuator_lag", "command_latency", "dropped_commands"]
 )

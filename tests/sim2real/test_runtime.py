@@ -379,3 +379,54 @@ def test_a_robot_that_cannot_begin_is_one_sentence(run, pr2, method, sentence):
     guards = Guards(watchdog=None if method == "read" else 0.5)
     with pytest.raises(KinfeasError, match=f"^backend BrokenRobot fails in {sentence}"):
         run(robot, Drive(), guards=guards)
+
+
+class OwnError(Exception):
+    """What a plugin's author may think up."""
+
+
+class Clinging(LiveRobot):
+    """A robot that does not let go of its bus."""
+
+    def __init__(self, robot, error, trouble=None):
+        super().__init__(robot, trouble)
+        self.error = error
+
+    def close(self):
+        super().close()
+        raise self.error
+
+
+@pytest.mark.parametrize("error", [OwnError("boom"), SystemExit(5), KinfeasError("still busy")])
+def test_a_robot_that_does_not_let_go_is_told_beside_what_the_run_came_to(run, pr2, error):
+    robot = Clinging(pr2.robot, error)
+    outcome, record = run(robot, Drive(), seconds=0.1)
+    assert outcome.code is Code.TIME_OVER
+    assert record.event[-1] == outcome.reason
+    assert not robot.commands[-1][1].any()
+    assert (robot.closed, outcome.unstopped) == (1, "")
+    said = re.escape(f"backend Clinging fails in close: {type(error).__name__}: {error}")
+    own = isinstance(error, KinfeasError)
+    assert re.match(
+        str(error) if own else rf"{said} \(test_runtime.py, line \d+\)$", outcome.unclosed
+    )
+
+
+def test_why_a_run_cannot_begin_is_not_hidden_by_a_robot_that_does_not_let_go(run, pr2):
+    robot = Clinging(pr2.robot, OwnError("boom"), "nan")
+    robot.after = -1
+    with pytest.raises(KinfeasError, match="not finite"):
+        run(robot, Drive())
+    assert robot.closed
+
+
+def test_an_error_of_any_class_stops_the_run_and_keeps_what_it_came_to(run, pr2, capsys):
+    def breaks():
+        raise OwnError("boom")
+
+    robot = LiveRobot(pr2.robot)
+    outcome, record = run(robot, Drive(at=5, do=breaks))
+    assert (outcome.code, outcome.reason) == (Code.FAULT, "OwnError: boom")
+    assert record.event[-1] == outcome.reason
+    assert not robot.commands[-1][1].any()
+    assert "in breaks" in capsys.readouterr().err

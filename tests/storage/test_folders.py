@@ -1,10 +1,13 @@
+import fcntl
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.storage.folders import find_folder, write_folder
+from kinfeas.storage.folders import alone, find_folder, write_folder
 
 
 class Killed(BaseException):
@@ -120,3 +123,48 @@ def test_a_file_in_the_way_is_a_clear_error(tmp_path):
 
 def test_finds_nothing_where_nothing_was(tmp_path):
     assert find_folder(tmp_path / "last") == tmp_path / "last"
+
+
+def test_one_at_a_time_works_in_a_folder(tmp_path):
+    with (
+        alone(tmp_path),
+        pytest.raises(KinfeasError, match="another process is at work in it"),
+        alone(tmp_path),
+    ):
+        pass
+    with alone(tmp_path):
+        pass
+
+
+def test_a_killed_process_works_in_no_folder(tmp_path):
+    use = """
+import sys, time
+from pathlib import Path
+from kinfeas.storage.folders import alone
+with alone(Path(sys.argv[1])):
+    print("in it", flush=True)
+    time.sleep(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", use, tmp_path], stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"in it\n"
+        with pytest.raises(KinfeasError, match="another process"), alone(tmp_path):
+            pass
+        other.kill()
+    with alone(tmp_path):
+        pass
+
+
+def test_where_there_are_no_locks_all_may_work(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with alone(tmp_path), alone(tmp_path):
+        pass
+
+
+def test_nobody_works_in_a_folder_that_is_not_there(tmp_path):
+    (tmp_path / "file").write_text("")
+    for name in ("nothing", "file"):
+        with pytest.raises(KinfeasError, match=f"{name}: cannot be written"):
+            alone(tmp_path / name).__enter__()

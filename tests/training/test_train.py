@@ -16,6 +16,7 @@ from safetensors.numpy import load_file
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import read_network
+from kinfeas.storage.folders import alone
 from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
@@ -385,6 +386,35 @@ def test_a_full_disk_is_a_clear_error_and_loses_nothing(half, monkeypatch, diges
         key: value for key, value in before.items() if key.startswith("last/")
     }
     assert resume(half).steps == 1600
+
+
+def test_a_full_disk_is_a_clear_error_of_the_logs_as_well(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with (
+        pytest.raises(KinfeasError, match=r"tensorboard: cannot be written: No space left"),
+        logs.Logs(tmp_path, 0) as written,
+    ):
+        monkeypatch.setattr(written._board, "add_scalar", full)
+        written.write({"steps": 1.0, "seconds": 1.0})
+    with (
+        pytest.raises(KinfeasError, match=r"tensorboard: cannot be written: No space left"),
+        logs.Logs(tmp_path, 0) as written,
+    ):
+        monkeypatch.setattr(written._board, "close", full)
+
+
+def test_a_run_that_goes_on_is_not_disturbed(half, tiny, tmp_path, digest):
+    before = digest(half)
+    with alone(half), pytest.raises(KinfeasError, match="another process is at work in it"):
+        resume(half)
+    assert digest(half) == before
+    out = tmp_path / "empty"
+    out.mkdir()
+    with alone(out), pytest.raises(KinfeasError, match="another process is at work in it"):
+        train(tiny(), out)
+    assert not list(out.iterdir())
 
 
 @pytest.mark.parametrize("name", ["nothing", "."])

@@ -8,10 +8,13 @@ from kinfeas.evaluation.benchmark.text import (
     TITLES,
     ceiling_entry,
     entries_of,
+    episodes_of,
     label,
     ours,
+    page,
     papers,
     table,
+    tasks_of,
 )
 
 _INDENT = "&nbsp;&nbsp;"
@@ -48,9 +51,7 @@ def physics_markdown(
         commands: Lines that make all of it again.
         pictures: Files to show, relative to the text.
     """
-    lines = ["# Benchmark in the PyBullet world", ""]
-    lines += [f"**{note}**", ""] if note else []
-    lines += [_HOW, "", _effort(cells), ""]
+    lines = []
     for robot in dict.fromkeys(cell.robot for cell in cells):
         own = [cell for cell in cells if cell.robot == robot]
         lines += [f"## {_title(own[0])}", "", *_success_table(own), ""]
@@ -59,8 +60,8 @@ def physics_markdown(
     lines += ["## Deviation", "", _DEVIATED, "", *_every(cells, _deviated), ""]
     for name in pictures:
         lines += [f"![Episodes without a failure, with physics]({name})", ""]
-    lines += ["## How to make it again", "", "```sh", *commands, "```", ""]
-    return "\n".join(lines)
+    effort = f"{episodes_of(cells)} of each policy, the same for all."
+    return page("Benchmark in the PyBullet world", note, [_HOW, effort], lines, commands)
 
 
 def _title(cell: PhysicsCell) -> str:
@@ -70,14 +71,8 @@ def _title(cell: PhysicsCell) -> str:
     return f"{name}, end-effector motions {cell.slow_down:g} times longer than planned"
 
 
-def _effort(cells: Sequence[PhysicsCell]) -> str:
-    episodes = sorted({cell.episodes_per_seed for cell in cells})
-    counts = " or ".join(f"{number:,}" for number in episodes)
-    return f"{counts} episodes of each policy, the same for all."
-
-
 def _success_table(cells: Sequence[PhysicsCell]) -> list[str]:
-    tasks = _tasks(cells)
+    tasks = tasks_of(cells)
     rows = []
     for row in dict.fromkeys(cell.row for cell in cells):
         own = {cell.task: cell for cell in cells if cell.row == row}
@@ -95,16 +90,12 @@ def _success_table(cells: Sequence[PhysicsCell]) -> list[str]:
 
 def _every(cells: Sequence[PhysicsCell], entry: Callable[[PhysicsCell], str]) -> list[str]:
     """Return a table of all robots and rows."""
-    tasks, rows = _tasks(cells), []
+    tasks, rows = tasks_of(cells), []
     for robot, row in dict.fromkeys((cell.robot, cell.row) for cell in cells):
         own = {cell.task: cell for cell in cells if (cell.robot, cell.row) == (robot, row)}
         name = label(next(iter(own.values())))
         rows.append([TITLES.get(robot, robot), name, *entries_of(own, tasks, entry)])
     return table(["robot", "policy", *tasks], rows, names=2)
-
-
-def _tasks(cells: Sequence[PhysicsCell]) -> list[str]:
-    return list(dict.fromkeys(cell.task for cell in cells))
 
 
 def _analytic(cell: PhysicsCell) -> str:

@@ -43,9 +43,7 @@ def to_markdown(
         commands: Lines that make all of it again.
         pictures: Files to show, relative to the text.
     """
-    lines = ["# Benchmark", ""]
-    lines += [f"**{note}**", ""] if note else []
-    lines += [_HOW, "", _effort(cells), ""]
+    lines = []
     for robot, variant in groups(cells):
         own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
         lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
@@ -53,8 +51,25 @@ def to_markdown(
     for name in pictures:
         caption = _CAPTIONS.get(name, "An episode of each task")
         lines += [f"![{caption}]({name})", "", f"*{caption}.*", ""]
-    lines += ["## How to make it again", "", "```sh", *commands, "```", ""]
-    return "\n".join(lines)
+    return page("Benchmark", note, [_HOW, _effort(cells)], lines, commands)
+
+
+def page(
+    heading: str, note: str, about: Sequence[str], lines: Sequence[str], commands: Sequence[str]
+) -> str:
+    """Return the text of a benchmark.
+
+    Args:
+        heading: What it is called.
+        note: A sentence above all else; may be empty.
+        about: Paragraphs on what the tables show.
+        lines: The tables, and what else there is to see.
+        commands: Lines that make all of it again.
+    """
+    told = [f"**{note}**", *about] if note else about
+    opening = [line for paragraph in (f"# {heading}", *told) for line in (paragraph, "")]
+    closing = ["## How to make it again", "", "```sh", *commands, "```", ""]
+    return "\n".join([*opening, *lines, *closing])
 
 
 _JUMPS = "Steps in which an arm joint would have to move faster than it can."
@@ -81,10 +96,14 @@ def label(cell: Cell) -> str:
 
 
 def _effort(cells: Sequence[Cell]) -> str:
-    episodes = sorted({cell.episodes_per_seed for cell in cells})
     seeds = sorted({cell.seeds for cell in cells if cell.learned})
     policies = f"{_or(seeds)} training seed{'s' * (seeds != [1])} a policy, " if seeds else ""
-    return f"World: {WORLD}; {policies}{_or(episodes)} episodes of each, the same for all policies."
+    return f"World: {WORLD}; {policies}{episodes_of(cells)} of each, the same for all policies."
+
+
+def episodes_of(cells: Sequence[Cell]) -> str:
+    """Return how many episodes a policy had on a task."""
+    return f"{_or(sorted({cell.episodes_per_seed for cell in cells}))} episodes"
 
 
 def _or(numbers: Sequence[int]) -> str:
@@ -92,7 +111,7 @@ def _or(numbers: Sequence[int]) -> str:
 
 
 def _success_table(cells: Sequence[Cell]) -> list[str]:
-    tasks = list(dict.fromkeys(cell.task for cell in cells))
+    tasks = tasks_of(cells)
     rows = []
     for policy in dict.fromkeys(cell.policy for cell in cells):
         own = {cell.task: cell for cell in cells if cell.policy == policy}
@@ -138,6 +157,11 @@ def _row_name(cell: Cell) -> str:
     return f"**{label(cell)}**{seeds}"
 
 
+def tasks_of(cells: Sequence[Cell]) -> list[str]:
+    """Return the tasks of `cells`, each once."""
+    return list(dict.fromkeys(cell.task for cell in cells))
+
+
 def entries_of(
     cells: Mapping[str, C], tasks: Sequence[str], entry: Callable[[C], str]
 ) -> list[str]:
@@ -168,7 +192,7 @@ def ceiling_entry(cell: Cell) -> str:
 
 
 def _jump_table(cells: Sequence[Cell]) -> list[str]:
-    tasks = list(dict.fromkeys(cell.task for cell in cells))
+    tasks = tasks_of(cells)
     rows = []
     for robot, variant in groups(cells):
         of_group = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]

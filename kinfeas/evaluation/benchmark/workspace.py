@@ -70,7 +70,8 @@ def covered(robot: Robot, results: Sequence[Mapping[str, Mapping[str, object]]])
 def workspace_figure(robots: Sequence[Covered]) -> Figure:
     """Return the picture: a column for each robot, seen from above and from the side."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(0.4 + 4.3 * len(robots), 8.3), layout="constrained")
+        width = max(0.4 + 4.3 * len(robots), 5.4)  # what the legend needs
+        figure = Figure(figsize=(width, 8.3), layout="constrained")
         panels = figure.subplots(2, len(robots), squeeze=False)
         for column, one in zip(panels.T, robots, strict=True):
             for axes, (view, across) in zip(column, _VIEWS, strict=True):

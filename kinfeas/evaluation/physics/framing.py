@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from kinfeas.evaluation.physics.recording import PhysicsRecording
-from kinfeas.sim.camera import LINK, Picture, show_moment, spread, take_picture
+from kinfeas.sim.camera import LINK, Picture, show_moment, take_picture, unit_width
 from kinfeas.sim.robot_body import RobotBody
 from kinfeas.spatial import Array
 
@@ -62,7 +62,7 @@ def _follow(recording: PhysicsRecording, size: tuple[int, int]) -> tuple[Array, 
     reach = np.linalg.norm(points - middle, axis=2).max(axis=0) + _AROUND
     calm = max(1.0, _CALM * len(middle))
     target: Array = gaussian_filter1d(middle, calm, axis=0, mode="nearest")
-    wanted = np.clip(_FILL * reach / spread(size), _NEAREST, _FARTHEST)
+    wanted = np.clip(_FILL * reach / unit_width(size), _NEAREST, _FARTHEST)
     distance: Array = gaussian_filter1d(wanted, 2.0 * calm, mode="nearest")
     return target, distance
 

@@ -73,12 +73,11 @@ class PhysicsMotionEnv(BaseMotionEnv):
         self.render_mode = render_mode
         known = registry.load_robot(robot)
         settings = world or physics_config(known).world
-        place = settings.place
         self.stage = make_stage(
-            known, load_task(task, task_parameters), place, gui=render_mode == "human"
+            known, load_task(task, task_parameters), settings, gui=render_mode == "human"
         )
         config = replace(settings.world, reward=reward or RewardConfig())
-        self._enter(make_physics_world(known, self.stage, config, place, 0))
+        self._enter(make_physics_world(known, self.stage, config, settings.pace, 0))
 
     def step(
         self, action: NDArray[np.float32]

@@ -13,6 +13,7 @@ from kinfeas.backend import Grip, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.physics.joint_setpoints import JointSetpoints
 from kinfeas.evaluation.physics.world import physics_config
+from kinfeas.foreign import Blaming, package_of
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
@@ -155,12 +156,18 @@ def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLi
         topics: Name or path of the file with its names on the bus; its own by default.
 
     Raises:
-        KinfeasError: If the backend is unknown or on no bus, or the names do not fit.
+        KinfeasError: If the backend is unknown, on no bus or broken, or the names do not fit.
     """
     kind = registry.load("kinfeas.backends", backend)
     if not isinstance(kind, Hosted):
         raise KinfeasError(f"backend {backend!r} is on no bus that a robot can be played on")
-    return kind.robot_link(robot, topics)
+    package = kind.__module__.partition(".")[0]
+    with Blaming(f"backend {backend!r} fails in robot_link:", package):
+        link = kind.robot_link(robot, topics)
+    if not isinstance(link, RobotLink):
+        must = "must return a RobotLink from robot_link"
+        raise KinfeasError(f"backend {backend!r} {must}, not {type(link).__name__}")
+    return link
 
 
 def set_stage(
@@ -206,15 +213,18 @@ def play(
 
     Raises:
         KinfeasError: If there is no bus, or it has broken. The robot goes on for a while then: who
-            is connected to it still is.
+            is connected to it still is. Also if a link from outside fails, at once.
     """
-    link.open(player.orders())
+    with _blaming(link, "open"):
+        link.open(player.orders())
     metronome, begin, broken = Metronome(1.0 / role.rate), time.monotonic(), None
     end = math.inf if role.seconds is None else begin + role.seconds
     try:
         on_ready()
         while time.monotonic() < end:
-            link.report(*player.measure())
+            readings = player.measure()
+            with _blaming(link, "report"):
+                link.report(*readings)
             ticks = round(metronome.wait() * role.rate)
             for _ in range(min(max(ticks, 1), _CATCH_UP)):
                 player.tick(1.0 / role.rate)
@@ -223,7 +233,8 @@ def play(
     except KeyboardInterrupt:
         pass  # as a robot is switched off that has no end of its own
     finally:
-        link.close()
+        with _blaming(link, "close"):
+            link.close()
     if broken is not None:
         raise KinfeasError(str(broken))
     timing = metronome.timing()
@@ -234,7 +245,13 @@ def play(
 
 def _fault(link: RobotLink) -> Fault | None:
     try:
-        link.check()
+        with _blaming(link, "check"):
+            link.check()
     except Fault as fault:
         return fault
     return None
+
+
+def _blaming(link: RobotLink, method: str) -> Blaming:
+    """Return the context of a call of one of its methods, in which what it raises names it."""
+    return Blaming(f"robot link {type(link).__name__} fails in {method}:", package_of(link))

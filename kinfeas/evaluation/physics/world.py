@@ -12,11 +12,12 @@ from kinfeas.config import Interval
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
 from kinfeas.evaluation.episodes import Watch, run_episodes
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.legs import PATIENCE_SECONDS, SETTLE_SECONDS, Pace
+from kinfeas.legs import Pace, PaceSettings
+from kinfeas.look_ahead import Foresight
 from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
-from kinfeas.quantities import PositiveSeconds, Seconds, SlowDown
+from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.contacts import Contacts
@@ -29,73 +30,44 @@ _AFTERWARDS = 2.0  # s, in which what was put down comes to rest
 
 
 @dataclass(frozen=True)
-class Place:
+class PhysicsChanges(PaceSettings):
     """What is different where there is physics, beside the loop and its ends of episodes.
 
     Attributes:
-        slow_down: How many times longer than planned the EE motions last.
-        head_start: Seconds that the EE stands still at first, while the base moves already.
         objects: Whether the task's scene is there, or a floor and nothing else.
         physics: Numbers of the world.
-        patience: Seconds for which motion and base wait at most for an arm that swings to another
-            configuration.
     """
 
-    slow_down: SlowDown = 1.0
-    head_start: Seconds = 0.0
     objects: bool = True
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
-    patience: Seconds = PATIENCE_SECONDS
-
-    @property
-    def pace(self) -> Pace:
-        """How EE motions are carried out."""
-        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS, patience=self.patience)
 
 
 @dataclass(frozen=True)
-class PhysicsSettings:
-    """What can be set of the PyBullet world beside robot and task.
+class PhysicsSettings(PaceSettings):
+    """What can be set of the PyBullet world beside robot, task and pace.
 
     Attributes:
         dt: Control period, seconds.
-        slow_down: How many times longer than planned the EE motions last.
-        head_start: Seconds that the EE stands still at first, while the base moves already.
         objects: Whether the task's scene is there, or a floor and nothing else.
         max_failures: Kinematic failures in one episode beyond which it ends.
         max_seconds: Of motion time in one leg, after which an episode is truncated.
         adapters: Wrapped around the PyBullet world, the first one innermost.
         ik: How hard IK searches.
         physics: Numbers of the world.
-        patience: Seconds for which motion and base wait at most for an arm that swings to another
-            configuration.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.02
-    slow_down: SlowDown = 1.0
-    head_start: Seconds = 0.0
     objects: bool = True
     max_failures: Annotated[int, Interval(low=0)] = 99
     max_seconds: PositiveSeconds = 150.0
     adapters: tuple[AdapterSpec, ...] = ()
     ik: IkOptions = field(default_factory=IkOptions)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
-    patience: Seconds = PATIENCE_SECONDS
 
     @property
     def world(self) -> WorldConfig:
         """What the loop's world is made of."""
         return WorldConfig(self.dt, self.max_failures, self.max_seconds, self.adapters, ik=self.ik)
-
-    @property
-    def place(self) -> Place:
-        """What is different where there is physics."""
-        return Place(self.slow_down, self.head_start, self.objects, self.physics, self.patience)
-
-    @property
-    def pace(self) -> Pace:
-        """How EE motions are carried out."""
-        return self.place.pace
 
 
 @dataclass(frozen=True)
@@ -148,9 +120,9 @@ class PhysicsWorld:
             KinfeasError: If PyBullet is not installed, or the task's scene is broken.
         """
         settings = trial.settings
-        self.stage = make_stage(trial.robot, trial.task, settings.place, gui=gui)
+        self.stage = make_stage(trial.robot, trial.task, settings, gui=gui)
         self.world = make_physics_world(
-            trial.robot, self.stage, settings.world, settings.place, trial.seed
+            trial.robot, self.stage, settings.world, settings.pace, trial.seed
         )
 
     def run(self, policy: Policy, episode: int, watch: Watch | None = None) -> PhysicsRecords:
@@ -194,21 +166,23 @@ class _Meter:
         self._before = now
 
 
-def make_stage(robot: Robot, task: Task, place: Place, *, gui: bool = False) -> Stage:
+def make_stage(
+    robot: Robot, task: Task, settings: PhysicsChanges | PhysicsSettings, *, gui: bool = False
+) -> Stage:
     """Return a task with a PyBullet world around it, in a window if `gui`.
 
     Raises:
         KinfeasError: If PyBullet is not installed, or the task's scene is broken.
     """
-    scene = task_scene(task) if place.objects else None
-    return Stage(task, PyBulletBackend(robot, scene, gui=gui, physics=place.physics))
+    scene = task_scene(task) if settings.objects else None
+    return Stage(task, PyBulletBackend(robot, scene, gui=gui, physics=settings.physics))
 
 
 def make_physics_world(
-    robot: Robot, stage: Stage, config: WorldConfig, place: Place, seed: int
+    robot: Robot, stage: Stage, config: WorldConfig, pace: Pace, seed: int
 ) -> World:
     """Return the loop and its ends of episodes on a stage, one episode at a time."""
-    return World(robot, stage, config, seed, stage.backend, place.pace)
+    return World(robot, stage, config, seed, stage.backend, pace)
 
 
 @dataclass(frozen=True)
@@ -218,10 +192,12 @@ class PhysicsEvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
+        look_ahead: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: PhysicsSettings = field(default_factory=PhysicsSettings)
+    look_ahead: Foresight = field(default_factory=Foresight)
 
 
 def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvaluationConfig:

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,14 @@ def _add_steps(axes: Axes, minutes: Array, steps: Array) -> None:
     """Write the environment steps made by each minute that is marked below along the top."""
     above = axes.secondary_xaxis("top")
     above.xaxis.set_major_formatter(
-        FuncFormatter(lambda x, _: f"{np.interp(x, minutes, steps, left=0.0) / 1000.0:,.0f} k")
+        _Once(lambda x, _: f"{np.interp(x, minutes, steps, left=0.0) / 1000.0:,.0f} k")
     )
     above.set_xlabel("environment steps")
+
+
+class _Once(FuncFormatter):
+    """Leaves out a label that equals the one before: no step is made while a policy is judged."""
+
+    def format_ticks(self, values: list[float]) -> list[str]:
+        labels = super().format_ticks(values)
+        return [now if now != before else "" for before, now in pairwise(["", *labels])]

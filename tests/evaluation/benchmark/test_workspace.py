@@ -23,3 +23,12 @@ def test_a_robot_is_seen_from_above_and_from_the_side(robot):
         assert axes.get_aspect() == 1.0
     assert {axes.get_ylabel() for axes in figure.axes} == {"y (m)", "z (m)"}
     assert png(figure, 40).startswith(b"\x89PNG")
+
+
+def test_all_of_the_legend_is_seen(robot):
+    for robots in (1, 2, 3):
+        figure = workspace_figure([covered(robot, [result(0.9, learned=True)])] * robots)
+        figure.canvas.draw()
+        (legend,) = figure.legends
+        box = legend.get_window_extent()
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from kinfeas import registry
+from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.tasks.ggr import ggr
@@ -13,7 +13,7 @@ from kinfeas.tasks.loading import load_task
 pytest.importorskip("pybullet")
 
 from kinfeas.evaluation.physics.evaluate import evaluate_physics, run_physics
-from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
+from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial, physics_config
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,16 @@ def test_time_limits_are_in_motion_time():
     settings = physics_config(registry.load_robot("pr2"), ["world.max_seconds=15"]).world
     assert settings.world.max_seconds == 15
     assert settings.pace.slow_down == 2.0
+
+
+def test_what_can_be_set_is_what_results_are_told_apart_by():
+    """Cells of a benchmark are found again by these keys and values."""
+    told = config.to_mapping(PhysicsSettings(head_start=3.0))
+    assert {key: told[key] for key in ("slow_down", "head_start", "patience", "objects")} == {
+        "slow_down": 1.0, "head_start": 3.0, "patience": 8.0, "objects": True
+    }  # fmt: skip
+    rest = {"dt", "max_failures", "max_seconds", "adapters", "ik", "physics"}
+    assert set(told) == rest | {"slow_down", "head_start", "patience", "objects"}
 
 
 def test_processes_change_nothing(trial, policy, records):

@@ -143,6 +143,45 @@ def test_a_robot_goes_on_for_a_while_when_its_bus_breaks(player, monkeypatch):
     assert memory.closed == 1
 
 
+@pytest.mark.parametrize("method", ["open", "report", "check", "close"])
+def test_a_link_from_outside_that_fails_is_one_sentence(player, monkeypatch, method):
+    memory = Memory()
+
+    def fails(*_):
+        raise RuntimeError("boom")
+
+    monkeypatch.setattr(memory, method, fails)
+    with pytest.raises(KinfeasError, match=rf"^robot link Memory fails in {method}: Runtime.*line"):
+        play(player, memory, Role(rate=50.0, seconds=0.1), lambda: None)
+
+
+class Hosting:
+    """A backend whose end for the robot is broken."""
+
+    answer = None
+
+    @classmethod
+    def robot_link(cls, robot, topics=None):
+        if isinstance(cls.answer, Exception):
+            raise cls.answer
+        return cls.answer
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (RuntimeError("boom"), r"fails in robot_link: RuntimeError: boom \(test_sim.*line \d+\)$"),
+        (None, "must return a RobotLink from robot_link, not NoneType$"),
+    ],
+)
+def test_a_backend_whose_end_for_the_robot_is_broken_is_one_sentence(monkeypatch, answer, sentence):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    monkeypatch.setattr(Hosting, "answer", answer)
+    registry.register("kinfeas.backends", "hosting", Hosting)
+    with pytest.raises(KinfeasError, match=f"^backend 'hosting' {sentence}"):
+        robot_link("hosting", registry.load_robot("pr2"))
+
+
 def test_begins_as_an_episode_of_a_task_does():
     robot = registry.load_robot("pr2")
     task = load_task("drawer", {})

@@ -56,6 +56,17 @@ def test_a_row_that_a_kill_cut_short_is_read(run):
     assert read_metrics(run)["steps"][-1] == 3000.0
 
 
+def test_steps_are_written_once_where_none_are_made(run):
+    with (run / "metrics.csv").open("a") as file:
+        file.write("2000,180,0.5,0.8\n3000,200,0.5,0.8\n")
+    figure = learning_curve(read_metrics(run), {})
+    figure.canvas.draw()
+    ((above,),) = (axes.child_axes for axes in figure.axes)
+    labels = [label.get_text() for label in above.get_xticklabels()]
+    assert labels.count("2 k") == 1
+    assert "" in labels
+
+
 def test_the_learning_curve_names_what_it_shows(run):
     figure = learning_curve(read_metrics(run), {"follow_ee": 0.6, "ceiling": 0.98})
     axes = figure.axes[0]
