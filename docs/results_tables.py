@@ -32,10 +32,11 @@ JUMPS = {
     "{}, arm jumps an episode, looking ahead": "look_ahead:sac",
 }
 PHYSICS = {
-    ("pr2", "head_start"): "PR2, 3 s head start",
-    ("pr2", ""): "PR2",
-    ("tiago", ""): "TIAGo",
-    ("hsr", ""): "HSR",
+    ("pr2", "head_start", "pretrained"): "PR2, 3 s head start",
+    ("pr2", "", "pretrained"): "PR2",
+    ("tiago", "", "pretrained"): "TIAGo",
+    ("tiago", "", "look_ahead:pretrained"): "TIAGo, looking ahead",
+    ("hsr", "", "pretrained"): "HSR",
 }
 PICTURES = {
     "table": "benchmark",
@@ -109,11 +110,11 @@ def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
 def fill_physics(page: str, studies: Sequence[Path]) -> str:
     """Return the page of physics with the rows of its table filled anew."""
     rows = [
-        _physics_row(name, cells[robot, task, "pretrained"])
-        for (robot, variant), name in PHYSICS.items()
+        _physics_row(name, cells[robot, task, policy])
+        for (robot, variant, policy), name in PHYSICS.items()
         for cells in [{k: v for study in studies for k, v in read_cells(study, variant).items()}]
         for task in TASKS
-        if (robot, task, "pretrained") in cells
+        if (robot, task, policy) in cells
     ]
     place = re.compile(r"(^\| robot \| task \|.*\n\|[-|]+\|\n)(?:\|.*\n)+", re.MULTILINE)
     filled, count = place.subn(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)

@@ -111,7 +111,8 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
             for policy, source, seed in sources
         ]
         if study.physics is not None:
-            jobs += plan_physics(study, study.physics, (robot, task), learned, baselines)
+            beside = [*ahead, *baselines]
+            jobs += plan_physics(study, study.physics, (robot, task), learned, beside)
     return jobs
 
 

@@ -67,7 +67,7 @@ def plan_physics(
     physics: PhysicsStudy,
     trial: tuple[str, str],
     learned: Sequence[Source],
-    baselines: Sequence[Source],
+    beside: Sequence[Source],
 ) -> list[Job]:
     """Return what has to be run of one robot on one task, each policy's episodes in parts.
 
@@ -76,7 +76,7 @@ def plan_physics(
         physics: Its rows.
         trial: Robot and task.
         learned: The robot's learned policies, which stand in every row.
-        baselines: Those of the task, which stand in the plain row alone.
+        beside: What stands in the plain row alone: policies that look ahead, and baselines.
     """
     robot, task = trial
     jobs = []
@@ -85,7 +85,7 @@ def plan_physics(
         if any(names is not None and one not in names for names, one in chosen):
             continue
         world, plain = row_settings(physics, row, robot), name == PLAIN
-        for policy, source, seed in [*learned, *(baselines if plain else ())]:
+        for policy, source, seed in [*learned, *(beside if plain else ())]:
             whole = Job(
                 robot=robot,
                 task=task,

@@ -110,7 +110,7 @@ class StudyConfig:
         tasks: Names or YAML files.
         baselines: On which of the tasks each baseline is judged.
         look_ahead: On which of the tasks each robot's learned policies are judged a second time,
-            looking ahead; of several algorithms SAC's alone.
+            looking ahead; of several algorithms SAC's alone, and of physics in the plain row.
         policies: Whether to `train` the learned policies, to take those that come with the package
             (`pretrained`), or to train only where none comes with it (`either`).
         trainings: How they are learned.

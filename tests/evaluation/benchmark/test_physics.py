@@ -127,6 +127,13 @@ def test_a_row_may_have_no_tasks():
     assert {job.variant for job in jobs if job.physical} == {"head_start", "no_objects"}
 
 
+def test_looking_ahead_stands_in_the_plain_row():
+    jobs = [job for job in plan("look_ahead={pr2: [ggr]}") if job.policy.startswith("look_ahead:")]
+    assert {(job.robot, job.task) for job in jobs} == {("pr2", "ggr")}
+    assert {job.variant for job in jobs if job.physical} == {""}
+    assert not all(job.physical for job in jobs)
+
+
 def test_the_table_and_the_picture_show_all_rows():
     text = physics_markdown(cells(), "A note.", ["kinfeas benchmark"], ["table.png"])
     for words in ("A note.", "2 times longer", "head start", "*80.2 (83.6)*", "without physics"):
