@@ -46,7 +46,7 @@ class Job:
         parameters: Its keyword parameters.
         variant: What is different about them.
         policy: What the policy is called in the table; `ceiling` for the ceiling.
-        source: What `load_policy` takes.
+        source: What `load_driver` takes.
         training_seed: Seed that it was trained with, if it was and that is known.
         episodes: How many.
         seed: Of the episodes.
@@ -179,7 +179,7 @@ def _compute_part(job: Job, robot: Robot, task: Task, settings: PhysicsSettings)
     """Return what happened in each episode of a part, and what these alone come to."""
     trial = PhysicsTrial(robot, task, job.episodes, job.seed, settings)
     episodes = range(job.first, job.first + job.episodes)
-    records = run_part(trial, load_policy(job.source, robot), episodes)
+    records = run_part(trial, load_driver(job.source, robot), episodes)
     figures = physics_figures(records, judged=is_judged(trial))
     return {"figures": figures, "records": to_lists(records)}
 

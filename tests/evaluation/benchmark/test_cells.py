@@ -8,6 +8,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark import cells as module
 from kinfeas.evaluation.benchmark.cells import CEILING, Job, compute, identity, run_jobs
 from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
 
@@ -56,6 +57,13 @@ def test_looking_ahead_is_another_cell(tmp_path, run):
     plain, ahead = (job("sac", f"{before}{run}") for before in ("", "look_ahead:"))
     assert identity(plain)["policy"] != identity(ahead)["policy"]
     assert 0.0 <= compute(ahead)["figures"]["success"] <= 1.0
+
+
+def test_looking_ahead_is_judged_with_physics_too(run):
+    pytest.importorskip("pybullet")
+    short = PhysicsSettings(max_seconds=1.0)
+    found = compute(job("sac", f"look_ahead:{run}", world=short, episodes=1))
+    assert found["records"]["steps"][0] > 0
 
 
 def test_a_stop_keeps_the_cells_before_it(tmp_path, monkeypatch, counted):
