@@ -33,7 +33,8 @@ class Demonstration:
     Attributes:
         time: Moments in seconds, strictly ascending, shape (t,), t >= 2.
         ee_pose: Poses of the hand that demonstrates, shape (t, 7).
-        base_pose: Poses of its base, shape (t, 7); all NaN if there was none.
+        base_pose: Poses of its base, shape (t, 7); all NaN if there was none, which None in the
+            constructor stands for.
         object_pose: Poses of the handled object, the frame that the motion is learned in,
             shape (t, 7).
     """
@@ -42,6 +43,12 @@ class Demonstration:
     ee_pose: Array
     base_pose: Array
     object_pose: Array
+
+    def __post_init__(self) -> None:
+        """Put NaN in the place of a base that was not recorded."""
+        if self.base_pose is None:
+            unknown = np.full((len(self.time), 7), np.nan)  # type: ignore[unreachable] # untyped callers
+            object.__setattr__(self, "base_pose", unknown)
 
 
 def read_demonstrations(folder: Path) -> list[Demonstration]:

@@ -5,6 +5,8 @@ Everything is looked up lazily and one name at a time, so that a broken plugin d
 
 import inspect
 import math
+import reprlib
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,6 +29,9 @@ GROUPS = {
     "kinfeas.backends": "backend",
 }
 """The entry-point groups, and what one entry of each is called."""
+
+# What may be named by the path of a file, too.
+_FILES = ("kinfeas.robots", "kinfeas.tasks")
 
 # Motion generators are looked at when they begin.
 _METHODS = {
@@ -141,8 +146,10 @@ def load_robot(name_or_path: str) -> Robot:
     """Return the robot of a YAML file (`my/robot.yaml`) or of an entry point (`pr2`).
 
     Raises:
-        KinfeasError: If there is no such robot, or its YAML or URDF is wrong.
+        KinfeasError: If there is no such robot, its YAML or URDF is wrong, or a URDF is named in
+            place of the YAML.
     """
+    _check_no_urdf(name_or_path)
     if is_path(name_or_path):
         return read_robot(Path(name_or_path))
     built = build("kinfeas.robots", name_or_path, {})
@@ -165,7 +172,23 @@ def _entries(group: str) -> list[EntryPoint]:
     return [*entry_points(group=group), *own]
 
 
-def _find(group: str, name: str) -> EntryPoint:
+def _check_no_urdf(name_or_path: object) -> None:
+    """Raise if what should name a robot is a URDF, or what becomes one."""
+    path = Path(str(name_or_path))
+    if path.suffix.lower() not in (".urdf", ".xacro"):
+        return
+    urdf, first = path, ""
+    if path.suffix.lower() == ".xacro":
+        urdf = path.with_suffix("" if path.stem.endswith(".urdf") else ".urdf")
+        first = f"{shlex.join(['xacro', str(path)])} > {shlex.quote(str(urdf))} and then "
+    command = shlex.join(["kinfeas", "robot", str(urdf), "--out", "FOLDER"])
+    raise KinfeasError(f"{path}: a robot is a YAML file, which {first}{command} writes")
+
+
+def _find(group: str, name: object) -> EntryPoint:
+    if not isinstance(name, str):
+        known = ", ".join(names(group)) + (" or the path of a YAML file" if group in _FILES else "")
+        raise KinfeasError(f"{GROUPS[group]} must be one of {known}, not {reprlib.repr(name)}")
     matches = [entry for entry in _entries(group) if entry.name == name]
     if not matches:
         raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{no_such(name, names(group))}")

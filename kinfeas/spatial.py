@@ -2,8 +2,12 @@
 
 A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw). A twist is
 `(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s. Where the
-kernels calculate with them, any other last axis is a `KinfeasError`.
+kernels calculate with them, any other last axis is a `KinfeasError`, and so are leading axes that
+do not fit each other.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,17 +45,13 @@ def compose(parent: Array, child: Array) -> Array:
         parent: Pose, shape (..., 7).
         child: Pose relative to `parent`, shape (..., 7).
     """
-    if np.shape(parent)[-1:] != _POSE or np.shape(child)[-1:] != _POSE:
-        raise _misshapen(parent, child)
-    composed: Array = pose_kernels.compose(parent, child)
+    composed: Array = _call(pose_kernels.compose, parent, child)
     return composed
 
 
 def relative(pose: Array, frame: Array) -> Array:
     """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
-    if np.shape(pose)[-1:] != _POSE or np.shape(frame)[-1:] != _POSE:
-        raise _misshapen(pose, frame)
-    seen: Array = pose_kernels.relative(pose, frame)
+    seen: Array = _call(pose_kernels.relative, pose, frame)
     return seen
 
 
@@ -63,9 +63,7 @@ def integrate(pose: Array, twist: Array, dt: float) -> Array:
         twist: World-axes twist, shape (..., 6), m/s and rad/s.
         dt: Duration in seconds.
     """
-    if np.shape(pose)[-1:] != _POSE or np.shape(twist)[-1:] != _TWIST:
-        raise _misshapen(pose, twist, "a pose (..., 7) and a twist (..., 6)")
-    reached: Array = pose_kernels.integrate(pose, twist, dt)
+    reached: Array = _call(pose_kernels.integrate, pose, twist, dt, last=_TWIST)
     return reached
 
 
@@ -74,9 +72,7 @@ def twist_between(start: Array, end: Array, dt: float) -> Array:
 
     The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
     """
-    if np.shape(start)[-1:] != _POSE or np.shape(end)[-1:] != _POSE:
-        raise _misshapen(start, end)
-    twist: Array = pose_kernels.twist_between(start, end, dt, pose_kernels.TWIST)
+    twist: Array = _call(pose_kernels.twist_between, start, end, dt, pose_kernels.TWIST)
     return twist
 
 
@@ -90,9 +86,7 @@ def distance(a: Array, b: Array) -> tuple[Array, Array]:
     Returns:
         Distance in metres and angle in radians in [0, pi], each of shape (...).
     """
-    if np.shape(a)[-1:] != _POSE or np.shape(b)[-1:] != _POSE:
-        raise _misshapen(a, b)
-    metres, radians = pose_kernels.distance(a, b)
+    metres, radians = _call(pose_kernels.distance, a, b)
     return metres, radians
 
 
@@ -117,7 +111,28 @@ def wrap(angle: Array) -> Array:
     return np.pi - np.mod(np.mod(np.pi - angle, turn), turn)
 
 
-def _misshapen(one: Array, other: Array, kinds: str = "poses (..., 7)") -> KinfeasError:
-    """Return the error on arrays that the kernels, which do not look, would read or write past."""
-    shapes = f"{np.shape(one)} and {np.shape(other)}"
-    return KinfeasError(f"the shapes must be those of {kinds}, not {shapes}")
+def _call(
+    kernel: Callable[..., Any], one: Array, other: Array, *more: object, last: tuple[int] = _POSE
+) -> Any:
+    """Return what a kernel makes of two arrays and more.
+
+    Args:
+        kernel: Does not look itself, and would read or write past arrays of another last axis.
+        one: Poses, shape (..., 7).
+        other: Poses, too, or twists, as `last` says.
+        more: What else the kernel takes.
+        last: The last axis of `other`.
+
+    Raises:
+        KinfeasError: If the last axes are others, or the leading ones do not broadcast.
+    """
+    shapes = np.shape(one), np.shape(other)
+    if shapes[0][-1:] != _POSE or shapes[1][-1:] != last:
+        kinds = "poses (..., 7)" if last == _POSE else "a pose (..., 7) and a twist (..., 6)"
+        raise KinfeasError(f"the shapes must be those of {kinds}, not {shapes[0]} and {shapes[1]}")
+    try:
+        return kernel(one, other, *more)
+    except ValueError as error:
+        raise KinfeasError(
+            f"the leading axes of the shapes {shapes[0]} and {shapes[1]} do not fit each other"
+        ) from error

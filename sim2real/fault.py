@@ -5,3 +5,9 @@ from kinfeas.errors import KinfeasError
 
 class Fault(KinfeasError):  # noqa: N818 - not a mistake of anyone, but what the guards look for
     """Something that a run does not go on with; the sentence names it."""
+
+
+def beyond(value: float, limit: float) -> str:
+    """Return a number above a limit in two decimals, or in as many as show that it is above."""
+    rounded = (f"{value:.{decimals}f}" for decimals in range(2, 18))
+    return next((text for text in rounded if float(text) > limit), f"{value:g}")

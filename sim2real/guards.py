@@ -15,7 +15,7 @@ from kinfeas.backend import Backend, Live, RobotState
 from kinfeas.foreign import BLAMED
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.command_guard import CommandGuard, check_command
-from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.measurement_guard import MeasurementGuard
 from kinfeas.sim2real.metronome import Metronome
@@ -174,17 +174,19 @@ class Guarded(Passing):
     def _check_delay(self) -> None:
         """Raise if the measurement that a command is made of has become too old meanwhile."""
         age = 0.0 if self.state.age is None else float(np.max(self.state.age))
-        old = self._elapsed() + age
-        if old > self.guards.max_age:
-            most = f"at most {self.guards.max_age:g} s is allowed"
-            raise Fault(f"the command is made of a measurement {old:.2f} s old, {most}")
+        old, most = self._elapsed() + age, self.guards.max_age
+        if old > most:
+            raise Fault(
+                f"the command is made of a measurement {beyond(old, most)} s old, at most "
+                f"{most:g} s is allowed"
+            )
 
     def _check_period(self) -> float:
         """Return the seconds that the backend took; raise if they were too many."""
-        elapsed = self._elapsed()
-        if elapsed > self.guards.max_stall:
-            most = f"at most {self.guards.max_stall:g} s is allowed"
-            raise Fault(f"the control period took {elapsed:.2f} s, {most}")
+        elapsed, most = self._elapsed(), self.guards.max_stall
+        if elapsed > most:
+            took = f"the control period took {beyond(elapsed, most)} s"
+            raise Fault(f"{took}, at most {most:g} s is allowed")
         return elapsed
 
     def _elapsed(self) -> float:
@@ -193,9 +195,12 @@ class Guarded(Passing):
         elapsed, jump = steady - self._steady, (wall - self._wall) - (steady - self._steady)
         self._steady, self._wall = steady, wall
         if not elapsed >= 0.0:
-            raise Fault(f"the clock went backwards by {-elapsed:.2f} s")
+            raise Fault(f"the clock went backwards by {beyond(-elapsed, 0.0)} s")
         if not abs(jump) <= self.guards.clock_jump:
-            raise Fault(f"the system's clock was set by {jump:+.2f} s")
+            sign = "-" if jump < 0.0 else "+"
+            raise Fault(
+                f"the system's clock was set by {sign}{beyond(abs(jump), self.guards.clock_jump)} s"
+            )
         return elapsed
 
 

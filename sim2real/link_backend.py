@@ -10,7 +10,7 @@ from kinfeas.backend import Grip, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import to_drive
-from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.link import Link
 from kinfeas.sim2real.link_inbox import Inbox
 from kinfeas.sim2real.metronome import Metronome
@@ -136,9 +136,11 @@ class LinkBackend:
 
     def _check_fresh(self, dt: float) -> None:
         late = time.monotonic() - self._handed_out
-        if late > max(self._stale, dt):
+        latest = max(self._stale, dt)
+        if late > latest:
             self.stop()
-            raise Fault(f"the command comes {late:.2f} s after the measurement that it is made of")
+            shown = beyond(late, latest)
+            raise Fault(f"the command comes {shown} s after the measurement that it is made of")
 
     def stop(self) -> None:
         """Command the base to zero and the arm to stay where it was last measured."""

@@ -7,7 +7,7 @@ import numpy as np
 from kinfeas import spatial
 from kinfeas.backend import RobotState
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.spatial import Array
 
@@ -81,38 +81,43 @@ class MeasurementGuard:
         if not np.isfinite(state.age).all():
             _refuse("the age of the measurements is not finite")
         if age > guards.max_age:
-            _refuse(f"the newest measurement is {age:.2f} s old, at most {guards.max_age:g} s is")
-        if float(np.min(state.age)) < -guards.clock_jump:
-            _refuse(f"a measurement comes from {-np.min(state.age):.2f} s in the future")
+            old = beyond(age, guards.max_age)
+            _refuse(f"the newest measurement is {old} s old, at most {guards.max_age:g} s is")
+        early = -float(np.min(state.age))
+        if early > guards.clock_jump:
+            ahead = beyond(early, guards.clock_jump)
+            _refuse(f"a measurement comes from {ahead} s in the future")
 
     def _check_pose(self, pose: Array) -> None:
         if abs(float(np.linalg.norm(pose[3:])) - 1.0) > _UNIT:
             _refuse("the orientation of the measured base pose is not a unit quaternion")
-        tilt = 2.0 * float(np.hypot(pose[3], pose[4]))
-        if tilt > self._guards.max_tilt:
-            _refuse(f"the base leans by {tilt:.2f} rad, at most {self._guards.max_tilt:g} rad is")
+        tilt, most = 2.0 * float(np.hypot(pose[3], pose[4])), self._guards.max_tilt
+        if tilt > most:
+            _refuse(f"the base leans by {beyond(tilt, most)} rad, at most {most:g} rad is")
 
     def _check_way(self, pose: Array, elapsed: float) -> None:
         guards, base = self._guards, self._robot.base
         assert self._start is not None
-        away = float(np.hypot(*(pose - self._start)[:2]))
-        if away > guards.max_distance:
-            _refuse(
-                f"the base is {away:.1f} m from its start, at most {guards.max_distance:g} m is"
-            )
-        metres, radians = spatial.distance(self._last, pose)
-        if metres > guards.pose_jump + base.max_velocity * elapsed:
-            _refuse(f"the measured base pose jumped by {float(metres):.2f} m")
-        if radians > guards.heading_jump + base.max_rotation * elapsed:
-            _refuse(f"the measured base pose jumped by {float(radians):.2f} rad")
+        away, most = float(np.hypot(*(pose - self._start)[:2])), guards.max_distance
+        if away > most:
+            _refuse(f"the base is {beyond(away, most)} m from its start, at most {most:g} m is")
+        metres, radians = map(float, spatial.distance(self._last, pose))
+        farthest = guards.pose_jump + base.max_velocity * elapsed
+        if metres > farthest:
+            _refuse(f"the measured base pose jumped by {beyond(metres, farthest)} m")
+        widest = guards.heading_jump + base.max_rotation * elapsed
+        if radians > widest:
+            _refuse(f"the measured base pose jumped by {beyond(radians, widest)} rad")
 
     def _check_joints(self, joints: Array) -> None:
-        beyond = np.maximum(self._lower - joints, joints - self._upper)
-        worst = int(np.argmax(beyond))
-        if beyond[worst] > self._guards.joint_tolerance:
+        outside = np.maximum(self._lower - joints, joints - self._upper)
+        worst = int(np.argmax(outside))
+        most = self._guards.joint_tolerance
+        if outside[worst] > most:
+            off = beyond(float(outside[worst]), most)
             _refuse(
-                f"joint {self._name(worst)} is measured {beyond[worst]:.2f} beyond its limits, at "
-                f"most {self._guards.joint_tolerance:g} is"
+                f"joint {self._name(worst)} is measured {off} beyond its limits, at most {most:g} "
+                "is"
             )
 
     def _name(self, joint: int) -> str:

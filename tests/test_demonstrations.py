@@ -68,6 +68,15 @@ def test_a_demonstration_may_know_no_base(tmp_path, suffix):
         assert "base" not in path.read_text()
 
 
+def test_none_stands_for_a_base_that_was_not_recorded(tmp_path):
+    shown = demonstration()
+    unknown = Demonstration(shown.time, shown.ee_pose, None, shown.object_pose)
+    assert np.isnan(unknown.base_pose).all()
+    assert unknown.base_pose.shape == shown.base_pose.shape
+    write_demonstration(unknown, tmp_path / "0.csv")
+    assert np.isnan(read_demonstration(tmp_path / "0.csv").base_pose).all()
+
+
 def test_a_folder_is_read_in_the_order_of_names(tmp_path):
     for seed, name in enumerate(("b.npz", "a.csv", "c.csv")):
         write_demonstration(demonstration(seed=seed), tmp_path / name)

@@ -8,7 +8,7 @@ from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.registry import Plugin
 
-MOTIONS = "kinfeas.motion_generators"
+MOTIONS, ROBOTS = "kinfeas.motion_generators", "kinfeas.robots"
 
 SOUND = """
     from dataclasses import dataclass
@@ -210,12 +210,36 @@ def test_load_robot_by_name_and_by_file_alike(name):
     by_name = registry.load_robot(name)
     path = Path(registry.load("kinfeas.robots", name)())
     assert by_name.name == registry.load_robot(str(path)).name == name
+    assert registry.load_robot(path).name == name
+
+
+@pytest.mark.parametrize("use", [registry.load_robot, lambda name: registry.load(ROBOTS, name)])
+@pytest.mark.parametrize("name", [None, 3, ["pr2"]])
+def test_what_is_no_name_is_refused_with_what_is_allowed(use, name):
+    with pytest.raises(KinfeasError, match=r"robot must be one of .*pr2.* or the path of .*, not"):
+        use(name)
 
 
 @pytest.mark.parametrize("name", ["absent.yaml", "absent.yml", "./pr2", "some/robot"])
 def test_load_robot_takes_a_path_for_a_file(name):
     assert name.removeprefix("./") in message(registry.load_robot, name)
     assert "unknown robot" not in message(registry.load_robot, name)
+
+
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("scout.urdf", "which kinfeas robot scout.urdf --out FOLDER writes"),
+        ("./my bot.URDF", "which kinfeas robot 'my bot.URDF' --out FOLDER writes"),
+        (
+            "bots/a.urdf.xacro",
+            "which xacro bots/a.urdf.xacro > bots/a.urdf and then kinfeas robot bots/a.urdf --out",
+        ),
+        ("a.xacro", "which xacro a.xacro > a.urdf and then kinfeas robot a.urdf --out FOLDER"),
+    ],
+)
+def test_a_urdf_in_place_of_the_yaml_is_told_the_way(name, way):
+    assert f"a robot is a YAML file, {way}" in message(registry.load_robot, name)
 
 
 def test_load_robot_reads_the_file_that_an_outside_plugin_names(sound):

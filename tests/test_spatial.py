@@ -186,6 +186,14 @@ def test_what_is_no_twist_is_refused(pose, twist):
         integrate(np.ones(pose), np.ones(twist), 0.1)
 
 
+@pytest.mark.parametrize("function", [compose, relative, distance, lambda *p: twist_between(*p, 1)])
+def test_batches_that_do_not_fit_each_other_are_refused(function):
+    with pytest.raises(KinfeasError, match=r"shapes \(2, 7\) and \(3, 7\) do not fit"):
+        function(np.tile(IDENTITY, (2, 1)), np.tile(IDENTITY, (3, 1)))
+    with pytest.raises(KinfeasError, match=r"shapes \(2, 7\) and \(3, 6\) do not fit"):
+        integrate(np.tile(IDENTITY, (2, 1)), np.zeros((3, 6)), 0.1)
+
+
 def test_lists_are_arrays():
     first, second = [1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8], [0.5, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]
     expected = compose(np.array(first), np.array(second))

@@ -35,9 +35,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         str | None,
         typer.Option(
             "--config",
-            help="Study by name or YAML file.",
-            show_default="benchmark/study, with --world pybullet benchmark/physics, "
-            "with --quick benchmark/quick or benchmark/physics_quick",
+            help="Study by name or YAML file; by default benchmark/study, with --world pybullet "
+            "benchmark/physics, with --quick benchmark/quick or benchmark/physics_quick.",
         ),
     ] = None,
     out: Annotated[
@@ -59,8 +58,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--episodes",
             min=1,
             max=MOST_EPISODES,
-            help="Of each policy on each task.",
-            show_default="the study's",
+            help="Of each policy on each task; by default the study's.",
         ),
     ] = None,
     runs: Annotated[
@@ -77,8 +75,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--processes",
             min=1,
             max=MOST_PROCESSES,
-            help="Processes in all.",
-            show_default="one a core",
+            help="Processes in all; by default one a core.",
         ),
     ] = None,
     publish: Annotated[

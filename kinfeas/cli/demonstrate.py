@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import check_file_path, check_outputs, print_table, status, write_json
+from kinfeas.cli.output import (
+    check_file_path,
+    check_outputs,
+    print_table,
+    say_written,
+    status,
+    write_json,
+)
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -65,6 +72,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
         with status("drawing"):
             _draw(mechanism, exercise, takes, picture)
     _show(f"{count} demonstrations of a {mechanism}, seed {seed}, in {out}", figures)
+    say_written(picture)
 
 
 def _make_folders(folder: Path) -> None:

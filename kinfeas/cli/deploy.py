@@ -59,8 +59,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         str | None,
         typer.Option(
             "--generator",
-            help="Motion generator to the goal, by name.",
-            show_default="linear",
+            help="Motion generator to the goal, by name; by default linear.",
             autocompletion=completion.plugins("motion_generators"),
         ),
     ] = None,
@@ -84,8 +83,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--record",
             metavar="FILE.csv",
-            help="New file that the run is written to.",
-            show_default="runs/deploy/DATE-ROBOT-TASK.csv",
+            help="New file that the run is written to; by default "
+            "DATE-ROBOT-TASK.csv in runs/deploy.",
         ),
     ] = None,
     sim2real: Annotated[

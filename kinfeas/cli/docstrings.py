@@ -9,6 +9,9 @@ _SECTION = re.compile(
 )
 _ENTRY = re.compile(r"^ {4}(\*{0,2}\w+)(?: \([^)]*\))?: *(.*)$")
 
+# A line break within a paragraph or an item of a list, with what the next line is indented by.
+_WRAP = re.compile(r"(?<!\n)\n(?!\n| *(?:[-*]|\d+\.) ) *")
+
 # What stands in prose, and the symbol of it; the first that is found in a description counts.
 _UNITS = {
     "m/s^2": "m/s^2",
@@ -59,6 +62,14 @@ def read_docstring(documented: object) -> Docstring:
         constructor = inspect.cleandoc(initialiser.__doc__ or "")
         entries = {**_parts(constructor)[1], **entries}
     return Docstring(text.partition("\n")[0].strip(), text, entries)
+
+
+def unwrapped(documented: object) -> str:
+    """Return a docstring with each paragraph and each item of a list on a line of its own.
+
+    For help: what shows it would keep the line breaks and add its own.
+    """
+    return _WRAP.sub(" ", inspect.cleandoc(getattr(documented, "__doc__", None) or ""))
 
 
 def unit(description: str) -> str:

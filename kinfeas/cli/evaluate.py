@@ -15,6 +15,7 @@ from kinfeas.cli.output import (
     check_outputs,
     print_table,
     progress,
+    say_written,
     share,
     write_json,
 )
@@ -60,8 +61,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--episodes",
             min=1,
             max=MOST_EPISODES,
-            help="Number of episodes.",
-            show_default="500, with physics 50",
+            help="Number of episodes; by default 500, with physics 50.",
         ),
     ] = None,
     seed: options.Seed = 1,
@@ -70,8 +70,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--head-start",
             metavar="SECONDS",
-            help="pybullet: how long the base moves before the EE does, 0 or more.",
-            show_default="0",
+            help="pybullet: how long the base moves before the EE does, 0 or more; by default 0.",
         ),
     ] = None,
     slow_down: Annotated[
@@ -79,8 +78,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--slow-down",
             metavar="FACTOR",
-            help="pybullet: how many times longer than planned EE motions last, 1 to 1000.",
-            show_default="2 for pr2, else 1",
+            help="pybullet: how many times longer than planned EE motions last, 1 to 1000; by "
+            "default 2 for pr2, else 1.",
         ),
     ] = None,
     without_objects: Annotated[
@@ -119,8 +118,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     slow_down, head_start, objects), [bold]task.KEY[/], the task's own parameters, such as
     [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds that are tried out, every so
     many seconds, tries, spread, jump).
+
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.
+
     [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
     achieved one green, steps without an IK solution red.
     """
@@ -162,6 +163,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             write_json({**summary, **held}, json)
         _show(summary)
         show()
+        say_written(picture)
     if video is not None or replay is not None:
         settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
         show_episode(replace(trial, settings=settings), driver, episode, video, replay)

@@ -49,8 +49,7 @@ def export(
         typer.Option(
             "--robot",
             help="Robot by name (pr2, tiago, hsr) or path of its YAML; what is not for it is "
-            "refused.",
-            show_default="the one that the run was trained for; with pretrained pr2",
+            "refused. By default the one that the run was trained for; with pretrained pr2.",
         ),
     ] = None,
     json: options.JsonPath = None,
@@ -90,9 +89,9 @@ def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> Non
     from kinfeas.sim2real.export import export as run
 
     folder = Path(policy)
-    if policy in BASELINES or (folder.exists() and not folder.is_dir()):
+    if policy in ("", *BASELINES) or (folder.exists() and not folder.is_dir()):
         raise KinfeasError(
-            f"{policy}: not the folder of a training run or of a checkpoint, nor "
+            f"{policy or repr(policy)}: not the folder of a training run or of a checkpoint, nor "
             f"{pretrained.NAME!r}; nothing else can be exported"
         )
     if policy == pretrained.NAME:

@@ -27,6 +27,7 @@ from kinfeas.cli import (
     train,
     view,
 )
+from kinfeas.cli.docstrings import unwrapped
 from kinfeas.cli.examples import epilog
 from kinfeas.errors import KinfeasError
 
@@ -57,7 +58,9 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
 }
 for _panel, _commands in _PANELS.items():
     for _name, _command in _commands.items():
-        app.command(_name, rich_help_panel=_panel, epilog=epilog(_name))(_command)
+        app.command(_name, help=unwrapped(_command), rich_help_panel=_panel, epilog=epilog(_name))(
+            _command
+        )
 app.add_typer(plugins.app, name="plugins", rich_help_panel="Motions and scenes")
 
 
@@ -81,7 +84,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _global_options(
     context: typer.Context,
     version: Annotated[
@@ -99,3 +101,6 @@ def _global_options(
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+app.callback(invoke_without_command=True, help=unwrapped(_global_options))(_global_options)

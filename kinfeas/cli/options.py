@@ -1,6 +1,8 @@
 """Options that several commands share, and how they are read."""
 
+import sys
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
@@ -51,7 +53,11 @@ PolicyName = Annotated[
     ),
 ]
 PluginName = Annotated[
-    str, typer.Argument(help="Name of a plugin.", autocompletion=completion.every_plugin)
+    str,
+    typer.Argument(
+        help="Name of a plugin, or path of a robot's or a task's YAML.",
+        autocompletion=completion.every_plugin,
+    ),
 ]
 Episodes = Annotated[
     int, typer.Option("--episodes", min=1, max=MOST_EPISODES, help="Number of episodes.")
@@ -89,10 +95,25 @@ Sim2RealName = Annotated[
         help="What stands between policy and robot: ideal, paper, pr2_like, harsh, or a YAML file.",
     ),
 ]
+
+
+def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
+    """Return where the JSON goes; if to standard output, all else goes to standard error."""
+    from kinfeas.storage.files import is_standard_output
+
+    target = Path("/dev/stdout") if path == Path("-") else check_file_path(path)
+    if target is not None and is_standard_output(target):
+        context.with_resource(redirect_stdout(sys.stderr))
+    return target
+
+
 JsonPath = Annotated[
     Path | None,
     typer.Option(
-        "--json", help="Write the results as JSON to this file.", callback=check_file_path
+        "--json",
+        help="Write the results as JSON to this file; - is standard output, and tables then go to "
+        "standard error.",
+        callback=_read_json_path,
     ),
 ]
 

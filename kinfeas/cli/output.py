@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import typer
+
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -121,6 +123,15 @@ def write_json(data: object, path: Path) -> None:
 
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     write_file(path, text.encode())
+
+
+def say_written(*paths: Path | None) -> None:
+    """Print where pictures and pages were written to; None, and standard output, is left out."""
+    from kinfeas.storage.files import is_standard_output
+
+    for path in paths:
+        if path is not None and not is_standard_output(path):
+            typer.echo(str(path))
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str | Text"]]) -> None:

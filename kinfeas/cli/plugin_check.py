@@ -11,6 +11,7 @@ from kinfeas.cli.output import (
     check_outputs,
     print_table,
     progress,
+    say_written,
     status,
     write_json,
 )
@@ -69,6 +70,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     _show(name, findings)
     if picture is not None:
         _draw(name, parameters, trial, picture)
+    say_written(picture)
     _judge(name, findings)
 
 

@@ -4,6 +4,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
 from kinfeas.registry import GROUPS, Plugin
 from kinfeas.schema import no_such
+from kinfeas.storage import strict_yaml
 from kinfeas.tasks.checks import unchecked
-from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.loading import load_task, task_name
 
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 # What the program itself gives.
@@ -85,10 +87,25 @@ def facts(plugin: Plugin) -> dict[str, Any]:
     with _blaming(plugin):
         found = parameters(loaded, said, _HANDED_IN.get(plugin.group, ()))
     if plugin.group == "kinfeas.tasks" and all(one.default is not None for one in found):
-        task = load_task(plugin.name)
-        found = found or fields_of(unchecked(task))
-        known["legs"] = [_leg(leg) for leg in task.legs]
+        return known | _task(plugin.name, found)
     return known | {"parameters": [vars(one) for one in found]}
+
+
+def facts_of_file(path: str) -> dict[str, Any]:
+    """Return all that can be said of the robot or the task that a YAML file describes.
+
+    Raises:
+        KinfeasError: If it describes neither, or is broken.
+    """
+    keys = strict_yaml.read(Path(path)).keys()
+    if "legs" in keys:
+        return {"kind": "task", "name": task_name(path), "file": path, **_task(path, [])}
+    if "urdf" in keys:
+        robot = _robot(path)
+        return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
+    raise KinfeasError(
+        f"{path}: describes no robot, which has the key 'urdf', and no task, which has 'legs'"
+    )
 
 
 def parameters(
@@ -166,6 +183,16 @@ def _type(kind: Any) -> str:
         return ""
     text = kind if isinstance(kind, str) else inspect.formatannotation(kind)
     return re.sub(r"\b(\w+\.)+(?=\w)", "", re.sub(r"Annotated\[(\w+), \w+\([^)]*\)\]", r"\1", text))
+
+
+def _task(name: str, found: list[Parameter]) -> dict[str, Any]:
+    """Return the parameters of a task by name or path, its fields if none were found, and legs."""
+    task = load_task(name)
+    found = found or fields_of(unchecked(task))
+    return {
+        "legs": [_leg(leg) for leg in task.legs],
+        "parameters": [vars(one) for one in found],
+    }
 
 
 def _leg(leg: Any) -> dict[str, Any]:

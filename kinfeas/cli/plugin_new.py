@@ -13,7 +13,7 @@ def new(
     name: Annotated[str, typer.Argument(help="What it will be called, such as my_motion.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder to write it into.", show_default="./kinfeas-NAME"),
+        typer.Option("--out", help="Folder to write it into; by default ./kinfeas-NAME."),
     ] = None,
     kind: Annotated[Kind, typer.Option("--kind", help="What it offers.")] = Kind.MOTION_GENERATOR,
 ) -> None:

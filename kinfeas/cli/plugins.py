@@ -1,12 +1,14 @@
 """`kinfeas plugins`: what is installed, whether it is sound, and a start for one of your own."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from kinfeas.cli import options, plugin_check, plugin_new
+from kinfeas.cli import inputs, options, plugin_check, plugin_new
+from kinfeas.cli.docstrings import unwrapped
 from kinfeas.cli.examples import epilog
-from kinfeas.cli.output import print_table, write_json
+from kinfeas.cli.output import check_outputs, print_table, write_json
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -19,7 +21,6 @@ app = typer.Typer(
 )
 
 
-@app.command("list", epilog=epilog("plugins list"))
 def list_plugins(json: options.JsonPath = None) -> None:
     """List what is installed and where it comes from; what is broken is shown with its error."""
     from kinfeas.cli.plugin_facts import summary
@@ -32,11 +33,25 @@ def list_plugins(json: options.JsonPath = None) -> None:
             for plugin, text, error in found
         ]
         write_json(entries, json)
+    for group, kind in GROUPS.items():
+        _list(f"{kind}s", [one for one in found if one[0].group == group])
+
+
+def _list(title: str, found: "list[tuple[Plugin, str, str | None]]") -> None:
+    """Print a table of plugins of one kind; where they come from once, if it is one distribution.
+
+    Args:
+        title: What the kind is called.
+        found: Plugins, what each of them is, and why it is broken, if it is.
+    """
+    origins = {_origin(plugin) for plugin, _, _ in found}
+    several = len(origins) > 1
     rows: list[list[str | Text]] = [
-        [GROUPS[plugin.group], plugin.name, _origin(plugin), error_or(text, error)]
+        [plugin.name, *([_origin(plugin)] if several else []), error_or(text, error)]
         for plugin, text, error in found
     ]
-    print_table("plugins", ["kind", "name", "from", "what it is"], rows)
+    columns = ["name", *(["from"] if several else []), "what it is"]
+    print_table(title if several else ", from ".join([title, *origins]), columns, rows)
 
 
 def error_or(text: str, error: str | None) -> "Text":
@@ -46,26 +61,29 @@ def error_or(text: str, error: str | None) -> "Text":
     return Text(text) if error is None else Text(f"broken: {error}", "red")
 
 
-@app.command("info", epilog=epilog("plugins info"))
 def info(name: options.PluginName, json: options.JsonPath = None) -> None:
-    """Show a plugin's parameters with units and defaults, a robot's joints, or a task's legs."""
-    from kinfeas.cli.plugin_facts import facts, find
+    """Show a plugin's parameters with units and defaults, a robot's joints, or a task's legs.
 
-    found = [facts(plugin) for plugin in find(name)]
+    A robot and a task may also be the path of a YAML file.
+    """
+    from kinfeas.cli.plugin_facts import facts, facts_of_file, find
+    from kinfeas.storage.files import is_path
+
+    check_outputs({"--json": json}, {"NAME": inputs.named(name)})
+    found = [facts_of_file(name)] if is_path(name) else [facts(plugin) for plugin in find(name)]
     if json is not None:
         write_json(found, json)
     for one in found:
         _show(one)
 
 
-app.command("new", epilog=epilog("plugins new"))(plugin_new.new)
-app.command("check", epilog=epilog("plugins check"))(plugin_check.check)
-
-
 def _show(known: dict[str, Any]) -> None:
-    origin = f"{known['distribution']} {known['version']}"
-    typer.echo(f"{known['kind']} {known['name']}, from {origin}, {known['target']}\n")
-    typer.echo(f"{known['text']}\n" if known["text"] else "It has no docstring.\n")
+    title = f"{known['kind']} {known['name']}, from"
+    if "file" in known:
+        typer.echo(f"{title} {known['file']}\n")
+    else:
+        typer.echo(f"{title} {known['distribution']} {known['version']}, {known['target']}\n")
+        typer.echo(f"{known['text']}\n" if known["text"] else "It has no docstring.\n")
     if "robot" in known:
         _show_robot(known["robot"])
     if "parameters" in known:
@@ -151,3 +169,13 @@ def _heights(robot: dict[str, Any]) -> list[tuple[str, tuple[float, float]]]:
 
 def _origin(plugin: "Plugin") -> str:
     return f"{plugin.distribution} {plugin.version}"
+
+
+_COMMANDS: dict[str, Callable[..., None]] = {
+    "list": list_plugins,
+    "info": info,
+    "new": plugin_new.new,
+    "check": plugin_check.check,
+}
+for _name, _command in _COMMANDS.items():
+    app.command(_name, help=unwrapped(_command), epilog=epilog(f"plugins {_name}"))(_command)

@@ -32,18 +32,14 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     topics: Annotated[
         str | None,
-        typer.Option(
-            "--topics", help="YAML of the robot's names on the bus.", show_default="its own"
-        ),
+        typer.Option("--topics", help="YAML of the robot's names on the bus; by default its own."),
     ] = None,
     rate: Annotated[
         float, typer.Option("--rate", min=10.0, max=1000.0, help="Measurements per second, Hz.")
     ] = 100.0,
     seconds: Annotated[
         float | None,
-        typer.Option(
-            "--seconds", min=0.0, help="Seconds after which it ends.", show_default="for ever"
-        ),
+        typer.Option("--seconds", min=0.0, help="Seconds after which it ends; by default never."),
     ] = None,
     command_timeout: Annotated[
         float,

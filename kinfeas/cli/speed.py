@@ -34,7 +34,7 @@ def speed(
 
     sources = {"--robot": inputs.named(robot), "--policy": inputs.of_policy(policy)}
     check_outputs({"--json": json}, sources)
-    network = _read_policy(policy, options.read_robot(robot)) if policy else None
+    network = _read_policy(policy, options.read_robot(robot)) if policy is not None else None
     with status("speed") as show:
         figures = measure_speed(robot, network, on_part=lambda part: show(f"timing: {part}"))
     if json is not None:

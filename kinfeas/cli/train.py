@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from kinfeas.training.progress import Progress
     from kinfeas.training.train import Report
 
-_RECIPE = "the recipe's, else {}"
+_RECIPE = "by default the recipe's, else {}."
 
 Minutes = Annotated[
     float | None,
     typer.Option(
         "--minutes",
-        help="Wall-clock minutes in all, more than 0, evaluations included.",
-        show_default=_RECIPE.format(3),
+        help="Wall-clock minutes in all, more than 0, evaluations included; " + _RECIPE.format(3),
     ),
 ]
 OutFolder = Annotated[
     Path | None,
     typer.Option(
-        "--out", help="Folder of the run.", show_default="runs/ROBOT-TASK-SEED, with -pybullet"
+        "--out",
+        help="Folder of the run; by default runs/ROBOT-TASK-SEED, with physics -pybullet after it.",
     ),
 ]
 
@@ -45,8 +45,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         str | None,
         typer.Option(
             "--robot",
-            help="Robot by name (pr2, tiago, hsr) or path of its YAML.",
-            show_default=_RECIPE.format("pr2"),
+            help="Robot by name (pr2, tiago, hsr) or path of its YAML; " + _RECIPE.format("pr2"),
             autocompletion=completion.plugins("robots"),
         ),
     ] = None,
@@ -54,8 +53,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         str | None,
         typer.Option(
             "--task",
-            help=options.TASK_HELP,
-            show_default=_RECIPE.format("ggr"),
+            help=f"{options.TASK_HELP[:-1]}; {_RECIPE.format('ggr')}",
             autocompletion=completion.plugins("tasks"),
         ),
     ] = None,
@@ -64,8 +62,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         typer.Option(
             "--seed",
             max=LAST_SEED,
-            help="Of all randomness, 0 or more.",
-            show_default=_RECIPE.format(0),
+            help="Of all randomness, 0 or more; " + _RECIPE.format(0),
         ),
     ] = None,
     minutes: Minutes = None,
@@ -79,9 +76,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     ] = None,
     algorithm: Annotated[
         str | None,
-        typer.Option(
-            "--algorithm", help="What learns: sac or td3.", show_default=_RECIPE.format("sac")
-        ),
+        typer.Option("--algorithm", help="What learns: sac or td3; " + _RECIPE.format("sac")),
     ] = None,
     sim2real: options.Sim2RealName = None,
     world: Annotated[
@@ -103,8 +98,8 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
             "--processes",
             min=1,
             max=MOST_PROCESSES,
-            help="pybullet: worlds side by side, each in a process of its own.",
-            show_default="the recipe's",
+            help="pybullet: worlds side by side, each in a process of its own; by default the "
+            "recipe's.",
         ),
     ] = None,
     out: OutFolder = None,

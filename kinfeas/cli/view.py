@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import inputs, options
-from kinfeas.cli.output import check_file_path, check_outputs, print_table, status, write_json
+from kinfeas.cli.output import (
+    check_file_path,
+    check_outputs,
+    print_table,
+    say_written,
+    status,
+    write_json,
+)
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -20,9 +27,7 @@ if TYPE_CHECKING:
 def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     scene: Annotated[
         str | None,
-        typer.Option(
-            "--scene", help="Scene by name (room) or path of its YAML.", show_default="room"
-        ),
+        typer.Option("--scene", help="Scene by name or path of its YAML; by default room."),
     ] = None,
     record: Annotated[
         Path | None,
@@ -80,6 +85,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
         with status("drawing"):
             _write_page(found, html)
     _show(found)
+    say_written(picture, html)
     if live:
         _serve(found)
 
@@ -98,6 +104,7 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
         with status("drawing"):
             _write_run_page(run, robot, html)
     _show_run(run)
+    say_written(picture, html)
 
 
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:

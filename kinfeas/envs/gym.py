@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.envs.interface import (
     action_space,
+    check_reset,
     make_world,
     observation_space,
     read_actions,
@@ -74,7 +75,9 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
         Raises:
             KinfeasError: If the action is of another shape or not finite.
+            ResetNeeded: If no episode was begun.
         """
+        check_reset(self.next_episode)
         command = read_actions(action, (self.world.action_size,))
         transition = self.world.step(command[np.newaxis])
         info = {key: values[0].item() for key, values in step_info(self.world, transition).items()}

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas import registry
@@ -82,9 +83,22 @@ def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
         KinfeasError: If they are not numbers of that shape, or not finite.
     """
     read = np.asarray(actions, dtype=np.float64)
-    if read.shape != shape or not np.isfinite(read).all():
-        raise KinfeasError(f"an action must be finite numbers of shape {shape}, not {actions!r}")
+    allowed = f"an action must be finite numbers of shape {shape}"
+    if read.shape != shape:
+        raise KinfeasError(f"{allowed}, not of shape {read.shape}")
+    if not np.isfinite(read).all():
+        raise KinfeasError(f"{allowed}, not NaN or infinite")
     return read
+
+
+def check_reset(next_episode: int) -> None:
+    """Do nothing if an episode was begun.
+
+    Raises:
+        ResetNeeded: If not; as what `gymnasium.make` wraps around an environment does.
+    """
+    if not next_episode:
+        raise ResetNeeded("call reset before the first step")
 
 
 def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinfeas.envs.interface import (
     action_space,
+    check_reset,
     make_world,
     observation_space,
     read_actions,
@@ -91,7 +92,9 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
 
         Raises:
             KinfeasError: If the actions are of another shape or not finite.
+            ResetNeeded: If no episode was begun.
         """
+        check_reset(self.next_episode)
         commands = read_actions(actions, (self.num_envs, self.world.action_size))
         transition = self.world.step(commands)
         brought = step_info(self.world, transition)

@@ -18,6 +18,7 @@ from kinfeas import spatial
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint
+from kinfeas.sim.silence import silence
 from kinfeas.spatial import Array
 
 _METRES, _RADIANS = 1e-4, 1e-3
@@ -93,7 +94,8 @@ def pybullet_peer(robot: Robot) -> Peer | None:
     """
     if find_spec("pybullet") is None or _mimics(robot):
         return None
-    import pybullet
+    with silence():  # it says when it was built
+        import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
     with tempfile.TemporaryDirectory() as folder:

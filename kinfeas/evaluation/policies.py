@@ -73,9 +73,10 @@ def load_policy(name: str, robot: Robot) -> Policy:
         return BASELINES[name](robot)
     if name == pretrained.NAME:
         return policy.read_network(pretrained.find(robot.name), robot)
-    if not Path(name).exists():
+    if not name or not Path(name).exists():  # an empty path is the folder that one is in
+        problem = f"unknown policy {name!r}" if name else "the name of the policy is empty"
         raise KinfeasError(
-            f"unknown policy {name!r}{no_such(name, [*BASELINES, pretrained.NAME])}, "
+            f"{problem}{no_such(name, [*BASELINES, pretrained.NAME])}, "
             "or the folder of a training run, or the ONNX file of an export"
         )
     check_place(Path(name))

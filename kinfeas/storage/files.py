@@ -14,9 +14,16 @@ from kinfeas.errors import KinfeasError
 _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
 
 
-def is_path(name: str) -> bool:
+def is_path(name: object) -> bool:
     """Return whether a robot, a task and the like is meant by the path of its YAML, not by name."""
-    return os.sep in name or name.endswith((".yaml", ".yml"))
+    if isinstance(name, str):
+        return os.sep in name or name.endswith((".yaml", ".yml"))
+    return isinstance(name, Path)
+
+
+def is_standard_output(path: Path) -> bool:
+    """Return whether writing to `path` writes to this process's standard output."""
+    return _stream(path) == 1
 
 
 def reading(path: Path) -> AbstractContextManager[None]:

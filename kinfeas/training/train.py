@@ -82,9 +82,12 @@ def resume(out: Path, report: Report | None = None) -> Progress:
 
 def _check_new(out: Path) -> None:
     with writing(out):
-        if out.is_dir() and any(out.iterdir()):
-            again = f"--resume {shlex.quote(str(out))}"
-            raise KinfeasError(f"{out}: already there; use {again}, or another --out")
+        if not (out.is_dir() and any(out.iterdir())):
+            return
+        if not (out / "config.yaml").is_file():
+            raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
+    again = f"--resume {shlex.quote(str(out))}"
+    raise KinfeasError(f"{out}: already there; use {again}, or another --out")
 
 
 def _fitted(config: TrainConfig) -> TrainConfig:

@@ -96,7 +96,7 @@ def test_evaluate_a_robot_by_its_path():
             ["--policy", "follow_ee", "--world", "pybullet", "--slow-down", "0"],
             r"^--slow-down: must be a number in \[1, 1000\], not 0.0",
         ),
-        (["--policy", ""], "not a training run"),
+        (["--policy", ""], "the name of the policy is empty"),
         (["--policy", "follow_ee", "--sim2real", ""], "unknown configuration ''; known are"),
         (["--policy", "follow_ee", "--set", "world.adapters=[{name: nois}]"], "adapter 'nois'"),
     ],

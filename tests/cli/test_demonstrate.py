@@ -46,6 +46,7 @@ def test_a_picture_is_drawn(kinfeas, tmp_path):
     outcome = kinfeas("demonstrate", *arguments)
     assert outcome.code == 0, outcome.err
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
+    assert outcome.out.endswith("\npicture.png\n")
 
 
 @pytest.mark.parametrize(

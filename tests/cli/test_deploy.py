@@ -110,7 +110,7 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--record", "run.csv",
                    "--guards", "guards.yaml", "--set", "guards.speed=0.02")  # fmt: skip
     assert done.code == 3
-    assert "stopped: the base is 0.0 m from its start" in done.err
+    assert "m from its start, at most 0.02 m is allowed" in done.err
     speed = (read_record(tmp_path / "run.csv").base_twist[:, :2] ** 2).sum(axis=1) ** 0.5
     assert speed.max() == pytest.approx(0.02)
 
@@ -155,11 +155,14 @@ def test_bad_input_is_one_line(kinfeas, arguments, message):
     assert done.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("policy", ["", "."])
-def test_a_folder_without_a_policy_is_none(kinfeas, policy):
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [("", "the name of the policy is empty"), (".", ".: not a training run or checkpoint")],
+)
+def test_a_folder_without_a_policy_is_none(kinfeas, policy, message):
     done = kinfeas("deploy", policy, *GOAL)
     assert is_one_line(done)
-    assert ".: not a training run or checkpoint" in done.err
+    assert message in done.err
 
 
 def test_a_run_that_cannot_begin_leaves_no_record(kinfeas, tmp_path):

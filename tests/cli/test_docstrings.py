@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.cli.docstrings import read_docstring, unit
+from kinfeas.cli.docstrings import read_docstring, unit, unwrapped
 
 
 class Documented:
@@ -25,6 +25,29 @@ class Documented:
             backend: What moves.
             speed: Not this.
         """
+
+
+def listing():
+    """List.
+
+    First line
+    second line:
+
+    - one
+      and more
+    - two
+    1. three
+
+    Last.
+    """
+
+
+def test_help_has_one_line_for_each_paragraph_and_item():
+    lines = ["List.", "", "First line second line:", "", "- one and more", "- two", "1. three", "",
+             "Last."]  # fmt: skip
+    assert unwrapped(listing) == "\n".join(lines)
+    assert unwrapped(object()).startswith("The base class")
+    assert not unwrapped(lambda: None)
 
 
 def test_summary_text_and_entries_of_class_and_constructor():

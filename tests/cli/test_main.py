@@ -2,6 +2,7 @@ import subprocess
 import sys
 
 import pytest
+import typer
 
 from kinfeas import __version__
 from kinfeas.cli import main as module
@@ -34,6 +35,19 @@ def test_no_help_imports_anything_heavy():
     assert "evaluate" in done.stdout
     assert "--guards" in done.stdout
     assert done.stdout.endswith("of 13 loaded: []\n")
+
+
+def commands(command):
+    yield command
+    for inner in getattr(command, "commands", {}).values():
+        yield from commands(inner)
+
+
+def test_no_help_breaks_a_paragraph():
+    every = list(commands(typer.main.get_command(module.app)))
+    assert {"evaluate", "plugins", "check"} <= {command.name for command in every}
+    for command in every:
+        assert "\n" not in command.help.replace("\n\n", ""), command.name
 
 
 def test_version():

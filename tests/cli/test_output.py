@@ -72,6 +72,11 @@ def test_a_narrow_table_cuts_nothing_off(capsys, monkeypatch):
     assert "".join(row[2].strip() for row in rows) == name
 
 
+def test_what_was_written_is_said_but_not_into_it(capsys):
+    output.say_written(Path("a.png"), None, Path("/dev/stdout"), Path("b.html"))
+    assert capsys.readouterr().out == "a.png\nb.html\n"
+
+
 def test_progress_goes_to_standard_error(capsys):
     with output.progress("work", 2) as advance:
         advance(1)
@@ -211,6 +216,7 @@ def test_every_command_refuses_one_file_for_two(kinfeas, tmp_path, line):
         ("mine.yaml", "speed --robot mine.yaml --json mine.yaml"),
         ("mine.yaml", "view --scene mine.yaml --json mine.yaml"),
         ("mine.yaml", "benchmark --config mine.yaml --json mine.yaml"),
+        ("mine.yaml", "plugins info mine.yaml --json mine.yaml"),
         ("mine.yaml", "plugins check waypoints --set file=mine.yaml --json mine.yaml"),
     ],
 )  # fmt: skip
@@ -295,9 +301,16 @@ def full_disk(path, content, **_):
     raise OSError(28, "No space left on device")
 
 
-def test_results_may_go_to_the_output(kinfeas):
-    done = kinfeas("view", "--json", "/dev/fd/1")
+@pytest.mark.parametrize("path", ["-", "/dev/stdout", "/dev/fd/1"])
+def test_results_may_go_to_the_output_and_nothing_else_does(kinfeas, tmp_path, path):
+    done = kinfeas("plugins", "check", "linear", "--duration", "60", "--json", path)
     assert done.code == 0, done.err
-    data, end = json.JSONDecoder().raw_decode(done.out)
-    assert data["scene"] == "room"
-    assert "scene room" in done.out[end:]
+    assert json.loads(done.out)["passed"] is True
+    assert "the same question gets the same answer" in done.err  # of the table
+    assert "motion generator linear passes" in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_the_command_that_is_asked_to_keeps_its_output_free(kinfeas):
+    kinfeas("view", "--json", "-")
+    assert "scene room" in kinfeas("view").out

@@ -1,9 +1,11 @@
 import json
+from pathlib import Path
 
 import pytest
 
-from kinfeas.registry import GROUPS
+from kinfeas.registry import GROUPS, load
 from kinfeas.testing import RULES
+from tests.cli.conftest import is_one_line
 
 
 def test_list_shows_every_group_and_where_each_comes_from(kinfeas, tmp_path):
@@ -15,6 +17,26 @@ def test_list_shows_every_group_and_where_each_comes_from(kinfeas, tmp_path):
     assert all(one["description"] and one["error"] is None for one in own)
     described = {one["name"]: one["description"] for one in own}
     assert described["pr2"] == "omnidirectional base, arm of 7 joints"
+
+
+def test_list_has_a_table_for_each_kind(kinfeas, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = kinfeas("plugins", "list").out
+    titles = [line.split(",")[0] for line in shown.splitlines() if line[0] not in "┏┃┡│└"]
+    assert titles == [f"{kind}s" for kind in GROUPS.values()]
+    assert shown.count("kinfeas 0") == len(GROUPS)
+    assert len(shown.splitlines()) < 90
+
+
+def test_list_says_where_each_plugin_of_a_kind_comes_from_if_it_is_not_one_place(
+    kinfeas, broken, monkeypatch
+):
+    broken("odd")
+    monkeypatch.setenv("COLUMNS", "80")
+    motions, robots = kinfeas("plugins", "list").out.split("robots, from kinfeas")
+    assert motions.startswith("motion generators ")
+    assert "│ odd              │ kinfeas-odd 1 " in motions
+    assert "kinfeas" not in robots.partition("tasks, from")[0].partition("\n")[2]
 
 
 def test_info_on_a_motion_generator(kinfeas, tmp_path):
@@ -57,10 +79,30 @@ def test_info_on_a_continuous_joint_has_no_limits(kinfeas, tmp_path):
     ] is None
 
 
+def test_info_on_files(kinfeas, tmp_path):
+    robot = Path(load("kinfeas.robots", "hsr")())
+    outcome = kinfeas("plugins", "info", str(robot), "--json", "hsr.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f"robot hsr, from {robot}\n" in outcome.out
+    assert "arm_lift_joint" in outcome.out
+    (known,) = json.loads((tmp_path / "hsr.json").read_text())
+    assert (known["kind"], known["robot"]["name"]) == ("robot", "hsr")
+    (tmp_path / "fetch.yaml").write_text(
+        "{name: fetch, places: {here: {position: [1, 0, 1]}}, legs: [{place: here}]}"
+    )
+    outcome = kinfeas("plugins", "info", "fetch.yaml")
+    assert "task fetch, from fetch.yaml\n" in outcome.out
+    assert "linear" in outcome.out.partition("legs")[2]
+    (tmp_path / "other.yaml").write_text("{adapters: []}")
+    outcome = kinfeas("plugins", "info", "other.yaml")
+    assert is_one_line(outcome)
+    assert "other.yaml: describes no robot, which has the key 'urdf', and no task" in outcome.err
+
+
 def test_check_lists_every_rule_and_draws(kinfeas, tmp_path):
     outcome = kinfeas("plugins", "check", "linear", "--picture", "a.png", "--json", "a.json")
     assert outcome.code == 0
-    assert "motion generator linear passes" in outcome.out
+    assert "\na.png\nmotion generator linear passes" in outcome.out
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     found = json.loads((tmp_path / "a.json").read_text())
     assert found["passed"] is True

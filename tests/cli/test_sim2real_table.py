@@ -30,6 +30,7 @@ def test_the_picture_is_drawn_and_its_figures_are_held(kinfeas, tmp_path):
     outcome = kinfeas("evaluate", *SHORT, *pictured)
     assert outcome.code == 0, outcome.err
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+    assert outcome.out.endswith("\nout.png\n")
     sweeps = json.loads((tmp_path / "out.json").read_text())["sweeps"]
     assert [sweep["adapter"] for sweep in sweeps] == ["command_latency", "base_noise", "head_start"]
     # With nothing in the list, an axis begins where nothing is changed.

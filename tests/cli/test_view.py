@@ -20,6 +20,7 @@ def test_draws_a_user_s_scene(kinfeas, tmp_path):
     done = kinfeas("view", "--scene", "mine.yaml", "--picture", "mine.png")
     assert done.code == 0
     assert "scene mine, 4 x 4 m" in done.out
+    assert done.out.endswith("\nmine.png\n")
     assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -65,6 +66,7 @@ def test_replays_a_run(kinfeas, record, tmp_path):
     assert done.code == 0, done.err
     assert "the goal was not reached within 0.2 s" in done.out
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert done.out.endswith("\nrun.png\n")
     facts = json.loads((tmp_path / "run.json").read_text())
     assert facts["events"][0]["event"] == "start"
     assert facts["seconds"] == pytest.approx(0.2)

@@ -6,6 +6,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker as sb3_checker
 
@@ -226,9 +227,25 @@ def test_refuses_what_is_no_action(action):
         env.step(action)
 
 
+def test_an_error_on_an_action_says_its_shape_and_not_its_numbers():
+    env = BaseMotionEnv()
+    env.reset(seed=0)
+    with pytest.raises(KinfeasError, match=r"shape \(3,\), not of shape \(100, 3\)$"):
+        env.step(np.zeros((100, 3)))
+
+
+@pytest.mark.parametrize("kind", [BaseMotionEnv, BaseMotionVectorEnv])
+def test_a_step_before_the_first_reset_is_refused(kind):
+    env = kind()
+    with pytest.raises(ResetNeeded, match="call reset before the first step"):
+        env.step(env.action_space.sample())
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ({"robot": None}, "robot must be one of .*pr2.* or the path of a YAML file, not None"),
+        ({"task": None}, "task must be one of .*ggr.* or the path of a YAML file, not None"),
         ({"robot": "pr3"}, "unknown robot 'pr3'"),
         ({"task": "dance"}, "unknown task 'dance'"),
         ({"task_parameters": {"distnce": [1, 2]}}, "distnce"),

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -80,6 +83,16 @@ def test_the_arm_that_others_load_is_ours(robot, solver, cold):
         metres, radians = spatial.distance(forward(solver.chain, seed), theirs)
         assert metres < 1e-9
         assert radians < 1e-7
+
+
+def test_pybullet_says_nothing_of_itself():
+    code = """
+from kinfeas.evaluation.peers import pybullet_peer
+from kinfeas.registry import load_robot
+assert pybullet_peer(load_robot("pr2"))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
 
 
 @pytest.mark.parametrize("make", [pinocchio_peer, pybullet_peer])

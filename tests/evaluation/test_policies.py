@@ -62,6 +62,13 @@ def test_an_unknown_name_lists_what_there_is(robot):
         load_policy("follow_me", robot)
 
 
+def test_an_empty_name_is_not_the_folder_that_one_is_in(robot, tmp_path, monkeypatch):
+    write_network(random_network(robot, hidden=8), tmp_path, robot, {})
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(KinfeasError, match=r"name of the policy is empty; known are .*follow_ee"):
+        load_policy("", robot)
+
+
 def test_the_policy_that_comes_with_the_package(robot, tmp_path, monkeypatch):
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     with pytest.raises(KinfeasError, match=f"no pretrained policy for robot '{robot.name}'"):

@@ -261,7 +261,13 @@ def test_the_base_may_not_leave_for_good():
     backend.state = home(
         ROBOTS["pr2"], base_pose=spatial.planar_pose(*[np.array([v]) for v in (1.2, 0.0, 0.0)])
     )
-    refused(guard, backend, "1.2 m from its start")
+    refused(guard, backend, "1.20 m from its start")
+
+
+def test_a_message_shows_that_a_small_limit_was_passed():
+    guard, backend = guarded(guards=Guards(max_distance=0.01))
+    backend.state = home(ROBOTS["pr2"], base_pose=at(0.0123))
+    refused(guard, backend, r"is 0\.012 m from its start, at most 0\.01 m is allowed")
 
 
 @pytest.mark.parametrize(("command", "targets", "message"), [

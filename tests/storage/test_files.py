@@ -6,7 +6,15 @@ from threading import Thread
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.storage.files import is_path, read_file, reading, replaced, replacing, write_file
+from kinfeas.storage.files import (
+    is_path,
+    is_standard_output,
+    read_file,
+    reading,
+    replaced,
+    replacing,
+    write_file,
+)
 
 
 @pytest.mark.parametrize("name", ["my.yaml", "my.yml", "folder/my.yaml", "./my", "/my"])
@@ -17,6 +25,13 @@ def test_paths(name):
 @pytest.mark.parametrize("name", ["pr2", "my_robot", "my.robot", "yaml", "my.yaml.bak", ""])
 def test_names(name):
     assert not is_path(name)
+
+
+def test_standard_output_is_told_from_files(tmp_path):
+    for path in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
+        assert is_standard_output(Path(path))
+    for path in ("/dev/stderr", "/dev/null", "/dev/fd/2", tmp_path / "1", "-"):
+        assert not is_standard_output(Path(path))
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):

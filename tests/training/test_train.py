@@ -314,6 +314,13 @@ def test_a_folder_with_something_in_it_is_not_written_over(finished, tiny, diges
     assert digest(finished) == before
 
 
+def test_resuming_is_suggested_for_a_run_only(tiny, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(KinfeasError, match="holds other files, --out needs a new or an empty fold"):
+        train(tiny(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_an_empty_folder_is_welcome(tiny, tmp_path):
     out = tmp_path / "run"
     out.mkdir()

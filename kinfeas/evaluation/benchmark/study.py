@@ -191,10 +191,15 @@ def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsS
     """Return the PyBullet world of one robot in one row.
 
     Raises:
-        KinfeasError: If a setting is wrong.
+        KinfeasError: If a setting is wrong, or is none of the world.
     """
     said = [*physics.settings, *row.settings]
-    return physics_config(registry.load_robot(robot), said).world
+    known = physics_config(registry.load_robot(robot), said)
+    if ignored := sorted(config.assigned(said).keys() - {"world"}):
+        raise KinfeasError(
+            f"the settings of 'physics' in a study may be world.KEY=VALUE, not {ignored[0]}.KEY"
+        )
+    return known.world
 
 
 def settings_of(training: Training, seed: int) -> TrainConfig:

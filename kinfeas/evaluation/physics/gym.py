@@ -89,6 +89,7 @@ class PhysicsMotionEnv(BaseMotionEnv):
 
         Raises:
             KinfeasError: If the action is of another shape or not finite.
+            ResetNeeded: If no episode was begun.
         """
         seen, earned, terminated, truncated, info = super().step(action)
         touched: Contacts = self.stage.backend.contacts()

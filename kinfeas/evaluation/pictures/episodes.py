@@ -46,7 +46,7 @@ def episodes_figure(
             _draw_side(side, robot, recording)
             _draw_top(top, robot, recording)
             side.set_title(title)
-        columns = min(6, 3 * count)
+        columns = {1: 3, 2: 4}.get(count, 7)
         figure.legend(handles=_legend(), loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
@@ -181,6 +181,7 @@ def _legend() -> list[Line2D]:
 
     return [
         entry("base path and heading", color=BASE, lw=2.2, marker=">", ms=7),
+        entry("arm, base to EE", color=_ARM, lw=3.0),
         entry("EE desired", color=DESIRED, lw=1.2, ls=(0, (4, 3))),
         entry("EE achieved", color=EE, lw=2.4),
         entry("no IK solution", color=FAILURE, lw=0, marker="o", ms=6),

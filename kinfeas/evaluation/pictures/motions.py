@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from kinfeas.conformance.trial import Samples, Trial
 from kinfeas.evaluation.pictures.style import FAILURE, FAINT, GOAL, INK, STYLE
@@ -14,6 +15,8 @@ from kinfeas.spatial import Array
 
 _WIDTH, _HEIGHT = 11.0, 7.2
 _COLOURS = colormaps["viridis"]
+_STILL = 1e-3  # of the largest speed, which is no more than the width of a line
+_AFTER = 1.05  # end of the time axis, as a multiple of the time at which the last motion ends
 
 
 def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
@@ -33,12 +36,23 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
         _draw_paths(aside, samples, colours, (0, 2), ("x (m)", "z (m)"))
         aside.set_title("from the side")
         time = trial.dt * np.arange(len(samples.twist), dtype=np.float64)
+        moving = _moving(samples.twist)
         _draw_speeds(speed, time, samples.twist[..., :3], colours, trial.max_velocity)
         speed.set_ylabel("speed (m/s)")
         _draw_speeds(turning, time, samples.twist[..., 3:], colours, trial.max_angular_velocity)
         turning.set_ylabel("angular speed (rad/s)")
+        for axes in (speed, turning) if moving.any() else ():
+            axes.set_xlim(right=_AFTER * max(time[moving][-1], trial.dt))
         figure.suptitle(_title(name, samples), fontsize=11, x=0.01, ha="left")
     return figure
+
+
+def _moving(twist: Array) -> NDArray[np.bool_]:
+    """Return whether it shows at each time that one of the motions goes on, shape (t,)."""
+    speed = np.stack([np.linalg.norm(part, axis=-1) for part in np.split(twist, 2, axis=-1)])
+    shows = speed > _STILL * speed.max(axis=(1, 2), initial=0.0, keepdims=True)
+    moving: NDArray[np.bool_] = shows.any(axis=(0, 2))
+    return moving
 
 
 def _title(name: str, samples: Samples) -> str:

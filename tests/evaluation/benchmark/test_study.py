@@ -119,6 +119,8 @@ def test_a_task_may_be_a_file(tmp_path, monkeypatch):
         ("policies=both", "'pretrained'"),
         ("tasks=[ggr, fly]", "unknown task 'fly'"),
         ("robots=[pr3]", "unknown robot 'pr3'"),
+        ("physics={settings: ['world.slow_down=1', 'task.distance=[1, 2]']}", "not task.KEY"),
+        ("physics={rows: {plain: {settings: [look_ahead.seconds=3]}}}", "not look_ahead.KEY"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, override, words):
