@@ -11,6 +11,7 @@ from kinfeas.cli.output import (
     check_outputs,
     print_table,
     progress,
+    say_written,
     share,
     status,
     write_json,
@@ -32,7 +33,7 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     ],
     name: Annotated[
         str | None,
-        typer.Option("--name", help="Short name of the robot.", show_default="the URDF's file"),
+        typer.Option("--name", help="Short name of the robot; by default that of the URDF file."),
     ] = None,
     drive: Annotated[
         Literal["differential", "omnidirectional"],
@@ -42,16 +43,16 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         str | None,
         typer.Option(
             "--ee",
-            help="Link that IK places.",
-            show_default="where the longest chain of joints parts into fingers",
+            help="Link that IK places; by default where the longest chain of joints parts into "
+            "fingers.",
         ),
     ] = None,
     base: Annotated[
         str | None,
         typer.Option(
             "--base",
-            help="Link that is the base; what it does not carry is left out.",
-            show_default="the first link with a shape",
+            help="Link that is the base; what it does not carry is left out. By default the root, "
+            "or what joints carry that stand for a floor.",
         ),
     ] = None,
     json: options.JsonPath = None,
@@ -85,6 +86,7 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         with status("drawing"):
             _draw(read_robot(yaml_path), picture)
     _show(draft, yaml_path)
+    say_written(picture)
 
 
 def _checked_name(name: str) -> str:

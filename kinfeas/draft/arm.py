@@ -2,12 +2,21 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from kinfeas.config import no_such
+from kinfeas.draft.placed import place
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.spatial import Array
 
 _LEAST = 3
 """Joints that an arm has at least: a hand is not looked for nearer to the base."""
+
+_BESIDE = 1.0 / 3.0
+"""Share of a jaw's length beyond which what carries it goes on: a link ends at its next joint."""
+
+_PLAY = 0.01  # m, by which shapes about an axis may be off it
 
 
 @dataclass(frozen=True)
@@ -28,7 +37,8 @@ class Arm:
 def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     """Return the arm of a robot.
 
-    A hand is where the longest way of moving joints branches last, into fingers.
+    A hand is where the longest way of moving joints branches last, into fingers, or what a single
+    jaw closes on.
 
     Args:
         urdf: The robot.
@@ -95,8 +105,45 @@ def _hand_of(urdf: Urdf, tip: str) -> str:
         group = rigid_with(urdf, joint.parent)
         branches = [one for one in urdf.joints.values() if one.moves and one.parent in group]
         if len(branches) > 1:
-            return joint.parent
+            return _shared(urdf, [one.parent for one in branches])
+    if len(moving) > _LEAST and _is_jaw(urdf, moving[-1]):
+        return moving[-1].parent
     return _end(urdf, moving[-1].child)
+
+
+def _shared(urdf: Urdf, links: list[str]) -> str:
+    """Return the last link that is on the way to all of `links`, or one of them."""
+    ways = [[urdf.root, *(joint.child for joint in urdf.path_to(link))] for link in links]
+    return [level[0] for level in zip(*ways, strict=False) if len(set(level)) == 1][-1]
+
+
+def aside(urdf: Urdf, joint: Joint) -> Array:
+    """Return where the shapes are that a joint moves, as seen from its axis, shape (3,), metres.
+
+    The frame is that of its child. Zero stands for a joint that turns them about themselves, as
+    that of a wrist does, or slides them along their own length.
+    """
+    shapes = place(urdf, sorted(urdf.below(joint.name)), joint.child, {})
+    if not shapes:
+        return np.zeros(3)
+    middle = np.mean([shape.pose[:3] for shape in shapes], axis=0)
+    along = float(middle @ joint.axis)
+    away: Array = middle - along * np.array(joint.axis)
+    return away if np.linalg.norm(away) > abs(along) + _PLAY else np.zeros(3)
+
+
+def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
+    """Return whether what a joint moves lies beside what carries it: it closes on a fixed jaw."""
+    away = aside(urdf, joint)
+    if not away.any():
+        return False
+    direction = away / np.linalg.norm(away)
+    sides = urdf.below(joint.name), rigid_with(urdf, joint.parent)
+    jaw, beside = (
+        max((one.reach(direction) for one in place(urdf, sorted(side), joint.child, {})), default=0)
+        for side in sides
+    )
+    return beside > _BESIDE * jaw
 
 
 def _end(urdf: Urdf, link: str) -> str:

@@ -7,12 +7,13 @@ from xml.etree import ElementTree
 
 from kinfeas.draft.arm import rigid_with
 from kinfeas.draft.meshes import read_triangles
+from kinfeas.draft.placed import link_pose
 from kinfeas.draft.primitives import MARGIN, fit_primitives
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.elements import Element, read_xml
-from kinfeas.robots.urdf import Shape, Urdf, parse_urdf, read_shape
+from kinfeas.robots.urdf import Joint, Shape, Urdf, parse_urdf, read_shape
 from kinfeas.robots.xml_text import numbers_text, set_origin
-from kinfeas.spatial import compose
+from kinfeas.spatial import compose, rotation
 
 _DIGITS = 4
 """Of lengths in metres and of angles: what they take away is less than what `MARGIN` adds."""
@@ -21,6 +22,9 @@ assert MARGIN > 10.0**-_DIGITS
 
 _COLOURS = ("0.78 0.8 0.83 1", "0.45 0.6 0.77 1")
 """Of links that are an even and an odd number of joints away from the root."""
+
+_SHAPES = ("collision", "visual")
+_SLANT = 1e-3  # cosine of an angle that is still a right one
 
 
 def boxed_urdf(
@@ -34,14 +38,14 @@ def boxed_urdf(
 
     Args:
         path: The robot's own URDF.
-        base: The link that becomes the root, with what it carries; by default the first one with a
-            shape, for simulators hang robots on joints that stand for a floor.
+        base: The link that becomes the root, with what it carries; by default the one to which
+            joints lead that slide and turn mere frames on the floor, as simulators hang robots up.
         on_link: Called with the name of each link that is done.
 
     Raises:
         KinfeasError: If the URDF is broken, has no link `base`, or a mesh cannot be read.
     """
-    urdf, robot = parse_urdf(path), read_xml(path, "robot")
+    robot, urdf = read_robot_element(path), parse_urdf(path)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, base or _first_body(urdf, links), str(path))
     out = ElementTree.Element("robot", name=urdf.name)
@@ -61,17 +65,34 @@ def boxed_urdf(
     return ElementTree.tostring(out, encoding="unicode", xml_declaration=True) + "\n"
 
 
+def read_robot_element(path: Path) -> Element:
+    """Return the element <robot> of a URDF.
+
+    Raises:
+        KinfeasError: If it cannot be read, or is xacro that has yet to become a URDF.
+    """
+    robot = read_xml(path, "robot")
+    if any("xacro}" in element.tag for element in robot.xml.iter()):
+        raise robot.error("it is xacro and not yet a URDF: make one with xacro FILE > FILE.urdf")
+    return robot
+
+
 def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:
-    """Return the root, or the link with a shape that it leads to by joints between mere frames."""
-    link = urdf.root
+    """Return the root, or the link to which joints lead from it that stand for a floor."""
+    link, slides = urdf.root, False
     while True:
         group = rigid_with(urdf, link)
-        if any(links[name].child(kind) for name in group for kind in ("collision", "visual")):
-            return link
+        bare = not any(links[name].child(kind) for name in group for kind in _SHAPES)
         moving = [joint for joint in urdf.joints.values() if joint.moves and joint.parent in group]
-        if len(moving) != 1:
-            return urdf.root
-        link = moving[0].child
+        if not bare or len(moving) != 1 or not _on_a_floor(urdf, moving[0]):
+            return link if slides else urdf.root
+        link, slides = moving[0].child, slides or moving[0].kind == "prismatic"
+
+
+def _on_a_floor(urdf: Urdf, joint: Joint) -> bool:
+    """Return whether a joint moves as a base can: it slides across the floor, or turns on it."""
+    upright = abs(float(rotation(link_pose(urdf, joint.child, {})).apply(joint.axis)[2]))
+    return upright < _SLANT if joint.kind == "prismatic" else upright > 1.0 - _SLANT
 
 
 def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:

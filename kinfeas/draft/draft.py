@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from kinfeas.draft.arm import Arm, find_arm
-from kinfeas.draft.boxed import boxed_urdf
+from kinfeas.draft.boxed import boxed_urdf, read_robot_element
 from kinfeas.draft.footprint import on_the_floor
 from kinfeas.draft.hand import read_hand
 from kinfeas.draft.reach import (
@@ -18,12 +18,14 @@ from kinfeas.draft.reach import (
     built_to_touch,
     comfortable,
     free_share,
+    freedom,
     useful_heights,
     with_pairs,
 )
-from kinfeas.draft.stated import stated
+from kinfeas.draft.stated import LEEWAY, stated
 from kinfeas.draft.text import Guesses, robot_yaml
 from kinfeas.errors import KinfeasError
+from kinfeas.kinematics.ik import POSE_DIMENSIONS
 from kinfeas.robots.robot import Robot, read_robot
 from kinfeas.robots.spec import Drive, RobotSpec
 from kinfeas.robots.urdf import parse_urdf
@@ -31,7 +33,7 @@ from kinfeas.robots.urdf import parse_urdf
 _HARD = 0.2
 """Share of reachable goals below which no height is worth learning."""
 
-_BOXING, _TOUCHING, _REACHING = 0.5, 0.1, 0.4
+_BOXING, _TOUCHING, _REACHING = 0.3, 0.1, 0.6
 """Shares of the work."""
 
 Band = tuple[float, float]
@@ -44,8 +46,7 @@ class DraftOptions:
     Attributes:
         name: Short name of the robot; that of the URDF file by default.
         hand: Link that IK places; it is looked for by default.
-        base: Link that becomes the root, with what it carries; by default the first one with a
-            shape.
+        base: Link that becomes the root, with what it carries; it is looked for by default.
         drive: How the base moves.
     """
 
@@ -91,14 +92,15 @@ def draft_robot(
             or the arm reaches hardly any goal.
     """
     tell = on_done or (lambda share: None)
-    links = len(parse_urdf(path).links)
+    links = len(read_robot_element(path).children("link"))
     boxed = boxed_urdf(path, options.base, lambda _: tell(_BOXING / links))
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         urdf, spec, guesses = _stated(path, boxed, options, folder)
         robot = _read(spec, urdf, folder)
     touching = built_to_touch(robot)
-    robot = with_pairs(robot, touching)
+    leeway = LEEWAY if freedom(robot) < POSE_DIMENSIONS else None
+    robot = replace(with_pairs(robot, touching), leeway=leeway)
     home = comfortable(robot)
     tell(_TOUCHING)
     heights = useful_heights(robot, lambda share: tell(_REACHING * share))
@@ -107,6 +109,7 @@ def draft_robot(
         spec,
         home={"home": tuple(home.tolist())},
         goal_heights={"ggr": ggr, "ggr_restricted": restricted},
+        leeway=leeway,
         ignored_collisions=tuple(touching),
     )
     guesses = replace(guesses, touching=touching)

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.draft.arm import Arm, rigid_with
+from kinfeas.draft.arm import Arm, aside, rigid_with
 from kinfeas.draft.placed import Placed, link_pose, place
 from kinfeas.robots.spec import Gripper
 from kinfeas.robots.urdf import Joint, Urdf
-from kinfeas.spatial import Array, relative
+from kinfeas.spatial import Array, relative, rotation
 
 _PAIR = 2
+_NOTHING = 1e-6  # m
 _MOST_EFFORT = 1e4
 """N or N m: more than that stands for none."""
 
@@ -36,21 +37,25 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     """Return what the shapes and fingers of a hand say: axes are those of its frame, the nearest.
 
     It approaches along the way from the last joint of the arm to the fingers, or to the farthest
-    shape of a hand without.
+    shape of a hand with fewer than two; fingers lie farthest apart along the other axis.
     """
     fingers = arm.fingers if len(arm.fingers) == _PAIR else ()
     closed, opened = _ends(urdf, arm, fingers)
     shapes = _hand_shapes(urdf, arm)
-    at = [_middle(urdf, arm, finger, opened) for finger in fingers]
-    front = np.mean(at, axis=0) if at else _farthest(shapes)
     wrist = relative(
         link_pose(urdf, arm.joints[-1].child, {}), link_pose(urdf, arm.hand, {})
     )[:3]  # fmt: skip
-    x = _axis(front - wrist)
-    across = at[1] - at[0] if at else np.roll(x, 1)
-    y = np.abs(_axis(across - (across @ x) * x))  # either finger may be the first
+    at = np.array([_middle(urdf, arm, finger, opened) for finger in arm.fingers])
+    several = len(at) >= _PAIR
+    front = at.mean(axis=0) if several else _farthest(shapes, wrist)
+    x = _axis(front - wrist if several else _ahead(urdf, arm, front - wrist))
+    across = np.ptp(at, axis=0) if several else _closing(urdf, arm, x)
+    beside = across - (across @ x) * x
+    if np.linalg.norm(beside) < _NOTHING:
+        beside = np.roll(x, 1)
+    y = np.abs(_axis(beside))  # either finger may be the first
     reach = max((shape.reach(x) for shape in shapes), default=0.0)
-    tip = front - (front @ x) * x + reach * x if at else reach * x
+    tip = front - (front @ x) * x + reach * x if several else reach * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
     quaternion = Rotation.from_matrix(to_gripper).as_quat(canonical=True)
     return Hand(tip, quaternion, _gripper(urdf, fingers, closed, opened))
@@ -101,11 +106,40 @@ def _hand_shapes(urdf: Urdf, arm: Arm) -> list[Placed]:
     return place(urdf, sorted(links), arm.hand, {})
 
 
-def _farthest(shapes: list[Placed]) -> Array:
-    """Return the middle of the shape that is farthest from the hand's frame, shape (3,)."""
+def _ahead(urdf: Urdf, arm: Arm, reach: Array) -> Array:
+    """Return where a hand without fingers points, shape (3,): along `reach`, its farthest shape.
+
+    One that the last joint turns about itself points along that axis, away from what carries it.
+    """
+    last = arm.joints[-1]
+    if last.kind == "prismatic" or aside(urdf, last).any():
+        return reach
+    axis = rotation(link_pose(urdf, last.child, {})).apply(last.axis)
+    carrier = place(urdf, sorted(rigid_with(urdf, last.parent)), arm.hand, {})
+    own = place(urdf, sorted(rigid_with(urdf, arm.hand)), arm.hand, {})
+    axis = rotation(link_pose(urdf, arm.hand, {})).inv().apply(axis)
+    way = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
+    way -= sum(float(one.pose[:3] @ axis) / len(carrier) for one in carrier)
+    ahead: Array = axis if way >= 0.0 else -axis
+    return ahead
+
+
+def _farthest(shapes: list[Placed], wrist: Array) -> Array:
+    """Return the middle of the shape that is farthest from the arm's last joint, shape (3,)."""
     return max(
-        (shape.pose[:3] for shape in shapes), key=np.linalg.norm, default=np.array([1.0, 0.0, 0.0])
+        (shape.pose[:3] for shape in shapes),
+        key=lambda middle: np.linalg.norm(middle - wrist),
+        default=wrist + np.array([1.0, 0.0, 0.0]),
     )
+
+
+def _closing(urdf: Urdf, arm: Arm, x: Array) -> Array:
+    """Return where a single jaw comes from if the hand approaches along `x`, or 0, shape (3,)."""
+    for jaw in arm.fingers:
+        seen = relative(link_pose(urdf, jaw.child, {}), link_pose(urdf, arm.hand, {}))
+        axis = rotation(seen).apply(jaw.axis)
+        return axis if jaw.kind == "prismatic" else np.cross(axis, x)
+    return np.zeros(3)
 
 
 def _axis(direction: Array) -> Array:

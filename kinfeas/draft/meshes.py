@@ -14,7 +14,7 @@ from kinfeas.spatial import Array
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".off")
 
 _LARGEST = 200_000_000  # bytes
-_READERS = ("trimesh", "collada")
+_READER, _DAE_READER = "trimesh", "collada"
 
 
 def read_triangles(mesh: Element, folder: Path) -> Array:
@@ -37,7 +37,8 @@ def read_triangles(mesh: Element, folder: Path) -> Array:
 
 
 def _load(path: Path, where: str) -> Array:
-    if not all(map(find_spec, _READERS)):
+    readers = [_READER, _DAE_READER] if path.suffix.lower() == ".dae" else [_READER]
+    if not all(map(find_spec, readers)):
         raise KinfeasError(
             f"{where}: meshes are read by packages that are not there: "
             "pip install 'kinfeas[meshes]'"

@@ -27,10 +27,15 @@ WORTH, EASY = 0.8, 0.98
 """Share of goals that can be reached at heights worth learning, and at comfortable ones."""
 
 _PARALLEL = 0.999  # cosine of the angle between two axes
-_CONFIGURATIONS = 4096
+_CONFIGURATIONS, _FEW = 4096, 64
 _STEP, _GOALS = 0.1, 48  # metres between heights, and goals at each
-_STAGES = (4, 32, 256)
+_STAGES = (4, 16, 64, 256)
+_SEARCH = IkOptions(restarts=6, candidates=1)
+"""Of IK, from base poses that are many: whether it finds something is enough."""
+
 _SEED = 0
+_STIFF = 1e-3
+"""Metres or radians that the hand moves for one of a joint, which is none."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +79,16 @@ def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
         rows = [row for row, of_links in enumerate(shapes) if of_links == pair]
         alone = model._replace(pairs=np.ascontiguousarray(model.pairs[rows]))
         share = float(self_collides(alone, joints).mean()) if rows else 0.0
-        if share > _allowed(robot.urdf, *pair):
+        if share > _allowed(robot, *pair):
             found[pair] = share
     return found
 
 
-def _allowed(urdf: Urdf, one: str, other: str) -> float:
+def _allowed(robot: Robot, one: str, other: str) -> float:
     """Return the share of configurations in which two links may touch and still be looked at."""
-    between = [j for j in {*urdf.path_to(one)} ^ {*urdf.path_to(other)} if j.moves]
+    urdf, arm = robot.urdf, {joint.name for joint in robot.arm}
+    apart = {*urdf.path_to(one)} ^ {*urdf.path_to(other)}
+    between = [joint for joint in apart if urdf.followed(joint)[0].name in arm]
     turning = sum(joint.kind != "prismatic" for joint in between)
     if turning == 0 and _in_line(urdf, between):
         return 0.0
@@ -91,8 +98,8 @@ def _allowed(urdf: Urdf, one: str, other: str) -> float:
 def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
     """Return whether joints slide along one line, as the parts of a telescope do."""
     poses = [(link_pose(urdf, joint.child, {}), joint.axis) for joint in slides]
-    first, *others = [rotation(pose).apply(axis) for pose, axis in poses]
-    return all(abs(float(first @ other)) > _PARALLEL for other in others)
+    along = [rotation(pose).apply(axis) for pose, axis in poses]
+    return all(abs(float(along[0] @ other)) > _PARALLEL for other in along)
 
 
 def free_share(robot: Robot) -> float:
@@ -106,7 +113,8 @@ def comfortable(robot: Robot) -> Array:
 
     Of those in which the robot does not touch itself, the hand is ahead of the base, and neither
     low nor high for this arm, it is the most dexterous one: the least singular value of its
-    Jacobian, less near joint limits (Yoshikawa 1985; Tsai 1986), is the largest.
+    Jacobian, of those that are above 0 at all, less near joint limits (Yoshikawa 1985; Tsai 1986),
+    is the largest.
 
     Raises:
         KinfeasError: If the robot touches itself in all configurations.
@@ -126,19 +134,32 @@ def comfortable(robot: Robot) -> Array:
     return best
 
 
+def freedom(robot: Robot) -> int:
+    """Return in how many ways at once the arm can move the hand, 1-6: sliders in line are one."""
+    ways = _singular_values(robot, spread_configurations(robot, _FEW)) > _STIFF
+    return int(ways.sum(axis=1).max())
+
+
 def _dexterity(robot: Robot, joints: Array) -> Array:
     """Return how freely the hand moves in configurations (n, j), shape (n,)."""
-    chain, (lower, upper) = build_chain(robot), robot.finite_joint_limits
-    here, small = forward(chain, joints), 1e-6
+    lower, upper = robot.finite_joint_limits
+    bounded = ~robot.continuous
+    room = 4.0 * (joints - lower) * (upper - joints) / (upper - lower) ** 2
+    least: Array = _singular_values(robot, joints)[:, freedom(robot) - 1]
+    return least * room[:, bounded].min(axis=1, initial=1.0)
+
+
+def _singular_values(robot: Robot, joints: Array) -> Array:
+    """Return those of the Jacobian in configurations (n, j), descending, shape (n, min(6, j))."""
+    chain, small = build_chain(robot), 1e-6
+    here = forward(chain, joints)
     columns = [
         twist_between(here, forward(chain, joints + small * unit), small)
         for unit in np.eye(joints.shape[1])
     ]
     jacobian = np.stack(columns, axis=-1) * np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
-    freedom = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
-    bounded = ~robot.continuous
-    room = 4.0 * (joints - lower) * (upper - joints) / (upper - lower) ** 2
-    return freedom * room[:, bounded].min(axis=1, initial=1.0)
+    values: Array = np.linalg.svd(jacobian, compute_uv=False)
+    return values
 
 
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:
@@ -151,7 +172,7 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
         robot: The robot.
         on_done: Called with the share of all work, 0-1, that has just been done.
     """
-    solver, rng = IkSolver(robot, IkOptions()), np.random.default_rng(_SEED)
+    solver, rng = IkSolver(robot, _SEARCH), np.random.default_rng(_SEED)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
     at = np.arange(_STEP, max(float(ee.max()), 2.0 * _STEP) + _STEP, _STEP)
     shares = []

@@ -7,27 +7,26 @@ import numpy as np
 
 from kinfeas.draft.arm import Arm
 from kinfeas.draft.hand import Hand
-from kinfeas.kinematics.ik import POSE_DIMENSIONS
 from kinfeas.robots.spec import ArmJointSpec, BaseSpec, Drive, Leeway, RobotSpec
 from kinfeas.robots.urdf import Joint, Urdf
 
-_WIDEST = 4.0 * math.pi
-"""Radians: a wider range of a joint that turns stands for no limit."""
+_WIDEST = 4.0 * math.pi + 0.01
+"""Radians: a wider range than a turn either way stands for no limit."""
 
 _TURN, _SLIDE = 1.0, 0.1
 """rad/s and m/s of joints to which the URDF gives no speed."""
 
 # What the shipped robots have in common, and HSR's leeway for arms that cannot reach every pose.
 _SPEED, _ROTATION, _ACCELERATION, _ROTATION_ACCELERATION = 0.2, 1.0, 1.0, 2.0
-_LEEWAY = Leeway(position=0.1, rotation=0.2094)
+LEEWAY = Leeway(position=0.1, rotation=0.2094)
 _HEIGHTS = {"ggr": (0.2, 1.4), "ggr_restricted": (0.4, 1.1)}
 
 
 def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSpec:
     """Return the YAML file of a robot, with stopgaps for what has to be tried out.
 
-    These are the home, in the middle of the joint ranges, the goal heights, and pairs of links that
-    may touch, none.
+    These are the home, in the middle of the joint ranges, the goal heights, pairs of links that may
+    touch, none, and no leeway.
     """
     joints = {joint.name: _joint(joint) for joint in arm.joints}
     return RobotSpec(
@@ -41,7 +40,6 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
         home={"home": tuple(_middle(joint, joints[joint.name]) for joint in arm.joints)},
         goal_heights=_HEIGHTS,
         fixed_joints=_half_open(urdf, hand),
-        leeway=_LEEWAY if len(joints) < POSE_DIMENSIONS else None,
         gripper=hand.gripper,
     )
 

@@ -87,7 +87,7 @@ def _reach(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     yield from ("", "# Where goals of any orientation can be reached.", "goal_heights:")
     yield from (f"  {name}: {_flow(heights)}" for name, heights in spec.goal_heights.items())
     if spec.leeway is not None:
-        yield from ("", "# Guess: so few joints cannot follow six dimensions.", "leeway:")
+        yield from ("", "# Guess: these joints cannot follow six dimensions.", "leeway:")
         for entry in fields(spec.leeway):
             yield f"  {entry.name}: {_flow(getattr(spec.leeway, entry.name))}"
 

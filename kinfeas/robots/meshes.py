@@ -39,7 +39,7 @@ def _candidates(mesh: Element, name: str, folder: Path) -> list[Path]:
     """Return where a mesh may lie, the likeliest first."""
     scheme, _, rest = name.rpartition("://")
     if scheme in _PACKAGES:
-        return [above / rest for above in (*folder.parents, folder)]
+        return [above / rest.lstrip("/") for above in (*folder.parents, folder)]
     if scheme in _FILES:
         return [folder / rest]
     raise mesh.error(f"{name!r} must be a path, or begin with file:// or package://")

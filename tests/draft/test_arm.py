@@ -57,3 +57,31 @@ def test_a_robot_without_an_arm_is_one_sentence(changed):
 
 def test_links_on_fixed_joints_cannot_move_against_each_other(dolly):
     assert rigid_with(parse_urdf(dolly), "tool") == {"wrist", "palm", "tool"}
+
+
+def test_a_jaw_that_closes_on_a_fixed_one_is_no_joint_of_the_arm(changed):
+    path = changed(('name="r" type="prismatic"', 'name="r" type="fixed"'))
+    arm = find_arm(parse_urdf(path), None, "dolly")
+    assert arm.hand == "palm"
+    assert [joint.name for joint in arm.joints] == ["pan", "lift", "elbow"]
+    assert [joint.name for joint in arm.fingers] == ["l"]
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "0 1 0"])
+def test_a_last_joint_that_turns_the_hand_is_one_of_the_arm(changed, axis):
+    path = changed(
+        ('name="l" type="prismatic"', 'name="l" type="fixed"'),
+        ('name="r" type="prismatic"', 'name="r" type="fixed"'),
+        ('name="mount" type="fixed"', 'name="mount" type="continuous"'),
+        ('<axis xyz="0 0 0"/>', f'<axis xyz="{axis}"/>'),
+    )
+    arm = find_arm(parse_urdf(path), None, "dolly")
+    assert [joint.name for joint in arm.joints] == ["pan", "lift", "elbow", "mount"]
+    assert not arm.fingers
+
+
+def test_fingers_on_several_links_hang_on_the_one_before_these(changed):
+    path = changed(
+        ('<parent link="palm"/><child link="left"/>', '<parent link="tool"/><child link="left"/>')
+    )
+    assert find_arm(parse_urdf(path), None, "dolly").hand == "palm"

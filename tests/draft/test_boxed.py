@@ -76,6 +76,32 @@ def test_meshes_need_what_reads_them(meshed, monkeypatch):
         boxed_urdf(meshed)
 
 
+def test_only_dae_files_need_what_reads_dae(meshed, monkeypatch):
+    pytest.importorskip("trimesh")
+    there = "kinfeas.draft.meshes.find_spec"
+    monkeypatch.setattr(there, lambda name: None if name == "collada" else name)
+    boxed_urdf(meshed)
+    meshed.write_text(meshed.read_text().replace("part.stl", "part.dae"))
+    meshed.with_name("part.dae").write_text("")
+    with pytest.raises(KinfeasError, match=r"pip install 'kinfeas\[meshes\]'"):
+        boxed_urdf(meshed)
+
+
+def test_a_dae_file_counts_in_its_own_unit(changed, cube, tmp_path):
+    pytest.importorskip("collada")
+    trimesh = pytest.importorskip("trimesh")
+    faces = np.arange(36).reshape(-1, 3)
+    mesh = trimesh.Trimesh(cube.reshape(-1, 3) * 4.0, faces)
+    text = trimesh.exchange.dae.export_collada(mesh).decode()
+    assert "<unit" not in text
+    assert "</asset>" in text
+    scaled = text.replace("</asset>", '<unit name="centimeter" meter="0.01"/></asset>')
+    tmp_path.joinpath("part.dae").write_text(scaled)
+    path = changed(('<box size="0.04 0.1 0.04"/>', '<mesh filename="part.dae"/>'))
+    (shape,) = boxed(path, tmp_path).links["palm"].shapes
+    np.testing.assert_allclose(shape.size, 0.041, atol=1e-4)
+
+
 def test_what_is_seen_stands_in_where_nothing_collides(changed, tmp_path):
     seen = '<link name="tool"><visual><geometry><sphere radius="0.3"/></geometry></visual></link>'
     path = changed(('<link name="tool"/>', seen))
@@ -109,3 +135,29 @@ def test_the_base_can_be_chosen(dolly, tmp_path):
 
 def test_a_link_is_carried_with_all_that_hangs_on_it(dolly):
     assert carried(parse_urdf(dolly), "palm", "") == {"palm", "tool", "left", "right"}
+
+
+def test_a_lift_above_such_a_floor_belongs_to_the_arm(changed, tmp_path):
+    lift = FLOOR.replace('<limit lower="-9"', '<axis xyz="0 0 1"/><limit lower="0"')
+    path = changed(('<robot name="dolly">', f'<robot name="dolly">{lift}'))
+    assert boxed(path, tmp_path).root == "world"
+    slide = (
+        '<link name="map"/><joint name="x" type="prismatic"><parent link="map"/>'
+        '<child link="world"/><limit lower="-9" upper="9" velocity="1"/></joint>'
+    )
+    path = changed(('<robot name="dolly">', f'<robot name="dolly">{slide}{lift}'))
+    urdf = boxed(path, tmp_path)
+    assert urdf.root == "world"
+    assert "slide" in urdf.joints
+
+
+def test_a_first_joint_that_turns_on_a_bare_link_stays(changed, tmp_path):
+    turn = FLOOR.replace("prismatic", "continuous").replace("<limit", '<axis xyz="0 0 1"/><limit')
+    path = changed(('<robot name="dolly">', f'<robot name="dolly">{turn}'))
+    assert boxed(path, tmp_path).root == "world"
+
+
+def test_xacro_is_one_sentence(changed):
+    macro = '<robot xmlns:x="http://www.ros.org/wiki/xacro" name="dolly"><x:include filename="y"/>'
+    with pytest.raises(KinfeasError, match="it is xacro and not yet a URDF"):
+        boxed_urdf(changed(('<robot name="dolly">', macro)))

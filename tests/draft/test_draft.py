@@ -74,3 +74,8 @@ def test_an_arm_that_reaches_nothing_is_one_sentence():
         KinfeasError, match=r"arm: the arm reaches hardly any goal: at best 10%, 1 m"
     ):
         bands(heights, "arm")
+
+
+def test_joints_of_a_turn_either_way_keep_their_limits(changed, few):
+    full = ('lower="-1e16" upper="1e16"', 'lower="-6.28318530718" upper="6.28318530718"')
+    assert not draft_robot(changed(full), DraftOptions()).guesses.limits

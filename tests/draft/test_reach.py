@@ -4,18 +4,25 @@ import numpy as np
 import pytest
 
 from kinfeas import registry
+from kinfeas.draft.arm import find_arm
+from kinfeas.draft.hand import read_hand
 from kinfeas.draft.reach import (
     Heights,
     built_to_touch,
     comfortable,
     free_share,
+    freedom,
     useful_heights,
     with_pairs,
 )
+from kinfeas.draft.stated import stated
+from kinfeas.draft.text import Guesses, robot_yaml
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
+from kinfeas.robots.robot import read_robot
+from kinfeas.robots.urdf import parse_urdf
 
 HEIGHTS = np.arange(6.0)
 
@@ -78,3 +85,49 @@ def test_useful_heights_are_those_of_the_robots_file():
     inside = (heights.at >= low) & (heights.at <= high)
     assert np.all(heights.share[inside] > 0.9)
     assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5
+
+
+def test_an_arm_has_the_freedom_of_its_hand(robot):
+    assert freedom(robot) == (6 if robot.name == "tiago" else 5)
+
+
+@pytest.fixture
+def drafted(tmp_path):
+    """Return a function that reads a URDF as a robot, before anything is tried out."""
+
+    def read(path):
+        urdf = parse_urdf(path)
+        arm = find_arm(urdf, None, "dolly")
+        spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
+        (tmp_path / "dolly.yaml").write_text(robot_yaml(replace(spec, urdf=path), Guesses()))
+        return read_robot(tmp_path / "dolly.yaml")
+
+    return read
+
+
+def test_sliders_in_line_are_one_freedom(changed, drafted):
+    slides = 'name="{}" type="prismatic"'
+    path = changed(
+        ('name="lift" type="revolute"', slides.format("lift")),
+        ('name="elbow" type="revolute"', slides.format("elbow")),
+        ('lower="-1e16" upper="1e16"', 'lower="0" upper="0.3"'),
+    )
+    assert freedom(drafted(path)) == 2
+
+
+def test_fingers_stand_still_and_keep_no_links_apart(changed, drafted):
+    wide = '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
+    path = changed(
+        ('<link name="lower"/>', f'<link name="lower">{wide}</link>'),
+        ('name="l" type="prismatic"', 'name="l" type="revolute"'),
+        ('name="r" type="prismatic"', 'name="r" type="revolute"'),
+    )
+    found = built_to_touch(drafted(path))
+    assert 1.0 / 3.0 < found["left", "lower"] < 0.95
+
+
+def test_the_home_of_an_arm_with_less_freedom_is_off_its_limits():
+    robot = registry.load_robot("hsr")
+    lower, upper = robot.finite_joint_limits
+    home = comfortable(robot)
+    assert np.all((home - lower > 0.02 * (upper - lower)) & (upper - home > 0.02 * (upper - lower)))

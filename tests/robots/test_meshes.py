@@ -31,6 +31,7 @@ def found(name, urdf):
         ("{0}/rover/meshes/part.stl", "rover/meshes/part.stl"),
         ("file://{0}/rover/meshes/part.stl", "rover/meshes/part.stl"),
         ("package://rover/meshes/part.stl", "rover/meshes/part.stl"),
+        ("package:///rover/meshes/part.stl", "rover/meshes/part.stl"),
         ("package://rover_meshes/PART.STL", "rover_meshes/PART.STL"),
     ],
 )
