@@ -155,6 +155,8 @@ def _show(draft: "Draft", path: Path) -> None:
         ["free of self-collision", f"{share(draft.free)} of all configurations"],
         ["pairs of links that may touch", str(len(spec.ignored_collisions))],
     ]
+    if "<collision>" not in draft.urdf:
+        rows.append(["shapes", "none: what touches what is not looked at"])
     if guesses.lifted:
         rows.append(["root", f"{guesses.lifted:g} m above the floor: one on it was added"])
     if guesses.speeds:

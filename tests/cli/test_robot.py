@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 
@@ -31,6 +32,14 @@ def test_writes_a_robot_that_other_commands_take(robot, kinfeas, tmp_path):
         "evaluate", "--robot", "new/dolly.yaml", "--policy", "follow_ee", "--episodes", "2"
     )
     assert evaluated.code == 0, evaluated.err
+
+
+def test_a_robot_without_shapes_is_told_of(robot, tmp_path):
+    bare = re.sub(r"<collision>.*?</collision>", "", ARM)
+    (tmp_path / "dolly.urdf").write_text(bare)
+    outcome = robot("--out", "new", "--ee", "palm")
+    assert outcome.code == 0, outcome.err
+    assert "none: what touches what is not looked at" in outcome.out
 
 
 def test_what_is_there_stays(robot, tmp_path):
