@@ -3,7 +3,6 @@
 import shlex
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
-from kinfeas import pretrained, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.policies import load_policy
 from kinfeas.metrics import summarize
-from kinfeas.policy import Network, write_network
+from kinfeas.policy import write_network
 from kinfeas.storage.files import writing
 from kinfeas.storage.folders import alone, find_folder, write_folder
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
@@ -31,6 +28,7 @@ from kinfeas.training.learner import (
     without_denormals,
 )
 from kinfeas.training.logs import LEARNER, Logs
+from kinfeas.training.origin import first_policy, fitted
 from kinfeas.training.process_env import ProcessVecEnv
 from kinfeas.training.progress import Progress, read_progress
 from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
@@ -55,7 +53,7 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     """
     _check_new(out)
     # What is wrong with the configuration shows here, before anything is written.
-    config = _fitted(config)
+    config = fitted(config)
     run = _Run(config, out)
     run.begin()
     with writing(out):
@@ -90,30 +88,6 @@ def _check_new(out: Path) -> None:
     raise KinfeasError(f"{out}: already there; use {again}, or another --out")
 
 
-def _fitted(config: TrainConfig) -> TrainConfig:
-    """Return the configuration with the layers and the lasting name of what it goes on from.
-
-    Raises:
-        KinfeasError: If that policy cannot be read, or is no network.
-    """
-    if config.init is None:
-        return config
-    hidden = tuple(len(bias) for bias in _first_policy(config).biases[:-1])
-    init = config.init if config.init == pretrained.NAME else str(Path(config.init).absolute())
-    return replace(config, init=init, learner=replace(config.learner, hidden=hidden))
-
-
-def _first_policy(config: TrainConfig) -> Network:
-    assert config.init is not None
-    found = load_policy(config.init, registry.load_robot(config.robot))
-    if not isinstance(found, Network):
-        raise KinfeasError(
-            f"init: {config.init} has no weights to go on from; it must be the folder of a "
-            "training run or of a checkpoint, or pretrained"
-        )
-    return found
-
-
 class _Run:
     """One training run in its folder."""
 
@@ -131,10 +105,7 @@ class _Run:
     def begin(self) -> None:
         """Take the weights of the policy that the run goes on from, if there is one."""
         if self.config.init is not None:
-            network = _first_policy(self.config)
-            if not np.array_equal(network.scale, self.env.scale):
-                raise KinfeasError(f"init: {self.config.init} scales observations otherwise")
-            take_network(self.learner, network)
+            take_network(self.learner, first_policy(self.config, self.env.scale))
 
     def load(self) -> None:
         """Take up the last checkpoint, or begin if there is none."""

@@ -13,15 +13,31 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from kinfeas import spatial
-from kinfeas.evaluation.pictures.projection import Painted, View, draw_floor, draw_solids, look
+from kinfeas.evaluation.pictures.projection import (
+    Painted,
+    View,
+    draw_floor,
+    draw_solids,
+    look,
+    show_to_scale,
+)
 from kinfeas.evaluation.pictures.solids import robot_faces
-from kinfeas.evaluation.pictures.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE
+from kinfeas.evaluation.pictures.style import (
+    ARM,
+    BASE,
+    BODY,
+    DESIRED,
+    EE,
+    FAILURE,
+    GOAL,
+    INK,
+    STYLE,
+)
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
 _ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
-_BODY, _ARM = "#c3c9d2", "#5b93cf"
 _PALEST = 0.62
 _ARROW_METRES = 0.3
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
@@ -77,7 +93,7 @@ def _draw_side(axes: Axes, robot: Robot, recording: Recording) -> None:
     drawn = moments(recording)
     view = _side_view(recording, drawn)
     faces = [
-        Painted(face.corners, _pale(_ARM if face.arm else _BODY, place, len(drawn)))
+        Painted(face.corners, _pale(ARM if face.arm else BODY, place, len(drawn)))
         for place, moment in enumerate(drawn)
         for face in robot_faces(
             robot, recording.base_pose[moment], recording.joint_positions[moment]
@@ -89,12 +105,7 @@ def _draw_side(axes: Axes, robot: Robot, recording: Recording) -> None:
     draw_solids(axes, view, faces)
     for goal in recording.goals:
         _draw_goal(axes, goal, view)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
-    axes.set_axis_off()
-    axes.annotate(
-        "floor grid: 0.5 m", (0.0, 0.0), xycoords="axes fraction", fontsize=8.5, color="#7b828c"
-    )
+    show_to_scale(axes)
 
 
 def _side_view(recording: Recording, drawn: NDArray[np.intp]) -> View:
@@ -110,9 +121,9 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     view = look(0.0, np.pi / 2.0)
     drawn = moments(recording)
     for place, moment in enumerate(drawn):
-        _draw_footprint(axes, robot, recording, moment, _pale(_BODY, place, len(drawn)))
+        _draw_footprint(axes, robot, recording, moment, _pale(BODY, place, len(drawn)))
         reach = np.stack([recording.base_pose[moment, :2], recording.ee_pose[moment, :2]])
-        axes.plot(*reach.T, color=_pale(_ARM, place, len(drawn)), lw=3.0, zorder=2.5,
+        axes.plot(*reach.T, color=_pale(ARM, place, len(drawn)), lw=3.0, zorder=2.5,
                   solid_capstyle="round")  # fmt: skip
     _draw_paths(axes, recording, view, floor=recording.base_pose[:, :3])
     _draw_headings(axes, recording)
@@ -181,7 +192,7 @@ def _legend() -> list[Line2D]:
 
     return [
         entry("base path and heading", color=BASE, lw=2.2, marker=">", ms=7),
-        entry("arm, base to EE", color=_ARM, lw=3.0),
+        entry("arm, base to EE", color=ARM, lw=3.0),
         entry("EE desired", color=DESIRED, lw=1.2, ls=(0, (4, 3))),
         entry("EE achieved", color=EE, lw=2.4),
         entry("no IK solution", color=FAILURE, lw=0, marker="o", ms=6),

@@ -66,6 +66,16 @@ class Painted:
     colour: Colour
 
 
+def show_to_scale(axes: Axes) -> None:
+    """End a view of solids on a floor: all of it, to scale, with a word on the floor's grid."""
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.autoscale_view()
+    axes.set_axis_off()
+    axes.annotate(
+        "floor grid: 0.5 m", (0.0, 0.0), xycoords="axes fraction", fontsize=8.5, color="#7b828c"
+    )
+
+
 def draw_solids(axes: Axes, view: View, faces: Iterable[Painted]) -> None:
     """Draw the faces that look toward the viewer, the nearer ones over those behind them."""
     seen = [

@@ -7,16 +7,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from kinfeas.evaluation.pictures.projection import Painted, View, draw_floor, look
+from kinfeas.evaluation.pictures.projection import Painted, View, draw_floor, look, show_to_scale
 from kinfeas.evaluation.pictures.raster import paint_solids
 from kinfeas.evaluation.pictures.solids import robot_faces
-from kinfeas.evaluation.pictures.style import STYLE
+from kinfeas.evaluation.pictures.style import ARM, BODY, STYLE
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import IDENTITY, Array, rotation
 
-_BODY, _ARM = "#c3c9d2", "#5b93cf"
 _AXES = {"approach": "#d1483e", "finger to finger": "#3a9a52"}
 _LENGTH = 0.2  # m
 _TURNS, _ELEVATION = np.deg2rad([-35.0, 55.0]), np.deg2rad(18.0)
@@ -29,7 +28,7 @@ def robot_figure(robot: Robot) -> Figure:
     """
     home = robot.home["home"]
     faces = [
-        Painted(face.corners, _ARM if face.arm else _BODY)
+        Painted(face.corners, ARM if face.arm else BODY)
         for face in robot_faces(robot, IDENTITY, home)
     ]
     arrows = _arrows(robot)
@@ -38,7 +37,7 @@ def robot_figure(robot: Robot) -> Figure:
         for axes, turn in zip(figure.subplots(1, 2), _TURNS, strict=True):
             _draw(axes, look(float(turn), float(_ELEVATION)), faces, arrows)
         figure.suptitle(f"{robot.name} at its home, {len(robot.arm)} arm joints", fontsize=13)
-        handles = [Patch(color=_ARM, label="arm and hand"), Patch(color=_BODY, label="the rest")]
+        handles = [Patch(color=ARM, label="arm and hand"), Patch(color=BODY, label="the rest")]
         lines = [Line2D([], [], color=_AXES[name], lw=2.5, label=name) for name in _AXES]
         figure.legend(handles=[*handles, *lines], loc="outside lower center", ncols=4)
     return figure
@@ -63,9 +62,4 @@ def _draw(axes: Axes, view: View, faces: list[Painted], arrows: dict[str, Array]
         start, end = view.flat(ends)
         style = {"arrowstyle": "-|>", "color": _AXES[name], "lw": 2.5, "shrinkA": 0, "shrinkB": 0}
         axes.annotate("", end, start, arrowprops=style, zorder=9)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
-    axes.set_axis_off()
-    axes.annotate(
-        "floor grid: 0.5 m", (0.0, 0.0), xycoords="axes fraction", fontsize=8.5, color="#7b828c"
-    )
+    show_to_scale(axes)

@@ -9,6 +9,9 @@ from matplotlib.figure import Figure
 BASE, EE, DESIRED, FAILURE, GOAL = "#1f5fa8", "#17906b", "#3a3f47", "#d62f3c", "#e69f00"
 """The colours of base, achieved EE, desired EE, kinematic failure and goal in every picture."""
 
+BODY, ARM = "#c3c9d2", "#5b93cf"
+"""Of a robot's solids: what its arm does not move, and the arm with its hand."""
+
 INK, FAINT = "#2b2f36", "#8a919c"
 
 # Any: matplotlib's types know each key by name, and no dict of strings is one of those.

@@ -1,0 +1,53 @@
+"""What a run goes on from: the policy that its configuration names."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas import pretrained, registry
+from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.policies import load_policy
+from kinfeas.policy import Network
+from kinfeas.training.config import TrainConfig
+
+
+def fitted(config: TrainConfig) -> TrainConfig:
+    """Return the configuration with the layers and the lasting name of what it goes on from.
+
+    Raises:
+        KinfeasError: If that policy cannot be read, or is no network.
+    """
+    if config.init is None:
+        return config
+    hidden = tuple(len(bias) for bias in _load(config).biases[:-1])
+    init = config.init if config.init == pretrained.NAME else str(Path(config.init).absolute())
+    return replace(config, init=init, learner=replace(config.learner, hidden=hidden))
+
+
+def first_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:
+    """Return the policy that a run goes on from, which must scale observations alike.
+
+    Args:
+        config: Names it: `init` is not None.
+        scale: Factor on each observed number in the run's environment, shape (o,).
+
+    Raises:
+        KinfeasError: If it cannot be read, is no network, or has another scale.
+    """
+    network = _load(config)
+    if not np.array_equal(network.scale, scale):
+        raise KinfeasError(f"init: {config.init} scales observations otherwise")
+    return network
+
+
+def _load(config: TrainConfig) -> Network:
+    assert config.init is not None
+    found = load_policy(config.init, registry.load_robot(config.robot))
+    if not isinstance(found, Network):
+        raise KinfeasError(
+            f"init: {config.init} has no weights to go on from; it must be the folder of a "
+            "training run or of a checkpoint, or pretrained"
+        )
+    return found
