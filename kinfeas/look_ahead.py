@@ -12,6 +12,7 @@ from kinfeas.config import Interval
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.spread import spread
 from kinfeas.loop import Loop, Rows
+from kinfeas.metrics import WITHIN
 from kinfeas.observation import HORIZON
 from kinfeas.policy import Policy, Situation
 from kinfeas.quantities import LONGEST, PositiveSeconds, Share
@@ -46,6 +47,8 @@ class Foresight:
         tries: Deviations from the policy that are tried where it would fail; the first is none.
         spread: Their standard deviation, in units of the action.
         jump: What an arm jump costs, in kinematic failures.
+        stray: What a feasible step costs that leaves the EE more than 5 cm off, as leeway allows,
+            in kinematic failures.
     """
 
     seconds: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
@@ -53,15 +56,16 @@ class Foresight:
     tries: Annotated[int, Interval(low=1, high=1000)] = 32
     spread: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
     jump: Share = 0.1
+    stray: Share = 0.1
 
 
 class LookAhead:
     """Follows a policy, and deviates from it where it would fail and a deviation would not.
 
     Every now and then it carries the policy out in a world without dynamics or noise. Where a
-    kinematic failure or an arm jump shows, it tries the policy plus each of the same few constants,
-    and adds the one with the last and least of them until the next look. No row depends on the
-    others.
+    kinematic failure, an arm jump or a straying EE shows, it tries the policy plus each of the same
+    few constants, and adds the one with the last and least of them until the next look. No row
+    depends on the others.
 
     Attributes:
         policy: Whom it follows.
@@ -133,7 +137,7 @@ class LookAhead:
     def _try(
         self, now: State, rows: Rows, deviations: Array, limit: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what failures and jumps to come cost, and who fails at once, shapes (m, k).
+        """Return what is to come costs, and who fails at once, shapes (m, k).
 
         Args:
             now: Where all rows are.
@@ -151,7 +155,9 @@ class LookAhead:
             action = self.rehearsed.act(twin.situation) + added[going]
             step = twin.step(np.clip(action, -1.0, 1.0))
             missing = 1.0 + step.position_error + step.rotation_error
-            price = np.where(step.feasible, self.foresight.jump * step.jumped, missing)
+            strays = step.position_error > WITHIN
+            less = self.foresight.jump * step.jumped + self.foresight.stray * strays
+            price = np.where(step.feasible, less, missing)
             cost[going] += np.where(over, 0.0, price * _LATER**period)
             if period == 0:
                 stuck = ~step.feasible

@@ -241,7 +241,7 @@ class Loop:
 
     def _grip(self, leg: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Let the grippers do what the legs say that have just come to their end."""
-        if not (isinstance(self.backend, Gripping) and stops.any()):
+        if not (stops.any() and isinstance(self.backend, Gripping)):
             return
         for number, one in enumerate(self.course.legs):
             rows = np.flatnonzero(stops & (leg == number))

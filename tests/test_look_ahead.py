@@ -8,6 +8,7 @@ from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.policies import load_driver, load_policy
 from kinfeas.look_ahead import Foresight, LookAhead
+from kinfeas.metrics import WITHIN
 from kinfeas.registry import load_robot
 from kinfeas.tasks.loading import load_task
 
@@ -67,6 +68,19 @@ def test_jumps_less_where_that_costs_no_failure():
     )
 
     assert careful.jumps.sum() < 0.8 * careless.jumps.sum()
+    assert careful.failures.sum() <= careless.failures.sum()
+
+
+def test_strays_less_where_leeway_is_not_needed(task):
+    robot = load_robot("hsr")
+    policy = load_policy("follow_ee_feedback", robot)
+
+    careless, careful = (
+        run(robot, task, LookAhead(policy, replace(NEAR, stray=stray)), episodes=16)
+        for stray in (0.0, 0.1)
+    )
+
+    assert (careful.max_deviation > WITHIN).sum() < (careless.max_deviation > WITHIN).sum()
     assert careful.failures.sum() <= careless.failures.sum()
 
 

@@ -108,7 +108,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--look-ahead",
             help="Try the next 6 s out every 0.5 s, beside the control loop, and deviate from the "
-            "policy where it would fail or the arm jump. Settings: look_ahead.KEY.",
+            "policy where it would fail, the arm jump or the hand stray. Settings: look_ahead.KEY.",
         ),
     ] = False,
     overrides: options.Overrides = None,

@@ -90,7 +90,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--look-ahead",
             help="Try the next 6 s out every 0.5 s, and deviate from the policy where it would "
-            "fail or the arm jump; many times slower. Settings: look_ahead.KEY.",
+            "fail, the arm jump or the hand stray; many times slower. Settings: look_ahead.KEY.",
         ),
     ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
@@ -117,7 +117,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     changes no figure; with physics dt, max_failures, max_seconds, adapters, ik, physics, patience,
     slow_down, head_start, objects), [bold]task.KEY[/], the task's own parameters, such as
     [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds that are tried out, every so
-    many seconds, tries, spread, jump).
+    many seconds, tries, spread, jump, stray).
 
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.
