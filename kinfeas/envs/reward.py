@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 
 from kinfeas.loop import Step
-from kinfeas.metrics import WITHIN
 from kinfeas.quantities import NotNegative, PositiveShare
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
@@ -24,8 +23,6 @@ class RewardConfig:
             between 0.2 and 1, growing with the distance that IK could not close.
         action_penalty: Factor lambda on the squared norm of the action.
         jump_penalty: Cost of a step in which an arm joint has to move faster than it can.
-        stray_penalty: Cost of a feasible step that leaves the EE more than 5 cm off, as the leeway
-            of some robots allows, on top of what the leeway costs.
         limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
         limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
     """
@@ -33,7 +30,6 @@ class RewardConfig:
     failure: Literal["indicator", "graded"] = "graded"
     action_penalty: NotNegative = 0.001
     jump_penalty: NotNegative = 0.1
-    stray_penalty: NotNegative = 0.0
     limit_penalty: NotNegative = 0.02
     limit_margin: PositiveShare = 0.2
 
@@ -62,8 +58,7 @@ def reward(
         approximation = np.square(step.position_error / robot.leeway.position) + np.square(
             step.rotation_error / robot.leeway.rotation
         )
-        price = 0.5 * approximation + config.stray_penalty * (step.position_error > WITHIN)
-        earned -= np.where(step.feasible, price, 0.0)
+        earned -= np.where(step.feasible, 0.5 * approximation, 0.0)
     return earned
 
 

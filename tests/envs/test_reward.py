@@ -66,15 +66,6 @@ def test_leeway_costs_on_feasible_steps_alone(exact_robot):
     np.testing.assert_allclose(earned, [-0.5, -0.5, -0.25, -1.0])
 
 
-def test_to_stray_within_the_leeway_costs_more(exact_robot):
-    weights = replace(PAPER, stray_penalty=0.3)
-    lenient = replace(exact_robot, leeway=Leeway(0.1, 0.2094))
-    seen = step([True, True, False], [0.05, 0.06, 0.2], [0.0, 0.0, 0.0])
-    still = np.zeros((3, 3)), middle(lenient, 3)
-    price = reward(PAPER, lenient, seen, *still) - reward(weights, lenient, seen, *still)
-    np.testing.assert_allclose(price, [0.0, 0.3, 0.0], atol=1e-15)
-
-
 def test_limit_penalty_falls_from_the_limit_to_the_margin(exact_robot):
     weights = RewardConfig("indicator", 0.0, limit_penalty=0.1, limit_margin=0.2)
     bounded = next(i for i, joint in enumerate(exact_robot.arm) if not joint.continuous)
