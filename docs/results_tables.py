@@ -1,12 +1,14 @@
 """Put the figures of `kinfeas benchmark --out DIR` into the documentation.
 
-python docs/results_tables.py DIR
-python docs/results_tables.py --physics DIR...
+python docs/results_tables.py DIR...
 
-The first fills docs/results.md, README.md and docs/images from a study of the analytic world, the
-second docs/physics.md from studies of the PyBullet world, where the last that has a cell counts.
+docs/figures holds all cells that the pages show, as `table.json` has them. The cells of each study
+take the place of those of the same robot, task and policy; then the tables of docs/results.md,
+docs/physics.md and README.md are filled with all of them. A study of all robots in the analytic
+world brings its pictures, too.
 """
 
+import io
 import json
 import re
 import sys
@@ -16,7 +18,15 @@ from typing import Any
 
 from PIL import Image
 
-ROOT = Path(__file__).parents[1]
+from kinfeas.evaluation.benchmark.plot import table_figure
+from kinfeas.evaluation.benchmark.table import Cell
+from kinfeas.evaluation.benchmark.text import to_markdown
+from kinfeas.evaluation.pictures.style import png
+
+DOCS = Path(__file__).parent
+README = DOCS.parent / "README.md"
+FIGURES = DOCS / "figures"
+IMAGES = DOCS / "images"
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
@@ -32,52 +42,78 @@ JUMPS = {
     "{}, arm jumps an episode, looking ahead": "look_ahead:sac",
 }
 PHYSICS = {
-    ("pr2", "head_start", "pretrained"): "PR2, 3 s head start",
-    ("pr2", "", "pretrained"): "PR2",
-    ("tiago", "", "pretrained"): "TIAGo",
-    ("tiago", "", "look_ahead:pretrained"): "TIAGo, looking ahead",
-    ("hsr", "", "pretrained"): "HSR",
+    ("head_start", "pretrained"): "{}, 3 s head start",
+    ("", "pretrained"): "{}",
+    ("", "look_ahead:pretrained"): "{}, looking ahead",
+    ("no_objects", "pretrained"): "{}, without objects",
+    ("", "follow_ee"): "{}, `follow_ee`",
+    ("", "follow_ee_feedback"): "{}, `follow_ee_feedback`",
+    ("", "geometric_modulation"): "{}, `geometric_modulation`",
+    ("", "demonstrated_base"): "{}, `demonstrated_base`",
 }
-PICTURES = {
-    "table": "benchmark",
-    "learning_curves": "learning_curves",
-    "examples-tiago": "examples-tiago",
-    "workspace": "workspace",
-}
+PICTURES = ("learning_curves", "examples-tiago", "workspace")
 COLOURS = 128
 
-Cells = dict[tuple[str, str, str], dict[str, Any]]
+Entry = dict[str, Any]
+"""A cell as `table.json` has it."""
+
+Cells = dict[tuple[str, str, str], Entry]
+"""Cells of one variant, by robot, task and policy."""
 
 
-def read_cells(study: Path, variant: str = "") -> Cells:
-    """Return the cells of a study of one variant, by robot, task and policy."""
-    cells = json.loads((study / "table.json").read_text(encoding="utf-8"))
+def merged(record: Sequence[Entry], found: Sequence[Entry]) -> list[Entry]:
+    """Return a record with the cells of a study in place of its own or, if new, at its end."""
+
+    def key(cell: Entry) -> tuple[str, ...]:
+        return cell["robot"], cell["variant"], cell["task"], cell["policy"]
+
+    return list({key(cell): cell for cell in (*record, *found)}.values())
+
+
+def of_variant(record: Sequence[Entry], variant: str) -> Cells:
+    """Return the cells of a record that are of one variant."""
     return {
         (cell["robot"], cell["task"], cell["policy"]): cell
-        for cell in cells
+        for cell in record
         if cell["variant"] == variant
     }
 
 
-def fill_results(page: str, table: str) -> str:
-    """Return the page of results with the tables of `table.md`, a heading deeper."""
-    tables = re.search(r"World: analytic;.*?\n## Arm jumps.*?(?=\n!\[)", table, re.DOTALL)
-    if tables is None:
-        raise SystemExit("table.md: no tables of the analytic world")
+def fill_results(page: str, record: Sequence[Entry]) -> str:
+    """Return the page of results with the tables of a record, a heading deeper."""
+    table = to_markdown([Cell(**cell) for cell in record], "", [])
+    tables = re.search(r"World: analytic;.*(?=\n## How to make it again)", table, re.DOTALL)
+    assert tables is not None
     deeper = re.sub(r"^## ", "### ", tables.group(), flags=re.MULTILINE).rstrip()
     place = re.compile(r"World: analytic;.*?(?=\n\n## How they learn)", re.DOTALL)
     filled, count = place.subn(lambda _: deeper, page, count=1)
     return _found(filled, count, "results.md: no tables before 'How they learn'")
 
 
-def fill_readme(page: str, cells: Cells) -> str:
+def fill_readme(page: str, record: Sequence[Entry]) -> str:
     """Return the README with the rows of its table filled anew."""
+    cells = of_variant(record, "")
     for robot, name in ROBOTS.items():
         for rows, entry in ((ROWS, _share), (JUMPS, _jumps)):
             for head, policy in rows.items():
                 values = [entry(cells, robot, task, policy) for task in TASKS]
                 page = _fill(page, head.format(name), values)
     return page
+
+
+def fill_physics(page: str, record: Sequence[Entry]) -> str:
+    """Return the page of physics with the rows of its table filled anew."""
+    rows = [
+        _physics_row(name.format(title), cells[robot, task, policy])
+        for robot, title in ROBOTS.items()
+        for (variant, policy), name in PHYSICS.items()
+        for cells in [of_variant(record, variant)]
+        for task in TASKS
+        if (robot, task, policy) in cells
+    ]
+    place = re.compile(r"(^\| robot \| task \|.*\n\|[-|]+\|\n)(?:\|.*\n)+", re.MULTILINE)
+    filled, count = place.subn(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)
+    return _found(filled, count, "physics.md: no table that begins with 'robot' and 'task'")
 
 
 def _fill(page: str, head: str, values: list[str]) -> str:
@@ -107,21 +143,7 @@ def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
     return f"{cells[robot, task, policy]['jumps_per_episode']:.2f}"
 
 
-def fill_physics(page: str, studies: Sequence[Path]) -> str:
-    """Return the page of physics with the rows of its table filled anew."""
-    rows = [
-        _physics_row(name, cells[robot, task, policy])
-        for (robot, variant, policy), name in PHYSICS.items()
-        for cells in [{k: v for study in studies for k, v in read_cells(study, variant).items()}]
-        for task in TASKS
-        if (robot, task, policy) in cells
-    ]
-    place = re.compile(r"(^\| robot \| task \|.*\n\|[-|]+\|\n)(?:\|.*\n)+", re.MULTILINE)
-    filled, count = place.subn(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)
-    return _found(filled, count, "physics.md: no table that begins with 'robot' and 'task'")
-
-
-def _physics_row(name: str, cell: dict[str, Any]) -> str:
+def _physics_row(name: str, cell: Entry) -> str:
     def percent(key: str) -> str:
         return "" if cell[key] is None else f"{100 * cell[key]:.0f}"
 
@@ -141,30 +163,40 @@ def _physics_row(name: str, cell: dict[str, Any]) -> str:
     return f"| {' | '.join(map(str, values))} |"
 
 
-def main(study: Path) -> None:
-    """Write what a study of the analytic world holds into the documentation."""
-    results, readme = ROOT / "docs" / "results.md", ROOT / "README.md"
-    table = (study / "table.md").read_text(encoding="utf-8")
-    filled = {
-        results: fill_results(results.read_text(encoding="utf-8"), table),
-        readme: fill_readme(readme.read_text(encoding="utf-8"), read_cells(study)),
-    }
-    for path, text in filled.items():
-        path.write_text(text, encoding="utf-8")
-    for source, name in PICTURES.items():
-        picture = Image.open(study / f"{source}.png").convert("RGB").quantize(COLOURS)
-        picture.save(ROOT / "docs" / "images" / f"{name}.png", optimize=True)
+def _read(path: Path) -> list[Entry]:
+    cells: list[Entry] = json.loads(path.read_text(encoding="utf-8"))
+    return cells
 
 
-def main_physics(studies: Sequence[Path]) -> None:
-    """Write what studies of the PyBullet world hold into the documentation."""
-    page = ROOT / "docs" / "physics.md"
-    page.write_text(fill_physics(page.read_text(encoding="utf-8"), studies), encoding="utf-8")
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _keep(picture: Image.Image, name: str) -> None:
+    few = picture.convert("RGB").quantize(COLOURS)
+    few.save(IMAGES / f"{name}.png", optimize=True)
+
+
+def main(studies: Sequence[Path]) -> None:
+    """Write what studies hold into the record, and the record into the documentation."""
+    analytic, physics = FIGURES / "study.json", FIGURES / "physics.json"
+    records = {"analytic": _read(analytic), "pybullet": _read(physics)}
+    for study in studies:
+        found = _read(study / "table.json")
+        world = found[0]["world"]
+        records[world] = merged(records[world], found)
+        if world == "analytic" and {cell["robot"] for cell in found} == set(ROBOTS):
+            for name in PICTURES:
+                _keep(Image.open(study / f"{name}.png"), name)
+    for path, record in zip((analytic, physics), records.values(), strict=True):
+        _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    results, page = DOCS / "results.md", DOCS / "physics.md"
+    _write(results, fill_results(results.read_text(encoding="utf-8"), records["analytic"]))
+    _write(README, fill_readme(README.read_text(encoding="utf-8"), records["analytic"]))
+    _write(page, fill_physics(page.read_text(encoding="utf-8"), records["pybullet"]))
+    table = png(table_figure([Cell(**cell) for cell in records["analytic"]]), 110)
+    _keep(Image.open(io.BytesIO(table)), "benchmark")
 
 
 if __name__ == "__main__":
-    folders = [Path(argument) for argument in sys.argv[1:] if argument != "--physics"]
-    if "--physics" in sys.argv:
-        main_physics(folders)
-    else:
-        main(*folders)
+    main([Path(argument) for argument in sys.argv[1:]])

@@ -1,4 +1,4 @@
-"""The script that puts a study's figures into the documentation leaves none of them old."""
+"""The script that puts figures into the documentation leaves none of them old."""
 
 import json
 import runpy
@@ -7,21 +7,24 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SCRIPT = runpy.run_path(str(ROOT / "docs" / "results_tables.py"))
+DOCS = ROOT / "docs"
+SCRIPT = runpy.run_path(str(DOCS / "results_tables.py"))
 README = (ROOT / "README.md").read_text()
-PHYSICS = (ROOT / "docs" / "physics.md").read_text()
-RESULTS = (ROOT / "docs" / "results.md").read_text()
-POLICIES = ("sac", "look_ahead:sac", "whole_body_qp", "follow_ee_feedback")
-FIGURES = {"success": 0.1234, "within_5cm": 0.5678, "jumps_per_episode": 9.87}
+PHYSICS = (DOCS / "physics.md").read_text()
+RESULTS = (DOCS / "results.md").read_text()
+STUDY = json.loads((DOCS / "figures" / "study.json").read_text())
+IN_PYBULLET = json.loads((DOCS / "figures" / "physics.json").read_text())
+NEW = {"success": 0.1234, "within_5cm": 0.5678, "jumps_per_episode": 9.87}
 
 
-def cells():
-    tasks, robots = SCRIPT["TASKS"], SCRIPT["ROBOTS"]
-    return {(r, t, p): FIGURES for r in robots for t in tasks for p in POLICIES}
+def test_the_pages_hold_what_the_record_says():
+    assert SCRIPT["fill_results"](RESULTS, STUDY) == RESULTS
+    assert SCRIPT["fill_readme"](README, STUDY) == README
+    assert SCRIPT["fill_physics"](PHYSICS, IN_PYBULLET) == PHYSICS
 
 
 def test_every_row_of_the_readme_is_filled():
-    filled = SCRIPT["fill_readme"](README, cells())
+    filled = SCRIPT["fill_readme"](README, [{**cell, **NEW} for cell in STUDY])
     for name in SCRIPT["ROBOTS"].values():
         assert f"| **{name}**, ours | **12.3 (56.8)** |" in filled
         assert f"| {name}, `whole_body_qp` | 12.3 (56.8) |" in filled
@@ -30,19 +33,22 @@ def test_every_row_of_the_readme_is_filled():
         assert f"| {name}, arm jumps an episode, looking ahead | 9.87 |" in filled
 
 
+def test_a_study_takes_the_place_of_its_own_cells_alone():
+    one, new = STUDY[7], {**STUDY[7], **NEW}
+    more = {**one, "policy": "mine"}
+    assert SCRIPT["merged"](STUDY, [new, more]) == [*STUDY[:7], new, *STUDY[8:], more]
+
+
 def test_a_row_whose_name_has_changed_is_an_error():
     changed = README.replace("| TIAGo, `whole_body_qp` |", "| TIAGo, QP |")
     with pytest.raises(SystemExit, match=r"README\.md: no row 'TIAGo, `whole_body_qp`'; its fig"):
-        SCRIPT["fill_readme"](changed, cells())
+        SCRIPT["fill_readme"](changed, STUDY)
 
 
-def test_pages_without_their_tables_are_errors(tmp_path):
-    (tmp_path / "table.json").write_text(json.dumps([]))
-    table = "World: analytic; of a study.\n\n## PR2\n\n## Arm jumps an episode\n\n![Picture](a)\n"
-    filled = SCRIPT["fill_results"](RESULTS, table)
-    assert "World: analytic; of a study.\n\n### PR2" in filled
+def test_pages_without_their_tables_are_errors():
+    changed = RESULTS.replace("## How they learn", "## Learning")
     with pytest.raises(SystemExit, match=r"results\.md: no tables before 'How they learn'; its fi"):
-        SCRIPT["fill_results"](RESULTS.replace("## How they learn", "## Learning"), table)
-    assert SCRIPT["fill_physics"](PHYSICS, [tmp_path]) != PHYSICS
+        SCRIPT["fill_results"](changed, STUDY)
+    changed = PHYSICS.replace("| robot | task |", "| who | task |")
     with pytest.raises(SystemExit, match=r"physics\.md: no table that begins with 'robot' and"):
-        SCRIPT["fill_physics"](PHYSICS.replace("| robot | task |", "| who | task |"), [tmp_path])
+        SCRIPT["fill_physics"](changed, IN_PYBULLET)
