@@ -34,7 +34,8 @@ def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., 
 
     def compile_alone(function: Callable[..., None]) -> Any:
         with _alone():
-            return guvectorize(signatures, layout, nopython=True, cache=True)(function)
+            made = guvectorize(signatures, layout, nopython=True, cache=True)(function)
+        return made.ufunc  # what numba puts around it takes as long as a pose
 
     return compile_alone
 

@@ -80,11 +80,6 @@ def publisher(topic: str, kind: Any) -> Any:
     return ros("rospy").Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
 
 
-def subscriber(topic: str, kind: Any, callback: Any) -> Any:
-    """Return a subscriber that hands on the newest message only."""
-    return ros("rospy").Subscriber(topic, kind, callback, queue_size=1, tcp_nodelay=True)
-
-
 def let_go(watch: "MasterWatch", topics: Iterable[Any]) -> None:
     """Unregister publishers and subscribers, unless there is no master to be told."""
     if watch.alive():

@@ -34,7 +34,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         str,
         typer.Option(
             "--backend",
-            help="What moves it: analytic, pybullet, ros1, or a plugin.",
+            help="What moves it: analytic, pybullet, ros2, ros1, or a plugin.",
             autocompletion=completion.plugins("backends"),
         ),
     ] = "pybullet",

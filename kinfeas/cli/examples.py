@@ -29,7 +29,7 @@ EXAMPLES = {
     "deploy": (
         "kinfeas deploy pretrained --goal 1.5 0.3 0.8",
         "kinfeas deploy pr2.onnx --robot pr2 --task door --sim2real pr2_like",
-        "kinfeas deploy pr2.onnx --backend ros1 --goal 0.8 -0.2 0.9 --seconds 10 "
+        "kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9 --seconds 10 "
         "--set guards.speed=0.05",
     ),
     "fit": ("kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml",),
@@ -41,7 +41,7 @@ EXAMPLES = {
         "kinfeas robot fetch.urdf --out robots --picture fetch.png",
         "kinfeas robot tiago_dual.urdf --ee arm_left_tool_link --name tiago_left --out robots",
     ),
-    "simulate": ("kinfeas simulate --backend ros1 --robot pr2 --task door",),
+    "simulate": ("kinfeas simulate --backend ros2 --robot pr2 --task door",),
     "speed": ("kinfeas speed --robot hsr",),
     "view": (
         "kinfeas view --scene room --picture room.png",

@@ -17,9 +17,9 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
         str,
         typer.Option(
-            "--backend", help="Bus on which to play the robot: ros1, or a plugin that can."
+            "--backend", help="Bus on which to play the robot: ros2, ros1, or a plugin that can."
         ),
-    ] = "ros1",
+    ] = "ros2",
     robot: options.RobotName = "pr2",
     task: Annotated[
         str | None, typer.Option("--task", help="Begin as in an episode of this task.")

@@ -1,6 +1,7 @@
-"""A ROS master, a simulated robot, someone who listens and who deploys, each in its own process."""
+"""A simulated robot on ROS, someone who listens and who deploys, each in its own process."""
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -10,6 +11,32 @@ from pathlib import Path
 from xmlrpc.client import ServerProxy
 
 import numpy as np
+import pytest
+
+from kinfeas import registry
+from kinfeas.errors import KinfeasError
+from kinfeas.sim2real import ros1_node
+from kinfeas.sim2real.ros_names import read_topics
+
+
+def _ros1_is_there() -> bool:
+    """Return whether what the tests need of ROS 1 is installed."""
+    path = list(sys.path)
+    try:
+        for name in ("rospy", "nav_msgs.msg", "tf2_msgs.msg", "trajectory_msgs.msg"):
+            ros1_node.ros(name)
+    except KinfeasError:
+        return False
+    finally:
+        sys.path[:] = path
+    return shutil.which("roscore") is not None
+
+
+needs_ros1 = pytest.mark.skipif(
+    not _ros1_is_there(),
+    reason="ROS 1 is not installed: apt install python3-rospy python3-roslaunch python3-nav-msgs "
+    "python3-sensor-msgs python3-trajectory-msgs python3-tf2-msgs",
+)
 
 PATIENCE = 180.0
 """Seconds that a busy machine may take to start a process and to compile its kernels."""
@@ -17,14 +44,15 @@ PATIENCE = 180.0
 _COMMAND = "from kinfeas.cli.main import main; main()"
 _LISTEN = """
 import os, sys, time
-from kinfeas.sim2real.ros1_node import ros, start_node, subscriber
+from kinfeas.sim2real.ros_bus import make_bus
 def said(mark, twist):
     numbers = time.monotonic(), twist.linear.x, twist.linear.y, twist.angular.z
     os.write(1, f"{mark} {' '.join(map(str, numbers))}\\n".encode())  # whole lines, from threads
-start_node("listener")
-base, odometry = ros("geometry_msgs.msg").Twist, ros("nav_msgs.msg").Odometry
-heard = [subscriber(sys.argv[1], base, lambda message: said("command", message)),
-         subscriber(sys.argv[2], odometry, lambda message: said("moves", message.twist.twist))]
+bus = make_bus(int(sys.argv[3]))
+bus.open("listener")
+kinds = bus.messages
+bus.subscribe(sys.argv[1], kinds.Twist, lambda message: said("command", message))
+bus.subscribe(sys.argv[2], kinds.Odometry, lambda message: said("moves", message.twist.twist))
 print("listens", flush=True)
 while True:
     time.sleep(1.0)
@@ -64,23 +92,22 @@ class Process:
 
 
 class Bus:
-    """Everything that is on one ROS master; processes are started when they are asked for."""
+    """Everything that is on one bus; processes are started when they are asked for.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = free.getsockname()[1]
-        self.uri = f"http://127.0.0.1:{port}"
-        home = {"ROS_HOME": str(folder / "ros"), "ROS_LOG_DIR": str(folder / "ros/log")}
-        self.env = os.environ | home | {"ROS_MASTER_URI": self.uri, "ROS_IP": "127.0.0.1"}
+    Attributes:
+        version: Of ROS.
+        dead: Whether there is nothing left to connect to.
+    """
+
+    version: int
+    dead = False
+
+    def __init__(self, folder: Path, env: dict[str, str]) -> None:
+        self.folder, self.env = folder, os.environ | env
         self.started: list[Process] = []
-        self.dead, self._robot = False, None
-        self._log = (folder / "roscore.log").open("w")
-        self._core = subprocess.Popen(
-            ["roscore", "-p", str(port)], stdout=self._log, stderr=self._log, env=self.env
-        )
-        wait(self._answers)
-        self.listener = self.run(_LISTEN, "/base_controller/command", "/base_odometry/odom")
+        self._robot = None
+        topics = read_topics(registry.load_robot("pr2"), self.version).base
+        self.listener = self.run(_LISTEN, topics.command, topics.odometry, str(self.version))
 
     def run(self, code: str, *arguments: str) -> Process:
         out = self.folder / f"{len(self.started)}.txt"
@@ -90,13 +117,14 @@ class Bus:
     def robot(self) -> Process:
         """Return a simulated robot that listens: the one there is, if it still lives."""
         if self._robot is None or self._robot.process.poll() is not None:
-            self._robot = self.run(_COMMAND, "simulate", "--robot", "pr2", "--seconds", "200")
+            played = ["simulate", "--backend", f"ros{self.version}", "--robot", "pr2"]
+            self._robot = self.run(_COMMAND, *played, "--seconds", "200")
         self._robot.wait_for("listens")
         return self._robot
 
     def deploy(self, *arguments: str) -> Process:
-        given = ["deploy", "pretrained", "--robot", "pr2", "--backend", "ros1", *arguments]
-        return self.run(_COMMAND, *given, "--set", "backend.patience=30")
+        given = ["deploy", "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
+        return self.run(_COMMAND, *given, *arguments, "--set", "backend.patience=30")
 
     def heard(self, mark: str) -> np.ndarray:
         """Return what the listener heard so far: rows of time, x, y and turning."""
@@ -126,6 +154,29 @@ class Bus:
         first = rows[rows[:, 0] > moving.max(initial=0.0), 0].min()
         return first - since
 
+    def close(self) -> None:
+        for one in self.started:
+            one.kill()
+
+
+class Ros1(Bus):
+    """With a master of its own."""
+
+    version = 1
+
+    def __init__(self, folder: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        self.uri = f"http://127.0.0.1:{port}"
+        home = {"ROS_HOME": str(folder / "ros"), "ROS_LOG_DIR": str(folder / "ros/log")}
+        env = {**home, "ROS_MASTER_URI": self.uri, "ROS_IP": "127.0.0.1"}
+        self._log = (folder / "roscore.log").open("w")
+        self._core = subprocess.Popen(
+            ["roscore", "-p", str(port)], stdout=self._log, stderr=self._log, env=os.environ | env
+        )
+        wait(self._answers)
+        super().__init__(folder, env)
+
     def kill_master(self) -> float:
         """Kill the master, as a crash would, and return when."""
         _, _, pid = ServerProxy(self.uri).getPid("/test")
@@ -144,8 +195,7 @@ class Bus:
         return now
 
     def close(self) -> None:
-        for one in self.started:
-            one.kill()
+        super().close()
         self._core.send_signal(signal.SIGINT)
         try:
             self._core.wait(15.0)
@@ -158,6 +208,15 @@ class Bus:
             return ServerProxy(self.uri).getPid("/test")[0] == 1
         except OSError:
             return False
+
+
+class Ros2(Bus):
+    """In a domain of its own on this machine."""
+
+    version = 2
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, {"ROS_DOMAIN_ID": "87", "ROS_LOCALHOST_ONLY": "1"})
 
 
 def wait(condition) -> None:

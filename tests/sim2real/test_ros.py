@@ -1,24 +1,19 @@
 import importlib.util
 import re
-import shutil
 import signal
-import sys
 import time
 
 import numpy as np
 import pytest
 
 from kinfeas import registry, spatial
-from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.record import read_record
-from kinfeas.sim2real import ros1_node
 from kinfeas.sim2real.link import Hosted
-from kinfeas.sim2real.ros1 import Ros1Backend
-from kinfeas.sim2real.ros1_names import read_topics
+from kinfeas.sim2real.ros_backend import Ros1Backend, Ros2Backend
 from kinfeas.sim2real.watchdog import Watched
-from tests.sim2real.ros1_bus import Bus
+from tests.sim2real.ros_processes import Ros1, Ros2, needs_ros1
 
 LIMIT = 0.3
 """Seconds within which the base must be commanded to zero, whatever happens."""
@@ -42,96 +37,33 @@ backend.close()
 """
 
 
-def ros_is_there() -> bool:
-    """Return whether what the test needs of ROS 1 is installed."""
-    path = list(sys.path)
-    try:
-        for name in ("rospy", "nav_msgs.msg", "tf2_msgs.msg", "trajectory_msgs.msg"):
-            ros1_node.ros(name)
-    except KinfeasError:
-        return False
-    finally:
-        sys.path[:] = path
-    return shutil.which("roscore") is not None
-
-
-needs_ros = pytest.mark.skipif(
-    not ros_is_there(),
-    reason="ROS 1 is not installed: apt install python3-rospy python3-roslaunch python3-nav-msgs "
-    "python3-sensor-msgs python3-trajectory-msgs python3-tf2-msgs",
-)
 needs_physics = pytest.mark.skipif(
     importlib.util.find_spec("pybullet") is None, reason="PyBullet is not installed"
 )
 
 
-def test_is_found_by_its_name_and_connects_nothing_before_its_reset():
-    robot = registry.load_robot("pr2")
-    backend = registry.build("kinfeas.backends", "ros1", {"robot": robot, "topics": "pr2"})
-    assert isinstance(backend, Ros1Backend)
+@pytest.mark.parametrize("kind", [Ros1Backend, Ros2Backend])
+def test_is_found_by_its_name_and_connects_nothing_before_its_reset(kind, robot):
+    name = f"ros{kind.version}"
+    backend = registry.build("kinfeas.backends", name, {"robot": robot, "topics": robot.name})
+    assert isinstance(backend, kind)
     assert isinstance(backend, Watched)
-    assert isinstance(Ros1Backend, Hosted)
-    assert backend.stop_call().arguments == {"topic": "/base_controller/command"}
+    assert isinstance(kind, Hosted)
+    command = backend.topics.base.command
+    told = {"version": kind.version, "topic": command, "stamped": False}
+    assert backend.stop_call().arguments == told
     backend.stop()
     backend.close()
 
 
-@pytest.fixture(scope="module")
-def messages():
-    """The conversions, for which ROS has to be installed."""
-    from kinfeas.sim2real import ros1_messages
-
-    return ros1_messages
-
-
-@needs_ros
-class TestMessages:
-    def test_pr2s_gripper_needs_no_package(self, messages):
-        gripper = read_topics(registry.load_robot("pr2")).gripper
-        kind = messages.gripper_type(gripper)
-        assert kind._md5sum == "680acaff79486f017132a7f198d40f08"
-        assert messages.gripper_command(gripper, "open").position == gripper.open
-        assert messages.gripper_command(gripper, "close").max_effort == 100.0
-
-    def test_a_gripper_is_understood_at_the_other_end(self, messages, robot):
-        gripper = read_topics(robot).gripper
-        for grip in ("open", "close"):
-            assert messages.from_gripper(gripper, messages.gripper_command(gripper, grip)) == grip
-
-    def test_a_target_is_understood_at_the_other_end(self, messages):
-        way = messages.path(messages.trajectory({"a": 0.5, "b": -1.0}, 0.25))
-        assert way.joints == ("a", "b")
-        np.testing.assert_array_equal(way.times, [0.25])
-        np.testing.assert_array_equal(way.positions, [[0.5, -1.0]])
-
-    def test_a_broken_way_is_none(self, messages):
-        empty = messages.trajectory({"a": 0.5}, 0.25)
-        empty.points = []
-        short = messages.trajectory({"a": 0.5, "b": 1.0}, 0.25)
-        short.points[0].positions = [1.0]
-        twice = messages.trajectory({"a": 0.5}, 0.25)
-        twice.points = twice.points * 2
-        unreal = messages.trajectory({"a": np.nan}, 0.25)
-        for message in (empty, short, twice, unreal):
-            assert messages.path(message) is None
-
-    def test_joint_states_may_lack_velocities_but_not_positions(self, messages):
-        state = ros1_node.ros("sensor_msgs.msg").JointState
-        reading = messages.from_joint_state(state(name=["a", "b"], position=[1.0, 2.0]))
-        assert reading.positions == {"a": 1.0, "b": 2.0}
-        assert reading.velocities == {}
-        assert reading.stamp is None
-        assert messages.from_joint_state(state(name=["a", "b"], effort=[1.0, 2.0])) is None
-
-
-@pytest.fixture(scope="module")
-def buses(tmp_path_factory):
-    """A function that returns a bus whose master lives."""
+@pytest.fixture(scope="module", params=[pytest.param(Ros1, marks=needs_ros1), Ros2])
+def buses(request, tmp_path_factory):
+    """A function that returns a bus that lives."""
     made = []
 
     def living():
         if not made or made[-1].dead:
-            made.append(Bus(tmp_path_factory.mktemp("bus")))
+            made.append(request.param(tmp_path_factory.mktemp("bus")))
         return made[-1]
 
     yield living
@@ -144,7 +76,13 @@ def bus(buses):
     return buses()
 
 
-@needs_ros
+of_ros1 = pytest.mark.parametrize(
+    "buses", [pytest.param(Ros1, marks=needs_ros1)], indirect=True, ids=["Ros1"]
+)
+"""For what only ROS 1 has: a master, and nodes that it can shut down."""
+
+
+@of_ros1
 def test_what_is_missing_is_said_at_once(bus):
     one = bus.run(SILENT)
     assert one.end() == 0, one.said()
@@ -153,7 +91,6 @@ def test_what_is_missing_is_said_at_once(bus):
     assert silent.startswith("no pose of the base came from /base_odometry/odom within 0.3 s; is")
 
 
-@needs_ros
 @needs_physics
 def test_reaches_a_goal_over_the_link(bus, tmp_path):
     robot, record = bus.robot(), tmp_path / "record.csv"
@@ -182,7 +119,6 @@ def far(bus, record):
     return deployment
 
 
-@needs_ros
 @needs_physics
 def test_the_base_stops_when_the_deployment_is_killed(bus, tmp_path):
     bus.robot()
@@ -192,7 +128,6 @@ def test_the_base_stops_when_the_deployment_is_killed(bus, tmp_path):
     assert len(read_record(tmp_path / "record.csv").time) > 10
 
 
-@needs_ros
 @needs_physics
 def test_the_base_stops_when_the_deployment_stalls(bus, tmp_path):
     bus.robot()
@@ -206,7 +141,6 @@ def test_the_base_stops_when_the_deployment_stalls(bus, tmp_path):
     assert read_record(tmp_path / "record.csv").event[-1]
 
 
-@needs_ros
 @needs_physics
 def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path):
     robot = bus.robot()
@@ -219,7 +153,7 @@ def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path
     assert re.search(old, read_record(tmp_path / "record.csv").event[-1])
 
 
-@needs_ros
+@of_ros1
 @needs_physics
 def test_the_base_is_commanded_to_zero_when_the_node_is_shut_down(bus, tmp_path):
     bus.robot()
@@ -231,7 +165,7 @@ def test_the_base_is_commanded_to_zero_when_the_node_is_shut_down(bus, tmp_path)
     assert "watchdog: the run died: base commanded to zero" in deployment.said()
 
 
-@needs_ros
+@of_ros1
 @needs_physics
 def test_the_base_is_commanded_to_zero_when_the_master_dies(bus, tmp_path):
     robot = bus.robot()

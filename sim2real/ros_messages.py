@@ -1,4 +1,4 @@
-"""ROS 1 messages from what goes over a link, and back."""
+"""ROS messages from what goes over a link, and back, for both versions of ROS."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,29 +7,52 @@ import numpy as np
 
 from kinfeas.backend import Grip
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
-from kinfeas.sim2real.ros1_names import GripperTopics
-from kinfeas.sim2real.ros1_node import ros
-from kinfeas.sim2real.ros1_tf import planar
+from kinfeas.sim2real.ros_bus import Messages
+from kinfeas.sim2real.ros_names import GripperTopics
+from kinfeas.sim2real.ros_tf import planar
 from kinfeas.spatial import Array
 
 
-def twist(velocity: Array) -> Any:
-    """Return a geometry_msgs/Twist of x, y and turning, shape (3,)."""
-    message = ros("geometry_msgs.msg").Twist()
+def fill_twist(message: Any, velocity: Array) -> None:
+    """Set a geometry_msgs/Twist to x, y and turning, shape (3,)."""
     message.linear.x, message.linear.y, message.angular.z = velocity.tolist()
-    return message
 
 
-def trajectory(positions: Mapping[str, float], seconds: float) -> Any:
+def drive_command(messages: Messages, velocity: Array, stamp: float | None) -> Any:
+    """Return a geometry_msgs/Twist, or a TwistStamped.
+
+    Args:
+        messages: Classes of messages.
+        velocity: x, y and turning in the base frame, shape (3,), m/s and rad/s.
+        stamp: Seconds of the system's clock for a TwistStamped, None for a Twist.
+    """
+    if stamp is None:
+        message = messages.Twist()
+        fill_twist(message, velocity)
+        return message
+    stamped = messages.TwistStamped()
+    stamped.header.stamp = messages.Time.from_sec(stamp)
+    fill_twist(stamped.twist, velocity)
+    return stamped
+
+
+def velocity(message: Any) -> Array:
+    """Return what a Twist or a TwistStamped asks for: x, y and turning, shape (3,)."""
+    twist = getattr(message, "twist", message)
+    return np.array([twist.linear.x, twist.linear.y, twist.angular.z])
+
+
+def trajectory(messages: Messages, positions: Mapping[str, float], seconds: float) -> Any:
     """Return a trajectory_msgs/JointTrajectory that ends at rest after `seconds`.
 
     Its stamp is zero, which means at once.
     """
-    msg = ros("trajectory_msgs.msg")
-    point = msg.JointTrajectoryPoint()
+    point = messages.JointTrajectoryPoint()
     point.positions, point.velocities = list(positions.values()), [0.0] * len(positions)
-    point.time_from_start = ros("rospy").Duration.from_sec(seconds)
-    return msg.JointTrajectory(joint_names=list(positions), points=[point])
+    point.time_from_start = messages.Duration.from_sec(seconds)
+    message = messages.JointTrajectory()
+    message.joint_names, message.points = list(positions), [point]
+    return message
 
 
 def path(message: Any) -> JointPath | None:
@@ -45,10 +68,10 @@ def path(message: Any) -> JointPath | None:
 
 def from_odometry(message: Any) -> BaseReading:
     """Return what a nav_msgs/Odometry says."""
-    p, q, v = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+    p, q = message.pose.pose.position, message.pose.pose.orientation
     x, y, heading = planar(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
-    velocity = np.array([v.linear.x, v.linear.y, v.angular.z])
-    return BaseReading(x, y, heading, velocity, message.header.stamp.to_sec() or None)
+    moves = velocity(message.twist)
+    return BaseReading(x, y, heading, moves, message.header.stamp.to_sec() or None)
 
 
 def from_joint_state(message: Any) -> JointReading | None:
@@ -62,22 +85,19 @@ def from_joint_state(message: Any) -> JointReading | None:
     return JointReading(positions, velocities, message.header.stamp.to_sec() or None)
 
 
-def gripper_type(gripper: GripperTopics) -> Any:
+def gripper_type(messages: Messages, gripper: GripperTopics) -> Any:
     """Return the class of messages that command a gripper."""
-    if gripper.kind == "trajectory":
-        return ros("trajectory_msgs.msg").JointTrajectory
-    # Debian has no package of PR2's messages; this one is made of two numbers.
-    name = "pr2_controllers_msgs/Pr2GripperCommand"
-    text = "float64 position\nfloat64 max_effort\n"
-    return ros("genpy.dynamic").generate_dynamic(name, text)[name]
+    return messages.Pr2GripperCommand if gripper.kind == "pr2" else messages.JointTrajectory
 
 
-def gripper_command(gripper: GripperTopics, grip: Grip) -> Any:
+def gripper_command(messages: Messages, gripper: GripperTopics, grip: Grip) -> Any:
     """Return the message that closes or opens a gripper."""
     position = gripper.closed if grip == "close" else gripper.open
     if gripper.kind == "trajectory":
-        return trajectory(dict.fromkeys(gripper.joints, position), gripper.seconds)
-    return gripper_type(gripper)(position=position, max_effort=gripper.max_effort)
+        return trajectory(messages, dict.fromkeys(gripper.joints, position), gripper.seconds)
+    message = messages.Pr2GripperCommand()
+    message.position, message.max_effort = position, gripper.max_effort
+    return message
 
 
 def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:

@@ -3,7 +3,7 @@ import yaml
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.ros1_names import read_topics
+from kinfeas.sim2real.ros_names import read_topics
 
 PR2 = """
 base: {command: /cmd, odometry: /odom}
@@ -14,8 +14,13 @@ joints:
 """
 
 
-def test_every_shipped_robot_has_its_names(robot):
-    topics = read_topics(robot)
+@pytest.fixture(params=[1, 2])
+def version(request):
+    return request.param
+
+
+def test_every_shipped_robot_has_its_names(robot, version):
+    topics = read_topics(robot, version)
     assert topics.base.frame == robot.base.frame
     assert topics.base.measured_by == "odometry"
     assert topics.gripper is not None
@@ -26,20 +31,21 @@ def test_every_shipped_robot_has_its_names(robot):
     assert joints == [joint.name for joint in robot.arm]
 
 
-def test_tiagos_torso_has_a_controller_of_its_own():
-    controllers = read_topics(registry.load_robot("tiago")).joints.controllers
+@pytest.mark.parametrize(("version", "topic"), [(1, "command"), (2, "joint_trajectory")])
+def test_tiagos_torso_has_a_controller_of_its_own(version, topic):
+    controllers = read_topics(registry.load_robot("tiago"), version).joints.controllers
     assert [one.command for one in controllers] == [
-        "/torso_controller/command",
-        "/arm_controller/command",
+        f"/torso_controller/{topic}",
+        f"/arm_controller/{topic}",
     ]
     assert controllers[0].joints == ("torso_lift_joint",)
 
 
-def test_ones_own_file(tmp_path):
+def test_ones_own_file(tmp_path, version):
     robot = registry.load_robot("pr2")
     path = tmp_path / "mine.yaml"
     path.write_text(PR2 % ", ".join(joint.name for joint in robot.arm))
-    topics = read_topics(robot, str(path))
+    topics = read_topics(robot, version, str(path))
     assert (topics.base.command, topics.gripper) == ("/cmd", None)
 
 
@@ -50,7 +56,7 @@ def test_joints_may_have_other_names(tmp_path):
     data["joints"]["names"] = {"arm_lift_joint": "lift"}
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(data))
-    assert read_topics(robot, str(path)).joints.controllers[0].joints[0] == "lift"
+    assert read_topics(robot, 1, str(path)).joints.controllers[0].joints[0] == "lift"
 
 
 @pytest.mark.parametrize(
@@ -66,10 +72,10 @@ def test_controllers_share_the_arm_among_them(tmp_path, joints, said):
     path = tmp_path / "mine.yaml"
     path.write_text(PR2 % ", ".join(joints([joint.name for joint in robot.arm])))
     with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers' must hold.*{said}"):
-        read_topics(robot, str(path))
+        read_topics(robot, 1, str(path))
 
 
 def test_an_unknown_name_lists_what_there_is():
     robot = registry.load_robot("pr2")
     with pytest.raises(KinfeasError, match=r"unknown topics 'pr3'.*known are hsr, pr2, tiago"):
-        read_topics(robot, "pr3")
+        read_topics(robot, 2, "pr3")

@@ -1,4 +1,4 @@
-"""The names of a robot on ROS 1: topics, frames, controllers and joints, from YAML."""
+"""The names of a robot on ROS: topics, frames, controllers and joints, from YAML."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -10,6 +10,7 @@ from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import Positive
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.ros_bus import Version
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,7 @@ class BaseTopics:
 
     Attributes:
         command: Topic of geometry_msgs/Twist in the base frame.
+        stamped: Whether it takes TwistStamped instead, as controllers of newer ROS 2 do.
         measured_by: Whether its pose comes from `odometry` or from `tf`.
         odometry: Topic of nav_msgs/Odometry.
         world_frame: Frame in which poses are wanted from tf.
@@ -25,6 +27,7 @@ class BaseTopics:
     """
 
     command: str
+    stamped: bool = False
     measured_by: Literal["odometry", "tf"] = "odometry"
     odometry: str = "/odom"
     world_frame: str = "map"
@@ -65,7 +68,8 @@ class GripperTopics:
 
     Attributes:
         command: Topic to command.
-        kind: Whether it takes trajectory_msgs/JointTrajectory or PR2's Pr2GripperCommand.
+        kind: Whether it takes trajectory_msgs/JointTrajectory or, in ROS 1, PR2's
+            Pr2GripperCommand.
         joints: Of the trajectory; every one goes to the same position.
         closed: Position, radians or metres.
         open: The same.
@@ -91,11 +95,12 @@ class Topics:
     gripper: GripperTopics | None = None
 
 
-def read_topics(robot: Robot, name: str | None = None) -> Topics:
+def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topics:
     """Return the names of a robot.
 
     Args:
         robot: Whose arm the controllers must move.
+        version: Of ROS.
         name: Path of a YAML file, or the name of one that comes with the package; the robot's
             own name by default.
 
@@ -103,7 +108,7 @@ def read_topics(robot: Robot, name: str | None = None) -> Topics:
         KinfeasError: If there is no such file, it is broken, or its controllers do not share the
             arm's joints among them.
     """
-    path = _find(robot.name if name is None else name)
+    path = _find(robot.name if name is None else name, version)
     topics = config.load(Topics, path)
     commanded = Counter(name for one in topics.joints.controllers for name in one.joints)
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)
@@ -113,13 +118,15 @@ def read_topics(robot: Robot, name: str | None = None) -> Topics:
             f"{path}: 'joints.controllers' must hold each joint of the arm once and no other; "
             f"see {', '.join(wrong)}"
         )
+    if version != 1 and topics.gripper is not None and topics.gripper.kind == "pr2":
+        raise KinfeasError(f"{path}: 'gripper.kind' must be trajectory in ROS {version}")
     return topics
 
 
-def _find(name: str) -> Path:
+def _find(name: str, version: Version) -> Path:
     if (own := Path(name)).is_file():
         return own
-    folder = Path(str(files("kinfeas.sim2real").joinpath("ros1_topics")))
+    folder = Path(str(files("kinfeas.sim2real").joinpath(f"ros{version}_topics")))
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
         raise KinfeasError(f"unknown topics {name!r}{config.no_such(name, known)}, or a YAML file")
