@@ -74,7 +74,8 @@ def test_the_systems_packages_stand_behind_ours(monkeypatch, tmp_path):
 
 
 def test_what_the_watchdog_imports_is_small():
-    code = "import kinfeas.sim2real.ros1_stop, sys; print(sorted(sys.modules))"
+    code = "import kinfeas.sim2real.ros_stop, sys; print(sorted(sys.modules))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "'numpy'" not in said.stdout
     assert "'rospy'" not in said.stdout
+    assert "'cyclonedds'" not in said.stdout
