@@ -137,7 +137,7 @@ class LookAhead:
     def _try(
         self, now: State, rows: Rows, deviations: Array, limit: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what is to come costs, and who fails at once, shapes (m, k).
+        """Return what the time ahead costs, and who fails at once, shapes (m, k).
 
         Args:
             now: Where all rows are.

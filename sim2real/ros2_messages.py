@@ -27,6 +27,7 @@ def _joined(sec: int, nanosec: int) -> float:
     return sec + nanosec / _NANO
 
 
+# A base class that both had would be a part of their types on DDS, which ROS 2's do not have.
 @dataclass
 class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
     """A moment since 1970, or since whatever a clock counts from."""
