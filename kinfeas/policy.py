@@ -196,7 +196,8 @@ def _layer(values, weight, bias, rectify, out):
     """Write values @ weight + bias, one row after the other, summed in the order of the inputs."""
     for i in range(len(values)):
         row = out[i]
-        row[:] = bias
+        for j in range(len(row)):
+            row[j] = bias[j]
         for k in range(len(weight)):
             x = values[i, k]
             if x != 0.0:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from kinfeas.kinematics.forward import kernel
+from kinfeas.kinematics.forward import copy_row, kernel
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 MAX_ITERATIONS = 30
@@ -76,7 +76,7 @@ def _nearest(simplex, count, v):
         How many of its points remain; 4 where the origin lies inside.
     """
     if count == 1:
-        v[:] = simplex[0]
+        copy_row(simplex[0], v)
         return 1
     if count == 2:
         return _nearest_on_segment(simplex, v)
@@ -94,11 +94,11 @@ def _nearest_on_segment(simplex, v):
         along -= a[i] * edge
         squared += edge * edge
     if squared <= 0.0 or along <= 0.0:
-        v[:] = a
+        copy_row(a, v)
         return 1
     if along >= squared:
-        v[:] = b
-        a[:] = b
+        copy_row(b, v)
+        copy_row(b, a)
         return 1
     for i in range(3):
         v[i] = a[i] + (b[i] - a[i]) * (along / squared)
@@ -119,24 +119,24 @@ def _nearest_on_triangle(simplex, v):
         d5 -= ab * c[i]
         d6 -= ac * c[i]
     if d1 <= 0.0 and d2 <= 0.0:
-        v[:] = a
+        copy_row(a, v)
         return 1
     if d3 >= 0.0 and d4 <= d3:
-        v[:] = b
-        a[:] = b
+        copy_row(b, v)
+        copy_row(b, a)
         return 1
     if d6 >= 0.0 and d5 <= d6:
-        v[:] = c
-        a[:] = c
+        copy_row(c, v)
+        copy_row(c, a)
         return 1
     if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         return _nearest_on_segment(simplex, v)
     if d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        b[:] = c
+        copy_row(c, b)
         return _nearest_on_segment(simplex, v)
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        a[:] = c
+        copy_row(c, a)
         return _nearest_on_segment(simplex, v)
     vb, vc = d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     total = va + vb + vc
@@ -166,16 +166,20 @@ def _nearest_in_tetrahedron(simplex, v):
         if not _beyond(p, q, r, opposite):
             continue
         inside = False
-        simplex[0], simplex[1], simplex[2] = p, q, r
+        copy_row(p, simplex[0])
+        copy_row(q, simplex[1])
+        copy_row(r, simplex[2])
         count = _nearest_on_triangle(simplex, trial)
         squared = trial[0] ** 2 + trial[1] ** 2 + trial[2] ** 2
         if squared < best:
             best, best_count = squared, count
-            v[:] = trial
-            kept[:] = simplex[:3]
+            copy_row(trial, v)
+            for i in range(3):
+                copy_row(simplex[i], kept[i])
     if inside:
         return 4
-    simplex[:3] = kept
+    for i in range(3):
+        copy_row(kept[i], simplex[i])
     return best_count
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from kinfeas.kinematics.chain import Chain
 from kinfeas.kinematics.forward import (
     Frames,
+    copy_row,
     fill_columns,
     inlined,
     kernel,
@@ -243,7 +244,7 @@ def _release(scratch):
 def _solve_damped(scratch, damping):
     """Write y of (J J' + damping) y = e over the free joints, less what pull and held ones do."""
     columns, low, y = scratch.columns, scratch.normal, scratch.solved
-    y[:] = scratch.error
+    copy_row(scratch.error, y)
     low[:] = 0.0
     for j in range(len(columns)):
         if scratch.side[j] == 0:

@@ -12,9 +12,10 @@ from kinfeas.pose_kernels import write_pose
 from kinfeas.spatial import Array
 
 # numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
-# be regrouped and multiply-adds fused, always in the same way: results stay deterministic.
+# be regrouped and multiply-adds fused, always in the same way: results stay deterministic. A kernel
+# that did not say that it is not inlined would be, everywhere, if its first caller is.
 _FAST = {"contract", "reassoc", "nsz"}
-kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True)
+kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False)
 inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 
 
@@ -104,6 +105,17 @@ class Frames(NamedTuple):
     origin: Array
     rotation: Array
     position: Array
+
+
+@inlined
+def copy_row(values, out):
+    """Write the same values, shape (n,).
+
+    An assignment to a slice would compile numpy's broadcasting and the making of its messages
+    along, at times for minutes.
+    """
+    for i in range(len(values)):
+        out[i] = values[i]
 
 
 @inlined

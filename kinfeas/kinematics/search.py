@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Chain
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure, within
-from kinfeas.kinematics.forward import inlined, kernel, place_chain
+from kinfeas.kinematics.forward import copy_row, inlined, kernel, place_chain
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
 from kinfeas.pose_kernels import write_matrix
 from kinfeas.spatial import Array
@@ -150,7 +150,7 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
         if _close_enough(problem, metres, radians):
             if _free(problem, q, touching):
                 error[0], error[1] = metres, radians
-                solution[:] = q
+                copy_row(q, solution)
                 return True
         elif _improves(problem, metres, radians, error, q, touching):
             error[0], error[1] = metres, radians
@@ -163,7 +163,7 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
     if not _free(problem, q, touching):
         return False
     error[0], error[1] = metres_here, radians_here
-    solution[:] = q
+    copy_row(q, solution)
     return True
 
 
@@ -192,7 +192,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
     for attempt in range(len(order)):
         if attempt >= HOPEFUL and closest > HOPELESS_COST:
             break
-        q[:] = problem.library[order[attempt]]
+        copy_row(problem.library[order[attempt]], q)
         metres, radians = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
         closest = min(closest, _cost(problem, metres, radians))
         if _close_enough(problem, metres, radians):
@@ -203,7 +203,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
             if seconds < nearest:
                 nearest = seconds
                 error[0], error[1] = metres, radians
-                solution[:] = q
+                copy_row(q, solution)
             if found == problem.candidates:
                 break
         elif found == 0 and _improves(problem, metres, radians, error, q, touching):
@@ -247,7 +247,7 @@ def _cost(problem, metres, radians):
 def _rank_library(problem, target, scores, order):
     """Write the library entries whose EE is nearest to the target, nearest first."""
     features = problem.features
-    scores[:] = features[0]
+    copy_row(features[0], scores)
     for k in range(3):
         factor = np.float32(target[1][k])
         for j in range(len(scores)):

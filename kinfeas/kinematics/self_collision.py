@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Mount, Tree, build_tree
 from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
-from kinfeas.kinematics.forward import flattened, inlined, kernel, place_joints, turn_row
+from kinfeas.kinematics.forward import copy_row, flattened, inlined, kernel, place_joints, turn_row
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.spatial import Array, rotation
@@ -132,8 +132,9 @@ def make_collision_scratch(model):
     )
     for s in range(shapes):
         if model.body[s] < 0:
-            scratch.rotation[s] = model.rotation[s]
-            scratch.position[s] = model.offset[s]
+            copy_row(model.offset[s], scratch.position[s])
+            for r in range(3):
+                copy_row(model.rotation[s, r], scratch.rotation[s, r])
     return scratch
 
 

@@ -1,9 +1,11 @@
+import importlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from numba.core.registry import CPUDispatcher
 from scipy.spatial.transform import Rotation
 
 from kinfeas import registry
@@ -132,3 +134,12 @@ def test_joints_off_the_chain_count(odd_robot):
     assert forward(shorter, np.zeros((2, n))).shape == (2, 7)
     with pytest.raises(KinfeasError, match="joint positions must be of shape"):
         forward(shorter, np.zeros((2, n - 1)))
+
+
+@pytest.mark.parametrize("name", ["convex", "descent", "forward", "search", "self_collision"])
+def test_every_kernel_says_whether_it_is_inlined(name):
+    """One that does not does as its first caller: whole searches were, and compiled for minutes."""
+    module = importlib.import_module(f"kinfeas.kinematics.{name}")
+    kernels = [entry for entry in vars(module).values() if isinstance(entry, CPUDispatcher)]
+    assert kernels
+    assert all("forceinline" in kernel.targetoptions for kernel in kernels)
