@@ -1,5 +1,6 @@
 """Tasks from YAML: a chain of motions to places that are drawn anew for each episode."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -144,6 +145,8 @@ class ChainTask:
 def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> ChainTask:
     """Return the task that a YAML file describes.
 
+    Files that it names are looked for beside it, and else from where the program runs.
+
     Args:
         path: File with the fields of `ChainTask`.
         changes: What to take instead of the file's entries; a mapping changes its own keys only.
@@ -151,7 +154,7 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     Raises:
         KinfeasError: If the file is broken, or an entry or a change is not what `ChainTask` allows.
     """
-    data = strict_yaml.read(path)
+    data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     task = config.from_mapping(ChainTask, data, str(path))
     if not changes:
         return task
@@ -187,6 +190,19 @@ def _changed(data: Mapping[str, object], changes: Mapping[str, object]) -> dict[
             value = _changed(old, value)
         changed[key] = value
     return changed
+
+
+def _located(entry: object, folder: Path) -> object:
+    """Return an entry with the names of files that lie in a folder, within it, as their paths."""
+    if isinstance(entry, Mapping):
+        return {key: _located(value, folder) for key, value in entry.items()}
+    if isinstance(entry, list):
+        return [_located(value, folder) for value in entry]
+    if isinstance(entry, str) and Path(entry).suffix:
+        path = str(folder / entry)
+        # Path.is_file raises if a name is too long.
+        return path if os.path.isfile(path) else entry  # noqa: PTH113
+    return entry
 
 
 def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> float:

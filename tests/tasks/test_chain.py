@@ -112,6 +112,25 @@ def test_least_that_a_file_needs(exact_solver, tmp_path):
     np.testing.assert_array_equal(target, [[1, 2, 3, 0, 0, 0, 1]])
 
 
+def test_files_that_lie_beside_a_task_are_found_from_anywhere(tmp_path, monkeypatch):
+    motion = "{generator: waypoints, parameters: {file: way.yaml}}"
+    place = "a: {position: [1, 2, 3]}"
+    scene = "{name: kitchen.yaml, done: {object: box, joint: lid}}"
+    text = (
+        f"{{name: b, places: {{{place}}}, legs: [{{place: a, motion: {motion}}}], scene: {scene}}}"
+    )
+    path = write(tmp_path, text)
+    (tmp_path / "way.yaml").touch()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    task = read_chain(path)
+    assert task.legs[0].motion.parameters == {"file": str(tmp_path / "way.yaml")}
+    assert task.scene.name == "kitchen.yaml"  # which does not: it is looked for from here
+    changed = read_chain(path, {"scene": {"name": "way.yaml"}})
+    assert changed.scene.name == "way.yaml"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
