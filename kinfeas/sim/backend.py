@@ -9,7 +9,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim.arm_drive import ArmDrive
 from kinfeas.sim.base_drive import BaseDrive
-from kinfeas.sim.contacts import Contacts, contacts
+from kinfeas.sim.contacts import Contacts, Touched, contacts, touched
 from kinfeas.sim.furniture import Furniture
 from kinfeas.sim.grasp import Grasp
 from kinfeas.sim.gripper import GripperDrive
@@ -146,7 +146,11 @@ class PyBulletBackend:
 
     def contacts(self) -> Contacts:
         """Return what the robot touches now, but for the link that it handles."""
-        return contacts(self.body, () if self._handled is None else (self._handled,))
+        return contacts(self.body, self._spared())
+
+    def touched(self) -> Touched:
+        """Return the bodies that the robot touches now, but for the link that it handles."""
+        return touched(self.body, self._spared())
 
     def free(self) -> bool:
         """Return whether the robot touches nothing where it is."""
@@ -156,6 +160,9 @@ class PyBulletBackend:
     def close(self) -> None:
         """End the world; it may be called twice."""
         self.physics.close()
+
+    def _spared(self) -> tuple[tuple[int, int], ...]:
+        return () if self._handled is None else (self._handled,)
 
     def _divide(self, dt: float) -> int:
         """Return how many physics steps a control period has, and tell those whom it concerns."""

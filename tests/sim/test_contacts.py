@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinfeas.sim.contacts import Contacts, contacts
+from kinfeas.sim.contacts import Contacts, Touched, contacts
 from tests.sim.conftest import stay, twist
 
 
@@ -8,6 +8,7 @@ def test_a_robot_alone_touches_nothing(world, begin):
     begin()
     stay(world, 5)
     assert world.contacts() == Contacts(base=0, arm=0)
+    assert world.touched() == Touched(frozenset(), frozenset())
 
 
 def test_a_base_that_runs_backwards_into_a_wall_touches_it(world, begin):
@@ -15,6 +16,7 @@ def test_a_base_that_runs_backwards_into_a_wall_touches_it(world, begin):
     stay(world, 150, twist(-0.2))
     wall = world.furniture.link("wall", "wall")
     assert world.contacts().base > 0
+    assert world.touched() == Touched(frozenset(wall[:1]), frozenset())
     assert contacts(world.body, [wall]) == Contacts(base=0, arm=0)
 
 
@@ -23,3 +25,4 @@ def test_an_arm_that_reaches_into_a_wall_touches_it(world, begin, between_finger
     begin(wall=pose)
     stay(world, 2)
     assert world.contacts().arm > 0
+    assert world.furniture.bodies["wall"] in world.touched().arm

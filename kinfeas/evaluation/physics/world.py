@@ -11,6 +11,7 @@ from kinfeas import config
 from kinfeas.config import Interval
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
 from kinfeas.evaluation.episodes import Watch, run_episodes
+from kinfeas.evaluation.physics.collisions import Encounters
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.legs import Pace, PaceSettings
 from kinfeas.look_ahead import Foresight
@@ -20,7 +21,6 @@ from kinfeas.policy import Policy
 from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
 from kinfeas.sim.backend import PyBulletBackend
-from kinfeas.sim.contacts import Contacts
 from kinfeas.sim.physics import PhysicsConfig
 from kinfeas.sim.stage import Stage, task_scene
 from kinfeas.storage.recipes import default_recipe
@@ -96,7 +96,8 @@ class PhysicsRecords(EpisodeRecords):
     Attributes:
         done: Whether the objects ended as the task wants them, shape (n,); whether the goal was
             reached where the task wants nothing of objects, or there are none.
-        base_collisions: How often the base ran into the scene, shape (n,).
+        base_collisions: How often the base ran into a thing of the scene, shape (n,); a thing
+            counts again once it has not been touched for half a second.
         arm_collisions: How often the arm did, shape (n,).
     """
 
@@ -127,15 +128,15 @@ class PhysicsWorld:
 
     def run(self, policy: Policy, episode: int, watch: Watch | None = None) -> PhysicsRecords:
         """Return what happens in one episode; `watch` sees each step, as in `run_episodes`."""
-        meter = _Meter(self.stage.backend, watch)
+        meter = _Meter(self.stage.backend, self.world.loop.dt, watch)
         records = run_episodes(self.world, policy, 1, watch=meter, first=episode)
         self._wait()
         done = self.stage.done()
         return PhysicsRecords(
             **columns(records),
             done=records.reached if done is None else np.array([done]),
-            base_collisions=np.array([meter.base]),
-            arm_collisions=np.array([meter.arm]),
+            base_collisions=np.array([meter.base.count]),
+            arm_collisions=np.array([meter.arm.count]),
         )
 
     def close(self) -> None:
@@ -151,19 +152,18 @@ class PhysicsWorld:
 
 
 class _Meter:
-    """Counts how often base and arm begin to touch something."""
+    """Counts what base and arm run into."""
 
-    def __init__(self, backend: PyBulletBackend, watch: Watch | None) -> None:
-        self.base = self.arm = 0
-        self._backend, self._before, self._watch = backend, Contacts(0, 0), watch
+    def __init__(self, backend: PyBulletBackend, dt: float, watch: Watch | None) -> None:
+        self.base, self.arm = Encounters(dt), Encounters(dt)
+        self._backend, self._watch = backend, watch
 
     def __call__(self, world: World, transition: Transition, rows: Rows, episodes: Rows) -> None:
         if self._watch is not None:
             self._watch(world, transition, rows, episodes)
-        now = self._backend.contacts()
-        self.base += now.base > 0 and not self._before.base
-        self.arm += now.arm > 0 and not self._before.arm
-        self._before = now
+        now = self._backend.touched()
+        self.base.add(now.base)
+        self.arm.add(now.arm)
 
 
 def make_stage(
