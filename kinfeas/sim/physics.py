@@ -1,7 +1,6 @@
 """A PyBullet world of its own: connection, time step, and the state that a reset returns to."""
 
 import math
-import os
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import NotNegative, Positive
 from kinfeas.sim.complaints import complaint, unread_mesh
+from kinfeas.sim.screen import check_screen
 from kinfeas.sim.silence import overhear, silence
 from kinfeas.spatial import IDENTITY, Array, compose, relative
 
@@ -80,7 +80,7 @@ class Physics:
             gui: Whether to show it in a window.
 
         Raises:
-            KinfeasError: If PyBullet is not installed.
+            KinfeasError: If PyBullet is not installed, or no window can be opened.
         """
         self.config, self.client, self._gui = config, _connect(gui), gui
         # The panels hide most of the world. Without a window nothing happens.
@@ -242,9 +242,8 @@ def _connect(gui: bool) -> Any:
         raise KinfeasError(
             "the PyBullet world needs Python 3.11: there is no PyBullet for later versions"
         ) from error
-    # PyBullet ends the process where there is no screen.
-    if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        raise KinfeasError("a window needs a screen, and DISPLAY names none")
+    if gui:
+        check_screen()
 
     class Client(BulletClient):  # type: ignore[misc]  # it has no types
         def __getattr__(self, name: str) -> Any:
