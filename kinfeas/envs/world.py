@@ -77,8 +77,15 @@ class Transition:
 class World:
     """n episodes of one task, side by side; none restarts by itself.
 
-    Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k).
+    Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k),
+    and from the stream.
+
+    Attributes:
+        stream: Tells the episodes of a seed apart from those of other streams; empty for those that
+            policies are judged on.
     """
+
+    stream: tuple[int, ...] = ()
 
     def __init__(
         self,
@@ -128,7 +135,7 @@ class World:
         Raises:
             KinfeasError: If the task samples anything of another form.
         """
-        rngs = [np.random.default_rng((self.seed, episode)) for episode in episodes]
+        rngs = [self._rng(episode) for episode in episodes]
         starts = [self.task.sample(self.solver, rng) for rng in rngs]
         legs, joints = len(self.task.legs), len(self.robot.arm)
         for start in starts:
@@ -179,6 +186,10 @@ class World:
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation
+
+    def _rng(self, episode: int) -> np.random.Generator:
+        sequence = np.random.SeedSequence((self.seed, episode), spawn_key=self.stream)
+        return np.random.default_rng(sequence)
 
 
 def _backend(config: WorldConfig, robot: Robot, backend: Backend | None) -> Backend:

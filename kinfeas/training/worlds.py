@@ -24,6 +24,10 @@ from kinfeas.training.config import TrainConfig
 EVALUATION_SEED = 1_000_003
 """Offset between the seed of training and that of the episodes that pick the best checkpoint."""
 
+TRAINING = (1,)
+"""Stream of the episodes that are learned from: of no seed are they those that policies are judged
+on."""
+
 MAX_FAILURES = 99
 """Of an episode that judges a policy."""
 
@@ -34,7 +38,9 @@ Judge = Callable[[Network, int], EpisodeRecords]
 def analytic_world(config: TrainConfig) -> World:
     """Return the analytic world that a run learns in."""
     task = load_task(config.task, config.task_parameters)
-    return World(registry.load_robot(config.robot), task, config.world, config.seed)
+    world = World(registry.load_robot(config.robot), task, config.world, config.seed)
+    world.stream = TRAINING
+    return world
 
 
 def physics_world(config: TrainConfig) -> World:
@@ -46,7 +52,9 @@ def physics_world(config: TrainConfig) -> World:
     assert config.physics is not None
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
     stage = make_stage(robot, task, config.physics)
-    return make_physics_world(robot, stage, config.world, config.physics.pace, config.seed)
+    world = make_physics_world(robot, stage, config.world, config.physics.pace, config.seed)
+    world.stream = TRAINING
+    return world
 
 
 def analytic_judge(config: TrainConfig, network: Network) -> Judge:
