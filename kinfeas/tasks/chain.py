@@ -1,7 +1,7 @@
 """Tasks from YAML: a chain of motions to places that are drawn anew for each episode."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import Interval, no_such
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.names import check_name
 from kinfeas.quantities import Distance, Metres, Position, Radians
@@ -152,14 +153,21 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
         changes: What to take instead of the file's entries; a mapping changes its own keys only.
 
     Raises:
-        KinfeasError: If the file is broken, or an entry or a change is not what `ChainTask` allows.
+        KinfeasError: If the file is broken, an entry or a change is not what `ChainTask` allows, or
+            one of them gives a place that no leg leads to.
     """
     data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     task = config.from_mapping(ChainTask, data, str(path))
+    _check_reached(task, task.places, str(path))
     if not changes:
         return task
     # The file is in order: what is wrong from here on is not its fault.
-    return config.from_mapping(ChainTask, _changed(data, changes), "the task's parameters")
+    source = "the task's parameters"
+    changed = config.from_mapping(ChainTask, _changed(data, changes), source)
+    # Other legs may leave out some of the file's places, but not of those that are given.
+    given = changes.get("places")
+    _check_reached(changed, given if isinstance(given, Mapping) else (), source)
+    return changed
 
 
 def pick_place(**parameters: object) -> ChainTask:
@@ -179,6 +187,15 @@ def drawer(**parameters: object) -> ChainTask:
 
 def _shipped(name: str, parameters: Mapping[str, object]) -> ChainTask:
     return read_chain(Path(__file__).parent / f"{name}.yaml", parameters)
+
+
+def _check_reached(task: ChainTask, given: Iterable[str], source: str) -> None:
+    """Raise if no leg leads to one of the places `given`: its name is misspelt."""
+    reached = {leg.place for leg in task.legs}
+    for name in given:
+        if name not in reached:
+            known = no_such(name, reached)
+            raise KinfeasError(f"{source}: 'places.{name}': no leg leads to {name!r}{known}")
 
 
 def _changed(data: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:

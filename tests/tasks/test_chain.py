@@ -193,6 +193,29 @@ def test_wrong_parameters_are_one_sentence_and_not_the_file_s_fault(name, parame
     assert ".yaml" not in str(caught.value)
 
 
+TWO_PLACES = """
+name: tidy_up
+places: {cup: {position: [2, 0, 0.8]}, bin: {position: [-1, 1, 0.5]}}
+legs: [{place: cup}, {place: bin}]
+"""
+
+
+def test_a_misspelt_place_is_refused(tmp_path):
+    path = write(tmp_path, TWO_PLACES)
+    changes = {"places": {"cp": {"position": [1, 0, 0.8]}}}
+    sentence = r"no leg leads to 'cp' \(did you mean 'cup'\?\); known are bin, cup$"
+    with pytest.raises(KinfeasError, match=f"^the task's parameters: 'places.cp': {sentence}"):
+        read_chain(path, changes)
+    path.write_text(TWO_PLACES.replace("cup: {pos", "cp: {position: [0, 0, 1]}, cup: {pos"))
+    with pytest.raises(KinfeasError, match=f"task.yaml: 'places.cp': {sentence}"):
+        read_chain(path)
+
+
+def test_other_legs_may_leave_out_places_of_the_file(tmp_path):
+    task = read_chain(write(tmp_path, TWO_PLACES), {"legs": [{"place": "bin"}]})
+    assert [leg.place for leg in task.legs] == ["bin"]
+
+
 def test_objects_stand_where_the_places_are(exact_solver):
     task = build("pick_place")
     for i in range(20):
