@@ -11,12 +11,13 @@ from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.schema import no_such
 from kinfeas.sim.physics import Physics
-from kinfeas.spatial import Array
+from kinfeas.spatial import Array, rotation
 
 T = TypeVar("T")
 
 _REST = 0.05  # m/s, below which something stands
 _TOUCH = 1e-3  # m, between things that touch
+_UPRIGHT = float(np.cos(np.pi / 4.0))  # least share of a unit vector that points upwards
 
 
 class Furniture:
@@ -93,7 +94,9 @@ class Furniture:
         return position
 
     def stands(self, name: str, on: str) -> bool:
-        """Return whether an object rests on another one.
+        """Return whether an object is at rest on another one, as upright as the scene has it.
+
+        What leans against the side of the other one or has fallen over does not stand on it.
 
         Raises:
             KinfeasError: If there is no such object.
@@ -102,7 +105,15 @@ class Furniture:
         body, below = (self._of(one, self.bodies) for one in (name, on))
         speed = float(np.linalg.norm(client.getBaseVelocity(body)[0]))
         points = client.getContactPoints(bodyA=body, bodyB=below)
-        return speed <= _REST and any(point[8] <= _TOUCH for point in points)
+        # The normal of a contact points from the other one to the object.
+        borne = any(point[8] <= _TOUCH and point[7][2] >= _UPRIGHT for point in points)
+        return speed <= _REST and borne and self._tilt(name) >= _UPRIGHT
+
+    def _tilt(self, name: str) -> float:
+        """Return how far upwards points what does so in the scene, from -1 to 1."""
+        urdf = self.scene.objects[name].urdf
+        now = rotation(self.link_pose(name, urdf.root)).as_matrix()
+        return float((now @ rotation(self.scene.objects[name].pose).as_matrix().T)[2, 2])
 
     def _of(self, name: str, known: Mapping[str, T]) -> T:
         if name not in known:

@@ -79,7 +79,14 @@ class Stage:
         done = self._known.done
         if done.joint is not None:
             return furniture.joint_position(done.object, done.joint) > done.beyond
-        return furniture.stands(done.object, str(done.on))
+        # What the hand has not let go of has not been put down.
+        return not self._held(done.object) and furniture.stands(done.object, str(done.on))
+
+    def _held(self, name: str) -> bool:
+        backend = self.backend
+        if backend.grasp is None or backend.grasp.held is None or backend.furniture is None:
+            return False
+        return backend.grasp.held[0] == backend.furniture.bodies[name]
 
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return another episode; a task that moves furniture leads to where `first` does."""

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.scenes.scene import read_scene
 from kinfeas.sim.backend import PyBulletBackend
@@ -66,3 +67,35 @@ def test_the_shipped_room_stands_still(robot):
     box = world.furniture.link_pose("box", room.objects["box"].urdf.root)
     world.close()
     np.testing.assert_allclose(box, room.objects["box"].pose, atol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def room_world():
+    world = PyBulletBackend(registry.load_robot("hsr"), read_scene("room"))
+    yield world
+    world.close()
+
+
+# The place table is 0.52 m high at (0.25, -2.75), one of its legs ends at x = 0.58, y = -2.42.
+@pytest.mark.parametrize(
+    ("pose", "stands"),
+    [
+        ([0.25, -2.75, 0.636, 0.0, 0.0, 0.0, 1.0], True),
+        ([0.25, -2.75, 0.636, 0.0, 0.0, 0.7071, 0.7071], True),
+        ([0.25, -2.75, 0.60, 0.7071, 0.0, 0.0, 0.7071], False),  # on its side
+        ([0.25, -2.75, 0.90, 0.0, 0.0, 0.0, 1.0], False),  # still falling
+        ([0.6295, -2.42, 0.115, 0.0, 0.0, 0.0, 1.0], False),  # on the floor, at a leg
+        ([-0.5, -2.0, 0.115, 0.0, 0.0, 0.0, 1.0], False),  # on the floor
+    ],
+)
+def test_what_stands_rests_upright_on_something(room_world, pose, stands):
+    room_world.furniture.furnish(read_scene("room"))
+    home = room_world.body.robot.home["home"][np.newaxis]
+    room_world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
+    box = room_world.furniture.bodies["box"]
+    room_world.physics.place(box, np.array(pose) / [1, 1, 1, *[np.linalg.norm(pose[3:])] * 4])
+    stay(room_world, 5 if pose[2] == 0.90 else 100)
+    client = room_world.physics.client
+    if pose[0] == 0.6295:  # it is a case of touching at all
+        assert client.getContactPoints(bodyA=box, bodyB=room_world.furniture.bodies["place_table"])
+    assert room_world.furniture.stands("box", "place_table") is stands
