@@ -10,14 +10,13 @@ from kinfeas import config, pretrained, registry
 from kinfeas.config import Interval, no_such
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark.checks import check_names, check_robots, check_task
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
 from kinfeas.evaluation.policies import BASELINES
 from kinfeas.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.robots.robot import Robot
-from kinfeas.storage.files import is_path
 from kinfeas.storage.recipes import default_recipe, find_recipe
-from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.training.config import TrainConfig
 
 Seed = Annotated[int, Interval(low=0)]
@@ -116,7 +115,7 @@ class StudyConfig:
         trainings: How they are learned.
         seeds: Training seeds of each.
         episodes: Of each policy on each task.
-        evaluation_seed: Of these episodes, the same for all; no seed of a training.
+        evaluation_seed: Of these episodes, the same for all.
         variants: Further rows.
         world: Where all of it happens.
         physics: Null for a study of the analytic world; else the same happens in the PyBullet
@@ -148,43 +147,49 @@ class StudyConfig:
             entries = getattr(self, key)
             if not entries or len(set(entries)) < len(entries):
                 raise ValueError(f"{key!r} must hold at least one entry, and none twice")
+        self._check_variants()
+
+    def _check_variants(self) -> None:
+        """Raise if two variants would be rows of one name, or one has no name."""
+        taken: set[tuple[str, str, str]] = set()
+        for variant in self.variants:
+            if not variant.label.strip():
+                raise ValueError("every entry of 'variants' must have a 'label' that is not empty")
+            rows = {(variant.label, variant.task, robot) for robot in variant.robots}
+            if len(rows) < len(variant.robots) or rows & taken:
+                raise ValueError(
+                    f"'variants' has the label {variant.label!r} of the task {variant.task!r} "
+                    "twice for a robot; each needs a label of its own"
+                )
+            taken |= rows
 
 
 def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
     """Return a study by its recipe's name or file.
 
     Raises:
-        KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task; or if two
-            tasks would have the same name in the tables.
+        KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task, a task's
+            motion or scene; or if two robots or two tasks would have the same name in the tables.
     """
     study = config.load(StudyConfig, find_recipe(name, "benchmark"), overrides)
     named = [*study.robots, *study.look_ahead, *(training.robot for training in study.trainings)]
     named += [robot for variant in study.variants for robot in variant.robots]
     for robot in dict.fromkeys(named):
         registry.load_robot(robot)
-    _check_names(study.tasks)
+    check_robots(study.robots)
+    check_names(study.tasks)
     both = (study.baselines, study.look_ahead)
     judged = [task for by_name in both for tasks in by_name.values() for task in tasks]
-    for task in dict.fromkeys([*study.tasks, *judged]):
-        load_task(task)
-    for variant in study.variants:
-        load_task(variant.task, variant.parameters)
+    plain: list[tuple[str, dict[str, object]]] = [
+        (task, {}) for task in dict.fromkeys([*study.tasks, *judged])
+    ]
+    for task, parameters in [*plain, *((one.task, one.parameters) for one in study.variants)]:
+        check_task(task, parameters, physical=study.physics is not None)
     if study.physics is not None:
         for robot in study.robots:
             for row in study.physics.rows.values():
                 row_settings(study.physics, row, robot)
     return study
-
-
-def _check_names(tasks: Sequence[str]) -> None:
-    """Raise if the file of a task has the name of another task, installed or of the study."""
-    taken = {name: name for name in registry.names("kinfeas.tasks")}
-    for task in filter(is_path, tasks):
-        other = taken.setdefault(task_name(task), task)
-        if other != task:
-            raise KinfeasError(
-                f"{task}: would have the name of the task {other!r} in the tables; rename the file"
-            )
 
 
 def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsSettings:
@@ -228,7 +233,8 @@ def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
     """Return the settings and the folder of each training run that a study stands on.
 
     Raises:
-        KinfeasError: If a robot has to be trained of which the study does not say how.
+        KinfeasError: If a robot has to be trained of which the study does not say how, or two runs
+            would share a folder.
     """
     if study.policies == "pretrained":
         return []
@@ -245,7 +251,14 @@ def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
         if training.robot in wanted
         for seed in study.seeds
     ]
-    return [(settings, out / "runs" / run_name(settings)) for settings in plans]
+    names = [run_name(settings) for settings in plans]
+    for name in names:
+        if names.count(name) > 1:
+            raise KinfeasError(
+                f"the study asks for two training runs {name}: robot, algorithm and seed must tell "
+                "the entries of 'trainings' apart"
+            )
+    return [(settings, out / "runs" / name) for settings, name in zip(plans, names, strict=True)]
 
 
 def restricted(study: StudyConfig, names: Collection[str]) -> StudyConfig:

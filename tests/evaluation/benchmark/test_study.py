@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas import config, pretrained
+from kinfeas import config, pretrained, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.study import (
     StudyConfig,
@@ -55,6 +55,26 @@ def test_a_robot_without_a_training_is_an_error():
         to_train(study(*TWO), OUT)
 
 
+@pytest.mark.parametrize(
+    "trainings",
+    [
+        "[{robot: pr2, steps: 64}, {robot: pr2, steps: 128}]",
+        "[{robot: pr2, settings: [seed=5]}]",
+    ],
+)
+def test_two_runs_of_one_folder_are_refused(trainings):
+    twice = study("robots=[pr2]", f"trainings={trainings}", "seeds=[0, 5]")
+    with pytest.raises(KinfeasError, match=r"two training runs pr2-sac-\d: robot, algorithm and"):
+        to_train(twice, OUT)
+
+
+def test_two_robots_of_one_name_are_refused(tmp_path):
+    (tmp_path / "study.yaml").write_text("note: mine\n")
+    path = registry.build("kinfeas.robots", "pr2", {})
+    with pytest.raises(KinfeasError, match=f"pr2 and {path} are both 'pr2'"):
+        read_study(str(tmp_path / "study.yaml"), [f"robots=[pr2, {path}]"])
+
+
 def test_pretrained_policies_are_not_trained(monkeypatch):
     monkeypatch.setattr(pretrained, "robots", lambda root=None: ["hsr"])
     assert to_train(study(*TWO, "policies=pretrained"), OUT) == []
@@ -102,6 +122,62 @@ def test_a_task_may_be_a_file(tmp_path, monkeypatch):
     (tmp_path / "fetch.yaml").write_text(TASK)
     (tmp_path / "study.yaml").write_text("tasks: [ggr, fetch.yaml]\n")
     assert read_study("study.yaml").tasks == ("ggr", "fetch.yaml")
+
+
+VARIANT = "{{label: {}, task: ggr, parameters: {{distance: [1, {}]}}, robots: [{}]}}"
+
+
+@pytest.mark.parametrize(
+    ("variants", "words"),
+    [
+        ([("x", 2, "pr2"), ("x", 3, "hsr, pr2")], "label 'x' of the task 'ggr' twice for a robot"),
+        ([("x", 2, "pr2, pr2")], "label 'x' of the task 'ggr' twice for a robot"),
+        ([("''", 2, "pr2")], "every entry of 'variants' must have a 'label' that is not empty"),
+    ],
+)
+def test_variants_are_told_apart_by_their_labels(variants, words):
+    told = ", ".join(VARIANT.format(*variant) for variant in variants)
+    with pytest.raises(KinfeasError, match=words):
+        study(f"variants=[{told}]")
+
+
+def test_a_label_may_stand_for_other_parameters_of_another_robot():
+    told = ", ".join(VARIANT.format("x", far, robot) for far, robot in ((2, "pr2"), (3, "hsr")))
+    assert len(study(f"variants=[{told}]").variants) == 2
+
+
+LEG = "legs: [{{place: cup, motion: {{generator: {}, parameters: {{{}}}}}}}]"
+
+
+@pytest.mark.parametrize(
+    ("leg", "words"),
+    [
+        (("leap", ""), "unknown motion generator 'leap'"),
+        (("imitation", "model: gone.yaml"), r"gone\.yaml: cannot be read"),
+        (("linear", "max_velocity: -1"), "max_velocity"),
+    ],
+)
+@pytest.mark.parametrize("key", ["tasks", "variants"])
+def test_a_motion_that_cannot_be_made_is_refused(tmp_path, monkeypatch, leg, words, key):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.yaml").write_text("note: mine\n")
+    (tmp_path / "fetch.yaml").write_text(TASK.replace("legs: [{place: cup}]", LEG.format(*leg)))
+    said = {
+        "tasks": "tasks=[fetch.yaml]",
+        "variants": "variants=[{label: x, task: fetch.yaml, parameters: {}, robots: [pr2]}]",
+    }
+    with pytest.raises(KinfeasError, match=words):
+        read_study("study.yaml", [said[key]])
+
+
+def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.yaml").write_text("tasks: [fetch.yaml]\n")
+    scene = "scene: {name: gone.yaml, done: {object: box, joint: lid}}\n"
+    (tmp_path / "fetch.yaml").write_text(TASK + scene)
+    read_study("study.yaml")
+    with pytest.raises(KinfeasError, match=r"gone\.yaml: cannot be read"):
+        read_study("study.yaml", ["physics={}"])
 
 
 @pytest.mark.parametrize(
