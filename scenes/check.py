@@ -43,13 +43,24 @@ def check(
         KinfeasError: If an object stands off or below the floor or within another one, or a
             gripper has no room in front of a handle, or a base none near it.
     """
-    for name, one in objects.items():
-        _check_floor(f"{source}: object {name!r}", size, one)
-    _check_overlaps(source, objects)
+    check_places(source, size, objects)
     shapes = [shape for one in objects.values() for _, shape in one.shapes()]
     scene = Solids(shapes)
     for name, pose in handles.items():
         _check_handle(f"{source}: handle {name!r} cannot be reached", size, scene, pose)
+
+
+def check_places(
+    source: str, size: tuple[float, float], objects: Mapping[str, SceneObject]
+) -> None:
+    """Check that all objects stand on the floor and not within each other; arguments as above.
+
+    Raises:
+        KinfeasError: If one does not.
+    """
+    for name, one in objects.items():
+        _check_floor(f"{source}: object {name!r}", size, one)
+    _check_overlaps(source, objects)
 
 
 def _check_floor(where: str, size: tuple[float, float], one: SceneObject) -> None:

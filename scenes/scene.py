@@ -13,7 +13,7 @@ from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import Vector
 from kinfeas.robots.urdf import Urdf, parse_urdf
-from kinfeas.scenes.check import check
+from kinfeas.scenes.check import check, check_places
 from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
 from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec
 from kinfeas.spatial import Array, compose, make_pose
@@ -86,6 +86,17 @@ class Scene:
         """
         poses = {name: self.handle_pose(name) for name in self.handles}
         check(f"scene {self.name}", self.size, self.objects, poses)
+
+    def check_places(self, source: str) -> None:
+        """Check that all objects stand on the floor and not within each other.
+
+        Args:
+            source: What the error begins with.
+
+        Raises:
+            KinfeasError: If one does not.
+        """
+        check_places(source, self.size, self.objects)
 
     def _object(self, name: str) -> SceneObject:
         return _of(self.objects, name, f"scene {self.name}: there is no object")

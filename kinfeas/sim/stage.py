@@ -1,6 +1,5 @@
 """The stage of a task: its episodes, with the furniture where each of them wants it."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.sim.backend import PyBulletBackend
-from kinfeas.spatial import Array
+from kinfeas.sim.task_check import check_task
 from kinfeas.start import Start
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.checks import unchecked
@@ -34,14 +33,17 @@ class Stage:
         """Connect a task to a world that was built with the task's scene, or without any.
 
         Raises:
-            KinfeasError: If the task handles what is not there.
+            KinfeasError: If the task names what is not there, or takes hold of what cannot move or
+                without a gripper.
         """
         self.task, self.backend = task, backend
         self.scene = backend.furniture.scene if backend.furniture else None
         self._chain = _chain(task)
         self._known = self._chain.scene if self._chain and self.scene else None
-        if self._known and (handled := self._known.handled) and backend.gripper:
-            backend.handle(handled.object, handled.link, rigid=not handled.turns)
+        if self._known and self.scene:
+            check_task(self.name, self._known, self.scene, backend.body.robot)
+            if handled := self._known.handled:
+                backend.handle(handled.object, handled.link, rigid=not handled.turns)
 
     @property
     def name(self) -> str:
@@ -57,11 +59,11 @@ class Stage:
         """Return one random episode, and put robot and furniture where it begins.
 
         Raises:
-            KinfeasError: If no draw is free of collisions.
+            KinfeasError: If no draw is free of collisions, or objects are drawn into each other.
         """
         first = self.task.sample(solver, rng)
         if self.scene is not None and self.backend.furniture is not None:
-            self.backend.furniture.furnish(self.scene.with_poses(self._moved(first)))
+            self.backend.furniture.furnish(self._moved(self.scene, first))
         for number in range(_DRAWS):
             start = self._again(first, solver, rng) if number else first
             self.backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
@@ -78,7 +80,8 @@ class Stage:
             return None
         done = self._known.done
         if done.joint is not None:
-            return furniture.joint_position(done.object, done.joint) > done.beyond
+            position = furniture.joint_position(done.object, done.joint)
+            return position < done.beyond if done.beyond < 0.0 else position > done.beyond
         # What the hand has not let go of has not been put down.
         return not self._held(done.object) and furniture.stands(done.object, str(done.on))
 
@@ -95,8 +98,14 @@ class Stage:
             return replace(start, target_poses=first.target_poses)
         return start
 
-    def _moved(self, start: Start) -> Mapping[str, Array]:
-        return self._chain.object_poses(start.target_poses) if self._chain else {}
+    def _moved(self, scene: Scene, start: Start) -> Scene:
+        """Return a scene as an episode wants it, after a check that it can be."""
+        poses = self._chain.object_poses(start.target_poses) if self._chain else {}
+        if not poses:
+            return scene
+        moved = scene.with_poses(poses)
+        moved.check_places(f"task {self.name!r}")
+        return moved
 
 
 def task_scene(task: Task) -> Scene | None:

@@ -5,7 +5,9 @@ from kinfeas import registry, spatial
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.collision import SceneCollision, robot_touches
+from kinfeas.tasks.chain import ChainLeg, ChainTask, Place
 from kinfeas.tasks.loading import load_task
+from kinfeas.tasks.scene import Outcome, TaskScene
 
 pytest.importorskip("pybullet")
 
@@ -136,3 +138,40 @@ def test_without_a_scene_there_is_nothing_to_do(solver):
     with pytest.raises(KinfeasError, match="nothing can be handled without a scene"):
         backend.handle("box", "box")
     backend.close()
+
+
+def test_objects_drawn_into_each_other_are_one_sentence(solver):
+    sunk = {"scene": {"moves": {"box": {"offset": [0.04, 0.0, -0.1]}}}}
+    task = load_task("pick_place", sunk)
+    backend = PyBulletBackend(solver.robot, task_scene(task))
+    message = "^task 'pick_place': objects 'pick_table' and 'box' stand within each other"
+    with pytest.raises(KinfeasError, match=message):
+        Stage(task, backend).sample(solver, np.random.default_rng(0))
+    backend.close()
+
+
+def test_shipped_episodes_can_be(stage, solver):
+    moves = stage.task.object_poses
+    for seed in range(100):
+        start = stage.task.sample(solver, np.random.default_rng((1, seed)))
+        stage.scene.with_poses(moves(start.target_poses)).check_places("shipped")
+
+
+@pytest.mark.parametrize(("beyond", "open_at"), [(-0.15, -0.2), (0.15, 0.2)])
+def test_a_joint_may_open_to_either_side(solver, scene, beyond, open_at, tmp_path):
+    chest = scene.objects["chest"].urdf_path.read_text()
+    (tmp_path / "chest.urdf").write_text(chest.replace('lower="0"', 'lower="-0.4"'))
+    place = "{urdf: chest.urdf, position: [0, -4, 0.5]}"
+    path = tmp_path / "chest.yaml"
+    path.write_text(f"name: chest\nsize: [10, 10]\nobjects:\n  chest: {place}\n")
+    wanted = TaskScene(str(path), Outcome("chest", joint="slide", beyond=beyond))
+    place = {"here": Place((1.0, 0.0, 0.8))}
+    task = ChainTask("pull", (ChainLeg(place="here"),), place, scene=wanted)
+    stage = Stage(task, PyBulletBackend(solver.robot, task_scene(task)))
+    furniture, client = stage.backend.furniture, stage.backend.physics.client
+    begin(stage, solver, 0)
+    number = stage.backend.physics.joints(furniture.bodies["chest"])["slide"]
+    for position, done in ((0.0, False), (-open_at, False), (open_at, True)):
+        client.resetJointState(furniture.bodies["chest"], number, position)
+        assert stage.done() is done
+    stage.backend.close()
