@@ -22,3 +22,12 @@ def test_bad_input_is_one_line(kinfeas, arguments, said):
     outcome = kinfeas("simulate", *arguments)
     assert is_one_line(outcome), outcome
     assert said in outcome.err
+
+
+def test_a_robot_that_would_begin_in_furniture_is_one_line(kinfeas, tmp_path):
+    pytest.importorskip("pybullet")
+    tables = "objects: {desk: {urdf: table.urdf}}"
+    (tmp_path / "origin.yaml").write_text(f"name: office\nsize: [4, 4]\n{tables}\n")
+    outcome = kinfeas("simulate", "--robot", "hsr", "--scene", "origin.yaml")
+    assert is_one_line(outcome), outcome
+    assert "scene office: robot 'hsr' begins at the origin and would touch 'desk'" in outcome.err

@@ -16,7 +16,7 @@ from kinfeas.evaluation.physics.world import physics_config
 from kinfeas.foreign import Blaming, package_of
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.robot_urdf import PLANAR_JOINTS
 from kinfeas.sim.stage import Stage, task_scene
@@ -188,16 +188,34 @@ def set_stage(
         gui: Whether to show it in a window.
 
     Raises:
-        KinfeasError: If PyBullet is not installed, or the scene is unknown or broken.
+        KinfeasError: If PyBullet is not installed, the scene is unknown or broken, or something of
+            it stands where the robot begins.
     """
     around = task_scene(task) if task else read_scene(scene) if scene is not None else None
     physics = physics_config(robot).world.physics
     backend = PyBulletBackend(robot, around, gui=gui, physics=physics)
     if task is None:
         origin = planar_pose(*np.zeros((3, 1)))
-        return backend, backend.reset(origin, robot.home["home"][np.newaxis])
+        state = backend.reset(origin, robot.home["home"][np.newaxis])
+        if around is not None and not backend.free():
+            touched = _in_the_way(backend, around)
+            backend.close()
+            raise KinfeasError(touched)
+        return backend, state
     start = Stage(task, backend).sample(IkSolver(robot), np.random.default_rng(numbers))
     return backend, backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
+
+
+def _in_the_way(backend: PyBulletBackend, scene: Scene) -> str:
+    """Return the sentence that names what a robot at the origin touches."""
+    touched = backend.touched()
+    things = backend.furniture.bodies if backend.furniture else {}
+    bodies = {number: repr(name) for name, number in things.items()}
+    names = sorted(bodies.get(one, "the floor") for one in touched.base | touched.arm)
+    return (
+        f"scene {scene.name}: robot {backend.body.robot.name!r} begins at the origin and would "
+        f"touch {', '.join(names)} there"
+    )
 
 
 def play(
