@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli import inputs, options
-from kinfeas.cli.filming import Episode, Replay, Video, show_episode
+from kinfeas.cli.filming import Episode, Replay, Video, show_episode, shown_episode
 from kinfeas.cli.output import (
     check_file_path,
     check_outputs,
@@ -106,7 +106,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     video: Video = None,
     replay: Replay = None,
-    episode: Episode = 0,
+    episode: Episode = None,
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -138,7 +138,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
     said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
-    said |= {"--video": video, "--replay": replay, "--episode": episode or None}
+    said |= {"--video": video, "--replay": replay, "--episode": episode}
     given = [name for name, value in said.items() if value is not None]
     count = episodes or _EPISODES[world]
     if world is WorldName.ANALYTIC:
@@ -146,7 +146,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             raise KinfeasError(f"{given[0]} needs --world pybullet")
         run = _analytic((policy, robot, task), count, seed, processes, overrides)
     else:
+        number = shown_episode(episode, count, shown=bool(video or replay))
         wishes = _physics_wishes(head_start, slow_down, without_objects)
+        _check_wishes(wishes, overrides)
         assignments = [f"world.{key}={value}" for key, value in wishes.items() if value is not None]
         assignments += overrides or []
         trial, driver = _put_to((policy, robot, task), count, seed, assignments)
@@ -166,7 +168,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         say_written(picture)
     if video is not None or replay is not None:
         settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
-        show_episode(replace(trial, settings=settings), driver, episode, video, replay)
+        show_episode(replace(trial, settings=settings), driver, number, video, replay)
 
 
 def _physics_wishes(
@@ -183,6 +185,17 @@ def _physics_wishes(
     said = {f"--{key.replace('_', '-')}": (key, value) for key, value in wishes.items()}
     options.check_settings(PhysicsSettings, said)
     return {**wishes, "objects": False if without_objects else None}
+
+
+def _check_wishes(wishes: Mapping[str, object], overrides: list[str] | None) -> None:
+    """Raise if --set says something else of a setting that an option stands for."""
+    from kinfeas.config import assigned
+
+    world = assigned(overrides or ()).get("world")
+    for key, value in wishes.items():
+        if value is not None and isinstance(world, Mapping) and key in world:
+            option = "without-objects" if key == "objects" else key.replace("_", "-")
+            raise KinfeasError(f"--{option} and --set world.{key} exclude each other")
 
 
 def _adapters(sim2real: str, robot: str) -> "Specs":

@@ -45,9 +45,33 @@ Replay = Annotated[
     ),
 ]
 Episode = Annotated[
-    int,
-    typer.Option("--episode", min=0, help="pybullet: number of that episode; the first one is 0."),
+    int | None,
+    typer.Option(
+        "--episode",
+        min=0,
+        help="pybullet: number of that episode, below --episodes; by default 0, the first one.",
+    ),
 ]
+
+
+def shown_episode(episode: int | None, count: int, *, shown: bool) -> int:
+    """Return the number of the episode to show.
+
+    Args:
+        episode: What --episode says; None if it was not given.
+        count: How many episodes there are.
+        shown: Whether any is to be shown.
+
+    Raises:
+        KinfeasError: If there is no such episode, or none is to be shown.
+    """
+    if episode is None:
+        return 0
+    if not shown:
+        raise KinfeasError("--episode needs --video or --replay")
+    if episode >= count:
+        raise KinfeasError(f"--episode must be below --episodes, {count}, not {episode}")
+    return episode
 
 
 def show_episode(

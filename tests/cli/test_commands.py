@@ -140,6 +140,21 @@ def test_evaluate_with_physics(tmp_path):
     assert figures["task_success"] is None
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--head-start", "3"), "world.head_start=5"),
+        (("--slow-down", "2"), "world.slow_down=2"),
+        (("--without-objects",), "world.objects=true"),
+    ],
+)
+def test_an_option_and_its_setting_exclude_each_other(options, said):
+    short = ["--policy", "follow_ee", "--world", "pybullet", "--episodes", "1"]
+    key = said.partition("=")[0]
+    with pytest.raises(KinfeasError, match=f"^{options[0]} and --set {key} exclude each other$"):
+        kinfeas("evaluate", *short, *options, "--set", said)
+
+
 def test_a_window_needs_a_screen(monkeypatch):
     pytest.importorskip("pybullet")
     monkeypatch.delenv("DISPLAY", raising=False)

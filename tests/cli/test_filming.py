@@ -11,7 +11,7 @@ def test_an_episode_is_shown_as_picture_and_page(kinfeas, tmp_path):
     pytest.importorskip("viser")
     outcome = kinfeas(
         *EVALUATE, "--world", "pybullet", "--set", "world.max_seconds=0.5",
-        "--video", "four.png", "--replay", "page.html", "--episode", "3",
+        "--video", "four.png", "--replay", "page.html", "--episodes", "2", "--episode", "1",
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     assert outcome.out.splitlines()[-2:] == ["four.png", "page.html"]
@@ -27,6 +27,15 @@ def test_an_episode_is_shown_as_picture_and_page(kinfeas, tmp_path):
         (("--world", "pybullet", "--video", "film.avi"), "must end in one of: .gif, .mp4, .png"),
         (("--world", "pybullet", "--video", "none/film.gif"), "cannot be written"),
         (("--world", "pybullet", "--replay", "page.gif"), "must end in .html"),
+        (("--world", "pybullet", "--episode", "0"), "--episode needs --video or --replay"),
+        (
+            ("--world", "pybullet", "--video", "a.png", "--episode", "1"),
+            "--episode must be below --episodes, 1, not 1",
+        ),
+        (
+            ("--world", "pybullet", "--video", "a.png", "--episode", "100000000000000000000"),
+            "--episode must be below --episodes, 1, not 100000000000000000000",
+        ),
         (
             ("--world", "pybullet", "--video", "a.png", "--json", "a.png"),
             "--json and --video must differ",
