@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
-from kinfeas.loop import Rows
+from kinfeas.kinematics.forward import forward
+from kinfeas.loop import Loop, Rows
 from kinfeas.policy import Policy
 from kinfeas.sim.camera import Moment, keep_moment
-from kinfeas.spatial import Array
+from kinfeas.spatial import Array, compose
 
 _RATE = 25.0  # moments kept per second, at most
 
@@ -24,7 +25,7 @@ class PhysicsRecording:
         times: Seconds since its beginning, shape (t,).
         moments: Where all bodies were.
         base: World position of the base, shape (t, 3).
-        ee: Achieved world position of the EE, shape (t, 3).
+        ee: Achieved world position of the EE, shape (t, 3); the true one, whatever sensors say.
         desired: Desired world position of the EE, shape (t, 3).
         goal: World position of the end of the leg under way, shape (t, 3).
         failures: Kinematic failures since the moment before, shape (t,).
@@ -78,6 +79,15 @@ def record(
     )
 
 
+def _achieved(loop: Loop) -> tuple[Array, Array]:
+    """Return where base and EE really are: adapters show a policy something else."""
+    state = loop.state.truth or loop.state
+    within = state.ee_in_base
+    if within is None:
+        within = forward(loop.solver.chain, state.joint_positions)
+    return state.base_pose, compose(state.base_pose, within)
+
+
 @dataclass
 class _Kept:
     """What has been seen so far."""
@@ -97,7 +107,7 @@ class _Kept:
             loop = world.loop
             self.times.append((self.steps + 1) * loop.dt)
             self.moments.append(keep_moment(self.world.stage.backend.physics))
-            seen = (loop.state.base_pose, loop.ee_pose, loop.desired, loop.goal)
+            seen = (*_achieved(loop), loop.desired, loop.goal)
             self.places.append(tuple(pose[0, :3].copy() for pose in seen))
             self.failures.append(self.failed)
             self.failed = 0

@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from kinfeas import registry
+from kinfeas.adapters import AdapterSpec
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.tasks.loading import load_task
@@ -16,6 +17,7 @@ from kinfeas.evaluation.physics.film import check_film_path, count_pictures, mak
 from kinfeas.evaluation.physics.recording import record
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld, physics_config
 from kinfeas.evaluation.pictures.style import FAILURE
+from kinfeas.sim.camera import link_poses, show_moment
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,23 @@ def test_the_same_episode_is_recorded_again(film):
     count = len(again.times) - 1  # the end is kept, too, wherever it lies
     np.testing.assert_array_equal(again.ee[:count], film.recording.ee[:count])
     assert again.moments[:count] == film.recording.moments[:count]
+
+
+def test_paths_are_the_true_ones_whatever_sensors_say():
+    """Base and EE are where the pictures show them, in the midst of a policy's errors."""
+    robot = registry.load_robot("hsr")
+    lost = AdapterSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
+    settings = replace(physics_config(robot, ["world.max_seconds=1"]).world, adapters=(lost,))
+    trial = PhysicsTrial(robot, load_task("ggr"), 1, 1, settings)
+    world = PhysicsWorld(trial)
+    recording = record(world, trial, load_policy("follow_ee", robot), 0)
+    body = world.stage.backend.body
+    for moment, base, ee in zip(recording.moments, recording.base, recording.ee, strict=True):
+        show_moment(body.physics, moment)
+        seen = link_poses(body.physics, [(body.body, body.links[robot.ee_frame])])
+        np.testing.assert_allclose(base[:2], body.planar()[:2], atol=1e-9)
+        np.testing.assert_allclose(ee, seen[0, :3], atol=1e-6)
+    world.close()
 
 
 def test_robot_and_goal_are_in_the_picture_from_inside_the_room(film):
