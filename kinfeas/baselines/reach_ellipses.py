@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.spread import spread
@@ -80,16 +81,33 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     cell of the grid takes the targets near it and near that bearing; the outer ellipse has the
     centre and the proportions of the places from which it reaches most of them, and both are of
     the size at which they hold the most such places and the fewest others.
+
+    Raises:
+        KinfeasError: If the robot has no goal heights for `ggr`, or does not reach any of them.
     """
+    low, high = _heights(robot)
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
     scouts = _Targets(solver, _SCOUTS, 0.0, np.pi)
     bearing = _best_bearing(scouts)
     targets = _Targets(solver, _TARGETS, bearing, CONE)
-    low, high = robot.goal_heights["ggr"]
     heights = np.linspace(low, high, max(2, round((high - low) / _HEIGHT_STEP) + 1))
     pitches = np.linspace(-np.pi / 2.0, np.pi / 2.0, _PITCHES)
     shapes = np.array([[_fit(targets, height, pitch) for pitch in pitches] for height in heights])
+    if np.isnan(shapes).all():
+        raise KinfeasError(
+            f"geometric_modulation finds no place from which the arm of robot {robot.name!r} "
+            f"reaches its goal_heights of ggr, {low:g} to {high:g} m"
+        )
     return ReachEllipses(heights, pitches, _filled(shapes), bearing)
+
+
+def _heights(robot: Robot) -> tuple[float, float]:
+    known = robot.goal_heights.get("ggr")
+    if known is None:
+        raise KinfeasError(
+            f"geometric_modulation needs goal_heights of ggr, and robot {robot.name!r} has none"
+        )
+    return known
 
 
 class _Targets:
@@ -105,7 +123,7 @@ class _Targets:
     def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
         robot = solver.robot
         share = spread(count, 6)
-        low, high = robot.goal_heights["ggr"]
+        low, high = _heights(robot)
         ee = forward(solver.chain, spread_configurations(robot, 4096))
         reach = float(np.hypot(ee[:, 0], ee[:, 1]).max())
         self.height = low - 0.2 + share[:, 0] * (high - low + 0.4)

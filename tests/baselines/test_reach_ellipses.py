@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.baselines.reach_ellipses import ReachEllipses, approach, fit_ellipses
+from kinfeas.errors import KinfeasError
+from kinfeas.registry import load_robot
 from kinfeas.spatial import make_pose, planar_pose, relative
 
 
@@ -42,6 +46,19 @@ def test_ik_reaches_far_more_within_than_beyond(robot, solver, ellipses):
     inner = np.hypot(seen_x / shape[:, 4], seen_y / shape[:, 5])
     within = (outer < 1.0) & (inner > 1.0)
     assert found[within].mean() > 2.5 * found[~within].mean()
+
+
+@pytest.mark.parametrize(
+    ("heights", "words"),
+    [
+        ({"ggr": (5.0, 6.0)}, "robot 'hsr' reaches its goal_heights of ggr, 5 to 6 m"),
+        ({"shelf": (0.2, 1.2)}, "needs goal_heights of ggr, and robot 'hsr' has none"),
+    ],
+)
+def test_a_robot_that_reaches_nothing_is_refused(heights, words):
+    robot = replace(load_robot("hsr"), goal_heights=heights)
+    with pytest.raises(KinfeasError, match=words):
+        fit_ellipses(robot)
 
 
 def test_the_ee_is_before_the_arm_at_the_preferred_bearing(robot, ellipses):
