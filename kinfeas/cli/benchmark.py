@@ -114,7 +114,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     check_out(out)
     cores = processes or os.cpu_count() or 1
     try:
-        taken = taken or _train(plans, cores)
+        taken = taken or _train(study, plans, cores)
         findings = _compute(study, taken, out / "cells", cores)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: what is done is kept, the same command goes on from there\n")
@@ -173,11 +173,15 @@ def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Pla
     return to_train(study, out)
 
 
-def _train(plans: Sequence["Plan"], cores: int) -> list["Run"]:
+def _train(study: "StudyConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
     """Train what is missing and return all runs."""
+    from kinfeas.evaluation.benchmark.cells import check_baselines
+    from kinfeas.evaluation.benchmark.findings import plan_jobs
     from kinfeas.evaluation.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
 
     missing = [plan for plan in plans if is_missing(*plan)]
+    if missing:
+        check_baselines(plan_jobs(study, []))
     at_once = min(len(missing), cores // CORES)
     if at_once > 1:
         with progress(f"training {len(missing)} runs", len(missing)) as advance:

@@ -3,7 +3,9 @@ import json
 import pytest
 
 from kinfeas import pretrained
+from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark import cells
+from kinfeas.evaluation.policies import BASELINES
 from tests.cli.conftest import TINY, is_one_line
 
 STUDY = f"""
@@ -93,6 +95,16 @@ def test_bad_input_is_one_line(kinfeas, study, tmp_path, arguments, words, monke
     assert is_one_line(outcome), outcome.err
     assert words in outcome.err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_baseline_that_cannot_be_is_refused_before_any_training(kinfeas, study, monkeypatch):
+    def missing(robot):
+        raise KinfeasError("no such library")
+
+    monkeypatch.setitem(BASELINES, "follow_ee", missing)
+    outcome = run(kinfeas, "--config", study)
+    assert is_one_line(outcome), outcome.err
+    assert outcome.err == "error: no such library\n"
 
 
 def test_publishing_needs_runs(kinfeas, study, tmp_path, monkeypatch):

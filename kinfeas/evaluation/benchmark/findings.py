@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from kinfeas import pretrained, registry
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.cells import CEILING, Job, Result
+from kinfeas.evaluation.benchmark.cells import Result
 from kinfeas.evaluation.benchmark.curves import curves_figure
+from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, paper_figures
 from kinfeas.evaluation.benchmark.physics import (
     PhysicsCell,

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from kinfeas import registry
-from kinfeas.evaluation.benchmark.cells import Job, Result
+from kinfeas.evaluation.benchmark.cells import Result
+from kinfeas.evaluation.benchmark.job import Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.evaluation.benchmark.study import PLAIN, PhysicsStudy, StudyConfig, row_settings
 from kinfeas.evaluation.benchmark.table import Cell, common, interval, mean_of

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import stats
 
 from kinfeas import pretrained, registry
-from kinfeas.evaluation.benchmark.cells import CEILING, Job, Result
+from kinfeas.evaluation.benchmark.cells import Result
+from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.evaluation.policies import LOOK_AHEAD
 from kinfeas.metrics import Share, wilson

@@ -1,6 +1,6 @@
 """Cells as a benchmark finds them, made up."""
 
-from kinfeas.evaluation.benchmark.cells import CEILING, Job
+from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.table import tabulate
 from kinfeas.evaluation.evaluate import evaluation_world
 

@@ -1,14 +1,18 @@
 import json
 from dataclasses import replace
+from importlib import resources
 
 import pytest
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark import cells as module
-from kinfeas.evaluation.benchmark.cells import CEILING, Job, compute, identity, run_jobs
+from kinfeas.evaluation.benchmark.cells import compute, run_jobs
+from kinfeas.evaluation.benchmark.identity import identity
+from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings
+from kinfeas.evaluation.policies import BASELINES
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
 
@@ -126,6 +130,30 @@ def test_a_task_by_path_is_found_again_until_its_file_changes(tmp_path, monkeypa
     assert all(name.startswith("pr2-fetch-follow_ee-") for name in names)
 
 
+MOTION = "legs: [{place: cup, motion: {generator: imitation, parameters: {model: grasp.yaml}}}]"
+
+
+def test_another_model_of_a_motion_is_another_cell(tmp_path):
+    shipped = (resources.files("kinfeas.plugins") / "models" / "door_grasp.yaml").read_text()
+    (tmp_path / "grasp.yaml").write_text(shipped)
+    (tmp_path / "fetch.yaml").write_text(TASK.replace("legs: [{place: cup}]", MOTION))
+    one = job(task=str(tmp_path / "fetch.yaml"))
+    before = identity(one)
+    assert identity(one) == before
+    (tmp_path / "grasp.yaml").write_text(shipped.replace("duration: ", "duration: 1"))
+    assert identity(one) != before
+
+
+def test_other_waypoints_among_parameters_are_another_cell(tmp_path):
+    way = tmp_path / "way.csv"
+    way.write_text("x,y,z,qx,qy,qz,qw\n-0.3,0,0,0,0,0,1\n0,0,0,0,0,0,1\n")
+    motion = {"generator": "waypoints", "parameters": {"file": str(way)}}
+    one = job(parameters={"motion": motion})
+    before = identity(one)
+    way.write_text(way.read_text().replace("-0.3", "-0.2"))
+    assert identity(one) != before
+
+
 def test_cells_of_named_tasks_are_found_where_they_have_always_been():
     told = identity(job())
     assert told["task"] == "ggr"
@@ -133,6 +161,7 @@ def test_cells_of_named_tasks_are_found_where_they_have_always_been():
         "episodes", "format", "parameters", "policy", "robot", "robot_digest", "seed", "task",
         "version", "world",
     ]  # fmt: skip
+    assert identity(job(task="door")).keys() == told.keys()
     assert job(task="my.task").name == "pr2-my.task-follow_ee"
 
 
@@ -154,6 +183,37 @@ def test_a_broken_file_is_named(tmp_path):
     path.write_text(path.read_text()[:50])
     with pytest.raises(KinfeasError, match=f"{path.name}: broken; remove it"):
         run_jobs([job()], tmp_path)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda held: [],
+        lambda held: ["identity"],
+        lambda held: "identity",
+        lambda held: {**held, "figures": {}},
+        lambda held: {**held, "figures": [1.0]},
+        lambda held: {**held, "figures": {**held["figures"], "within_5cm": None}},
+        lambda held: {key: value for key, value in held.items() if key != "figures"},
+        lambda held: {**held, "workspace": {"feasible": [[0.0, 1.0]]}},
+    ],
+)
+def test_a_file_that_lacks_what_it_should_hold_is_named(tmp_path, broken):
+    run_jobs([job()], tmp_path)
+    (path,) = tmp_path.iterdir()
+    path.write_text(json.dumps(broken(json.loads(path.read_text()))))
+    with pytest.raises(KinfeasError, match=f"{path.name}: broken; remove it"):
+        run_jobs([job()], tmp_path)
+
+
+def test_a_baseline_that_cannot_be_is_refused_before_anything_is_found(tmp_path, monkeypatch):
+    def missing(robot):
+        raise KinfeasError("no such library")
+
+    monkeypatch.setitem(BASELINES, "whole_body_qp", missing)
+    with pytest.raises(KinfeasError, match="no such library"):
+        run_jobs([job(), job("whole_body_qp")], tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_of_another_cell_is_not_taken(tmp_path, counted):

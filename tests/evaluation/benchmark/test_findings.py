@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas import config, pretrained, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.cells import CEILING, run_jobs
+from kinfeas.evaluation.benchmark.cells import run_jobs
 from kinfeas.evaluation.benchmark.findings import (
     Findings,
     check_out,
@@ -14,6 +14,7 @@ from kinfeas.evaluation.benchmark.findings import (
     write_pictures,
     write_tables,
 )
+from kinfeas.evaluation.benchmark.job import CEILING
 from kinfeas.evaluation.benchmark.runs import Run
 from kinfeas.evaluation.benchmark.study import StudyConfig
 from kinfeas.evaluation.speed import random_network

@@ -6,8 +6,9 @@ import pytest
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.cells import CEILING, Job, run_jobs
+from kinfeas.evaluation.benchmark.cells import run_jobs
 from kinfeas.evaluation.benchmark.findings import plan_jobs
+from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.physics import PART, tabulate_physics
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
@@ -160,7 +161,7 @@ def test_a_part_is_run_once(tmp_path):
 
 
 def test_parts_leave_what_the_analytic_world_found_where_it_is():
-    from kinfeas.evaluation.benchmark.cells import identity
+    from kinfeas.evaluation.benchmark.identity import identity
 
     plain = Job("pr2", "ggr", {}, "", CEILING, CEILING, None, 4, 1, evaluation_world())
     assert "first" not in identity(plain)

@@ -1,0 +1,61 @@
+"""What a benchmark has to find: one figure, of a policy on a task or of the task itself."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinfeas.envs.world import WorldConfig
+from kinfeas.evaluation.physics.world import PhysicsSettings
+from kinfeas.tasks.loading import task_name
+
+CEILING = "ceiling"
+"""What takes the place of a policy where the ceiling of a task is to be found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One figure to find: a policy on a task, or the task's ceiling.
+
+    Attributes:
+        robot: Name or YAML file.
+        task: Name or YAML file.
+        parameters: Its keyword parameters.
+        variant: What is different about them.
+        policy: What the policy is called in the table; `ceiling` for the ceiling.
+        source: What `load_driver` takes.
+        training_seed: Seed that it was trained with, if it was and that is known.
+        episodes: How many.
+        seed: Of the episodes.
+        world: Where they happen.
+        first: Number of the first episode; of physics alone, whose episodes come in parts.
+    """
+
+    robot: str
+    task: str
+    parameters: dict[str, object]
+    variant: str
+    policy: str
+    source: str
+    training_seed: int | None
+    episodes: int
+    seed: int
+    world: WorldConfig | PhysicsSettings
+    first: int = 0
+
+    @property
+    def physical(self) -> bool:
+        """Whether it happens in the PyBullet world."""
+        return isinstance(self.world, PhysicsSettings)
+
+    @property
+    def task_name(self) -> str:
+        """What its task is called in tables."""
+        return task_name(self.task)
+
+    @property
+    def name(self) -> str:
+        """What it is called in errors and as a file."""
+        seed = "" if self.training_seed is None else f"-{self.training_seed}"
+        variant = "" if not self.variant else "-variant"
+        part = f"-pybullet-{self.first}" if self.physical else ""
+        policy = self.policy.replace(":", "-")
+        return f"{Path(self.robot).stem}-{self.task_name}{variant}-{policy}{seed}{part}"
