@@ -23,6 +23,7 @@ from kinfeas.storage.npz import read_npz
 _AXES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSES = ("ee_pose", "base_pose", "object_pose")
 _BASE = "base_pose"
+_MOST_NAMED = 6  # folders that an error names
 _NOT_UNIT = 1e-3  # how far the norm of a recorded quaternion may be from 1
 
 
@@ -50,6 +51,11 @@ class Demonstration:
             unknown = np.full((len(self.time), 7), np.nan)  # type: ignore[unreachable] # untyped callers
             object.__setattr__(self, "base_pose", unknown)
 
+    @property
+    def has_base(self) -> bool:
+        """Whether the base was recorded."""
+        return not bool(np.isnan(self.base_pose).all())
+
 
 def read_demonstrations(folder: Path) -> list[Demonstration]:
     """Return the demonstrations of all `demonstration_files`, in their order.
@@ -68,10 +74,17 @@ def demonstration_files(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise KinfeasError(f"{folder}: no such folder of demonstrations")
-    paths = sorted(path for path in folder.iterdir() if path.suffix in _READERS)
-    if not paths:
-        raise KinfeasError(f"{folder}: holds no demonstrations, which are *.csv or *.npz files")
-    return paths
+    paths = sorted(path for path in folder.iterdir() if _kind(path) in _READERS)
+    if paths:
+        return paths
+    below = sorted({path.parent for path in folder.glob("*/*") if _kind(path) in _READERS})
+    if below:
+        names = ", ".join(str(path) for path in below[:_MOST_NAMED])
+        raise KinfeasError(
+            f"{folder}: holds no demonstrations itself, but folders of them; choose one: {names}"
+            f"{', ...' if len(below) > _MOST_NAMED else ''}"
+        )
+    raise KinfeasError(f"{folder}: holds no demonstrations, which are *.csv or *.npz files")
 
 
 def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demonstration:
@@ -87,7 +100,7 @@ def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demo
         KinfeasError: If the file cannot be read, lacks a column, has fewer than two samples or
             numbers that are not finite, its time does not ascend or a quaternion is not unit.
     """
-    reader = _READERS.get(path.suffix)
+    reader = _READERS.get(_kind(path))
     if reader is None:
         raise KinfeasError(f"{path}: must be a .csv or .npz file")
     return reader(path, optional)
@@ -102,17 +115,18 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
         KinfeasError: If the suffix is another one, the demonstration is none that could be read
             back, or the file cannot be written.
     """
-    if path.suffix not in _READERS:
+    if _kind(path) not in _READERS:
         raise KinfeasError(f"{path}: must be a .csv or .npz file")
-    known = not np.isnan(demonstration.base_pose).all()
-    poses = [pose for pose in _POSES if known or pose != _BASE]
+    poses = [pose for pose in _POSES if demonstration.has_base or pose != _BASE]
     arrays: dict[str, Any] = {
         name: np.asarray(getattr(demonstration, name)) for name in ("time", *poses)
     }
     _from_arrays(arrays, path)
     with replacing(path) as fresh:
-        if path.suffix == ".npz":
-            np.savez_compressed(fresh, **arrays)
+        if _kind(path) == ".npz":
+            # To a name that ends otherwise, such as .NPZ, it would add .npz.
+            with fresh.open("wb") as archive:
+                np.savez_compressed(archive, **arrays)
         else:
             with fresh.open("w", newline="", encoding="utf-8") as file:
                 rows = csv.writer(file, lineterminator="\n")
@@ -123,6 +137,11 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
 def columns(poses: Iterable[str] = _POSES) -> list[str]:
     """Return the columns of a CSV file that holds the time and some of the poses."""
     return ["time", *(f"{pose.removesuffix('_pose')}_{axis}" for pose in poses for axis in _AXES)]
+
+
+def _kind(path: Path) -> str:
+    """Return the suffix, whether it is written in capitals or not."""
+    return path.suffix.lower()
 
 
 def _read_csv(path: Path, optional: Collection[str]) -> Demonstration:

@@ -43,7 +43,7 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
 
 
 def _is_record(path: Path) -> bool:
-    if path.suffix != ".csv" or not path.is_file():
+    if path.suffix.lower() != ".csv" or not path.is_file():
         return False
     with path.open("rb") as file:
         return file.read(len(_RECORD)) == _RECORD

@@ -47,9 +47,9 @@ def read_waypoints(path: Path) -> tuple[Array, Array | None]:
         KinfeasError: If the file cannot be read, is not of the form above, has fewer than two
             waypoints, a quaternion is not unit or the time does not ascend.
     """
-    if path.suffix in (".yaml", ".yml"):
+    if path.suffix.lower() in (".yaml", ".yml"):
         poses, time = _read_yaml(path)
-    elif path.suffix == ".csv":
+    elif path.suffix.lower() == ".csv":
         poses, time = _read_csv(path)
     else:
         raise KinfeasError(f"{path}: must be a .yaml or .csv file of waypoints")

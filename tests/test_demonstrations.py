@@ -87,6 +87,26 @@ def test_a_folder_is_read_in_the_order_of_names(tmp_path):
     assert [shown.time[0] for shown in read] == [demonstration(seed=s).time[0] for s in (1, 0, 2)]
 
 
+@pytest.mark.parametrize("suffix", ["CSV", "NPZ", "Csv"])
+def test_a_suffix_may_be_in_capitals(tmp_path, suffix):
+    path = tmp_path / f"one.{suffix}"
+    write_demonstration(demonstration(), path)
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+    (read,) = read_demonstrations(tmp_path)
+    np.testing.assert_allclose(read.ee_pose, demonstration().ee_pose, atol=1e-15)
+
+
+def test_folders_of_demonstrations_below_are_named(tmp_path):
+    for name in ("open", "grasp", "notes"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "notes" / "a.txt").touch()
+    for name in ("open", "grasp"):
+        write_demonstration(demonstration(), tmp_path / name / "0.csv")
+    named = f"choose one: {tmp_path / 'grasp'}, {tmp_path / 'open'}"
+    with pytest.raises(KinfeasError, match=rf"holds no demonstrations itself, .*; {named}$"):
+        demonstration_files(tmp_path)
+
+
 def test_other_columns_and_any_order_are_allowed(tmp_path):
     write_demonstration(demonstration(), tmp_path / "one.csv")
     lines = (tmp_path / "one.csv").read_text().splitlines()

@@ -17,6 +17,8 @@ from kinfeas.cli.output import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from kinfeas.plugins.fit import Fit
 
 
@@ -72,7 +74,18 @@ def fit(
     summary = _summary(found)
     if json is not None:
         write_json(summary, json)
-    _show(found, out)
+    bare = [file for file, one in zip(files, shown, strict=True) if not one.has_base]
+    _show(found, out, _about_base(found, bare))
+
+
+def _about_base(found: "Fit", bare: "Sequence[Path]") -> str:
+    """Return what became of the base, given the files that do not show it."""
+    if found.model.has_base:
+        return "learned"
+    if len(bare) == found.model.fitted_from.demonstrations:
+        return "not shown"
+    others = f" and {len(bare) - 1} more" if len(bare) > 1 else ""
+    return f"not learned, for it is not shown in {bare[0].name}{others}"
 
 
 def _summary(found: "Fit") -> dict[str, object]:
@@ -88,7 +101,7 @@ def _summary(found: "Fit") -> dict[str, object]:
     }
 
 
-def _show(found: "Fit", out: Path) -> None:
+def _show(found: "Fit", out: Path, base: str) -> None:
     from numpy import rad2deg
 
     millimetres = [1000.0 * metres for metres in found.position_residual]
@@ -99,7 +112,7 @@ def _show(found: "Fit", out: Path) -> None:
         ["duration, mean", f"{found.duration:.2f} s"],
         ["way of the hand, mean", f"{found.length:.3f} m"],
         ["components", str(len(found.model.components))],
-        ["base", "learned" if found.model.has_base else "not shown"],
+        ["base", base],
         ["distance from the learned path, mean", f"{sum(millimetres) / count:.1f} mm"],
         ["the same of the worst demonstration", f"{max(millimetres):.1f} mm"],
         ["angle from the learned path, mean", f"{sum(degrees) / count:.1f} degrees"],

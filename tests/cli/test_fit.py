@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.demonstrations import write_demonstration
+from kinfeas.demonstrations import read_demonstration, write_demonstration
 from kinfeas.plugins.fit import MOST_COMPONENTS
 from kinfeas.plugins.gaussian_mixture import GaussianMixture
 from kinfeas.plugins.imitation import Imitation
@@ -68,6 +68,23 @@ def test_bad_input_is_one_line(arguments, message, kinfeas, shown):
     outcome = kinfeas("fit", "--out", "door.yaml", *arguments)
     assert is_one_line(outcome), outcome.err
     assert message in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("bare", "words"),
+    [
+        ((2,), "not learned, for it is not shown in 2.npz"),
+        ((1, 2, 3), "not shown in 1.csv and 2 more"),
+        ((0, 1, 2, 3), "base not shown"),
+    ],
+)
+def test_files_without_a_base_are_named(kinfeas, tmp_path, shown, bare, words):
+    for number in bare:
+        path = next((tmp_path / "shown").glob(f"{number}.*"))
+        write_demonstration(replace(read_demonstration(path), base_pose=None), path)
+    outcome = kinfeas("fit", "--demonstrations", shown, "--out", "door.yaml")
+    assert outcome.code == 0, outcome.err
+    assert words in " ".join(outcome.out.replace("│", " ").split())
 
 
 def test_help_shows_the_format_and_the_largest_size(kinfeas):

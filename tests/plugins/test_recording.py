@@ -32,9 +32,10 @@ def test_reads_a_hand_without_base_and_object(tmp_path):
         read_recording(path, "object")
 
 
-def test_reads_the_motion_that_a_run_was_to_make(tmp_path):
+@pytest.mark.parametrize("name", ["run.csv", "RUN.CSV"])
+def test_reads_the_motion_that_a_run_was_to_make(tmp_path, name):
     desired = random_poses(5, 0)
-    path = write_run(tmp_path / "run.csv", desired, np.arange(5) * 0.1)
+    path = write_run(tmp_path / name, desired, np.arange(5) * 0.1)
     time, ee_pose, _ = read_recording(path, "world")
     assert np.allclose(time, np.arange(5) * 0.1)
     assert np.allclose(ee_pose, desired, atol=1e-7)

@@ -24,6 +24,8 @@ def write(folder, name, text):
         ("w.yml", YAML + "time: [0.5, 2]\n", [0.5, 2.0]),
         ("w.csv", CSV, None),
         ("w.csv", TIMED, [0.5, 2.0]),
+        ("W.CSV", TIMED, [0.5, 2.0]),
+        ("W.YAML", YAML, None),
     ],
 )
 def test_reads_both_forms(tmp_path, name, text, time):
