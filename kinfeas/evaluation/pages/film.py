@@ -6,10 +6,12 @@ import numpy as np
 
 from kinfeas.evaluation.pages.viser_server import Paths, draw_paths, rgb, serving, wxyz
 from kinfeas.evaluation.physics.film import Film
+from kinfeas.evaluation.pictures.style import failures_text
 from kinfeas.sim.camera import Solid, link_poses, show_moment, solids
 
 _MOST = 600  # moments that are shown at most
 _STILL = 1e-4  # m, and of a quaternion, below which nothing has moved
+_ABOVE = np.array([0.0, 0.0, 0.15])  # m, of the last goal
 _WALL = 4.0  # m; what is as long hides the room
 
 
@@ -38,6 +40,7 @@ def _play(server: Any, film: Film, frames: dict[tuple[int, int], Any]) -> str:
     last = len(recording.moments) - 1
     moments = np.unique(np.linspace(0, last, min(_MOST, last + 1)).round().astype(int))
     recorder = server.get_scene_serializer()
+    outcome = label(server, film)
     before = np.full((len(links), 7), np.inf)
     ends = np.append(recording.times[moments[1:]], recording.times[-1] + 1.0)
     for moment, end in zip(moments, ends, strict=True):
@@ -47,9 +50,18 @@ def _play(server: Any, film: Film, frames: dict[tuple[int, int], Any]) -> str:
             frame = frames[links[row]]
             frame.position, frame.wxyz = poses[row, :3], wxyz(poses[row])
             before[row] = poses[row]
+        outcome.visible = bool(moment == last)
         recorder.insert_sleep(float(end - recording.times[moment]))
     html: str = recorder.as_html()
     return html
+
+
+def label(server: Any, film: Film) -> Any:
+    """Return a label above the last goal that says what the episode came to."""
+    recording, failures = film.recording, int(film.recording.failures.sum())
+    times = failures_text(failures)
+    place = recording.goals[-1] + _ABOVE
+    return server.scene.add_label("/outcome", f"{times}, {recording.outcome}", position=place)
 
 
 def _draw_solids(server: Any, film: Film) -> dict[tuple[int, int], Any]:

@@ -68,15 +68,12 @@ class Film:
         image = Image.fromarray(shaded(seen, self.physics, target)).convert("RGBA")
         image.alpha_composite(paths(seen, self.recording, moment))
         small = image.convert("RGB").resize(self.size, Image.Resampling.BOX)
-        write_below(small, self._caption(moment, speed), self._failures(moment))
+        write_below(small, self._caption(moment, speed), self.recording, moment)
         return small
 
     def _caption(self, moment: int, speed: float) -> str:
         faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""
         return f"{self.title}   {self.recording.times[moment]:.1f} s{faster}"
-
-    def _failures(self, moment: int) -> int:
-        return int(self.recording.failures[: moment + 1].sum())
 
 
 def check_film_path(path: Path) -> None:

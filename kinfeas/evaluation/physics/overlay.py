@@ -1,5 +1,6 @@
 """What is drawn into pictures of the PyBullet world: paths, failures, shade and a caption."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from kinfeas.evaluation.physics.framing import visible
 from kinfeas.evaluation.physics.recording import PhysicsRecording
-from kinfeas.evaluation.pictures.style import DESIRED, EE, FAILURE, GOAL, INK
+from kinfeas.evaluation.pictures.style import DESIRED, EE, FAILURE, GOAL, INK, failures_text
 from kinfeas.sim.camera import Picture, covered_floor
 from kinfeas.sim.physics import Physics
 from kinfeas.spatial import Array
@@ -96,19 +97,30 @@ def _disc(
     )
 
 
-def write_below(image: Image.Image, text: str, failures: int) -> None:
-    """Write the caption into the lower left corner, and beside it how often IK failed."""
+def write_below(image: Image.Image, text: str, recording: PhysicsRecording, moment: int) -> None:
+    """Write the caption into the lower left corner: a text, and how often IK failed until then.
+
+    At the end, what the episode came to stands above it.
+    """
+    failures = int(recording.failures[: moment + 1].sum())
+    times = failures_text(failures)
+    _write(image, 0, [(f"{text}   ", INK), (times, FAILURE if failures else EE)])
+    if moment == len(recording.moments) - 1:
+        _write(image, 1, [(recording.outcome, EE if recording.succeeded else FAILURE)])
+
+
+def _write(image: Image.Image, line: int, words: Sequence[tuple[str, str]]) -> None:
+    """Write coloured words into one line, counted from below."""
     font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", 13)
-    times = {0: "no failure", 1: "1 failure"}.get(failures, f"{failures} failures")
     draw = ImageDraw.Draw(image, "RGBA")
-    left, low = 10, image.height - 26
-    first = draw.textlength(f"{text}   ", font=font)
-    whole = first + draw.textlength(times, font=font)
+    left, low = 10.0, image.height - 26 - 27 * line
+    whole = sum(draw.textlength(text, font=font) for text, _ in words)
     draw.rounded_rectangle(
         (left - 5, low - 4, left + whole + 6, low + 19), 5, fill=(255, 255, 255, 205)
     )
-    draw.text((left, low), text, fill=INK, font=font)
-    draw.text((left + first, low), times, fill=FAILURE if failures else EE, font=font)
+    for text, colour in words:
+        draw.text((left, low), text, fill=colour, font=font)
+        left += draw.textlength(text, font=font)
 
 
 @cache

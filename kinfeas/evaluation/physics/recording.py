@@ -30,7 +30,7 @@ class PhysicsRecording:
         goal: World position of the end of the leg under way, shape (t, 3).
         failures: Kinematic failures since the moment before, shape (t,).
         reached: Whether the goal was reached.
-        done: Whether the task was done.
+        done: Whether the task was done; None if it wants nothing of objects, or there are none.
     """
 
     episode: int
@@ -42,7 +42,20 @@ class PhysicsRecording:
     goal: Array
     failures: NDArray[np.intp]
     reached: bool
-    done: bool
+    done: bool | None
+
+    @property
+    def outcome(self) -> str:
+        """What the episode came to, in words."""
+        goal = "goal reached" if self.reached else "goal not reached"
+        if self.done is None:
+            return goal
+        return f"{goal}, task done" if self.done else f"{goal}, task not done"
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the goal was reached, and the task done if there was one to do."""
+        return self.reached and self.done is not False
 
     @property
     def goals(self) -> Array:
@@ -75,7 +88,7 @@ def record(
         goal,
         np.array(kept.failures),
         bool(records.reached[0]),
-        bool(records.done[0]),
+        None if world.stage.done() is None else bool(records.done[0]),
     )
 
 

@@ -32,6 +32,7 @@ from kinfeas.evaluation.pictures.style import (
     GOAL,
     INK,
     STYLE,
+    failures_text,
 )
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
@@ -70,7 +71,7 @@ def episodes_figure(
 def _title(recording: Recording) -> str:
     failures = int(np.sum(~recording.feasible))
     end = "goal reached" if recording.reached else "goal missed"
-    times = {0: "no failure", 1: "1 failure"}.get(failures, f"{failures} failures")
+    times = failures_text(failures)
     seconds = (len(recording.feasible) - 1) * recording.dt
     return f"Episode {recording.episode}: {end}, {times}, {seconds:.0f} s"
 

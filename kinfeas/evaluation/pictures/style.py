@@ -1,4 +1,4 @@
-"""What all pictures share: colours, the style of axes, and the way to a file."""
+"""What all pictures share: colours, words, the style of axes, and the way to a file."""
 
 import io
 from typing import Any
@@ -34,6 +34,11 @@ STYLE: Any = {
     "legend.frameon": False,
     "figure.facecolor": "white",
 }
+
+
+def failures_text(count: int) -> str:
+    """Return how often IK failed, in words."""
+    return {0: "no failure", 1: "1 failure"}.get(count, f"{count} failures")
 
 
 def png(figure: Figure, dpi: int = 100) -> bytes:

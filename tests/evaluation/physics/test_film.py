@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")
 
-from kinfeas.evaluation.pages.film import film_html
+from kinfeas.evaluation.pages.film import film_html, label
 from kinfeas.evaluation.physics.film import check_film_path, count_pictures, make_film, write_film
 from kinfeas.evaluation.physics.recording import record
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld, physics_config
@@ -82,21 +83,44 @@ def test_robot_and_goal_are_in_the_picture_from_inside_the_room(film):
     assert replace(film, size=(48, 36)).picture(0).size == (48, 36)
 
 
-def test_failures_are_red(film):
-    plain = np.asarray(film.picture(len(film.recording.times) - 1), dtype=int)
-    failures = film.recording.failures.copy()
-    film.recording.failures[:] = 0
-    try:
-        none = np.asarray(film.picture(len(film.recording.times) - 1), dtype=int)
-        film.recording.failures[len(failures) // 2 :] = 1
-        some = np.asarray(film.picture(len(film.recording.times) - 1), dtype=int)
-    finally:
-        film.recording.failures[:] = failures
+def count_red(image):
     red = np.array([int(FAILURE[i : i + 2], 16) for i in (1, 3, 5)])
-    count = [np.sum(np.abs(image - red).sum(axis=-1) < 40) for image in (none, some)]
-    assert count[0] == 0
-    assert count[1] > 10
-    assert plain.shape == none.shape
+    return np.sum(np.abs(np.asarray(image, dtype=int) - red).sum(axis=-1) < 40)
+
+
+def test_failures_are_red(film):
+    count, last = len(film.recording.times), len(film.recording.times) - 2
+    none, some = np.zeros(count, dtype=int), np.ones(count, dtype=int)
+    pictures = [
+        replace(film, recording=replace(film.recording, failures=failures)).picture(last)
+        for failures in (none, some)
+    ]
+    assert count_red(pictures[0]) == 0
+    assert count_red(pictures[1]) > 10
+
+
+@pytest.mark.parametrize(
+    ("reached", "done", "outcome", "succeeded"),
+    [
+        (True, None, "goal reached", True),
+        (False, None, "goal not reached", False),
+        (True, True, "goal reached, task done", True),
+        (True, False, "goal reached, task not done", False),
+        (False, True, "goal not reached, task done", False),
+    ],
+)
+def test_the_end_says_what_the_episode_came_to(film, reached, done, outcome, succeeded):
+    none = np.zeros_like(film.recording.failures)
+    came_to = replace(film.recording, reached=reached, done=done, failures=none)
+    assert (came_to.outcome, came_to.succeeded) == (outcome, succeeded)
+    shown = replace(film, recording=came_to)
+    last = len(came_to.times) - 1
+    assert count_red(shown.picture(last - 1)) == 0
+    assert bool(count_red(shown.picture(last))) is not succeeded
+    said = []
+    scene = SimpleNamespace(add_label=lambda _, text, **__: said.append(text))
+    label(SimpleNamespace(scene=scene), shown)
+    assert said == [f"no failure, {outcome}"]
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".png", ".mp4"])
