@@ -58,6 +58,7 @@ class Pace:
         spread: Seconds by which the head start is longer at most, drawn for each episode.
         patience: Seconds for which motion and base stand still at most, while the arm swings to
             another configuration that is further away than `SWING_SECONDS`.
+        yields: Whether the base yields where the arm could not follow: see `Yielding`.
     """
 
     slow_down: SlowDown = 1.0
@@ -65,6 +66,7 @@ class Pace:
     settle: Seconds = 0.0
     spread: Seconds = 0.0
     patience: Seconds = 0.0
+    yields: bool = False
 
     def __post_init__(self) -> None:
         """Check what adapters may have multiplied."""
@@ -87,16 +89,25 @@ class PaceSettings:
         head_start: Seconds that the EE stands still at first, while the base moves already.
         patience: Seconds for which motion and base wait at most for an arm that swings to another
             configuration.
+        yields: Whether the base takes the nearest command that the arm can follow where it cannot
+            follow the policy's.
     """
 
     slow_down: SlowDown = 1.0
     head_start: Seconds = 0.0
     patience: Seconds = PATIENCE_SECONDS
+    yields: bool = False
 
     @property
     def pace(self) -> Pace:
         """How EE motions are carried out."""
-        return Pace(self.slow_down, self.head_start, SETTLE_SECONDS, patience=self.patience)
+        return Pace(
+            self.slow_down,
+            self.head_start,
+            SETTLE_SECONDS,
+            patience=self.patience,
+            yields=self.yields,
+        )
 
 
 @runtime_checkable

@@ -13,6 +13,7 @@ from kinfeas.conformance.adapter import unchecked
 from kinfeas.course import Course
 from kinfeas.drive import action_size, base_twist
 from kinfeas.errors import KinfeasError
+from kinfeas.joints import joint_way, jumps
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.legs import (
@@ -28,6 +29,7 @@ from kinfeas.policy import Situation
 from kinfeas.rows import Rows
 from kinfeas.spatial import Array
 from kinfeas.start import Start
+from kinfeas.yielding import Yielding
 
 __all__ = ["Loop", "Rows", "Step"]
 
@@ -91,6 +93,7 @@ class Loop:
         self.course = Course(legs, self.robot, dt, pace)
         self._motion_time = dt / pace.slow_down
         self._patience = round(pace.patience / dt)
+        self._yielding = Yielding(solver, dt) if pace.yields else None
         self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.sent: Array = np.empty((0, len(self.robot.arm)))
@@ -140,9 +143,11 @@ class Loop:
         course.move(self._ahead if time == HORIZON else course.ahead(time), held)
         if held is not None:
             action = np.where(held[:, np.newaxis], 0.0, action)
-        command = base_twist(self.robot.base, self.state.base_pose, action, self.dt)
-        commanded = spatial.integrate(self.state.base_pose, command, self.dt)
-        before = self.sent
+        before, base_pose = self.sent, self.state.base_pose
+        if self._yielding is not None:
+            action = self._yielding.aside(action, base_pose, course.desired, before, held)
+        command = base_twist(self.robot.base, base_pose, action, self.dt)
+        commanded = spatial.integrate(base_pose, command, self.dt)
         target = spatial.relative(course.desired, commanded)
         arm = self.solver.solve(target, before, self.robot.max_joint_velocity * self.dt)
         self.sent = arm.joint_positions
@@ -158,7 +163,7 @@ class Loop:
             goal_distance=goal_distance,
             goal_angle=goal_angle,
             finished=arrived & course.last,
-            jumped=self._jumped(before, arm.joint_positions),
+            jumped=jumps(self.robot, before, arm.joint_positions, self.dt),
         )
         stops = course.advance(arrived, arrived & (goal_distance <= SETTLED_METRES))
         self._grip(step.leg, stops | step.finished)
@@ -266,19 +271,8 @@ class Loop:
         Policies know arms that are where they were sent. Until an arm is there, they would see the
         EE far from where it should be, and let the base run after it.
         """
-        way = np.abs(self._way(self.state.joint_positions, self.sent))
+        way = np.abs(joint_way(self.robot, self.state.joint_positions, self.sent))
         swings = np.any(way > self.robot.max_joint_velocity * SWING_SECONDS, axis=1)
         self._stood = np.where(swings, self._stood + 1, 0)
         held: NDArray[np.bool_] = swings & (self._stood <= self._patience)
         return held
-
-    def _jumped(self, before: Array, after: Array) -> NDArray[np.bool_]:
-        move = self._way(before, after)
-        # Rounding must not turn a motion at the very limit into a jump.
-        longest = self.robot.max_joint_velocity * self.dt * 1.001
-        jumped: NDArray[np.bool_] = np.any(np.abs(move) > longest, axis=1)
-        return jumped
-
-    def _way(self, before: Array, after: Array) -> Array:
-        """Return how far joints go between two configurations, shape (n, j), radians or metres."""
-        return np.where(self.robot.continuous, spatial.wrap(after - before), after - before)

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from kinfeas.backend import Backend, Grip, Live, RobotState, blaming
 from kinfeas.errors import KinfeasError
+from kinfeas.joints import joint_way
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
+from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, from_drive, to_drive
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.passing import Passing
@@ -119,8 +120,8 @@ class CommandGuard(Passing):
     def _arm(self, targets: Array, dt: float) -> Array:
         """Return how far toward targets, shape (j,), the arm is sent on."""
         before, robot = self.joint_targets[0], self.robot
-        move = arm_move(robot, before, targets)
-        lag = np.abs(arm_move(robot, self._state.joint_positions[0], before)) / self._joint_speed
+        move = joint_way(robot, before, targets)
+        lag = np.abs(joint_way(robot, self._state.joint_positions[0], before)) / self._joint_speed
         self.held = ""
         if np.abs(move).max() > self._guards.joint_jump:
             self.held = "the arm's target is too far away"

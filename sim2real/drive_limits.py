@@ -83,11 +83,6 @@ def from_drive(base: Base, base_pose: Array, velocity: Array, dt: float) -> Arra
     return np.array([x * forward - y * left, y * forward + x * left, 0.0, 0.0, 0.0, turning])
 
 
-def arm_move(robot: Robot, before: Array, after: Array) -> Array:
-    """Return how far each joint has to go, shape (j,), the short way round where it has no end."""
-    return np.where(robot.continuous, spatial.wrap(after - before), after - before)
-
-
 def arm_go(robot: Robot, before: Array, move: Array) -> Array:
     """Return where joints come to that go so far, shape (j,), within their limits."""
     lower, upper = robot.joint_limits

@@ -48,6 +48,8 @@ LAYERS = (
             "legs",
             "course",
             "drive",
+            "joints",
+            "yielding",
             "observation",
             "policy",
             "registry",

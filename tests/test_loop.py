@@ -259,24 +259,6 @@ def test_control_rate_reaches_the_backend(solver):
     np.testing.assert_allclose(turned, 0.02 * loop.robot.base.max_rotation)
 
 
-def test_jumps_are_moves_beyond_the_velocity_limit(solver):
-    loop = make_loop(solver, 1)
-    velocity = solver.robot.max_joint_velocity
-    before = np.tile(solver.robot.home["home"], (3, 1))
-    after = before.copy()
-    after[1] += velocity * HORIZON  # at the limit
-    after[2, 2] += 1.01 * velocity[2] * HORIZON
-    np.testing.assert_array_equal(loop._jumped(before, after), [False, False, True])
-
-
-def test_continuous_joints_jump_the_short_way(solver):
-    endless = solver.robot.continuous
-    loop, before = make_loop(solver, 1), np.tile(solver.robot.home["home"], (1, 1))
-    after = before.copy()
-    before[:, endless], after[:, endless] = np.pi - 0.001, -np.pi + 0.001
-    assert not loop._jumped(before, after).any()
-
-
 def test_backends_that_draw_get_a_seed_for_each_episode(solver):
     backend = Noisy()
     loop = make_loop(solver, 4, backend)

@@ -38,6 +38,8 @@ class WorldConfig:
         adapters: Wrapped around the backend, the first one innermost.
         reward: What a step earns.
         ik: How hard IK searches.
+        yields: Whether the base takes the nearest command that the arm can follow where it cannot
+            follow the policy's; a pace that is given says so itself.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
@@ -46,6 +48,7 @@ class WorldConfig:
     adapters: tuple[AdapterSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)
+    yields: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ class World:
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
         wrapped = _backend(config, robot, backend)
-        pace = paced(wrapped, pace or Pace())
+        pace = paced(wrapped, pace or Pace(yields=config.yields))
         self._max_steps = max(1, round(config.max_seconds * pace.slow_down / config.dt))
         self.loop = Loop(self.solver, build_legs(task.legs), wrapped, config.dt, pace)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)

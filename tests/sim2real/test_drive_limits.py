@@ -3,7 +3,8 @@ import pytest
 
 from kinfeas import registry, spatial
 from kinfeas.drive import action_size, base_twist
-from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, arm_move, from_drive, to_drive
+from kinfeas.joints import joint_way
+from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, from_drive, to_drive
 
 DT = 0.02
 
@@ -29,7 +30,7 @@ def test_an_arm_goes_the_short_way_and_not_beyond_its_limits():
     robot = registry.load_robot("pr2")
     before, after = np.zeros((2, len(robot.arm)))
     before[[0, 4]], after[[0, 4]] = [0.5, 3.0], [0.7, -3.0]
-    move = arm_move(robot, before, after)
+    move = joint_way(robot, before, after)
     assert move[4] == pytest.approx(2.0 * np.pi - 6.0)
     there = arm_go(robot, before, move)
     assert there[0] == robot.arm[0].upper

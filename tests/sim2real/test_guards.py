@@ -10,7 +10,8 @@ from kinfeas import registry, spatial
 from kinfeas.adapters import AdapterSpec
 from kinfeas.backend import RobotState
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.drive_limits import arm_move, to_drive
+from kinfeas.joints import joint_way
+from kinfeas.sim2real.drive_limits import to_drive
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.guards import Clocks, Guarded, check_action
@@ -481,7 +482,7 @@ def test_whatever_happens_what_goes_out_obeys_the_limits_or_is_zero(name, steps)
             assert change[2] <= robot.base.max_rotation_acceleration * DT + near
         if robot.base.drive == "differential":
             assert abs(drive[1]) <= near
-        moved = np.abs(arm_move(robot, arm, joints[0]))
+        moved = np.abs(joint_way(robot, arm, joints[0]))
         assert np.all(moved <= robot.max_joint_velocity * DT + near)
         assert np.all((joints[0] >= lower - near) & (joints[0] <= upper + near))
         before, arm = drive, joints[0]
