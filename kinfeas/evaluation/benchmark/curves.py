@@ -17,7 +17,7 @@ from kinfeas.spatial import Array
 
 _COLOURS = {"sac": EE, "td3": BASE}
 _POINTS = 200
-_PANEL_INCHES = 4.3
+_PANEL_INCHES = 4.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +109,12 @@ def _draw(axes: Axes, algorithm: str, runs: Sequence[Run]) -> None:
 
 
 def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
-    """Draw lines to compare with, their names on them at the right, apart from each other."""
+    """Draw lines to compare with, their names beside the axes and apart from each other."""
     ordered = sorted(levels.items(), key=lambda item: item[1])
-    places = apart([value - 0.03 for _, value in ordered], 0.05)
+    places = apart([value for _, value in ordered], 0.05)
     for (name, value), y in zip(ordered, places, strict=True):
         axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
         axes.annotate(
-            f"{name} {value:.1%}", (0.99, y), xycoords=("axes fraction", "data"), fontsize=8.5,
-            ha="right", va="center", color=INK, zorder=6,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
+            f"{name} {value:.1%}", (1.015, y), xycoords=("axes fraction", "data"), fontsize=8.5,
+            va="center", color=INK, annotation_clip=False,
         )  # fmt: skip

@@ -32,8 +32,8 @@ def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
     policies = [_policies(cells, group) for group in names]
     heights = [_ROW_INCHES * (len(rows) + 1.0) for rows in policies]
     with rc_context(STYLE):
-        analytic = any(isinstance(cell, PhysicsCell) for cell in cells)
-        width = max(_LEGEND_INCHES[analytic], 1.9 + _PANEL_INCHES * len(tasks))
+        physical = any(isinstance(cell, PhysicsCell) for cell in cells)
+        width = max(_LEGEND_INCHES[physical], 1.9 + _PANEL_INCHES * len(tasks))
         height = 1.1 + sum(heights) + 0.3 * len(names)
         figure = Figure(figsize=(width, height), layout="constrained")
         panels = figure.subplots(len(names), len(tasks), squeeze=False, height_ratios=heights)
@@ -48,7 +48,7 @@ def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
             panels[0, column].set_title(task, loc="center", fontweight="normal")
             _label_lowest(list(panels[:, column]))
         figure.legend(
-            handles=_legend(analytic=analytic), loc="outside lower center", ncols=6, fontsize=9.5
+            handles=_legend(physical=physical), loc="outside lower center", ncols=6, fontsize=9.5
         )
         if note:
             figure.suptitle(fill(note, int(13 * width)), fontsize=9.5, x=0.01, ha="left")
@@ -108,7 +108,7 @@ def _label_lowest(panels: Sequence[Axes]) -> None:
     shown[-1].set_xlabel("% of episodes without a failure", fontsize=9)
 
 
-def _legend(*, analytic: bool) -> list[Line2D]:
+def _legend(*, physical: bool) -> list[Line2D]:
     handles = [
         Line2D([], [], color=EE, lw=0, marker="o", ms=7, label="learned"),
         Line2D([], [], color=BASE, lw=0, marker="o", ms=7, label="baseline"),
@@ -117,7 +117,7 @@ def _legend(*, analytic: bool) -> list[Line2D]:
         Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)),
                label="ceiling"),
     ]  # fmt: skip
-    if analytic:
+    if physical:
         handles.append(
             Line2D([], [], color=INK, lw=0, marker="|", mew=2.2, ms=11, label="without physics")
         )

@@ -64,3 +64,8 @@ def test_algorithms_share_a_panel(tmp_path):
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert texts == ["paper 90.2%", "ceiling 98.0%"]
     assert png(figure).startswith(b"\x89PNG")
+    # They hide neither the ends of the curves nor each other, and stay clear of the next panel.
+    panel, beside = figure.axes[0].get_window_extent(), figure.axes[1].get_window_extent()
+    labels = [text.get_window_extent() for text in figure.axes[0].texts]
+    assert all(panel.x1 < label.x0 < label.x1 < beside.x0 for label in labels)
+    assert labels[0].y1 <= labels[1].y0
