@@ -14,6 +14,7 @@ from kinfeas.plugins.path import tabulate
 from kinfeas.spatial import compose, distance, relative
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
+from tests.plugins.properties import check_arrival
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,10 @@ def test_arrives_from_anywhere_within_its_limits(generator, seed, dt):
     assert max(metres.max(), radians.max()) < 1e-9
     linear, angular = speeds(twists)
     assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
+
+
+def test_hundreds_of_motions_from_up_to_3_m_away_arrive_within_their_limits(generator):
+    check_arrival(generator, 100.0, n=400)
 
 
 def test_keeps_to_the_clock_where_it_can(generator, path):

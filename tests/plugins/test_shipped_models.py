@@ -11,6 +11,7 @@ from kinfeas.plugins.path import tabulate
 from kinfeas.scenes.demonstrate import demonstrate, load_habits
 from kinfeas.scenes.exercise import EXERCISES, load_exercise
 from kinfeas.spatial import compose, distance, integrate, make_pose, planar_pose, relative
+from tests.plugins.properties import check_arrival
 
 N = 16
 
@@ -44,6 +45,12 @@ def rolled(request):
 
 def test_there_are_four():
     assert shipped_models() == ["door_grasp", "door_open", "drawer_grasp", "drawer_open"]
+
+
+@pytest.mark.parametrize("model", shipped_models())
+def test_hundreds_of_motions_from_up_to_3_m_away_arrive_within_their_limits(model):
+    generator = registry.build("kinfeas.motion_generators", "imitation", {"model": model})
+    check_arrival(generator, 100.0, n=400)
 
 
 @pytest.mark.parametrize("name", EXERCISES)
