@@ -33,7 +33,8 @@ class Yielding:
         """
         self._robot, self._dt = solver.robot, dt
         # From where the arm is, and from nowhere else.
-        self._solver = IkSolver(solver.robot, replace(solver.options, restarts=0))
+        options = replace(solver.options, restarts=0, library=1)
+        self._solver = IkSolver(solver.robot, options)
         self._moves = solver.robot.max_joint_velocity * dt
         self._others = 2.0 * spread(_OTHERS, action_size(solver.robot.base)) - 1.0
         self._others[0] = 0.0

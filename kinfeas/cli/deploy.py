@@ -116,9 +116,10 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Drive a robot to a goal or through a task, behind guards, and record the run.
 
-    Settings: [bold]guards.KEY[/], slow_down, head_start, patience, ik, [bold]look_ahead.KEY[/]
-    (seconds that are tried out, every so many seconds, tries, spread, jump), and the parameters
-    [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/].
+    Settings: [bold]guards.KEY[/], slow_down, head_start, patience, yields (whether the base
+    takes the nearest command that the arm can follow where it cannot follow the policy's), ik,
+    [bold]look_ahead.KEY[/] (seconds that are tried out, every so many seconds, tries, spread, jump,
+    stray), and the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/].
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
     4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM. In each case the base was commanded
