@@ -7,8 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rc_context
-from matplotlib.figure import Figure
+import numpy as np
 
 from kinfeas import pretrained, registry
 from kinfeas.envs.world import World, WorldConfig
@@ -31,7 +30,7 @@ from kinfeas.evaluation.benchmark.table import Cell, tabulate, to_json
 from kinfeas.evaluation.benchmark.text import to_markdown
 from kinfeas.evaluation.benchmark.workspace import Covered, covered, workspace_figure
 from kinfeas.evaluation.pictures.episodes import episodes_figure
-from kinfeas.evaluation.pictures.style import STYLE, png
+from kinfeas.evaluation.pictures.style import failures_text, png
 from kinfeas.evaluation.policies import LOOK_AHEAD, load_policy
 from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.storage.files import write_file, writing
@@ -174,7 +173,8 @@ def write_pictures(findings: Findings, out: Path) -> list[Path]:
     for robot in findings.study.robots:
         if shown := _examples(findings, robot):
             known = registry.load_robot(robot)
-            figure = _titled(episodes_figure(known, list(shown.values())), list(shown))
+            titles = [_title(task, recording) for task, recording in shown.items()]
+            figure = episodes_figure(known, list(shown.values()), titles)
             pictures[f"examples-{known.name}"] = png(figure, 80)
     return _keep(pictures, out)
 
@@ -249,12 +249,11 @@ def _examples(findings: Findings, robot: str) -> dict[str, Recording]:
     return shown
 
 
-def _titled(figure: Figure, tasks: Sequence[str]) -> Figure:
-    """Return a picture of episodes with the task in place of the number above each column."""
-    with rc_context(STYLE):
-        for axes, task in zip(figure.axes, tasks, strict=False):
-            axes.set_title(f"{task}: {axes.get_title(loc='left').partition(': ')[2]}")
-    return figure
+def _title(task: str, recording: Recording) -> str:
+    """Return what stands above an episode of a task: the task, and what the episode came to."""
+    end = "goal reached" if recording.reached else "goal missed"
+    failures = failures_text(int(np.sum(~recording.feasible)))
+    return f"{task}: {end}, {failures}, {(len(recording.feasible) - 1) * recording.dt:.0f} s"
 
 
 def check_out(out: Path) -> None:

@@ -1,10 +1,12 @@
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from kinfeas import config, pretrained, registry
 from kinfeas.errors import KinfeasError
+from kinfeas.evaluation.benchmark import findings as module
 from kinfeas.evaluation.benchmark.cells import run_jobs
 from kinfeas.evaluation.benchmark.findings import (
     Findings,
@@ -17,6 +19,7 @@ from kinfeas.evaluation.benchmark.findings import (
 from kinfeas.evaluation.benchmark.job import CEILING
 from kinfeas.evaluation.benchmark.runs import Run
 from kinfeas.evaluation.benchmark.study import StudyConfig
+from kinfeas.evaluation.pictures.episodes import episodes_figure
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import write_network
 from tests.evaluation.benchmark.benchmark_cases import figures
@@ -86,11 +89,21 @@ def test_looking_ahead_is_a_row_of_its_own():
     assert ahead[0].name == "pr2-ggr-look_ahead-sac-4"
 
 
-def test_everything_is_written(shipped, tmp_path):
+def test_everything_is_written(shipped, tmp_path, monkeypatch):
+    titles = []
+
+    def titled(robot, recordings, above):
+        titles.extend(above)
+        return episodes_figure(robot, recordings, above)
+
+    monkeypatch.setattr(module, "episodes_figure", titled)
     asked = study("look_ahead={pr2: [ggr]}")
     jobs = plan_jobs(asked, [])
     findings = Findings(asked, [], jobs, run_jobs(jobs, tmp_path / "cells"))
     pictures = write_pictures(findings, tmp_path)
+    told = r"goal (reached|missed), (no|\d+) failures?, \d+ s"
+    for title, task in zip(titles, ["ggr", "pick_place"] * 2, strict=True):
+        assert re.fullmatch(f"{task}: {told}", title)
     names = ["table.png", "workspace.png", "examples-pr2.png", "examples-hsr.png"]
     assert [path.name for path in pictures] == names
     write_tables(findings, ["kinfeas benchmark"], pictures, tmp_path)
