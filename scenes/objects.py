@@ -20,7 +20,7 @@ class SceneObject:
             friction and damping.
         pose: World pose of its root link, shape (7,).
         fixed: Whether the root link stays where it is.
-        joint_positions: Position of each joint that moves by itself, rad or m.
+        joint_positions: Position of each joint that moves, rad or m.
     """
 
     urdf_path: Path
@@ -41,7 +41,8 @@ class SceneObject:
             for joint in self.urdf.joints.values():
                 if joint.parent in poses and joint.child not in poses:
                     origin = compose(poses[joint.parent], joint.origin)
-                    poses[joint.child] = compose(origin, joint.motion_at(self._position(joint)))
+                    position = self.joint_positions.get(joint.name, 0.0)
+                    poses[joint.child] = compose(origin, joint.motion_at(position))
         return poses
 
     def shapes(self) -> Iterator[tuple[str, Shape]]:
@@ -50,10 +51,6 @@ class SceneObject:
         for link in self.urdf.links.values():
             for shape in link.shapes:
                 yield link.name, replace(shape, pose=compose(poses[link.name], shape.pose))
-
-    def _position(self, joint: Joint) -> float:
-        leader, scale, offset = self.urdf.followed(joint)
-        return scale * self.joint_positions.get(leader.name, 0.0) + offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +71,8 @@ class Handle:
 
 
 def free_joints(urdf: Urdf) -> dict[str, Joint]:
-    """Return the joints that move by themselves, by name."""
-    return {name: joint for name, joint in urdf.joints.items() if joint.moves and not joint.mimic}
+    """Return the joints that move, by name."""
+    return {name: joint for name, joint in urdf.joints.items() if joint.moves}
 
 
 def rest_positions(urdf: Urdf, given: Mapping[str, float]) -> dict[str, float]:

@@ -14,6 +14,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.quantities import Vector
 from kinfeas.robots.urdf import Urdf, parse_urdf
 from kinfeas.scenes.check import check, check_places
+from kinfeas.scenes.inertia import check_inertia
 from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
 from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec
 from kinfeas.spatial import Array, compose, make_pose
@@ -144,6 +145,8 @@ def _object(spec: ObjectSpec, path: Path, where: str, urdfs: dict[Path, Urdf]) -
         urdfs[file] = parse_urdf(file)
     urdf = urdfs[file]
     _check_shapes(urdf, file)
+    _check_mimics(urdf, file)
+    check_inertia(file, urdf, fixed=spec.fixed)
     _check_joints(urdf, spec.joints, f"{where}.joints'")
     pose = _pose(spec.position, spec.rpy)
     return SceneObject(file, urdf, pose, spec.fixed, rest_positions(urdf, spec.joints))
@@ -168,6 +171,15 @@ def _check_shapes(urdf: Urdf, file: Path) -> None:
         if link.mesh_collisions:
             allowed = "boxes, cylinders and spheres are allowed in a scene"
             raise KinfeasError(f"{file}: link {link.name!r} has a collision mesh, only {allowed}")
+
+
+def _check_mimics(urdf: Urdf, file: Path) -> None:
+    for joint in urdf.joints.values():
+        if joint.mimic is not None:
+            raise KinfeasError(
+                f"{file}: joint {joint.name!r} follows {joint.mimic.joint!r}, by <mimic>; in a "
+                "scene every joint moves by itself"
+            )
 
 
 def _check_joints(urdf: Urdf, given: Mapping[str, float], where: str) -> None:

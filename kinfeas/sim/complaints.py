@@ -2,6 +2,9 @@
 
 import re
 
+_HARMLESS = re.compile(
+    r"^(No inertial data for link|Bad inertia tensor properties|urdfdom: no axis element)"
+)
 _HEAD = re.compile(r"b3(Error|Warning|Printf)\[[^\]]*\]:")
 _PLACE = re.compile(r"^.*\.urdf:\d+: ")
 _OUTCOME = "Could not parse"
@@ -30,3 +33,20 @@ def unread_mesh(heard: str) -> str | None:
     """Return the first mesh in which PyBullet found nothing, if there is one."""
     found = _UNREAD.search(heard)
     return found and (found[1] or found[2])
+
+
+def remarks(heard: str) -> str:
+    """Return what PyBullet said of a URDF of a scene, but for what has no consequence.
+
+    Links that can move have been checked to have an inertia; others need none. A joint without an
+    axis moves along x, as URDFs have it.
+    """
+    parts = _HEAD.split(heard)
+    kept, harmless = [parts[0]], False
+    for kind, words in zip(parts[1::2], parts[2::2], strict=True):
+        said = words.strip()
+        # A warning may come in two parts: what is wrong, and the name of the link.
+        harmless = bool(_HARMLESS.match(said)) or (harmless and " " not in said)
+        if not harmless:
+            kept.append(f"{kind}: {said}\n")
+    return "".join(kept)

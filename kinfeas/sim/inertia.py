@@ -8,22 +8,11 @@ import numpy as np
 
 from kinfeas.robots.elements import Element
 from kinfeas.robots.xml_text import numbers_text
+from kinfeas.scenes.inertia import MOMENTS, SLACK, read_moments
 from kinfeas.spatial import Array, rotation
-
-_MOMENTS = {
-    "ixx": (0, 0),
-    "iyy": (1, 1),
-    "izz": (2, 2),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyz": (1, 2),
-}
 
 _SMALLEST = 0.01
 """Radius of gyration of bodies whose file gives them none, metres."""
-
-_SLACK = 1e-6
-"""Share of a moment that is no more than a rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +41,7 @@ def read_inertia(link: Any) -> Inertia | None:
     inertial = Element(link, "").child("inertial")
     if inertial is None:
         return None
-    pose, moments = inertial.origin(), np.zeros((3, 3))
-    inertia = inertial.need("inertia")
-    for name, (row, column) in _MOMENTS.items():
-        moments[row, column] = moments[column, row] = inertia.number(name, 0.0)
+    pose, moments = inertial.origin(), read_moments(inertial.need("inertia"))
     turn = rotation(pose).as_matrix()
     return Inertia(inertial.need("mass").number("value"), pose[:3], turn @ moments @ turn.T)
 
@@ -67,7 +53,7 @@ def write_inertia(link: Any, inertia: Inertia) -> None:
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=numbers_text(inertia.centre), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(inertia.mass))
-    moments = {name: repr(float(inertia.moments[at])) for name, at in _MOMENTS.items()}
+    moments = {name: repr(float(inertia.moments[at])) for name, at in MOMENTS.items()}
     ElementTree.SubElement(inertial, "inertia", moments)
 
 
@@ -79,9 +65,9 @@ def possible(inertia: Inertia) -> Inertia:
     """
     small, middle, large = np.linalg.eigvalsh(inertia.moments)
     excess, none = large - small - middle, small <= 0.0
-    if excess <= _SLACK * large and not none:
+    if excess <= SLACK * large and not none:
         return inertia
-    lacking = max(excess, inertia.mass * _SMALLEST**2 - small if none else 0.0) * (1.0 + _SLACK)
+    lacking = max(excess, inertia.mass * _SMALLEST**2 - small if none else 0.0) * (1.0 + SLACK)
     return replace(inertia, moments=inertia.moments + lacking * np.eye(3))
 
 

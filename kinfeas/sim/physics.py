@@ -12,7 +12,7 @@ import numpy as np
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import NotNegative, Positive
-from kinfeas.sim.complaints import complaint, unread_mesh
+from kinfeas.sim.complaints import complaint, remarks, unread_mesh
 from kinfeas.sim.screen import check_screen
 from kinfeas.sim.silence import overhear, silence
 from kinfeas.spatial import IDENTITY, Array, compose, relative
@@ -106,7 +106,8 @@ class Physics:
         Raises:
             KinfeasError: If PyBullet cannot load it, or one of its meshes.
         """
-        body = self._load(urdf, urdf, fixed=fixed)
+        body, heard = self._load(urdf, urdf, fixed=fixed)
+        sys.stderr.write(remarks(heard))
         if not fixed:
             self._free.append(body)
         return body
@@ -125,7 +126,9 @@ class Physics:
         with tempfile.TemporaryDirectory() as temporary:
             path = Path(temporary) / "body.urdf"
             path.write_text(urdf, encoding="utf-8")
-            return self._load(path, source, fixed=True)
+            body, heard = self._load(path, source, fixed=True)
+        sys.stderr.write(heard)
+        return body
 
     def links(self, body: int) -> dict[str, int]:
         """Return the indices of a body's links by name."""
@@ -211,8 +214,8 @@ class Physics:
         if self.client.isConnected():
             self.client.disconnect()
 
-    def _load(self, urdf: Path, source: Path, *, fixed: bool) -> int:
-        """Return the number of a new body; errors name the file `source`."""
+    def _load(self, urdf: Path, source: Path, *, fixed: bool) -> tuple[int, str]:
+        """Return the number of a new body, and what PyBullet said; errors name `source`."""
         client = self.client
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
         try:
@@ -226,8 +229,7 @@ class Physics:
                 f"{source}: PyBullet finds no triangles in the mesh {mesh!r}; binary STL, OBJ and "
                 "DAE files are allowed"
             )
-        sys.stderr.write(heard.getvalue())
-        return body
+        return body, heard.getvalue()
 
     def _mass_in_root(self, body: int) -> Array:
         return np.concatenate(self.client.getDynamicsInfo(body, ROOT)[3:5])

@@ -215,3 +215,18 @@ def test_a_broken_urdf_and_meshes_are_refused(write, tmp_path):
     (tmp_path / "own.urdf").write_text(f"<robot name='a'><link name='a'>{mesh}</link></robot>")
     with pytest.raises(KinfeasError, match="link 'a' has a collision mesh, only boxes"):
         read_scene(path)
+
+
+def test_a_joint_that_follows_another_one_is_refused(write, tmp_path, room):
+    path = write("shelf_with_door.urdf", "own.urdf")
+    own = room.objects["door_shelf"].urdf_path.read_text()
+    mimic = own.replace(
+        '<joint name="door_to_handle" type="fixed">',
+        '<joint name="door_to_handle" type="continuous"><mimic joint="hinge"/>',
+    )
+    assert mimic != own
+    (tmp_path / "own.urdf").write_text(mimic)
+    with pytest.raises(
+        KinfeasError, match=r"own\.urdf: joint 'door_to_handle' follows 'hinge', by"
+    ):
+        read_scene(path)

@@ -1,4 +1,4 @@
-from kinfeas.sim.complaints import complaint, unread_mesh
+from kinfeas.sim.complaints import complaint, remarks, unread_mesh
 
 REFUSED = """b3Warning[examples/BulletUrdfImporter.cpp,126]:
 No inertial data for link, using mass=1b3Warning[examples/BulletUrdfImporter.cpp,126]:
@@ -31,3 +31,12 @@ def test_the_first_error_counts_or_what_led_to_it():
 def test_meshes_in_which_nothing_was_found():
     assert [unread_mesh(said) for said in (UNREAD, SEEN, LOST)] == ["/a b/c.stl"] * 3
     assert unread_mesh(REFUSED) is None
+
+
+def test_what_has_no_consequence_is_not_passed_on():
+    harmless = """b3Warning[examples/BulletUrdfImporter.cpp,126]:
+No inertial data for link, using mass=1, localinertiadiagonal = 1,1,1b3Warning[examples/B.cpp,126]:
+top"""
+    assert remarks(harmless) == remarks("") == ""
+    assert remarks(UNREAD + harmless) == remarks(UNREAD) != ""
+    assert "cannot extract mesh from '/a b/c.stl'" in remarks(harmless + UNREAD)

@@ -65,3 +65,11 @@ def test_starts_without_a_word(capfd):
     Physics(PhysicsConfig()).close()
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")
+
+
+def test_furniture_without_an_inertia_is_loaded_without_a_word(physics, tmp_path, capfd):
+    shape = "<collision><geometry><box size='1 1 1'/></geometry></collision>"
+    path = tmp_path / "thing.urdf"
+    path.write_text(f"<robot name='a'><link name='a'>{shape}</link></robot>")
+    physics.load(path, fixed=True)
+    assert capfd.readouterr() == ("", "")

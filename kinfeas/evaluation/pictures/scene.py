@@ -95,7 +95,7 @@ def _path(scene: Scene, name: str) -> tuple[Array, Scene]:
     if handle.joint is None:
         return scene.handle_pose(name)[np.newaxis, :3], scene
     joint = scene.objects[handle.object].urdf.joints[handle.joint]
-    if joint.mimic is not None or joint.kind == "continuous":
+    if joint.kind == "continuous":
         return scene.handle_pose(name)[np.newaxis, :3], scene
 
     def at(share: float) -> Scene:

@@ -59,6 +59,7 @@ def test_body_leaf_and_handle_differ_in_colour(room):
 def test_a_continuous_joint_and_an_absent_one_are_drawn_too(tmp_path):
     box = "<collision><geometry><box size='.2 .2 .6'/></geometry></collision>"
     knob = "<collision><geometry><sphere radius='.02'/></geometry></collision>"
+    knob += "<inertial><mass value='.1'/><inertia ixx='1e-5' iyy='1e-5' izz='1e-5'/></inertial>"
     joint = "<parent link='a'/><child link='b'/><origin xyz='-.12 0 0'/><axis xyz='1 0 0'/>"
     (tmp_path / "knob.urdf").write_text(
         f"<robot name='r'><link name='a'>{box}</link><link name='b'>{knob}</link>"
