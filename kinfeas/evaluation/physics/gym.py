@@ -66,10 +66,15 @@ class PhysicsMotionEnv(BaseMotionEnv):
             render_mode: `human`, `rgb_array` or None.
 
         Raises:
-            KinfeasError: If robot, task or render mode are wrong, or PyBullet is not installed.
+            KinfeasError: If robot, task, world, reward or render mode are wrong, PyBullet is not
+                installed, or there is no screen for a window.
         """
         if render_mode not in (None, "human", "rgb_array"):
             raise KinfeasError(f"render_mode must be human, rgb_array or None, not {render_mode!r}")
+        if not isinstance(world, PhysicsSettings | None):
+            raise KinfeasError(f"world must be PhysicsSettings or None, not {world!r}")
+        if not isinstance(reward, RewardConfig | None):
+            raise KinfeasError(f"reward must be RewardConfig or None, not {reward!r}")
         self.render_mode = render_mode
         known = registry.load_robot(robot)
         settings = world or physics_config(known).world

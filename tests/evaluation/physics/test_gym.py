@@ -1,9 +1,12 @@
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 import kinfeas.envs
+from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 
 pytest.importorskip("pybullet")
@@ -44,3 +47,16 @@ def test_what_cannot_be_is_a_clear_error():
         PhysicsMotionEnv(render_mode="ansi")
     with pytest.raises(KinfeasError, match="unknown task"):
         PhysicsMotionEnv(task="fly")
+    with pytest.raises(KinfeasError, match=r"^world must be PhysicsSettings or None, not 3$"):
+        PhysicsMotionEnv(world=3)
+    with pytest.raises(KinfeasError, match=r"^world must be PhysicsSettings or None, not World"):
+        PhysicsMotionEnv(world=WorldConfig())
+    with pytest.raises(KinfeasError, match=r"^reward must be RewardConfig or None, not 'dense'$"):
+        PhysicsMotionEnv(reward="dense")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by DISPLAY on Linux")
+def test_a_window_without_a_screen_is_a_clear_error(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":77")
+    with pytest.raises(KinfeasError, match="PyBullet cannot open one on DISPLAY ':77'"):
+        PhysicsMotionEnv(render_mode="human")
