@@ -25,6 +25,10 @@ from kinfeas.tasks.task import Task
 _FORMAT = 1
 """Of the files; whoever changes what stands in them or how it is found counts it up."""
 
+_LATER = (("yields", False),)
+"""Settings of the world that came after the first cells, with the value that changes nothing: left
+out, so that these cells are found."""
+
 
 def identity(job: Job) -> dict[str, Any]:
     """Return everything that determines what a job finds, as plain data.
@@ -43,11 +47,16 @@ def identity(job: Job) -> dict[str, Any]:
         "policy": _policy_digest(job, robot),
         "episodes": job.episodes,
         "seed": job.seed,
-        "world": config.to_mapping(job.world),
+        "world": _world(job),
         **({"task_digest": _file_digest(Path(job.task))} if is_path(job.task) else {}),
         **_motion_files(load_task(job.task, job.parameters)),
         **(_physical_identity(job) if job.physical else {}),
     }
+
+
+def _world(job: Job) -> dict[str, Any]:
+    told = config.to_mapping(job.world)
+    return {key: value for key, value in told.items() if (key, value) not in _LATER}
 
 
 def identities(jobs: Sequence[Job]) -> list[dict[str, Any]]:

@@ -96,6 +96,7 @@ def test_a_stop_keeps_the_cells_before_it(tmp_path, monkeypatch, counted):
         {"robot": "hsr"},
         {"source": "follow_ee_feedback"},
         {"world": replace(WORLD, max_seconds=3.1)},
+        {"world": replace(WORLD, yields=True)},
     ],
 )
 def test_everything_that_matters_tells_cells_apart(changes):
@@ -160,6 +161,9 @@ def test_cells_of_named_tasks_are_found_where_they_have_always_been():
     assert sorted(told) == [
         "episodes", "format", "parameters", "policy", "robot", "robot_digest", "seed", "task",
         "version", "world",
+    ]  # fmt: skip
+    assert sorted(told["world"]) == [
+        "adapters", "dt", "ik", "max_failures", "max_seconds", "reward",
     ]  # fmt: skip
     assert identity(job(task="door")).keys() == told.keys()
     assert job(task="my.task").name == "pr2-my.task-follow_ee"
