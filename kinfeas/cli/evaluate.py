@@ -113,9 +113,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
-    Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik, and reward, which
-    changes no figure; with physics dt, max_failures, max_seconds, adapters, ik, physics, patience,
-    slow_down, head_start, objects), [bold]task.KEY[/], the task's own parameters, such as
+    Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik, yields, which lets
+    the base yield where the arm could not follow, and reward, which changes no figure; with physics
+    dt, max_failures, max_seconds, adapters, ik, yields, physics, patience, slow_down, head_start,
+    objects), [bold]task.KEY[/], the task's own parameters, such as
     [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds that are tried out, every so
     many seconds, tries, spread, jump, stray).
 

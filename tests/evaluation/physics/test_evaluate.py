@@ -56,11 +56,12 @@ def test_time_limits_are_in_motion_time():
 def test_what_can_be_set_is_what_results_are_told_apart_by():
     """Cells of a benchmark are found again by these keys and values."""
     told = config.to_mapping(PhysicsSettings(head_start=3.0))
-    assert {key: told[key] for key in ("slow_down", "head_start", "patience", "objects")} == {
-        "slow_down": 1.0, "head_start": 3.0, "patience": 8.0, "objects": True
+    apart = ("slow_down", "head_start", "patience", "yields", "objects")
+    assert {key: told[key] for key in apart} == {
+        "slow_down": 1.0, "head_start": 3.0, "patience": 8.0, "yields": False, "objects": True
     }  # fmt: skip
     rest = {"dt", "max_failures", "max_seconds", "adapters", "ik", "physics"}
-    assert set(told) == rest | {"slow_down", "head_start", "patience", "objects"}
+    assert set(told) == rest | set(apart)
 
 
 def test_processes_change_nothing(trial, policy, records):
