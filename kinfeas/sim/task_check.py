@@ -25,7 +25,7 @@ def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:
     """
     where = f"task {name!r}: 'scene"
     for moved in known.moves:
-        _need(moved, scene.objects, f"{where}.moves': there is no object")
+        _need(moved, scene.objects, f"{where}.moves.{moved}': there is no object")
     if known.handled is not None:
         _check_handled(known.handled, scene, f"{where}.handled")
         if robot.gripper is None:

@@ -40,7 +40,7 @@ def test_a_joint_may_have_to_move_at_all(room, hsr):
         ("door", {"handled": {"link": "x"}}, "'scene.handled.link': object 'door_shelf' has no li"),
         ("pick_place", {"done": {"on": "tabel"}}, "'scene.done.on': there is no other object 'tab"),
         ("pick_place", {"done": {"on": "box"}}, "'scene.done.on': there is no other object 'box'"),
-        ("pick_place", {"moves": {"bax": {"place": "table"}}}, "'scene.moves': there is no object"),
+        ("pick_place", {"moves": {"bax": {"place": "table"}}}, "'scene.moves.bax': there is no ob"),
         (
             "pick_place",
             {"handled": {"object": "pick_table", "link": "table"}},
