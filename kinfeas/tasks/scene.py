@@ -52,7 +52,7 @@ class Outcome:
         object: Name of an object of the scene.
         on: Name of the object that it stands on.
         joint: Its joint.
-        beyond: Position that the joint has passed, rad or m.
+        beyond: Position that the joint has passed, rad or m; downwards if below 0.
     """
 
     object: str

@@ -25,6 +25,9 @@ from kinfeas.tasks.task import Task
 _FORMAT = 1
 """Of the files; whoever changes what stands in them or how it is found counts it up."""
 
+_RULES = 2
+"""By which collisions and tasks done are told in the PyBullet world, counted up as they change."""
+
 _LATER = (("yields", False),)
 """Settings of the world that came after the first cells, with the value that changes nothing: left
 out, so that these cells are found."""
@@ -77,7 +80,8 @@ def identities(jobs: Sequence[Job]) -> list[dict[str, Any]]:
 
 def _physical_identity(job: Job) -> dict[str, Any]:
     scene = task_scene(load_task(job.task, job.parameters))
-    return {"first": job.first, "scene": "" if scene is None else _scene_digest(scene)}
+    digest = "" if scene is None else _scene_digest(scene)
+    return {"first": job.first, "scene": digest, "rules": _RULES}
 
 
 def _motion_files(task: Task) -> dict[str, Any]:
