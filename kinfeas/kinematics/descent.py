@@ -91,7 +91,7 @@ def make_scratch(joints, variables):
     )
 
 
-@kernel
+@inlined
 def descend(chain: Chain, options: Descent, target_rotation, target_position, q, scratch):
     """Move `q` to the target as far as its limits allow.
 
@@ -177,7 +177,7 @@ def rotation_error(target, current, error):
     return angle
 
 
-@kernel
+@inlined
 def _half_turn(target, current, error):
     """Write a half turn about the axis n of R = 2 n n' - 1, where the sine says nothing."""
     largest, column = -1.0, 0

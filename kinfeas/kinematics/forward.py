@@ -13,7 +13,9 @@ from kinfeas.spatial import Array
 
 # numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
 # be regrouped and multiply-adds fused, always in the same way: results stay deterministic. A kernel
-# that did not say that it is not inlined would be, everywhere, if its first caller is.
+# that did not say that it is not inlined would be, everywhere, if its first caller is. What finds
+# numbers for other kernels is inlined, for else each of them has a copy of it, regrouped in its own
+# way, and what else a process has compiled decides which copy runs.
 _FAST = {"contract", "reassoc", "nsz"}
 kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False)
 inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)

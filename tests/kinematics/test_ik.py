@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -390,3 +393,31 @@ def test_spread_configurations_cover_the_limits(robot):
         np.histogram(column, 8, (0, 1))[0] for column in ((joints - lower) / (upper - lower)).T
     ]
     assert np.min(counts) > 64 - 12
+
+
+AFRESH = """
+import hashlib
+from kinfeas import registry
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
+
+solver = IkSolver(registry.load_robot("tiago"), IkOptions(self_collision=False))
+joints = spread_configurations(solver.robot, 200)
+found = solver.solve(forward(solver.chain, joints), joints[::-1])
+print(hashlib.sha256(found.joint_positions.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_whoever_compiles_the_kernels_finds_what_others_find(tmp_path):
+    """The first process compiles, without self-collision, and the second one loads that."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", AFRESH]
+    first, second = (
+        subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True, timeout=240
+        ).stdout
+        for _ in range(2)
+    )
+    assert len(first) > 60
+    assert second == first
