@@ -11,6 +11,7 @@ from kinfeas.evaluation.policies import load_policy
 from kinfeas.joints import jumps
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.legs import Pace
 from kinfeas.tasks.loading import load_task
 from kinfeas.yielding import Yielding
 
@@ -74,3 +75,10 @@ def test_an_arm_jumps_less_if_the_base_yields(policy):
         records = run_episodes(world, load_policy(policy, tiago), 24)
         jumps_of.append(records.jumps.mean())
     assert jumps_of[1] < 0.5 * jumps_of[0]
+
+
+@pytest.mark.parametrize("asks", ["world", "pace"])
+def test_a_world_yields_if_it_or_its_pace_says_so(asks):
+    config, pace = WorldConfig(yields=asks == "world"), Pace(slow_down=2.0, yields=asks == "pace")
+    world = World(registry.load_robot("tiago"), load_task("ggr"), config, 0, pace=pace)
+    assert world.loop.pace == Pace(slow_down=2.0, yields=True)

@@ -1,7 +1,7 @@
 """The Markov decision process: the loop plus reward, restarts and ends of episodes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -39,7 +39,7 @@ class WorldConfig:
         reward: What a step earns.
         ik: How hard IK searches.
         yields: Whether the base takes the nearest command that the arm can follow where it cannot
-            follow the policy's; a pace that is given says so itself.
+            follow the policy's, as it also does if the pace says so.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
@@ -112,7 +112,8 @@ class World:
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
         wrapped = _backend(config, robot, backend)
-        pace = paced(wrapped, pace or Pace(yields=config.yields))
+        pace = pace or Pace()
+        pace = paced(wrapped, replace(pace, yields=pace.yields or config.yields))
         self._max_steps = max(1, round(config.max_seconds * pace.slow_down / config.dt))
         self.loop = Loop(self.solver, build_legs(task.legs), wrapped, config.dt, pace)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)

@@ -84,6 +84,7 @@ def physics_judge(config: TrainConfig) -> Judge:
         head_start=physics.head_start,
         objects=physics.objects,
         patience=physics.patience,
+        yields=physics.yields or world.yields,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,
         physics=physics.physics,
