@@ -19,6 +19,7 @@ from kinfeas.cli.output import (
     share,
     write_json,
 )
+from kinfeas.cli.physics_options import physics_assignments
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import MOST_EPISODES
@@ -148,10 +149,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         run = _analytic((policy, robot, task), count, seed, processes, overrides)
     else:
         number = shown_episode(episode, count, shown=bool(video or replay))
-        wishes = _physics_wishes(head_start, slow_down, without_objects)
-        _check_wishes(wishes, overrides)
-        assignments = [f"world.{key}={value}" for key, value in wishes.items() if value is not None]
-        assignments += overrides or []
+        assignments = physics_assignments(head_start, slow_down, without_objects, overrides or [])
         trial, driver = _put_to((policy, robot, task), count, seed, assignments)
         run = _physics(policy, trial, driver, processes, gui=gui)
     if sim2real is None:
@@ -170,33 +168,6 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if video is not None or replay is not None:
         settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
         show_episode(replace(trial, settings=settings), driver, number, video, replay)
-
-
-def _physics_wishes(
-    head_start: float | None, slow_down: float | None, without_objects: bool
-) -> dict[str, object]:
-    """Return the settings of the PyBullet world that options stand for; None if not given.
-
-    Raises:
-        KinfeasError: If one is out of range.
-    """
-    from kinfeas.evaluation.physics.world import PhysicsSettings
-
-    wishes = {"head_start": head_start, "slow_down": slow_down}
-    said = {f"--{key.replace('_', '-')}": (key, value) for key, value in wishes.items()}
-    options.check_settings(PhysicsSettings, said)
-    return {**wishes, "objects": False if without_objects else None}
-
-
-def _check_wishes(wishes: Mapping[str, object], overrides: list[str] | None) -> None:
-    """Raise if --set says something else of a setting that an option stands for."""
-    from kinfeas.config import assigned
-
-    world = assigned(overrides or ()).get("world")
-    for key, value in wishes.items():
-        if value is not None and isinstance(world, Mapping) and key in world:
-            option = "without-objects" if key == "objects" else key.replace("_", "-")
-            raise KinfeasError(f"--{option} and --set world.{key} exclude each other")
 
 
 def _adapters(sim2real: str, robot: str) -> "Specs":

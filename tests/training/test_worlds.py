@@ -7,6 +7,7 @@ from kinfeas import config, registry
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.tasks.loading import load_task
+from kinfeas.training import worlds
 from kinfeas.training.config import LAST_SEED, TrainConfig
 from kinfeas.training.worlds import EVALUATION_SEED, analytic_world, physics_world
 
@@ -58,3 +59,12 @@ def test_evaluations_stay_what_they_have_always_been(robot):
     for episode in range(EPISODES):
         start = task.sample(world.solver, np.random.default_rng((1, episode)))
         np.testing.assert_array_equal(goal(world, episode), start.target_poses[0])
+
+
+@pytest.mark.parametrize("asks", ["physics", "world"])
+def test_a_training_with_physics_is_judged_yielding_if_it_learns_so(monkeypatch, asks):
+    trials = []
+    monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: trials.append(trial))
+    told = {"robot": "hsr", "physics": {}, asks: {"yields": True}}
+    worlds.physics_judge(config.from_mapping(TrainConfig, told, "physical"))(None, 3)
+    assert trials[0].settings.pace.yields

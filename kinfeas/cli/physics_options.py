@@ -1,0 +1,39 @@
+"""Options that stand for settings of the PyBullet world."""
+
+from collections.abc import Mapping, Sequence
+
+from kinfeas.cli import options
+from kinfeas.errors import KinfeasError
+
+
+def physics_assignments(
+    head_start: float | None,
+    slow_down: float | None,
+    without_objects: bool,
+    overrides: Sequence[str],
+) -> list[str]:
+    """Return what options and --set say of the PyBullet world, as assignments.
+
+    Args:
+        head_start: Seconds; None if not given.
+        slow_down: Factor; None if not given.
+        without_objects: Whether the scene is to be left out.
+        overrides: What --set says.
+
+    Raises:
+        KinfeasError: If an option is out of range, or --set says something of the same setting.
+    """
+    from kinfeas.config import assigned
+    from kinfeas.evaluation.physics.world import PhysicsSettings
+
+    numbers = {"--head-start": ("head_start", head_start), "--slow-down": ("slow_down", slow_down)}
+    options.check_settings(PhysicsSettings, numbers)
+    told = {option: entry for option, entry in numbers.items() if entry[1] is not None}
+    wishes: dict[str, tuple[str, object]] = dict(told)
+    if without_objects:
+        wishes["--without-objects"] = ("objects", False)
+    world = assigned(overrides).get("world")
+    for option, (key, _) in wishes.items():
+        if isinstance(world, Mapping) and key in world:
+            raise KinfeasError(f"{option} and --set world.{key} exclude each other")
+    return [*(f"world.{key}={value}" for key, value in wishes.values()), *overrides]
