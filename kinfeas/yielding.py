@@ -1,7 +1,5 @@
 """A base that yields to its arm."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +12,9 @@ from kinfeas.spatial import Array
 
 _OTHERS = 32
 """Commands that are tried where the arm cannot follow; the first is to stand still."""
+
+_ROUNDS = ((0, 8), (8, _OTHERS))
+"""Of the commands, nearest first: those that are tried where none before them was found."""
 
 
 class Yielding:
@@ -31,10 +32,7 @@ class Yielding:
             solver: The robot's kinematics.
             dt: Control period in seconds.
         """
-        self._robot, self._dt = solver.robot, dt
-        # From where the arm is, and from nowhere else.
-        options = replace(solver.options, restarts=0, library=1)
-        self._solver = IkSolver(solver.robot, options)
+        self._solver, self._robot, self._dt = solver, solver.robot, dt
         self._moves = solver.robot.max_joint_velocity * dt
         self._others = 2.0 * spread(_OTHERS, action_size(solver.robot.base)) - 1.0
         self._others[0] = 0.0
@@ -63,15 +61,20 @@ class Yielding:
         rows = np.flatnonzero(~follows if held is None else ~(follows | held))
         if not rows.size:
             return action
-        # Every row with every command, a block of rows for each command.
-        tries = np.repeat(self._others, len(rows), axis=0)
-        again = [np.tile(values[rows], (_OTHERS, 1)) for values in (base_pose, desired, joints)]
-        follows = self._follows(tries, *again).reshape(_OTHERS, len(rows))
-        away = np.linalg.norm(self._others[:, np.newaxis] - action[rows], axis=2)
-        away[~follows] = np.inf
-        yields = follows.any(axis=0)
         taken = action.copy()
-        taken[rows[yields]] = self._others[away.argmin(axis=0)[yields]]
+        away = np.linalg.norm(self._others - action[rows, np.newaxis], axis=2)
+        order = away.argsort(axis=1, kind="stable")
+        for first, last in _ROUNDS:
+            tries = self._others[order[:, first:last]]
+            again = (
+                values[rows].repeat(last - first, axis=0) for values in (base_pose, desired, joints)
+            )
+            follows = self._follows(tries.reshape(-1, tries.shape[2]), *again).reshape(
+                tries.shape[:2]
+            )
+            yields = follows.any(axis=1)
+            taken[rows[yields]] = tries[yields, follows[yields].argmax(axis=1)]
+            rows, order = rows[~yields], order[~yields]
         return taken
 
     def _follows(
@@ -80,5 +83,5 @@ class Yielding:
         """Return whether the arm can be in time where the commands need it, shape (n,)."""
         twist = base_twist(self._robot.base, base_pose, action, self._dt)
         target = spatial.relative(desired, spatial.integrate(base_pose, twist, self._dt))
-        arm = self._solver.solve(target, joints, self._moves)
+        arm = self._solver.solve(target, joints, self._moves, swings=False)
         return arm.feasible & ~jumps(self._robot, joints, arm.joint_positions, self._dt)

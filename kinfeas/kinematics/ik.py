@@ -84,7 +84,14 @@ class IkSolver:
         self.collision = build_collision_model(robot)
         self._problem = _make_problem(robot, options, self.chain, self.collision)
 
-    def solve(self, ee_pose_in_base: Array, seed: Array, moves: Array | None = None) -> IkSolution:
+    def solve(
+        self,
+        ee_pose_in_base: Array,
+        seed: Array,
+        moves: Array | None = None,
+        *,
+        swings: bool = True,
+    ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
         A descent from the seed comes first if the EE is near the target there: within `moves`,
@@ -99,6 +106,7 @@ class IkSolver:
             seed: Joint positions to begin from, shape (n, v), radians or metres.
             moves: How far each joint can go from there in time, shape (v,); a solution within is
                 taken before any other. By default nothing is known of it.
+            swings: Whether solutions further away than `moves` are looked for at all.
 
         Raises:
             KinfeasError: If one of them is of another shape.
@@ -110,7 +118,7 @@ class IkSolver:
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
         within = np.empty(0) if near is None else near
-        solve_batch(self._problem, targets, within, solution, feasible, errors)
+        solve_batch(self._problem, targets, within, swings, solution, feasible, errors)
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
     def _check_shapes(self, targets: Array, seed: Array, moves: Array | None) -> None:

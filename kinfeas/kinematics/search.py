@@ -79,7 +79,7 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
 
 
 @kernel
-def solve_batch(problem: Problem, targets, moves, solution, feasible, errors):
+def solve_batch(problem: Problem, targets, moves, swings, solution, feasible, errors):
     """Solve row by row.
 
     Args:
@@ -87,6 +87,7 @@ def solve_batch(problem: Problem, targets, moves, solution, feasible, errors):
         targets: EE poses in the base frame, shape (n, 7).
         moves: How far each joint may go from its seed in a solution that comes before all
             others, shape (v,), or (0,) if none does.
+        swings: Whether others count at all.
         solution: Holds the seeds and receives the answers, shape (n, v).
         feasible: Receives whether there is one, shape (n,).
         errors: Receives what it, or the closest attempt, leaves, shape (n, 2): metres, radians.
@@ -101,10 +102,10 @@ def solve_batch(problem: Problem, targets, moves, solution, feasible, errors):
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
         if _solve_from_seed(
-            problem, target, moves, near, solution[i], errors[i], scratch, touching
+            problem, target, moves, swings, near, solution[i], errors[i], scratch, touching
         ):
             feasible[i] = True
-        elif problem.restarts == 0 or _out_of_reach(problem, target):
+        elif not swings or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
         else:
             _rank_library(problem, target, scores, order)
@@ -117,11 +118,11 @@ def solve_batch(problem: Problem, targets, moves, solution, feasible, errors):
 
 
 @inlined
-def _solve_from_seed(problem, target, moves, near, solution, error, scratch, touching):
+def _solve_from_seed(problem, target, moves, swings, near, solution, error, scratch, touching):
     """Descend from the seed if it is near enough; return whether that solved it.
 
     First within `moves` of it, for the arm gets there in time: drawn to the middle of the joint
-    ranges, and where that fails, without. Then from there as far as it takes.
+    ranges, and where that fails, without. Then, if it `swings`, from there as far as it takes.
     """
     q = scratch.trial
     limits = problem.descent
@@ -142,7 +143,7 @@ def _solve_from_seed(problem, target, moves, near, solution, error, scratch, tou
         for j in range(len(q)):
             near[0, j] = max(limits.lower[j], q[j] - moves[j])
             near[1, j] = min(limits.upper[j], q[j] + moves[j])
-    for attempt in range(first, WIDE + 1):
+    for attempt in range(first, WIDE + 1 if swings else WIDE):
         bounds = limits if attempt == WIDE else within(limits, near[0], near[1])
         if attempt == DRAWN:
             _draw(problem, moves, q, scratch.pull)

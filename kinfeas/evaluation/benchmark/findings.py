@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.cells import Result
 from kinfeas.evaluation.benchmark.curves import curves_figure
-from kinfeas.evaluation.benchmark.job import CEILING, Job
+from kinfeas.evaluation.benchmark.job import CEILING, Job, world_for
 from kinfeas.evaluation.benchmark.paper import LEARNED, paper_figures
 from kinfeas.evaluation.benchmark.physics import (
     PhysicsCell,
@@ -25,7 +25,12 @@ from kinfeas.evaluation.benchmark.physics import (
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
 from kinfeas.evaluation.benchmark.runs import Run
-from kinfeas.evaluation.benchmark.study import StudyConfig, takes_pretrained
+from kinfeas.evaluation.benchmark.study import (
+    PLAIN,
+    StudyConfig,
+    row_settings,
+    takes_pretrained,
+)
 from kinfeas.evaluation.benchmark.table import Cell, tabulate, to_json
 from kinfeas.evaluation.benchmark.text import to_markdown
 from kinfeas.evaluation.benchmark.workspace import Covered, covered, workspace_figure
@@ -92,9 +97,9 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
         baselines: list[Source] = [
             (name, name, None) for name, on in study.baselines.items() if task in on
         ]
-        looks = task in study.look_ahead.get(robot, ()) and not variant
-        ahead = _looking_ahead(learned) if looks else []
-        sources = [(CEILING, CEILING, None), *learned, *ahead, *baselines]
+        aided = [] if variant else _aided(study, learned, robot, task)
+        world = _analytic_world(study, robot)
+        sources = [(CEILING, CEILING, None), *learned, *aided, *baselines]
         jobs += [
             Job(
                 robot=robot,
@@ -106,12 +111,12 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
                 training_seed=seed,
                 episodes=study.episodes,
                 seed=study.evaluation_seed,
-                world=study.world,
+                world=world_for(policy, world),
             )
             for policy, source, seed in sources
         ]
         if study.physics is not None:
-            beside = [*ahead, *baselines]
+            beside = [*aided, *baselines]
             jobs += plan_physics(study, study.physics, (robot, task), learned, beside)
     return jobs
 
@@ -125,12 +130,26 @@ def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source
     return [(run.algorithm, str(run.folder), run.seed) for run in own]
 
 
-def _looking_ahead(learned: Sequence[Source]) -> list[Source]:
+def _aided(study: StudyConfig, learned: Sequence[Source], robot: str, task: str) -> list[Source]:
+    """Return a robot's learned policies with each of the study's aids."""
     return [
-        (f"{LOOK_AHEAD}{policy}", f"{LOOK_AHEAD}{source}", seed)
+        (f"{aid.prefix}{policy}", LOOK_AHEAD * aid.look_ahead + source, seed)
+        for aid in study.aids
+        if aid.helps(robot, task)
         for policy, source, seed in learned
         if policy != "td3"
     ]
+
+
+def _analytic_world(study: StudyConfig, robot: str) -> WorldConfig:
+    """Return the world of what stands in the table, or beside the one of physics, of a robot.
+
+    There the base yields as it does in the plain row.
+    """
+    if study.physics is None:
+        return study.world
+    plain = row_settings(study.physics, study.physics.rows[PLAIN], robot)
+    return replace(study.world, yields=study.world.yields or plain.yields)
 
 
 def write_tables(
@@ -189,7 +208,7 @@ def figures_of_runs(findings: Findings) -> dict[Path, dict[str, Any]]:
     """Return for each run's folder its figures by task, variants left out."""
     found: dict[Path, dict[str, Any]] = {}
     for job, result in zip(findings.jobs, findings.results, strict=True):
-        own = not (job.variant or job.physical or job.source.startswith(LOOK_AHEAD))
+        own = not (job.variant or job.physical or job.aided)
         if job.training_seed is not None and own:
             told = {"seed": job.seed, **result["figures"]}
             found.setdefault(Path(job.source), {})[job.task_name] = told

@@ -1,14 +1,20 @@
 """What a benchmark has to find: one figure, of a policy on a task or of the task itself."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.tasks.loading import task_name
 
+W = TypeVar("W", WorldConfig, PhysicsSettings)
+
 CEILING = "ceiling"
 """What takes the place of a policy where the ceiling of a task is to be found."""
+
+YIELDING = "yielding:"
+"""What stands before what a policy is called in the table if the base yields for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +26,8 @@ class Job:
         task: Name or YAML file.
         parameters: Its keyword parameters.
         variant: What is different about them.
-        policy: What the policy is called in the table; `ceiling` for the ceiling.
+        policy: What the policy is called in the table, after `look_ahead:` and `yielding:` as it
+            does so; `ceiling` for the ceiling.
         source: What `load_driver` takes.
         training_seed: Seed that it was trained with, if it was and that is known.
         episodes: How many.
@@ -52,6 +59,11 @@ class Job:
         return task_name(self.task)
 
     @property
+    def aided(self) -> bool:
+        """Whether its policy yields or looks ahead in a row of its own."""
+        return ":" in self.policy
+
+    @property
     def name(self) -> str:
         """What it is called in errors and as a file."""
         seed = "" if self.training_seed is None else f"-{self.training_seed}"
@@ -59,3 +71,8 @@ class Job:
         part = f"-pybullet-{self.first}" if self.physical else ""
         policy = self.policy.replace(":", "-")
         return f"{Path(self.robot).stem}-{self.task_name}{variant}-{policy}{seed}{part}"
+
+
+def world_for(policy: str, world: W) -> W:
+    """Return the world of a policy by its name in the table: `world`, yielding if that says so."""
+    return replace(world, yields=world.yields or YIELDING in policy)

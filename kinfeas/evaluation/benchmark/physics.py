@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from kinfeas import registry
 from kinfeas.evaluation.benchmark.cells import Result
-from kinfeas.evaluation.benchmark.job import Job
+from kinfeas.evaluation.benchmark.job import Job, world_for
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.evaluation.benchmark.study import PLAIN, PhysicsStudy, StudyConfig, row_settings
 from kinfeas.evaluation.benchmark.table import Cell, common, interval, mean_of
@@ -77,7 +77,7 @@ def plan_physics(
         physics: Its rows.
         trial: Robot and task.
         learned: The robot's learned policies, which stand in every row.
-        beside: What stands in the plain row alone: policies that look ahead, and baselines.
+        beside: What stands in the plain row alone: policies with aids, and baselines.
     """
     robot, task = trial
     jobs = []
@@ -97,7 +97,7 @@ def plan_physics(
                 training_seed=seed,
                 episodes=study.episodes,
                 seed=study.evaluation_seed,
-                world=world,
+                world=world_for(policy, world),
             )
             jobs += _parts(whole)
     return jobs

@@ -11,9 +11,10 @@ from kinfeas.config import Interval, no_such
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.checks import check_names, check_robots, check_task
+from kinfeas.evaluation.benchmark.job import YIELDING
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
-from kinfeas.evaluation.policies import BASELINES
+from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD
 from kinfeas.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.robots.robot import Robot
 from kinfeas.storage.recipes import default_recipe, find_recipe
@@ -44,6 +45,39 @@ class Training:
     settings: tuple[str, ...] = ()
     steps: Count | None = None
     minutes: Positive | None = None
+
+
+@dataclass(frozen=True)
+class Aid:
+    """What helps learned policies in a row of its own; of several algorithms SAC's alone.
+
+    Attributes:
+        yields: The base yields to its arm.
+        look_ahead: They look ahead.
+        robots: For which of the study's robots; null for all.
+        tasks: On which of its tasks; null for all.
+    """
+
+    yields: bool = False
+    look_ahead: bool = False
+    robots: tuple[str, ...] | None = None
+    tasks: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that it is one."""
+        if not (self.yields or self.look_ahead):
+            raise ValueError("one of 'yields' and 'look_ahead' must be true")
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the names of the policies in its row."""
+        return LOOK_AHEAD * self.look_ahead + YIELDING * self.yields
+
+    def helps(self, robot: str, task: str) -> bool:
+        """Return whether it helps a robot on a task."""
+        return (self.robots is None or robot in self.robots) and (
+            self.tasks is None or task in self.tasks
+        )
 
 
 @dataclass(frozen=True)
@@ -108,8 +142,7 @@ class StudyConfig:
         robots: Names or YAML files.
         tasks: Names or YAML files.
         baselines: On which of the tasks each baseline is judged.
-        look_ahead: On which of the tasks each robot's learned policies are judged a second time,
-            looking ahead; of several algorithms SAC's alone, and of physics in the plain row.
+        aids: With what learned policies are judged once more; with physics beside the plain row.
         policies: Whether to `train` the learned policies, to take those that come with the package
             (`pretrained`), or to train only where none comes with it (`either`).
         trainings: How they are learned.
@@ -126,7 +159,7 @@ class StudyConfig:
     robots: tuple[str, ...] = ("pr2", "tiago", "hsr")
     tasks: tuple[str, ...] = ("ggr", "ggr_restricted")
     baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    look_ahead: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    aids: tuple[Aid, ...] = ()
     policies: Literal["train", "pretrained", "either"] = "train"
     trainings: tuple[Training, ...] = ()
     seeds: tuple[Seed, ...] = (0,)
@@ -147,7 +180,19 @@ class StudyConfig:
             entries = getattr(self, key)
             if not entries or len(set(entries)) < len(entries):
                 raise ValueError(f"{key!r} must hold at least one entry, and none twice")
+        self._check_aids()
         self._check_variants()
+
+    def _check_aids(self) -> None:
+        """Raise if two aids would be one row of a robot on a task."""
+        for robot in self.robots:
+            for task in self.tasks:
+                rows = [aid.prefix for aid in self.aids if aid.helps(robot, task)]
+                if len(set(rows)) < len(rows):
+                    raise ValueError(
+                        f"two entries of 'aids' help {robot} on {task} in the same way; "
+                        "their 'robots' or 'tasks' must tell them apart"
+                    )
 
     def _check_variants(self) -> None:
         """Raise if two variants would be rows of one name, or one has no name."""
@@ -172,14 +217,15 @@ def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
             motion or scene; or if two robots or two tasks would have the same name in the tables.
     """
     study = config.load(StudyConfig, find_recipe(name, "benchmark"), overrides)
-    named = [*study.robots, *study.look_ahead, *(training.robot for training in study.trainings)]
+    named = [*study.robots, *(training.robot for training in study.trainings)]
     named += [robot for variant in study.variants for robot in variant.robots]
+    named += [robot for aid in study.aids for robot in aid.robots or ()]
     for robot in dict.fromkeys(named):
         registry.load_robot(robot)
     check_robots(study.robots)
     check_names(study.tasks)
-    both = (study.baselines, study.look_ahead)
-    judged = [task for by_name in both for tasks in by_name.values() for task in tasks]
+    judged = [task for tasks in study.baselines.values() for task in tasks]
+    judged += [task for aid in study.aids for task in aid.tasks or ()]
     plain: list[tuple[str, dict[str, object]]] = [
         (task, {}) for task in dict.fromkeys([*study.tasks, *judged])
     ]

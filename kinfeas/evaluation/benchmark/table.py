@@ -11,7 +11,6 @@ from kinfeas import pretrained, registry
 from kinfeas.evaluation.benchmark.cells import Result
 from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
-from kinfeas.evaluation.policies import LOOK_AHEAD
 from kinfeas.metrics import Share, wilson
 
 WORLD = "analytic"
@@ -28,8 +27,8 @@ class Cell:
         robot: Name of the robot.
         variant: What is different about the task; empty if nothing is.
         task: Name of the task; of a YAML file, what the file is called without its suffix.
-        policy: `sac`, `td3`, `pretrained`, or a baseline; `look_ahead:sac` for one that looks
-            ahead.
+        policy: `sac`, `td3`, `pretrained`, or a baseline; `yielding:sac` for one whose base
+            yields, `look_ahead:sac` for one that looks ahead, `look_ahead:yielding:sac` for both.
         world: Where it was measured.
         seeds: How many policies, each from another training seed, it is the mean of.
         training_seeds: These seeds, as far as they are known.
@@ -86,7 +85,7 @@ class Cell:
     @property
     def learned(self) -> bool:
         """Whether it is of a learned policy."""
-        return self.policy.removeprefix(LOOK_AHEAD) in ("sac", "td3", pretrained.NAME)
+        return self.policy.rpartition(":")[2] in ("sac", "td3", pretrained.NAME)
 
 
 def tabulate(jobs: Sequence[Job], results: Sequence[Result]) -> list[Cell]:

@@ -5,7 +5,6 @@ from typing import TypeVar
 
 from kinfeas.evaluation.benchmark.paper import LEARNED, paper_figures
 from kinfeas.evaluation.benchmark.table import WORLD, Cell
-from kinfeas.evaluation.policies import LOOK_AHEAD
 
 C = TypeVar("C", bound=Cell)
 
@@ -15,6 +14,9 @@ NOTHING = "-"
 TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 
 _LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
+
+_AIDS = {"yielding": "yielding", "look_ahead": "looking ahead"}
+"""What stands before the name of a policy, in words."""
 
 _HOW = """\
 Each cell: per cent of episodes that reach the goal **without a single kinematic failure**, in \
@@ -90,9 +92,9 @@ def title(robot: str, variant: str) -> str:
 def label(cell: Cell) -> str:
     """Return what the row of a cell is called: its policy, and what else is told of it."""
     policy, also = cell.row
-    learned = policy.removeprefix(LOOK_AHEAD)
-    name = _LEARNED.get(learned, learned) + ", looking ahead" * (learned != policy)
-    return f"{name}, {also}" if also else name
+    *aids, own = policy.split(":")
+    told = [_LEARNED.get(own, own), " and ".join(_AIDS[aid] for aid in aids), also]
+    return ", ".join(part for part in told if part)
 
 
 def _effort(cells: Sequence[Cell]) -> str:

@@ -80,13 +80,27 @@ def test_runs_go_before_what_is_shipped():
     assert ("pr2", "pretrained", None) not in learned
 
 
-def test_looking_ahead_is_a_row_of_its_own():
+def test_what_is_aided_is_a_row_of_its_own():
     runs = [Run(Path(f"run-{name}"), "pr2", name, 4, "ggr") for name in ("sac", "td3")]
-    jobs = plan_jobs(study("policies=either", "look_ahead={pr2: [ggr]}"), runs)
-    ahead = [job for job in jobs if job.policy.startswith("look_ahead:")]
-    assert [(job.robot, job.task, job.variant) for job in ahead] == [("pr2", "ggr", "")]
-    assert [(job.policy, job.source) for job in ahead] == [("look_ahead:sac", "look_ahead:run-sac")]
-    assert ahead[0].name == "pr2-ggr-look_ahead-sac-4"
+    aids = "aids=[{yields: true}, {look_ahead: true}, {yields: true, look_ahead: true}]"
+    jobs = plan_jobs(study("policies=either", "robots=[pr2]", "tasks=[ggr]", aids), runs)
+    aided = [job for job in jobs if ":" in job.policy]
+    assert [(job.policy, job.source, job.world.yields) for job in aided] == [
+        ("yielding:sac", "run-sac", True),
+        ("look_ahead:sac", "look_ahead:run-sac", False),
+        ("look_ahead:yielding:sac", "look_ahead:run-sac", True),
+    ]
+    assert not any(job.world.yields for job in jobs if job not in aided)
+    assert not any(job.variant for job in aided)
+    assert aided[-1].name == "pr2-ggr-look_ahead-yielding-sac-4"
+
+
+def test_an_aid_helps_the_robots_and_tasks_that_it_names():
+    jobs = plan_jobs(study("aids=[{yields: true, robots: [pr2], tasks: [ggr]}]"), [])
+    aided = [job for job in jobs if ":" in job.policy]
+    assert {(job.robot, job.task, job.policy) for job in aided} == {
+        ("pr2", "ggr", "yielding:pretrained")
+    }
 
 
 def test_everything_is_written(shipped, tmp_path, monkeypatch):
@@ -97,7 +111,8 @@ def test_everything_is_written(shipped, tmp_path, monkeypatch):
         return episodes_figure(robot, recordings, above)
 
     monkeypatch.setattr(module, "episodes_figure", titled)
-    asked = study("look_ahead={pr2: [ggr]}")
+    aid = "look_ahead: true, robots: [pr2], tasks: [ggr]"
+    asked = study(f"aids=[{{{aid}}}, {{yields: true, {aid}}}]")
     jobs = plan_jobs(asked, [])
     findings = Findings(asked, [], jobs, run_jobs(jobs, tmp_path / "cells"))
     pictures = write_pictures(findings, tmp_path)
@@ -108,17 +123,18 @@ def test_everything_is_written(shipped, tmp_path, monkeypatch):
     assert [path.name for path in pictures] == names
     write_tables(findings, ["kinfeas benchmark"], pictures, tmp_path)
     entries = json.loads((tmp_path / "table.json").read_text())
-    assert len(entries) == len(findings.cells) == 9
+    assert len(entries) == len(findings.cells) == 10
     text = (tmp_path / "table.md").read_text()
     assert "learned, pretrained" in text
-    assert "learned, pretrained, looking ahead" in text
+    assert "learned, pretrained, looking ahead**" in text
+    assert "learned, pretrained, looking ahead and yielding**" in text
     for path in pictures:
         assert f"({path.name})" in text
 
 
 def test_figures_of_runs_are_told_by_task():
     runs = [Run(Path("run"), "pr2", "sac", 0, "ggr")]
-    asked = study("robots=[pr2]", "variants=[]", "look_ahead={pr2: [ggr]}")
+    asked = study("robots=[pr2]", "variants=[]", "aids=[{yields: true}]")
     jobs = plan_jobs(asked, runs)
     results = [{"figures": {"success": 0.5}} for _ in jobs]
     assert figures_of_runs(Findings(asked, runs, jobs, results)) == {

@@ -128,11 +128,27 @@ def test_a_row_may_have_no_tasks():
     assert {job.variant for job in jobs if job.physical} == {"head_start", "no_objects"}
 
 
-def test_looking_ahead_stands_in_the_plain_row():
-    jobs = [job for job in plan("look_ahead={pr2: [ggr]}") if job.policy.startswith("look_ahead:")]
-    assert {(job.robot, job.task) for job in jobs} == {("pr2", "ggr")}
-    assert {job.variant for job in jobs if job.physical} == {""}
-    assert not all(job.physical for job in jobs)
+@pytest.mark.parametrize(
+    ("aid", "policy"),
+    [("look_ahead: true", "look_ahead:pretrained"), ("yields: true", "yielding:pretrained")],
+)
+def test_what_is_aided_stands_in_the_plain_row(aid, policy):
+    jobs = plan(f"aids=[{{{aid}, robots: [hsr], tasks: [ggr]}}]")
+    aided = [job for job in jobs if job.policy == policy]
+    assert {(job.robot, job.task) for job in aided} == {("hsr", "ggr")}
+    assert {job.variant for job in aided if job.physical} == {""}
+    assert {job.world.yields for job in aided} == {policy == "yielding:pretrained"}
+    assert {job.physical for job in aided} == {True, False}
+
+
+def test_bases_yield_without_physics_as_they_do_with_it():
+    worlds = {(job.robot, job.physical, job.policy, job.world.yields) for job in plan()}
+    for physical in (True, False):
+        assert ("pr2", physical, "pretrained", True) in worlds
+        assert ("pr2", physical, "follow_ee", True) in worlds
+        assert ("hsr", physical, "pretrained", False) in worlds
+    settings = "physics.settings=['world.yields=false']"
+    assert not any(job.world.yields for job in plan(settings))
 
 
 def test_the_table_and_the_picture_show_all_rows():
