@@ -30,16 +30,22 @@ IMAGES = DOCS / "images"
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
-BOLD = ("sac", "look_ahead:sac")
+AIDS = {
+    "pr2": ("yielding", "yielding:pretrained"),
+    "tiago": ("looking ahead and yielding", "look_ahead:yielding:pretrained"),
+    "hsr": ("looking ahead", "look_ahead:sac"),
+}
+"""What helps each robot, in words, and the policy that has this help."""
 ROWS = {
     "**{}**, ours": "sac",
-    "**{}**, ours, looking ahead": "look_ahead:sac",
+    "**{}**, ours, {aid}": "",
     "{}, `whole_body_qp`": "whole_body_qp",
     "{}, `follow_ee_feedback`": "follow_ee_feedback",
 }
+"""Policies of the README's rows by their heads; none where the robot's aid says which."""
 JUMPS = {
     "{}, arm jumps an episode, ours": "sac",
-    "{}, arm jumps an episode, looking ahead": "look_ahead:sac",
+    "{}, arm jumps an episode, {aid}": "",
 }
 PHYSICS = {
     ("head_start", "pretrained"): "{}, 3 s head start",
@@ -94,10 +100,11 @@ def fill_readme(page: str, record: Sequence[Entry]) -> str:
     """Return the README with the rows of its table filled anew."""
     cells = of_variant(record, "")
     for robot, name in ROBOTS.items():
+        aid, aided = AIDS[robot]
         for rows, entry in ((ROWS, _share), (JUMPS, _jumps)):
             for head, policy in rows.items():
-                values = [entry(cells, robot, task, policy) for task in TASKS]
-                page = _fill(page, head.format(name), values)
+                values = [entry(cells, robot, task, policy or aided) for task in TASKS]
+                page = _fill(page, head.format(name, aid=aid), values)
     return page
 
 
@@ -134,7 +141,7 @@ def _share(cells: Cells, robot: str, task: str, policy: str) -> str:
         return ""
     cell = cells[robot, task, policy]
     text = f"{100 * cell['success']:.1f} ({100 * cell['within_5cm']:.1f})"
-    return f"**{text}**" if policy in BOLD else text
+    return f"**{text}**" if Cell(**cell).learned else text
 
 
 def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:

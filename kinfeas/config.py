@@ -17,6 +17,9 @@ __all__ = ["Interval", "dump", "from_mapping", "load", "no_such", "to_mapping"]
 
 T = TypeVar("T")
 
+OPTION = "--set"
+"""Where assignments stand as a rule, named in errors."""
+
 
 def load(cls: type[T], path: Path, overrides: Sequence[str] = ()) -> T:
     """Return the configuration that a YAML file holds.
@@ -49,7 +52,7 @@ def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[st
         data = copy.deepcopy(data)
         assignments = {}
         for text in overrides:
-            assignments[_override(data, cls, text)] = f"--set {text}"
+            assignments[_override(data, cls, text)] = f"{OPTION} {text}"
         place = replace(place, overrides=assignments)
     result: T = convert_dataclass(cls, data, place)
     return result
@@ -101,15 +104,15 @@ def _override(data: object, cls: Any, text: str) -> str:
     key, value = _parse_override(text)
     if not _assign(data, cls, key.split("."), value):
         above = key.rpartition(".")[0]
-        raise KinfeasError(f"--set {text}: unknown key {key!r}, for {above!r} has no keys")
+        raise KinfeasError(f"{OPTION} {text}: unknown key {key!r}, for {above!r} has no keys")
     return key
 
 
 def _parse_override(text: str) -> tuple[str, object]:
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
-        raise KinfeasError(f"--set {text}: must be of the form key=value or key.inner=value")
-    return key.strip(), strict_yaml.parse(value, f"--set {text}")
+        raise KinfeasError(f"{OPTION} {text}: must be of the form key=value or key.inner=value")
+    return key.strip(), strict_yaml.parse(value, f"{OPTION} {text}")
 
 
 def _assign(data: object, cls: Any, keys: Sequence[str], value: object) -> bool:

@@ -149,7 +149,7 @@ def load_robot(name_or_path: str) -> Robot:
         KinfeasError: If there is no such robot, its YAML or URDF is wrong, or a URDF is named in
             place of the YAML.
     """
-    _check_no_urdf(name_or_path)
+    check_no_urdf(name_or_path)
     if is_path(name_or_path):
         return read_robot(Path(name_or_path))
     built = build("kinfeas.robots", name_or_path, {})
@@ -158,6 +158,23 @@ def load_robot(name_or_path: str) -> Robot:
             f"robot {name_or_path!r} must return the Path of its YAML, not {built!r}"
         )
     return read_robot(built)
+
+
+def check_no_urdf(name_or_path: object) -> None:
+    """Check that what is to name a robot is no URDF, nor what becomes one.
+
+    Raises:
+        KinfeasError: If it is; it tells the command that makes the YAML.
+    """
+    path = Path(str(name_or_path))
+    if path.suffix.lower() not in (".urdf", ".xacro"):
+        return
+    urdf, first = path, ""
+    if path.suffix.lower() == ".xacro":
+        urdf = path.with_suffix("" if path.stem.endswith(".urdf") else ".urdf")
+        first = f"{shlex.join(['xacro', str(path)])} > {shlex.quote(str(urdf))} and then "
+    command = shlex.join(["kinfeas", "robot", str(urdf), "--out", "FOLDER"])
+    raise KinfeasError(f"{path}: a robot is a YAML file, which {first}{command} writes")
 
 
 def from_anywhere(name_or_path: str) -> str:
@@ -170,19 +187,6 @@ def _entries(group: str) -> list[EntryPoint]:
         raise KinfeasError(f"unknown plugin group {group!r}{no_such(group, GROUPS)}")
     own = [entry for entry in _REGISTERED if entry.group == group]
     return [*entry_points(group=group), *own]
-
-
-def _check_no_urdf(name_or_path: object) -> None:
-    """Raise if what should name a robot is a URDF, or what becomes one."""
-    path = Path(str(name_or_path))
-    if path.suffix.lower() not in (".urdf", ".xacro"):
-        return
-    urdf, first = path, ""
-    if path.suffix.lower() == ".xacro":
-        urdf = path.with_suffix("" if path.stem.endswith(".urdf") else ".urdf")
-        first = f"{shlex.join(['xacro', str(path)])} > {shlex.quote(str(urdf))} and then "
-    command = shlex.join(["kinfeas", "robot", str(urdf), "--out", "FOLDER"])
-    raise KinfeasError(f"{path}: a robot is a YAML file, which {first}{command} writes")
 
 
 def _find(group: str, name: object) -> EntryPoint:

@@ -62,7 +62,7 @@ LAYERS = (
     ({"loop", "look_ahead"}, {"plugins"}, {"scenes"}, {"tasks"}, {"baselines"}, {"draft"}),
     ({"envs"}, {"sim"}, {"sim2real"}),
     ({"training", "evaluation"},),
-    ({"cli"},),
+    ({"cli", "__main__"},),
 )
 PLUGINS_MAY_REACH = 1
 

@@ -40,8 +40,13 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option("--out", help="Folder of the results; a stopped study goes on there.")
-    ] = Path("runs/benchmark"),
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder of the results, where a stopped study goes on; by default "
+            "runs/benchmark/STUDY.",
+        ),
+    ] = None,
     world: Annotated[
         WorldName,
         typer.Option(
@@ -94,6 +99,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.evaluation.benchmark.findings import check_out, write_pictures, write_tables
 
+    name = config or _RECIPES[world, quick]
+    out = out or Path("runs/benchmark") / Path(name).stem
     check_outputs(
         {"--out": out, "--publish": publish, "--json": json},
         {
@@ -102,7 +109,6 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--set": inputs.of_settings(overrides),
         },
     )
-    name = config or _RECIPES[world, quick]
     said = [] if episodes is None else [f"episodes={episodes}"]
     study, taken = _read(name, policy, runs or [], [*said, *(overrides or [])])
     _check_world(study, name, world)

@@ -16,7 +16,7 @@ EXAMPLES = {
     ),
     "benchmark": (
         "kinfeas benchmark --quick --out runs/quick",
-        "kinfeas benchmark --out runs/benchmark --processes 2",
+        "kinfeas benchmark --out runs/mine --processes 2",
         "kinfeas benchmark --world pybullet --policy pretrained --episodes 20",
     ),
     "ceiling": (

@@ -97,6 +97,7 @@ def facts_of_file(path: str) -> dict[str, Any]:
     Raises:
         KinfeasError: If it describes neither, or is broken.
     """
+    registry.check_no_urdf(path)
     keys = strict_yaml.read(Path(path)).keys()
     if "legs" in keys:
         return {"kind": "task", "name": task_name(path), "file": path, **_task(path, [])}

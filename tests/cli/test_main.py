@@ -56,6 +56,12 @@ def test_version():
     assert done.returncode == 0
 
 
+def test_runs_as_a_module():
+    command = [sys.executable, "-m", "kinfeas", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"kinfeas {__version__}\n"
+
+
 def test_bad_input_is_one_line_and_exit_code_2():
     done = kinfeas("ceiling", "--robot", "pr3")
     assert done.returncode == 2

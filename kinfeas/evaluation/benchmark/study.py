@@ -1,7 +1,8 @@
 """A study: which robots, tasks and policies a benchmark puts side by side, and with which seeds."""
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -245,7 +246,8 @@ def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsS
         KinfeasError: If a setting is wrong, or is none of the world.
     """
     said = [*physics.settings, *row.settings]
-    known = physics_config(registry.load_robot(robot), said)
+    with _blaming("the settings of 'physics':"):
+        known = physics_config(registry.load_robot(robot), said)
     if ignored := sorted(config.assigned(said).keys() - {"world"}):
         raise KinfeasError(
             f"the settings of 'physics' in a study may be world.KEY=VALUE, not {ignored[0]}.KEY"
@@ -272,7 +274,8 @@ def settings_of(training: Training, seed: int) -> TrainConfig:
     if training.steps is not None or training.minutes is not None:
         said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
     own = [f"{key}={json.dumps(value)}" for key, value in said.items()]
-    return config.load(TrainConfig, path, [*own, *training.settings])
+    with _blaming(f"the settings of the training of {training.robot}:"):
+        return config.load(TrainConfig, path, [*own, *training.settings])
 
 
 def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
@@ -332,6 +335,15 @@ def takes_pretrained(study: StudyConfig, robot: str) -> bool:
 def run_name(settings: TrainConfig) -> str:
     """Return ROBOT-ALGORITHM-SEED."""
     return f"{_name(settings.robot)}-{settings.learner.algorithm}-{settings.seed}"
+
+
+@contextmanager
+def _blaming(place: str) -> Iterator[None]:
+    """Let errors in assignments name where they stand, which is not on the command line."""
+    try:
+        yield
+    except KinfeasError as error:
+        raise KinfeasError(str(error).replace(config.OPTION, place, 1)) from error
 
 
 def _name(robot: str) -> str:

@@ -7,6 +7,7 @@ from kinfeas import config, pretrained, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.study import (
     StudyConfig,
+    Training,
     read_study,
     restricted,
     settings_of,
@@ -200,6 +201,10 @@ def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
         ("aids=[{yelds: true}]", "unknown key 'aids.*yelds'"),
         ("tasks=[ggr, fly]", "unknown task 'fly'"),
         ("robots=[pr3]", "unknown robot 'pr3'"),
+        (
+            "physics={settings: ['world.slw=1']}",
+            r"^the settings of 'physics': world\.slw",
+        ),
         ("physics={settings: ['world.slow_down=1', 'task.distance=[1, 2]']}", "not task.KEY"),
         ("physics={rows: {plain: {settings: [look_ahead.seconds=3]}}}", "not look_ahead.KEY"),
     ],
@@ -208,3 +213,8 @@ def test_what_is_wrong_is_named(tmp_path, override, words):
     (tmp_path / "study.yaml").write_text("note: mine\n")
     with pytest.raises(KinfeasError, match=words):
         read_study(str(tmp_path / "study.yaml"), [override])
+
+
+def test_wrong_settings_of_a_training_are_named_as_such():
+    with pytest.raises(KinfeasError, match=r"^the settings of the training of pr2: hldd=4:"):
+        settings_of(Training(robot="pr2", settings=("hldd=4",)), 0)
