@@ -97,7 +97,7 @@ def test_info_on_files(kinfeas, tmp_path):
     outcome = kinfeas("plugins", "info", "other.yaml")
     assert is_one_line(outcome)
     assert "other.yaml: describes no robot, which has the key 'urdf', and no task" in outcome.err
-    outcome = kinfeas("plugins", "info", "fetch.urdf")
+    outcome = kinfeas("plugins", "info", "./fetch.urdf")
     assert is_one_line(outcome)
     assert "fetch.urdf: a robot is a YAML file, which kinfeas robot fetch.urdf" in outcome.err
 
