@@ -57,7 +57,7 @@ class Yielding:
         Returns:
             Of the shape of `action`.
         """
-        follows = self._follows(action, base_pose, desired, joints)
+        follows = self._follows(action[:, np.newaxis], base_pose, desired, joints)[:, 0]
         rows = np.flatnonzero(~follows if held is None else ~(follows | held))
         if not rows.size:
             return action
@@ -66,22 +66,29 @@ class Yielding:
         order = away.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
             tries = self._others[order[:, first:last]]
-            again = (
-                values[rows].repeat(last - first, axis=0) for values in (base_pose, desired, joints)
-            )
-            follows = self._follows(tries.reshape(-1, tries.shape[2]), *again).reshape(
-                tries.shape[:2]
-            )
+            follows = self._follows(tries, base_pose[rows], desired[rows], joints[rows])
             yields = follows.any(axis=1)
             taken[rows[yields]] = tries[yields, follows[yields].argmax(axis=1)]
             rows, order = rows[~yields], order[~yields]
         return taken
 
     def _follows(
-        self, action: Array, base_pose: Array, desired: Array, joints: Array
+        self, tries: Array, base_pose: Array, desired: Array, joints: Array
     ) -> NDArray[np.bool_]:
-        """Return whether the arm can be in time where the commands need it, shape (n,)."""
-        twist = base_twist(self._robot.base, base_pose, action, self._dt)
+        """Return whether the arm can be in time where commands need it, shape (m, k).
+
+        Args:
+            tries: k commands for each of m rows, shape (m, k, a).
+            base_pose: Of these rows, as are the others, shape (m, 7).
+            desired: Shape (m, 7).
+            joints: Shape (m, j).
+        """
+        m, k, size = tries.shape
+        base_pose, desired, joints = (
+            values.repeat(k, axis=0) for values in (base_pose, desired, joints)
+        )
+        twist = base_twist(self._robot.base, base_pose, tries.reshape(m * k, size), self._dt)
         target = spatial.relative(desired, spatial.integrate(base_pose, twist, self._dt))
         arm = self._solver.solve(target, joints, self._moves, swings=False)
-        return arm.feasible & ~jumps(self._robot, joints, arm.joint_positions, self._dt)
+        follows = arm.feasible & ~jumps(self._robot, joints, arm.joint_positions, self._dt)
+        return follows.reshape(m, k)

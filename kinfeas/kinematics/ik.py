@@ -106,11 +106,14 @@ class IkSolver:
             seed: Joint positions to begin from, shape (n, v), radians or metres.
             moves: How far each joint can go from there in time, shape (v,); a solution within is
                 taken before any other. By default nothing is known of it.
-            swings: Whether solutions further away than `moves` are looked for at all.
+            swings: Whether solutions further away than `moves` are looked for, too; without,
+                `moves` has to be given.
 
         Raises:
-            KinfeasError: If one of them is of another shape.
+            KinfeasError: If one of them is of another shape, or missing.
         """
+        if moves is None and not swings:
+            raise KinfeasError("without swings, moves must be given")
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
         near = None if moves is None else np.ascontiguousarray(moves, dtype=np.float64)

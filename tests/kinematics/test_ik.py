@@ -145,6 +145,26 @@ def test_a_solution_in_time_comes_before_any_other(robot, exact_solver, draw):
     assert late(hasty).mean() <= late(patient).mean()
 
 
+def test_without_swings_all_solutions_are_in_time(robot, exact_solver, draw):
+    rng = np.random.default_rng(4)
+    joints = draw_free(exact_solver, draw, 500)
+    reach = 0.1 * robot.max_joint_velocity
+    far = rng.uniform(0.0, 3.0, (len(joints), 1)) * rng.uniform(-1.0, 1.0, joints.shape)
+    targets = forward(exact_solver.chain, np.clip(joints + far * reach, *robot.joint_limits))
+    patient = exact_solver.solve(targets, joints, reach)
+    hasty = exact_solver.solve(targets, joints, reach, swings=False)
+    assert 0.1 < hasty.feasible.mean() < patient.feasible.mean()
+    # They are the ones that come before any other.
+    found, same = hasty.joint_positions[hasty.feasible], patient.joint_positions[hasty.feasible]
+    assert np.all(moves(robot, joints[hasty.feasible], found) <= reach * (1.0 + 1e-9))
+    np.testing.assert_array_equal(found, same)
+
+
+def test_without_swings_the_moves_must_be_known(solver):
+    with pytest.raises(KinfeasError, match="without swings, moves must be given"):
+        solver.solve(np.ones((1, 7)), np.zeros((1, len(solver.robot.arm))), swings=False)
+
+
 def tremble(solver, joints, steps):
     """Return where the arms end whose EEs tremble by a millimetre about where they are."""
     home, rng = forward(solver.chain, joints), np.random.default_rng(3)
