@@ -182,7 +182,7 @@ def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Pla
 def _train(study: "StudyConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
     """Train what is missing and return all runs."""
     from kinfeas.evaluation.benchmark.cells import check_baselines
-    from kinfeas.evaluation.benchmark.findings import plan_jobs
+    from kinfeas.evaluation.benchmark.plan import plan_jobs
     from kinfeas.evaluation.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
 
     missing = [plan for plan in plans if is_missing(*plan)]
@@ -204,8 +204,8 @@ def _compute(
     study: "StudyConfig", runs: Sequence["Run"], folder: Path, processes: int
 ) -> "Findings":
     from kinfeas.evaluation.benchmark.cells import run_jobs
-    from kinfeas.evaluation.benchmark.findings import Findings, plan_jobs
-    from kinfeas.evaluation.benchmark.physics import PART
+    from kinfeas.evaluation.benchmark.findings import Findings
+    from kinfeas.evaluation.benchmark.plan import PART, plan_jobs
 
     jobs = plan_jobs(study, runs)
     kind = "cells" if study.physics is None else f"cells and parts of up to {PART} episodes"

@@ -1,42 +1,32 @@
-"""A benchmark: the jobs that a study comes to, and all that is written of what they found."""
+"""A benchmark: all that is written of what its jobs found."""
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kinfeas import pretrained, registry
+from kinfeas import registry
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.cells import Result
 from kinfeas.evaluation.benchmark.curves import curves_figure
-from kinfeas.evaluation.benchmark.job import CEILING, Job, world_for
+from kinfeas.evaluation.benchmark.job import Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, paper_figures
-from kinfeas.evaluation.benchmark.physics import (
-    PhysicsCell,
-    Source,
-    plan_physics,
-    tabulate_physics,
-)
+from kinfeas.evaluation.benchmark.physics import PhysicsCell, tabulate_physics
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
 from kinfeas.evaluation.benchmark.runs import Run
-from kinfeas.evaluation.benchmark.study import (
-    PLAIN,
-    StudyConfig,
-    row_settings,
-    takes_pretrained,
-)
+from kinfeas.evaluation.benchmark.study import StudyConfig
 from kinfeas.evaluation.benchmark.table import Cell, tabulate, to_json
 from kinfeas.evaluation.benchmark.text import to_markdown
 from kinfeas.evaluation.benchmark.workspace import Covered, covered, workspace_figure
 from kinfeas.evaluation.pictures.episodes import episodes_figure
 from kinfeas.evaluation.pictures.style import failures_text, png
-from kinfeas.evaluation.policies import LOOK_AHEAD, load_policy
+from kinfeas.evaluation.policies import load_policy
 from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.storage.files import write_file, writing
 from kinfeas.tasks.loading import load_task
@@ -72,84 +62,6 @@ class Findings:
         both = zip(self.jobs, self.results, strict=True)
         own = [(job, result) for job, result in both if job.physical == physical]
         return [job for job, _ in own], [result for _, result in own]
-
-
-def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
-    """Return what has to be computed for a study: of each robot and task ceiling and policies.
-
-    Args:
-        study: Which robots, tasks and baselines.
-        runs: The learned policies; robots without any have the one that comes with the package, if
-            the study says so, or none.
-    """
-    trials: list[tuple[str, str, dict[str, object], str]] = [
-        (robot, task, {}, "") for robot in study.robots for task in study.tasks
-    ]
-    trials += [
-        (robot, variant.task, variant.parameters, variant.label)
-        for variant in study.variants
-        for robot in variant.robots
-        if robot in study.robots and variant.task in study.tasks and study.physics is None
-    ]
-    jobs = []
-    for robot, task, parameters, variant in trials:
-        learned = _learned(study, runs, robot)
-        baselines: list[Source] = [
-            (name, name, None) for name, on in study.baselines.items() if task in on
-        ]
-        aided = [] if variant else _aided(study, learned, robot, task)
-        world = _analytic_world(study, robot)
-        sources = [(CEILING, CEILING, None), *learned, *aided, *baselines]
-        jobs += [
-            Job(
-                robot=robot,
-                task=task,
-                parameters=parameters,
-                variant=variant,
-                policy=policy,
-                source=source,
-                training_seed=seed,
-                episodes=study.episodes,
-                seed=study.evaluation_seed,
-                world=world_for(policy, world),
-            )
-            for policy, source, seed in sources
-        ]
-        if study.physics is not None:
-            beside = [*aided, *baselines]
-            jobs += plan_physics(study, study.physics, (robot, task), learned, beside)
-    return jobs
-
-
-def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source]:
-    """Return for each learned policy of a robot its name, what `load_policy` takes, its seed."""
-    name = registry.load_robot(robot).name
-    own = [run for run in runs if run.robot == name]
-    if not own and takes_pretrained(study, robot):
-        return [(pretrained.NAME, pretrained.NAME, None)]
-    return [(run.algorithm, str(run.folder), run.seed) for run in own]
-
-
-def _aided(study: StudyConfig, learned: Sequence[Source], robot: str, task: str) -> list[Source]:
-    """Return a robot's learned policies with each of the study's aids."""
-    return [
-        (f"{aid.prefix}{policy}", LOOK_AHEAD * aid.look_ahead + source, seed)
-        for aid in study.aids
-        if aid.helps(robot, task)
-        for policy, source, seed in learned
-        if policy != "td3"
-    ]
-
-
-def _analytic_world(study: StudyConfig, robot: str) -> WorldConfig:
-    """Return the world of what stands in the table, or beside the one of physics, of a robot.
-
-    There the base yields as it does in the plain row.
-    """
-    if study.physics is None:
-        return study.world
-    plain = row_settings(study.physics, study.physics.rows[PLAIN], robot)
-    return replace(study.world, yields=study.world.yields or plain.yields)
 
 
 def write_tables(

@@ -1,24 +1,17 @@
-"""The PyBullet part of a benchmark: what has to be run, in parts, and the cells it comes to."""
+"""The table of physics: parts of episodes put together, beside the same without physics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from kinfeas import registry
 from kinfeas.evaluation.benchmark.cells import Result
-from kinfeas.evaluation.benchmark.job import Job, world_for
+from kinfeas.evaluation.benchmark.job import Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
-from kinfeas.evaluation.benchmark.study import PLAIN, PhysicsStudy, StudyConfig, row_settings
 from kinfeas.evaluation.benchmark.table import Cell, common, interval, mean_of
 from kinfeas.evaluation.physics.evaluate import PhysicsFigures, is_judged, physics_figures
 from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial, join_records
 from kinfeas.metrics import Share
 from kinfeas.tasks.loading import load_task
-
-PART = 20
-"""Episodes that are run and kept together: all that a stop can lose of a cell."""
-
-Source = tuple[str, str, int | None]
-"""What a policy is called, what `load_policy` takes, and its training seed."""
 
 
 @dataclass(frozen=True)
@@ -63,46 +56,6 @@ class PhysicsCell(Cell):
         return self.policy, self.variant.replace("_", " ")
 
 
-def plan_physics(
-    study: StudyConfig,
-    physics: PhysicsStudy,
-    trial: tuple[str, str],
-    learned: Sequence[Source],
-    beside: Sequence[Source],
-) -> list[Job]:
-    """Return what has to be run of one robot on one task, each policy's episodes in parts.
-
-    Args:
-        study: How many episodes, and of which seed.
-        physics: Its rows.
-        trial: Robot and task.
-        learned: The robot's learned policies, which stand in every row.
-        beside: What stands in the plain row alone: policies with aids, and baselines.
-    """
-    robot, task = trial
-    jobs = []
-    for name, row in physics.rows.items():
-        chosen = ((row.tasks, task), (row.robots, robot))
-        if any(names is not None and one not in names for names, one in chosen):
-            continue
-        world, plain = row_settings(physics, row, robot), name == PLAIN
-        for policy, source, seed in [*learned, *(beside if plain else ())]:
-            whole = Job(
-                robot=robot,
-                task=task,
-                parameters={},
-                variant="" if plain else name,
-                policy=policy,
-                source=source,
-                training_seed=seed,
-                episodes=study.episodes,
-                seed=study.evaluation_seed,
-                world=world_for(policy, world),
-            )
-            jobs += _parts(whole)
-    return jobs
-
-
 def tabulate_physics(
     jobs: Sequence[Job], results: Sequence[Result], analytic: Sequence[Cell]
 ) -> list[PhysicsCell]:
@@ -125,13 +78,6 @@ def tabulate_physics(
     robots = list(dict.fromkeys(cell.robot for cell in cells))
     # All rows of learned policies together, before the baselines.
     return sorted(cells, key=lambda cell: (robots.index(cell.robot), not cell.learned))
-
-
-def _parts(job: Job) -> list[Job]:
-    return [
-        replace(job, first=first, episodes=min(PART, job.episodes - first))
-        for first in range(0, job.episodes, PART)
-    ]
 
 
 def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> PhysicsCell:

@@ -49,23 +49,38 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Aid:
-    """What helps learned policies in a row of its own; of several algorithms SAC's alone.
+class Row:
+    """A row of learned policies in the tables.
 
     Attributes:
-        yields: The base yields to its arm.
-        look_ahead: They look ahead.
         robots: For which of the study's robots; null for all.
         tasks: On which of its tasks; null for all.
     """
 
-    yields: bool = False
-    look_ahead: bool = False
     robots: tuple[str, ...] | None = None
     tasks: tuple[str, ...] | None = None
 
+    def holds(self, robot: str, task: str) -> bool:
+        """Return whether there is a cell in it for a robot on a task."""
+        return (self.robots is None or robot in self.robots) and (
+            self.tasks is None or task in self.tasks
+        )
+
+
+@dataclass(frozen=True)
+class Aid(Row):
+    """A row of policies that have help; of several algorithms SAC's alone.
+
+    Attributes:
+        yields: The base yields to its arm.
+        look_ahead: They look ahead.
+    """
+
+    yields: bool = False
+    look_ahead: bool = False
+
     def __post_init__(self) -> None:
-        """Check that it is one."""
+        """Check that there is any."""
         if not (self.yields or self.look_ahead):
             raise ValueError("one of 'yields' and 'look_ahead' must be true")
 
@@ -73,12 +88,6 @@ class Aid:
     def prefix(self) -> str:
         """What stands before the names of the policies in its row."""
         return LOOK_AHEAD * self.look_ahead + YIELDING * self.yields
-
-    def helps(self, robot: str, task: str) -> bool:
-        """Return whether it helps a robot on a task."""
-        return (self.robots is None or robot in self.robots) and (
-            self.tasks is None or task in self.tasks
-        )
 
 
 @dataclass(frozen=True)
@@ -99,18 +108,14 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class PhysicsRow:
+class PhysicsRow(Row):
     """One of the rows in which learned policies stand in the table of physics.
 
     Attributes:
         settings: Assignments such as `world.head_start=3` to what suits each robot.
-        tasks: On which of the study's tasks; null for all.
-        robots: For which of its robots; null for all.
     """
 
     settings: tuple[str, ...] = ()
-    tasks: tuple[str, ...] | None = None
-    robots: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -188,7 +193,7 @@ class StudyConfig:
         """Raise if two aids would be one row of a robot on a task."""
         for robot in self.robots:
             for task in self.tasks:
-                rows = [aid.prefix for aid in self.aids if aid.helps(robot, task)]
+                rows = [aid.prefix for aid in self.aids if aid.holds(robot, task)]
                 if len(set(rows)) < len(rows):
                     raise ValueError(
                         f"two entries of 'aids' help {robot} on {task} in the same way; "

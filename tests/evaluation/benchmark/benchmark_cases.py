@@ -1,8 +1,49 @@
-"""Cells as a benchmark finds them, made up."""
+"""Small studies, and cells as a benchmark finds them, made up."""
 
+from kinfeas import config
 from kinfeas.evaluation.benchmark.job import CEILING, Job
+from kinfeas.evaluation.benchmark.plan import PART, plan_jobs
+from kinfeas.evaluation.benchmark.study import StudyConfig
 from kinfeas.evaluation.benchmark.table import tabulate
 from kinfeas.evaluation.evaluate import evaluation_world
+
+SMALL = {
+    "robots": ["pr2", "hsr"],
+    "tasks": ["ggr", "pick_place"],
+    "baselines": {"follow_ee": ["ggr"]},
+    "policies": "pretrained",
+    "episodes": 2,
+    "world": {"max_seconds": 2.5},
+    "variants": [
+        {"label": "low", "task": "ggr", "parameters": {"heights": [0.5, 0.6]}, "robots": ["hsr"]}
+    ],
+}
+
+
+def small_study(*overrides):
+    """Return a study of two robots and two tasks."""
+    return config.from_mapping(StudyConfig, SMALL, "small", overrides)
+
+
+PHYSICS_STUDY = {
+    "robots": ["pr2", "hsr"],
+    "tasks": ["ggr", "door"],
+    "policies": "pretrained",
+    "baselines": {"follow_ee": ["ggr"]},
+    "episodes": 2 * PART + 3,
+    "physics": {
+        "rows": {
+            "plain": {},
+            "head_start": {"settings": ["world.head_start=3"], "robots": ["pr2"]},
+            "no_objects": {"settings": ["world.objects=false"], "tasks": ["door"]},
+        }
+    },
+}
+
+
+def physics_plan(*overrides):
+    """Return the jobs of a study with physics."""
+    return plan_jobs(config.from_mapping(StudyConfig, PHYSICS_STUDY, "study", overrides), [])
 
 
 def job(robot, task, policy, seed=None, variant=""):

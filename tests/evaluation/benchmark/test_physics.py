@@ -7,34 +7,15 @@ import pytest
 from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.cells import run_jobs
-from kinfeas.evaluation.benchmark.findings import plan_jobs
 from kinfeas.evaluation.benchmark.job import CEILING, Job
-from kinfeas.evaluation.benchmark.physics import PART, tabulate_physics
+from kinfeas.evaluation.benchmark.physics import tabulate_physics
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
 from kinfeas.evaluation.benchmark.study import StudyConfig, read_study
 from kinfeas.evaluation.benchmark.table import tabulate, to_json
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings, to_lists
-
-STUDY = {
-    "robots": ["pr2", "hsr"],
-    "tasks": ["ggr", "door"],
-    "policies": "pretrained",
-    "baselines": {"follow_ee": ["ggr"]},
-    "episodes": 2 * PART + 3,
-    "physics": {
-        "rows": {
-            "plain": {},
-            "head_start": {"settings": ["world.head_start=3"], "robots": ["pr2"]},
-            "no_objects": {"settings": ["world.objects=false"], "tasks": ["door"]},
-        }
-    },
-}
-
-
-def plan(*overrides):
-    return plan_jobs(config.from_mapping(StudyConfig, STUDY, "study", overrides), [])
+from tests.evaluation.benchmark.benchmark_cases import PHYSICS_STUDY, physics_plan
 
 
 def records(successes):
@@ -56,7 +37,7 @@ def records(successes):
 
 def found(*overrides):
     """Return jobs and results: three of four episodes succeed everywhere, four without physics."""
-    jobs = plan("episodes=4", *overrides)
+    jobs = physics_plan("episodes=4", *overrides)
     results = []
     for job in jobs:
         figures = {"success": 1.0, "within_5cm": 1.0, "mean_failures": 0.0}
@@ -76,28 +57,6 @@ def cells(*overrides):
     ]
     (analytic, physical) = (list(zip(*pairs, strict=True)) for pairs in split)
     return tabulate_physics(*physical, tabulate(*analytic))
-
-
-def test_episodes_come_in_parts_beside_the_same_without_physics():
-    jobs = plan()
-    parts = [job for job in jobs if job.physical and (job.robot, job.task) == ("pr2", "ggr")]
-    assert [(job.policy, job.variant) for job in parts[::3]] == [
-        ("pretrained", ""),
-        ("follow_ee", ""),
-        ("pretrained", "head_start"),
-    ]
-    assert [(job.first, job.episodes) for job in parts[:3]] == [(0, PART), (PART, PART), (40, 3)]
-    assert {job.world.slow_down for job in parts} == {2.0}
-    assert [job.world.head_start for job in parts[::3]] == [0.0, 0.0, 3.0]
-    analytic = [job.policy for job in jobs if not job.physical and job.robot == "pr2"]
-    assert analytic == [CEILING, "pretrained", "follow_ee", CEILING, "pretrained"]
-    of_hsr = {job.variant for job in jobs if job.physical and job.robot == "hsr"}
-    assert of_hsr == {"", "no_objects"}
-
-
-def test_settings_of_the_study_reach_every_row():
-    worlds = [job.world for job in plan("physics.settings=['world.slow_down=3']") if job.physical]
-    assert {world.slow_down for world in worlds} == {3.0}
 
 
 def test_cells_put_parts_together_and_stand_beside_the_paper():
@@ -121,34 +80,6 @@ def test_a_task_by_path_goes_by_its_name(tmp_path):
     made = cells("robots=[pr2]", f"tasks=[ggr,{path}]", f"baselines={{follow_ee: [{path}]}}")
     named = {(cell.task, cell.policy) for cell in made}
     assert named == {("ggr", "pretrained"), ("fetch", "pretrained"), ("fetch", "follow_ee")}
-
-
-def test_a_row_may_have_no_tasks():
-    jobs = plan("physics.rows.plain.tasks=[]", "robots=[pr2]")
-    assert {job.variant for job in jobs if job.physical} == {"head_start", "no_objects"}
-
-
-@pytest.mark.parametrize(
-    ("aid", "policy"),
-    [("look_ahead: true", "look_ahead:pretrained"), ("yields: true", "yielding:pretrained")],
-)
-def test_what_is_aided_stands_in_the_plain_row(aid, policy):
-    jobs = plan(f"aids=[{{{aid}, robots: [hsr], tasks: [ggr]}}]")
-    aided = [job for job in jobs if job.policy == policy]
-    assert {(job.robot, job.task) for job in aided} == {("hsr", "ggr")}
-    assert {job.variant for job in aided if job.physical} == {""}
-    assert {job.world.yields for job in aided} == {policy == "yielding:pretrained"}
-    assert {job.physical for job in aided} == {True, False}
-
-
-def test_bases_yield_without_physics_as_they_do_with_it():
-    worlds = {(job.robot, job.physical, job.policy, job.world.yields) for job in plan()}
-    for physical in (True, False):
-        assert ("pr2", physical, "pretrained", True) in worlds
-        assert ("pr2", physical, "follow_ee", True) in worlds
-        assert ("hsr", physical, "pretrained", False) in worlds
-    settings = "physics.settings=['world.yields=false']"
-    assert not any(job.world.yields for job in plan(settings))
 
 
 def test_the_table_and_the_picture_show_all_rows():
@@ -192,14 +123,6 @@ def test_parts_leave_what_the_analytic_world_found_where_it_is():
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, override, words):
-    config.dump(config.from_mapping(StudyConfig, STUDY, "study"), tmp_path / "study.yaml")
+    config.dump(config.from_mapping(StudyConfig, PHYSICS_STUDY, "study"), tmp_path / "study.yaml")
     with pytest.raises(KinfeasError, match=words):
         read_study(str(tmp_path / "study.yaml"), [override])
-
-
-@pytest.mark.parametrize("name", ["benchmark/physics", "benchmark/physics_quick"])
-def test_the_shipped_studies_can_be_read(name):
-    study = read_study(name)
-    assert study.physics is not None
-    assert {"plain", "head_start", "no_objects"} == set(study.physics.rows)
-    assert plan_jobs(study, [])

@@ -1,0 +1,147 @@
+"""The plan of a benchmark: the jobs that a study comes to."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from kinfeas import pretrained, registry
+from kinfeas.envs.world import WorldConfig
+from kinfeas.evaluation.benchmark.job import CEILING, Job, world_for
+from kinfeas.evaluation.benchmark.runs import Run
+from kinfeas.evaluation.benchmark.study import (
+    PLAIN,
+    PhysicsStudy,
+    StudyConfig,
+    row_settings,
+    takes_pretrained,
+)
+from kinfeas.evaluation.policies import LOOK_AHEAD
+
+PART = 20
+"""Episodes that are run and kept together: all that a stop can lose of a cell."""
+
+Source = tuple[str, str, int | None]
+"""What a policy is called, what `load_policy` takes, and its training seed."""
+
+
+def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
+    """Return what has to be computed for a study: of each robot and task ceiling and policies.
+
+    Args:
+        study: Which robots, tasks and baselines.
+        runs: The learned policies; robots without any have the one that comes with the package, if
+            the study says so, or none.
+    """
+    trials: list[tuple[str, str, dict[str, object], str]] = [
+        (robot, task, {}, "") for robot in study.robots for task in study.tasks
+    ]
+    trials += [
+        (robot, variant.task, variant.parameters, variant.label)
+        for variant in study.variants
+        for robot in variant.robots
+        if robot in study.robots and variant.task in study.tasks and study.physics is None
+    ]
+    jobs = []
+    for robot, task, parameters, variant in trials:
+        learned = _learned(study, runs, robot)
+        baselines: list[Source] = [
+            (name, name, None) for name, on in study.baselines.items() if task in on
+        ]
+        aided = [] if variant else _aided(study, learned, robot, task)
+        world = _analytic_world(study, robot)
+        sources = [(CEILING, CEILING, None), *learned, *aided, *baselines]
+        jobs += [
+            Job(
+                robot=robot,
+                task=task,
+                parameters=parameters,
+                variant=variant,
+                policy=policy,
+                source=source,
+                training_seed=seed,
+                episodes=study.episodes,
+                seed=study.evaluation_seed,
+                world=world_for(policy, world),
+            )
+            for policy, source, seed in sources
+        ]
+        if study.physics is not None:
+            beside = [*aided, *baselines]
+            jobs += _plan_physics(study, study.physics, (robot, task), learned, beside)
+    return jobs
+
+
+def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source]:
+    """Return for each learned policy of a robot its name, what `load_policy` takes, its seed."""
+    name = registry.load_robot(robot).name
+    own = [run for run in runs if run.robot == name]
+    if not own and takes_pretrained(study, robot):
+        return [(pretrained.NAME, pretrained.NAME, None)]
+    return [(run.algorithm, str(run.folder), run.seed) for run in own]
+
+
+def _aided(study: StudyConfig, learned: Sequence[Source], robot: str, task: str) -> list[Source]:
+    """Return a robot's learned policies with each of the study's aids."""
+    return [
+        (f"{aid.prefix}{policy}", LOOK_AHEAD * aid.look_ahead + source, seed)
+        for aid in study.aids
+        if aid.holds(robot, task)
+        for policy, source, seed in learned
+        if policy != "td3"
+    ]
+
+
+def _analytic_world(study: StudyConfig, robot: str) -> WorldConfig:
+    """Return the world of what stands in the table, or beside the one of physics, of a robot.
+
+    There the base yields as it does in the plain row.
+    """
+    if study.physics is None:
+        return study.world
+    plain = row_settings(study.physics, study.physics.rows[PLAIN], robot)
+    return replace(study.world, yields=study.world.yields or plain.yields)
+
+
+def _plan_physics(
+    study: StudyConfig,
+    physics: PhysicsStudy,
+    trial: tuple[str, str],
+    learned: Sequence[Source],
+    beside: Sequence[Source],
+) -> list[Job]:
+    """Return what has to be run of one robot on one task, each policy's episodes in parts.
+
+    Args:
+        study: How many episodes, and of which seed.
+        physics: Its rows.
+        trial: Robot and task.
+        learned: The robot's learned policies, which stand in every row.
+        beside: What stands in the plain row alone: policies with aids, and baselines.
+    """
+    robot, task = trial
+    jobs = []
+    for name, row in physics.rows.items():
+        if not row.holds(robot, task):
+            continue
+        world, plain = row_settings(physics, row, robot), name == PLAIN
+        for policy, source, seed in [*learned, *(beside if plain else ())]:
+            whole = Job(
+                robot=robot,
+                task=task,
+                parameters={},
+                variant="" if plain else name,
+                policy=policy,
+                source=source,
+                training_seed=seed,
+                episodes=study.episodes,
+                seed=study.evaluation_seed,
+                world=world_for(policy, world),
+            )
+            jobs += _parts(whole)
+    return jobs
+
+
+def _parts(job: Job) -> list[Job]:
+    return [
+        replace(job, first=first, episodes=min(PART, job.episodes - first))
+        for first in range(0, job.episodes, PART)
+    ]
