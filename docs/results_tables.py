@@ -13,6 +13,7 @@ import json
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +86,22 @@ def of_variant(record: Sequence[Entry], variant: str) -> Cells:
     }
 
 
+def shown(record: Sequence[Entry]) -> list[Cell]:
+    """Return the cells of a record as tables show them: learned ones first, the paper's once."""
+    cells = [Cell(**cell) for cell in record]
+    trained = {(cell.robot, cell.variant, cell.task) for cell in cells if cell.policy == "sac"}
+    once = [
+        replace(cell, paper_success=None, paper_within_5cm=None)
+        if cell.policy == "pretrained" and (cell.robot, cell.variant, cell.task) in trained
+        else cell
+        for cell in cells
+    ]
+    return sorted(once, key=lambda cell: not cell.learned)
+
+
 def fill_results(page: str, record: Sequence[Entry]) -> str:
     """Return the page of results with the tables of a record, a heading deeper."""
-    table = to_markdown([Cell(**cell) for cell in record], "", [])
+    table = to_markdown(shown(record), "", [])
     tables = re.search(r"World: analytic;.*(?=\n## How to make it again)", table, re.DOTALL)
     assert tables is not None
     deeper = re.sub(r"^## ", "### ", tables.group(), flags=re.MULTILINE).rstrip()
@@ -193,15 +207,17 @@ def main(studies: Sequence[Path]) -> None:
         world = found[0]["world"]
         records[world] = merged(records[world], found)
         if world == "analytic" and {cell["robot"] for cell in found} == set(ROBOTS):
+            # Who trains nothing has no learning curves.
             for name in PICTURES:
-                _keep(Image.open(study / f"{name}.png"), name)
+                if (study / f"{name}.png").exists():
+                    _keep(Image.open(study / f"{name}.png"), name)
     for path, record in zip((analytic, physics), records.values(), strict=True):
         _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
     results, page = DOCS / "results.md", DOCS / "physics.md"
     _write(results, fill_results(results.read_text(encoding="utf-8"), records["analytic"]))
     _write(README, fill_readme(README.read_text(encoding="utf-8"), records["analytic"]))
     _write(page, fill_physics(page.read_text(encoding="utf-8"), records["pybullet"]))
-    table = png(table_figure([Cell(**cell) for cell in records["analytic"]]), 110)
+    table = png(table_figure(shown(records["analytic"])), 110)
     _keep(Image.open(io.BytesIO(table)), "benchmark")
 
 
