@@ -42,6 +42,15 @@ def test_steps_tell_what_is_touched_and_pictures_show_the_robot():
     env.close()
 
 
+def test_commands_are_carried_out_as_they_are_given():
+    env = PhysicsMotionEnv("tiago")
+    assert not env.world.loop.pace.yields
+    env.close()
+    env = PhysicsMotionEnv("tiago", world=PhysicsSettings(yields=True))
+    assert env.world.loop.pace.yields
+    env.close()
+
+
 def test_what_cannot_be_is_a_clear_error():
     with pytest.raises(KinfeasError, match="render_mode must be human, rgb_array or None"):
         PhysicsMotionEnv(render_mode="ansi")
