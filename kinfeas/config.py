@@ -4,7 +4,8 @@ The dataclass is the schema; `kinfeas.schema` says which types its fields may ha
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -13,11 +14,11 @@ from kinfeas.errors import KinfeasError
 from kinfeas.schema import Interval, Place, convert_dataclass, default, init_fields, no_such
 from kinfeas.storage import strict_yaml
 
-__all__ = ["Interval", "dump", "from_mapping", "load", "no_such", "to_mapping"]
+__all__ = ["Interval", "blaming", "dump", "from_mapping", "load", "no_such", "to_mapping"]
 
 T = TypeVar("T")
 
-OPTION = "--set"
+_OPTION = "--set"
 """Where assignments stand as a rule, named in errors."""
 
 
@@ -52,7 +53,7 @@ def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[st
         data = copy.deepcopy(data)
         assignments = {}
         for text in overrides:
-            assignments[_override(data, cls, text)] = f"{OPTION} {text}"
+            assignments[_override(data, cls, text)] = f"{_OPTION} {text}"
         place = replace(place, overrides=assignments)
     result: T = convert_dataclass(cls, data, place)
     return result
@@ -68,6 +69,15 @@ def assigned(overrides: Sequence[str]) -> dict[str, object]:
     for text in overrides:
         _override(data, None, text)
     return data
+
+
+@contextmanager
+def blaming(place: str) -> Iterator[None]:
+    """Let errors in assignments name the `place` where they stand, which is no command line."""
+    try:
+        yield
+    except KinfeasError as error:
+        raise KinfeasError(str(error).replace(_OPTION, place, 1)) from error
 
 
 def dump(config: object, path: Path) -> None:
@@ -104,15 +114,15 @@ def _override(data: object, cls: Any, text: str) -> str:
     key, value = _parse_override(text)
     if not _assign(data, cls, key.split("."), value):
         above = key.rpartition(".")[0]
-        raise KinfeasError(f"{OPTION} {text}: unknown key {key!r}, for {above!r} has no keys")
+        raise KinfeasError(f"{_OPTION} {text}: unknown key {key!r}, for {above!r} has no keys")
     return key
 
 
 def _parse_override(text: str) -> tuple[str, object]:
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
-        raise KinfeasError(f"{OPTION} {text}: must be of the form key=value or key.inner=value")
-    return key.strip(), strict_yaml.parse(value, f"{OPTION} {text}")
+        raise KinfeasError(f"{_OPTION} {text}: must be of the form key=value or key.inner=value")
+    return key.strip(), strict_yaml.parse(value, f"{_OPTION} {text}")
 
 
 def _assign(data: object, cls: Any, keys: Sequence[str], value: object) -> bool:

@@ -11,7 +11,7 @@ from kinfeas.kinematics.spread import spread
 from kinfeas.spatial import Array
 
 _OTHERS = 32
-"""Commands that are tried where the arm cannot follow; the first is to stand still."""
+"""Commands that are tried where the arm cannot follow."""
 
 _ROUNDS = ((0, 8), (8, _OTHERS))
 """Of the commands, nearest first: those that are tried where none before them was found."""
@@ -23,6 +23,9 @@ class Yielding:
     Where IK finds no solution that the arm reaches in time, the nearest of a few fixed commands
     takes the command's place for which it finds one; without any, the command stays. No row depends
     on the others.
+
+    Attributes:
+        others: The commands that are tried, shape (32, a); the first is to stand still.
     """
 
     def __init__(self, solver: IkSolver, dt: float) -> None:
@@ -34,8 +37,8 @@ class Yielding:
         """
         self._solver, self._robot, self._dt = solver, solver.robot, dt
         self._moves = solver.robot.max_joint_velocity * dt
-        self._others = 2.0 * spread(_OTHERS, action_size(solver.robot.base)) - 1.0
-        self._others[0] = 0.0
+        self.others = 2.0 * spread(_OTHERS, action_size(solver.robot.base)) - 1.0
+        self.others[0] = 0.0
 
     def aside(
         self,
@@ -62,10 +65,10 @@ class Yielding:
         if not rows.size:
             return action
         taken = action.copy()
-        away = np.linalg.norm(self._others - action[rows, np.newaxis], axis=2)
+        away = np.linalg.norm(self.others - action[rows, np.newaxis], axis=2)
         order = away.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
-            tries = self._others[order[:, first:last]]
+            tries = self.others[order[:, first:last]]
             follows = self._follows(tries, base_pose[rows], desired[rows], joints[rows])
             yields = follows.any(axis=1)
             taken[rows[yields]] = tries[yields, follows[yields].argmax(axis=1)]

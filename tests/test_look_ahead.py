@@ -11,6 +11,7 @@ from kinfeas.look_ahead import Foresight, LookAhead
 from kinfeas.metrics import WITHIN
 from kinfeas.registry import load_robot
 from kinfeas.tasks.loading import load_task
+from kinfeas.yielding import Yielding
 
 EPISODES = 8
 NEAR = Foresight(seconds=2.0, every=1.0, tries=8)
@@ -107,6 +108,20 @@ def test_leaves_alone_what_will_not_fail(task):
 
     np.testing.assert_array_equal(action, np.zeros((1, world.action_size)))
     assert spy.asked == [1, 1]
+
+
+def test_what_is_tried_out_does_not_yield(task, monkeypatch):
+    robot = load_robot("pr2")
+    world = World(robot, task, replace(evaluation_world(), yields=True), seed=3)
+    world.start([0])
+    ahead = LookAhead(Still(world.action_size))
+    ahead.watch(world.loop)
+    asked = []
+    monkeypatch.setattr(Yielding, "aside", lambda self, action, *_: asked.append(1) or action)
+    action = ahead.act(world.loop.situation)
+    assert not asked
+    world.step(action)
+    assert asked == [1]
 
 
 def test_looks_widely_only_where_it_may_help(task, monkeypatch):

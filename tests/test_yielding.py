@@ -53,6 +53,18 @@ def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene):
     assert follows(solver, taken, *rest)[changed].all()
 
 
+def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene):
+    action, *rest = scene
+    yielding = Yielding(solver, DT)
+    taken = yielding.aside(*scene)
+    others = yielding.others
+    for row in np.flatnonzero(~follows(solver, *scene)):
+        alone = [np.repeat(values[[row]], len(others), axis=0) for values in rest]
+        able = others[follows(solver, others, *alone)]
+        nearest = np.linalg.norm(able - action[row], axis=1).min() if len(able) else 0.0
+        assert np.linalg.norm(taken[row] - action[row]) == pytest.approx(nearest)
+
+
 def test_no_row_depends_on_the_others(solver, scene):
     yielding = Yielding(solver, DT)
     together = yielding.aside(*scene)

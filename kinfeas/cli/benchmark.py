@@ -168,7 +168,7 @@ def _check_world(study: "StudyConfig", name: str, world: WorldName) -> None:
 def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
     """Return the training runs that are to be there, after a check of all policies' names."""
     from kinfeas import pretrained
-    from kinfeas.evaluation.benchmark.study import to_train
+    from kinfeas.evaluation.benchmark.trainings import to_train
     from kinfeas.registry import load_robot
 
     if taken:

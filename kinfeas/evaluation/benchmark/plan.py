@@ -12,9 +12,9 @@ from kinfeas.evaluation.benchmark.study import (
     PhysicsStudy,
     StudyConfig,
     row_settings,
-    takes_pretrained,
 )
-from kinfeas.evaluation.policies import LOOK_AHEAD
+from kinfeas.evaluation.benchmark.trainings import takes_pretrained
+from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD
 
 PART = 20
 """Episodes that are run and kept together: all that a stop can lose of a cell."""
@@ -40,7 +40,7 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
         for robot in variant.robots
         if robot in study.robots and variant.task in study.tasks and study.physics is None
     ]
-    jobs = []
+    jobs: list[Job] = []
     for robot, task, parameters, variant in trials:
         learned = _learned(study, runs, robot)
         baselines: list[Source] = [
@@ -49,7 +49,7 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
         aided = [] if variant else _aided(study, learned, robot, task)
         world = _analytic_world(study, robot)
         sources = [(CEILING, CEILING, None), *learned, *aided, *baselines]
-        jobs += [
+        analytic = [
             Job(
                 robot=robot,
                 task=task,
@@ -64,9 +64,9 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
             )
             for policy, source, seed in sources
         ]
+        jobs += analytic
         if study.physics is not None:
-            beside = [*aided, *baselines]
-            jobs += _plan_physics(study, study.physics, (robot, task), learned, beside)
+            jobs += _with_physics(study.physics, analytic)
     return jobs
 
 
@@ -101,42 +101,23 @@ def _analytic_world(study: StudyConfig, robot: str) -> WorldConfig:
     return replace(study.world, yields=study.world.yields or plain.yields)
 
 
-def _plan_physics(
-    study: StudyConfig,
-    physics: PhysicsStudy,
-    trial: tuple[str, str],
-    learned: Sequence[Source],
-    beside: Sequence[Source],
-) -> list[Job]:
-    """Return what has to be run of one robot on one task, each policy's episodes in parts.
+def _with_physics(study: PhysicsStudy, analytic: Sequence[Job]) -> list[Job]:
+    """Return the jobs of one robot on one task with physics, each one's episodes in parts.
 
     Args:
-        study: How many episodes, and of which seed.
-        physics: Its rows.
-        trial: Robot and task.
-        learned: The robot's learned policies, which stand in every row.
-        beside: What stands in the plain row alone: policies with aids, and baselines.
+        study: Its rows. Learned policies stand in all of them, what is aided and baselines in the
+            plain one alone.
+        analytic: The same without physics, and the ceiling.
     """
-    robot, task = trial
-    jobs = []
-    for name, row in physics.rows.items():
+    jobs, robot, task = [], analytic[0].robot, analytic[0].task
+    for name, row in study.rows.items():
         if not row.holds(robot, task):
             continue
-        world, plain = row_settings(physics, row, robot), name == PLAIN
-        for policy, source, seed in [*learned, *(beside if plain else ())]:
-            whole = Job(
-                robot=robot,
-                task=task,
-                parameters={},
-                variant="" if plain else name,
-                policy=policy,
-                source=source,
-                training_seed=seed,
-                episodes=study.episodes,
-                seed=study.evaluation_seed,
-                world=world_for(policy, world),
-            )
-            jobs += _parts(whole)
+        settings, plain = row_settings(study, row, robot), name == PLAIN
+        for job in analytic:
+            if job.policy != CEILING and (plain or not (job.aided or job.source in BASELINES)):
+                world = world_for(job.policy, settings)
+                jobs += _parts(replace(job, variant="" if plain else name, world=world))
     return jobs
 
 

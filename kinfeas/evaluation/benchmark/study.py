@@ -1,13 +1,10 @@
 """A study: which robots, tasks and policies a benchmark puts side by side, and with which seeds."""
 
-import json
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
-from kinfeas import config, pretrained, registry
+from kinfeas import config, registry
 from kinfeas.config import Interval, no_such
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
@@ -17,9 +14,7 @@ from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
 from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD
 from kinfeas.quantities import MOST_EPISODES, Count, Positive
-from kinfeas.robots.robot import Robot
-from kinfeas.storage.recipes import default_recipe, find_recipe
-from kinfeas.training.config import TrainConfig
+from kinfeas.storage.recipes import find_recipe
 
 Seed = Annotated[int, Interval(low=0)]
 
@@ -251,7 +246,7 @@ def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsS
         KinfeasError: If a setting is wrong, or is none of the world.
     """
     said = [*physics.settings, *row.settings]
-    with _blaming("the settings of 'physics':"):
+    with config.blaming("the settings of 'physics':"):
         known = physics_config(registry.load_robot(robot), said)
     if ignored := sorted(config.assigned(said).keys() - {"world"}):
         raise KinfeasError(
@@ -260,97 +255,16 @@ def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsS
     return known.world
 
 
-def settings_of(training: Training, seed: int) -> TrainConfig:
-    """Return the settings of one training run of a study.
-
-    Raises:
-        KinfeasError: If its recipe or its settings are wrong.
-    """
-    path = (
-        default_recipe("train", registry.load_robot(training.robot).name)
-        if training.recipe is None
-        else find_recipe(training.recipe, "train")
-    )
-    said: dict[str, object] = {
-        "robot": training.robot,
-        "seed": seed,
-        "learner.algorithm": training.algorithm,
-    }
-    if training.steps is not None or training.minutes is not None:
-        said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
-    own = [f"{key}={json.dumps(value)}" for key, value in said.items()]
-    with _blaming(f"the settings of the training of {training.robot}:"):
-        return config.load(TrainConfig, path, [*own, *training.settings])
-
-
-def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
-    """Return the settings and the folder of each training run that a study stands on.
-
-    Raises:
-        KinfeasError: If a robot has to be trained of which the study does not say how, or two runs
-            would share a folder.
-    """
-    if study.policies == "pretrained":
-        return []
-    wanted = [robot for robot in study.robots if not takes_pretrained(study, robot)]
-    known = {training.robot for training in study.trainings}
-    if missing := [robot for robot in wanted if robot not in known]:
-        raise KinfeasError(
-            f"the study has no entry in 'trainings' for {', '.join(missing)}; it has them for: "
-            f"{', '.join(sorted(known)) or 'none'}"
-        )
-    plans = [
-        settings_of(training, seed)
-        for training in study.trainings
-        if training.robot in wanted
-        for seed in study.seeds
-    ]
-    names = [run_name(settings) for settings in plans]
-    for name in names:
-        if names.count(name) > 1:
-            raise KinfeasError(
-                f"the study asks for two training runs {name}: robot, algorithm and seed must tell "
-                "the entries of 'trainings' apart"
-            )
-    return [(settings, out / "runs" / name) for settings, name in zip(plans, names, strict=True)]
-
-
 def restricted(study: StudyConfig, names: Collection[str]) -> StudyConfig:
     """Return a study of those of its robots that have one of `names`.
 
     Raises:
         KinfeasError: If the study lacks one of these robots.
     """
-    robots = {_name(robot): robot for robot in study.robots}
+    robots = {registry.load_robot(robot).name: robot for robot in study.robots}
     if unknown := sorted(set(names) - set(robots)):
         raise KinfeasError(
             f"the study has no robot {unknown[0]!r}, only: {', '.join(sorted(robots))}; "
             "--set robots=[...] changes that"
         )
     return replace(study, robots=tuple(robot for name, robot in robots.items() if name in names))
-
-
-def takes_pretrained(study: StudyConfig, robot: str) -> bool:
-    """Return whether a study judges the policy that comes with the package for `robot`."""
-    if study.policies == "train":
-        return False
-    return study.policies == "pretrained" or _name(robot) in pretrained.robots()
-
-
-def run_name(settings: TrainConfig) -> str:
-    """Return ROBOT-ALGORITHM-SEED."""
-    return f"{_name(settings.robot)}-{settings.learner.algorithm}-{settings.seed}"
-
-
-@contextmanager
-def _blaming(place: str) -> Iterator[None]:
-    """Let errors in assignments name where they stand, which is not on the command line."""
-    try:
-        yield
-    except KinfeasError as error:
-        raise KinfeasError(str(error).replace(config.OPTION, place, 1)) from error
-
-
-def _name(robot: str) -> str:
-    known: Robot = registry.load_robot(robot)
-    return known.name
