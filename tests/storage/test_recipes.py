@@ -4,7 +4,8 @@ import pytest
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.study import read_study, to_train
+from kinfeas.evaluation.benchmark.study import read_study
+from kinfeas.evaluation.benchmark.trainings import to_train
 from kinfeas.storage.recipes import default_recipe, find_recipe, recipes
 from kinfeas.training.config import TrainConfig
 
