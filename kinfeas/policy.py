@@ -1,9 +1,9 @@
 """What a base policy is, and the trained network that plays one without torch."""
 
-import json
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from kinfeas import config
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
 from kinfeas.observation import scaled, size
-from kinfeas.quantities import Count
+from kinfeas.robots.fingerprint import fingerprint
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
-from kinfeas.storage.folders import find_folder
+from kinfeas.trained import Trained, policy_folder, read_trained, write_trained
 
-_WEIGHTS, _ABOUT, _FORMAT = "policy.safetensors", "policy.json", 1
+WEIGHTS = "policy.safetensors"
 
-# What reading files raises that are cut, foreign or made up.
-_BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, RecursionError)
+# What reading tensors raises that are cut, foreign, made up, or of a type that NumPy lacks.
+_BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
 
 
 @dataclass(frozen=True)
@@ -90,47 +89,22 @@ class Network:
         return np.tanh(values).astype(np.float64)
 
 
-@dataclass(frozen=True)
-class _About:
-    """What has to be known of a network to read it.
-
-    Attributes:
-        format: Of its files.
-        robot: Name of the robot that it was trained for.
-        layers: How many it has.
-    """
-
-    format: Literal[1]
-    robot: str
-    layers: Count
-
-
-def write_network(network: Network, folder: Path, robot: Robot, extra: dict[str, Any]) -> None:
+def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
     """Write a network as `policy.safetensors` and `policy.json` into `folder`.
 
     Args:
         network: What to write.
         folder: An existing folder.
         robot: Whom it was trained for.
-        extra: Whatever else the JSON should tell: training configuration, success figures.
+        known: What else is known of it, by the names of `Trained`: settings, steps, figures.
     """
     tensors = {"scale": network.scale}
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
-    save_file(contiguous, folder / _WEIGHTS)
-    about = {"format": _FORMAT, "robot": robot.name, "layers": len(network.weights), **extra}
-    (folder / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
-
-
-def policy_folder(folder: Path) -> Path:
-    """Return where the policy of a training run (its best checkpoint) or of one checkpoint lies.
-
-    Args:
-        folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
-    """
-    best = find_folder(folder / "checkpoints" / "best")
-    return best if best.is_dir() else find_folder(folder)
+    save_file(contiguous, folder / WEIGHTS)
+    who = {"robot": robot.name, "kinematics": fingerprint(robot), "layers": len(network.weights)}
+    write_trained(Trained(**who, **known), folder)
 
 
 def read_network(folder: Path, robot: Robot) -> Network:
@@ -141,39 +115,37 @@ def read_network(folder: Path, robot: Robot) -> Network:
         robot: Whom it is to drive.
 
     Raises:
-        KinfeasError: If there is no policy, or a broken one, or one for another robot.
+        KinfeasError: If there is no policy, or a broken one, or one for another robot or for other
+            kinematics.
     """
-    place = policy_folder(folder)
+    trained, place = read_trained(folder), policy_folder(folder)
     try:
-        about = _read_about(place / _ABOUT)
-        tensors = load_file(place / _WEIGHTS)
+        tensors = load_file(place / WEIGHTS)
         network = Network(
             tensors["scale"],
-            tuple(tensors[f"weight.{i}"] for i in range(about.layers)),
-            tuple(tensors[f"bias.{i}"] for i in range(about.layers)),
+            tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
+            tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
         )
-    except FileNotFoundError as error:
-        raise KinfeasError(
-            f"{folder}: not a training run or checkpoint: there is no {error.filename or _WEIGHTS}"
-        ) from error
     except _BROKEN as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
     _check_network(network, place)
-    wanted = (size(len(robot.arm)), action_size(robot.base))
-    found = (len(network.scale), len(network.biases[-1]))
-    if about.robot != robot.name or found != wanted:
-        raise KinfeasError(
-            f"{place}: a policy for robot {about.robot!r} with {found[0]} observed numbers and "
-            f"{found[1]} actions, but robot {robot.name!r} has {wanted[0]} and {wanted[1]}"
-        )
+    _check_robot(network, trained, robot, place)
     return network
 
 
-def _read_about(path: Path) -> _About:
-    about = json.loads(path.read_text(encoding="utf-8"))
-    if isinstance(about, dict):
-        about = {one.name: about[one.name] for one in fields(_About) if one.name in about}
-    return config.from_mapping(_About, about, path.name)
+def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
+    wanted = (size(len(robot.arm)), action_size(robot.base))
+    found = (len(network.scale), len(network.biases[-1]))
+    if trained.robot != robot.name or found != wanted:
+        raise KinfeasError(
+            f"{place}: a policy for robot {trained.robot!r} with {found[0]} observed numbers and "
+            f"{found[1]} actions, but robot {robot.name!r} has {wanted[0]} and {wanted[1]}"
+        )
+    if trained.kinematics not in (None, fingerprint(robot)):
+        raise KinfeasError(
+            f"{place}: a policy for other kinematics than those of robot {robot.name!r} here: its "
+            "joints, their limits, or the base's drive or speed were changed after the training"
+        )
 
 
 def _check_network(network: Network, place: Path) -> None:

@@ -15,6 +15,7 @@ from kinfeas.envs.interface import (
     read_actions,
     read_seed,
     step_info,
+    world_seed,
 )
 from kinfeas.envs.world import World, WorldConfig
 
@@ -38,10 +39,10 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Build the world; arguments as in `make_world`."""
         self._enter(make_world(robot, task, task_parameters, world))
 
-    def _enter(self, world: World) -> None:
-        """Take a world, and its spaces."""
+    def _enter(self, world: World, beyond: float = 0.0) -> None:
+        """Take a world, and its spaces; `beyond` is as in `observation_space`."""
         self.world = world
-        self.observation_space = observation_space(self.world.robot)
+        self.observation_space = observation_space(self.world.robot, beyond)
         self.action_space = action_space(self.world)
         self.next_episode = 0
 
@@ -55,12 +56,12 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             options: Not used.
 
         Raises:
-            KinfeasError: If the seed is not one whole number.
+            KinfeasError: If the seed is not one whole number, or `np_random` was set.
         """
         super().reset(seed=read_seed(seed))
         if seed is not None:
             self.next_episode = 0
-        self.world.seed = self.np_random_seed
+        self.world.seed = world_seed(self.np_random_seed)
         episode, self.next_episode = self.next_episode, self.next_episode + 1
         seen = self.world.start([episode])
         return seen[0].astype(np.float32), {"episode_number": episode}

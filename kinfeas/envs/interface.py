@@ -45,8 +45,13 @@ def make_world(
     )
 
 
-def observation_space(robot: Robot) -> "spaces.Box[np.float32]":
-    """Return the space of what is seen of one robot, shape (21 + j,), in metres and radians."""
+def observation_space(robot: Robot, beyond: float = 0.0) -> "spaces.Box[np.float32]":
+    """Return the space of what is seen of one robot, shape (21 + j,), in metres and radians.
+
+    Args:
+        robot: Who is seen.
+        beyond: How far its joints may be beyond their limits, rad or m.
+    """
     bounds = {
         "ee_position": _FARTHEST,
         "planned_velocity": _FARTHEST / HORIZON,
@@ -55,8 +60,8 @@ def observation_space(robot: Robot) -> "spaces.Box[np.float32]":
     fields = np.concatenate([np.full(count, bounds.get(name, 1.0)) for name, count in FIELDS])
     low, high = robot.finite_joint_limits
     return spaces.Box(
-        np.concatenate([-fields, low]).astype(np.float32),
-        np.concatenate([fields, high]).astype(np.float32),
+        np.concatenate([-fields, low - beyond]).astype(np.float32),
+        np.concatenate([fields, high + beyond]).astype(np.float32),
     )
 
 
@@ -74,6 +79,17 @@ def read_seed(seed: int | None) -> int | None:
     if not isinstance(seed, int | np.integer | None):
         raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
     return None if seed is None else int(seed)
+
+
+def world_seed(np_random_seed: int | None) -> int:
+    """Return the seed of a world from what Gymnasium knows of it.
+
+    Raises:
+        KinfeasError: If it knows none, since a source of randomness was set in its place.
+    """
+    if np_random_seed is None or np_random_seed < 0:
+        raise KinfeasError("set the seed by reset(seed=...): np_random, which was set, has none")
+    return np_random_seed
 
 
 def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -98,7 +114,7 @@ def check_reset(next_episode: int) -> None:
         ResetNeeded: If not; as what `gymnasium.make` wraps around an environment does.
     """
     if not next_episode:
-        raise ResetNeeded("call reset before the first step")
+        raise ResetNeeded("call reset first")
 
 
 def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:

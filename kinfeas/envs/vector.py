@@ -16,6 +16,7 @@ from kinfeas.envs.interface import (
     read_actions,
     read_seed,
     step_info,
+    world_seed,
 )
 from kinfeas.envs.world import Transition, WorldConfig
 from kinfeas.errors import KinfeasError
@@ -69,13 +70,14 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             options: Not used.
 
         Raises:
-            KinfeasError: If there is a seed for each row: randomness belongs to the episode.
+            KinfeasError: If there is a seed for each row, since randomness belongs to the episode,
+                or `np_random` was set.
         """
         super().reset(seed=read_seed(seed))
         if seed is not None:
             self.next_episode = 0
         # A first reset without a seed finds a random one here.
-        self.world.seed = self.np_random_seed or 0
+        self.world.seed = world_seed(self.np_random_seed)
         every = np.ones(self.num_envs, dtype=np.bool_)
         numbers = self._take_numbers(every)
         return self.world.start(numbers.tolist()).astype(np.float32), _masked(

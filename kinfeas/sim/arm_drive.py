@@ -1,8 +1,12 @@
 """The motors of the arm: positions, along cubics that end at rest, with the joints' limits."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from kinfeas.sim.moving_joints import Follower, arm_followers
+from kinfeas.errors import KinfeasError
+from kinfeas.robots.tree import Joint
+from kinfeas.sim.moving_joints import arm_followers
 from kinfeas.sim.robot_body import RobotBody
 from kinfeas.spatial import Array, wrap
 
@@ -38,20 +42,33 @@ class ArmDrive:
     """
 
     def __init__(self, body: RobotBody) -> None:
-        """Connect to the arm of a robot, which `reset` must follow."""
-        robot = body.robot
-        joints = [robot.urdf.joints[joint.name] for joint in robot.arm]
+        """Connect to the arm of a robot, which `reset` must follow.
+
+        Raises:
+            KinfeasError: If a joint of it has no effort.
+        """
+        robot, followers = body.robot, arm_followers(body.robot)
+        names = [joint.name for joint in robot.arm]
         self._body, self._horizon = body, body.physics.config.arm_horizon
         self._speed, self._continuous = robot.max_joint_velocity, robot.continuous
-        self._efforts = [joint.effort for joint in joints]
-        self._names = [joint.name for joint in joints]
-        self._followers = arm_followers(robot)
+        self._leaders = [names.index(one.leader) for one in followers]
+        self._multipliers = np.array([one.multiplier for one in followers])
+        self._offsets = np.array([one.offset for one in followers])
+        moved = [robot.urdf.joints[name] for name in (*names, *(one.name for one in followers))]
+        _check_efforts(robot.name, moved)
+        # In lists of one number each, as PyBullet wants them.
+        speeds = [*self._speed.tolist(), *(joint.velocity for joint in moved[len(names) :])]
+        self._motors = {
+            "jointIndices": [body.joints[joint.name] for joint in moved],
+            "positionGains": [1.0] * len(moved),
+            "forces": [[joint.effort] for joint in moved],
+            "maxVelocities": [[speed] for speed in speeds],
+        }
         order = list(body.joints)
-        sprung = [name for name in self._names if name in robot.counterbalanced]
+        sprung = [name for name in names if name in robot.counterbalanced]
         self._sprung = [(body.joints[name], order.index(name)) for name in sprung]
         self._zeros = [0.0] * len(order)
-        self._at = self._velocity = np.zeros(len(joints))
-        self._way: Array = np.empty((0, len(joints)))
+        self._at = self._velocity = np.zeros(len(names))
 
     def reset(self, joint_positions: Array) -> None:
         """Begin at rest at joint positions, shape (j,)."""
@@ -66,42 +83,24 @@ class ArmDrive:
         needed = float(np.max(1.5 * np.abs(change) / self._speed))
         change *= self._horizon / max(self._horizon, needed)
         time: Array = self._body.physics.step_time * np.arange(1.0, steps + 1.0)
-        self._way, speed = cubic(self._at, self._velocity, change, self._horizon, time)
-        self._at, self._velocity = self._way[-1], speed[-1]
+        way, speed = cubic(self._at, self._velocity, change, self._horizon, time)
+        self._at, self._velocity = way[-1], speed[-1]
+        led = self._multipliers * way[:, self._leaders] + self._offsets
+        self._way = np.concatenate([way, led], axis=1)[:, :, np.newaxis].tolist()
         self._load = self._weight()
 
     def drive(self, step: int) -> None:
         """Command the motors for physics step number `step` since `aim`."""
-        positions = self._way[step].tolist()
-        motors = zip(self._body.arm, positions, self._efforts, self._speed.tolist(), strict=True)
-        for joint, position, effort, speed in motors:
-            self._motor(joint, position, effort, speed)
-        where = dict(zip(self._names, positions, strict=True))
-        for one in self._followers:
-            self._follow(one, where[one.leader])
-        if self._sprung:
-            client = self._body.physics.client
-            joints = [joint for joint, _ in self._sprung]
-            client.setJointMotorControlArray(
-                self._body.body, joints, client.TORQUE_CONTROL, forces=self._load
-            )
-
-    def _follow(self, follower: Follower, leader: float) -> None:
-        joint = self._body.robot.urdf.joints[follower.name]
-        position = follower.multiplier * leader + follower.offset
-        self._motor(self._body.joints[follower.name], position, joint.effort, joint.velocity)
-
-    def _motor(self, joint: int, position: float, effort: float, speed: float) -> None:
-        client = self._body.physics.client
-        client.setJointMotorControl2(
-            self._body.body,
-            joint,
-            client.POSITION_CONTROL,
-            targetPosition=position,
-            positionGain=1.0,
-            force=effort,
-            maxVelocity=speed,
+        client, body = self._body.physics.client, self._body.body
+        client.setJointMotorControlMultiDofArray(
+            body,
+            controlMode=client.POSITION_CONTROL,
+            targetPositions=self._way[step],
+            **self._motors,
         )
+        if self._sprung:
+            joints = [joint for joint, _ in self._sprung]
+            client.setJointMotorControlArray(body, joints, client.TORQUE_CONTROL, forces=self._load)
 
     def _weight(self) -> list[float]:
         """Return what the springs have to carry now, N m or N."""
@@ -111,3 +110,12 @@ class ArmDrive:
             self._body.body, self._body.positions(), self._zeros, self._zeros
         )
         return [load[number] for _, number in self._sprung]
+
+
+def _check_efforts(robot: str, joints: Iterable[Joint]) -> None:
+    for joint in joints:
+        if joint.effort == 0.0:
+            raise KinfeasError(
+                f"robot {robot!r}: the URDF gives joint {joint.name!r} an effort of 0, with which no "
+                "motor carries the arm; it must be above 0, or left out for no limit"
+            )

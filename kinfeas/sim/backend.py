@@ -83,27 +83,16 @@ class PyBulletBackend:
         Nothing is left of what was before: equal episodes are equal to the bit.
 
         Raises:
-            KinfeasError: If there is not exactly one robot, or its base stands not on the floor.
+            KinfeasError: If there is not exactly one robot, its base stands not on the floor, or the
+                world is gone.
         """
         self._check_one(base_pose, joint_positions)
         tilt = np.abs(base_pose[0, 2:5])
         if not np.all(tilt <= _FLAT):
             raise KinfeasError("the base must stand upright on the floor, at height 0")
-        if self.grasp is not None:
-            self.grasp.release()
-        self.physics.rewind()
-        if self.furniture is not None:
-            self.furniture.place()
-        self.body.reset(base_pose[0], joint_positions[0])
-        self.physics.look_at(base_pose[0])
-        self._base.reset()
-        self._arm.reset(joint_positions[0])
-        self._reaches = False
-        if self.gripper is not None:
-            self.gripper.reset()
-            if self._handled is not None:
-                self.gripper.open()
-        return self.body.state()
+        with self.physics.connected():
+            self._begin(base_pose[0], joint_positions[0])
+            return self.body.state()
 
     def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
         """Begin to close or open the gripper; closing, it holds what both of its fingers touch.
@@ -123,26 +112,18 @@ class PyBulletBackend:
         """Drive base, arm and gripper for `dt` seconds; shapes as in `Backend`.
 
         Raises:
-            KinfeasError: If there is not exactly one robot, or `dt` is not above 0.
+            KinfeasError: If there is not exactly one robot, `dt` is not above 0, or the world is
+                gone.
         """
         self._check_one(base_twist, joint_targets)
-        steps = self._divide(dt)
-        self._base.aim(base_twist[0], dt)
-        self._arm.aim(joint_targets[0], steps)
-        for step in range(steps):
-            self._base.drive()
-            self._arm.drive(step)
-            if self.gripper is not None:
-                self.gripper.drive()
-            if self.grasp is not None:
-                self.grasp.drive()
-            self.physics.advance()
-        if self.grasp is not None:
-            self.grasp.update()
-            if self._reaches and self._handled is not None and self.grasp.held is None:
-                # Once held, what slips out is lost.
-                self._reaches = not self.grasp.hold(*self._handled, rigid=self._rigid)
-        return self.body.state()
+        with self.physics.connected():
+            steps = self._divide(dt)
+            self._base.aim(base_twist[0], dt)
+            self._arm.aim(joint_targets[0], steps)
+            for step in range(steps):
+                self._drive(step)
+            self._hold()
+            return self.body.state()
 
     def contacts(self) -> Contacts:
         """Return what the robot touches now, but for the link that it handles."""
@@ -160,6 +141,41 @@ class PyBulletBackend:
     def close(self) -> None:
         """End the world; it may be called twice."""
         self.physics.close()
+
+    def _begin(self, base_pose: Array, joint_positions: Array) -> None:
+        if self.grasp is not None:
+            self.grasp.release()
+        self.physics.rewind()
+        if self.furniture is not None:
+            self.furniture.place()
+        self.body.reset(base_pose, joint_positions)
+        self.physics.look_at(base_pose)
+        self._base.reset()
+        self._arm.reset(joint_positions)
+        self._reaches = False
+        if self.gripper is not None:
+            self.gripper.reset()
+            if self._handled is not None:
+                self.gripper.open()
+
+    def _drive(self, step: int) -> None:
+        """Let physics step number `step` of a control period pass."""
+        self._base.drive()
+        self._arm.drive(step)
+        if self.gripper is not None:
+            self.gripper.drive()
+        if self.grasp is not None:
+            self.grasp.drive()
+        self.physics.advance()
+
+    def _hold(self) -> None:
+        """Take hold of what the fingers have closed on, and let slip what is pulled too hard."""
+        if self.grasp is None:
+            return
+        self.grasp.update()
+        if self._reaches and self._handled is not None and self.grasp.held is None:
+            # Once held, what slips out is lost.
+            self._reaches = not self.grasp.hold(*self._handled, rigid=self._rigid)
 
     def _spared(self) -> tuple[tuple[int, int], ...]:
         return () if self._handled is None else (self._handled,)

@@ -1,7 +1,6 @@
 """The gripper of a robot in the PyBullet world: it opens, closes and feels what it touches."""
 
 from kinfeas.errors import KinfeasError
-from kinfeas.robots.robot import Gripper
 from kinfeas.sim.moving_joints import finger_followers
 from kinfeas.sim.robot_body import RobotBody
 
@@ -53,30 +52,11 @@ class GripperDrive:
 
     def open(self) -> None:
         """Begin to open, all the way."""
-        self.move(1.0)
+        self._move(self._gripper.open)
 
-    def close(self, effort: float | None = None) -> None:
-        """Begin to close until something is in the way; `effort` is as for `move`."""
-        self.move(0.0, effort)
-
-    def move(self, opening: float, effort: float | None = None) -> None:
-        """Begin to move both fingers.
-
-        Args:
-            opening: 0 for closed, 1 for open.
-            effort: Largest force or torque of each finger, N or N m; the gripper's by default.
-
-        Raises:
-            KinfeasError: If one of them is beyond what the gripper can do.
-        """
-        if not 0.0 <= opening <= 1.0:
-            raise KinfeasError(f"the opening of a gripper must be in [0, 1], not {opening:g}")
-        effort = self._gripper.effort if effort is None else effort
-        if not 0.0 < effort <= self._gripper.effort:
-            allowed = f"above 0 and at most {self._gripper.effort:g}"
-            raise KinfeasError(f"the effort of this gripper must be {allowed}, not {effort:g}")
-        self._targets = dict.fromkeys(self._gripper.fingers, _between(self._gripper, opening))
-        self._exert(effort)
+    def close(self) -> None:
+        """Begin to close until something is in the way."""
+        self._move(self._gripper.closed)
 
     def relax(self) -> None:
         """Leave each finger where it is now, with little effort."""
@@ -86,22 +66,24 @@ class GripperDrive:
         self._exert(_RELAXED * self._gripper.effort)
 
     def drive(self) -> None:
-        """Command the motors for one physics step."""
+        """Command the motors that follow others, for one physics step."""
         client, body = self._body.physics.client, self._body
-        for name, target in self._targets.items():
-            self._motor(name, target)
         for one in self._followers:
             leader = client.getJointState(body.body, body.joints[one.leader])[0]
             self._motor(one.name, one.multiplier * leader + one.offset)
 
-    def touching(self, body: int, link: int | None = None) -> frozenset[int]:
-        """Return which fingers, 0 and 1, touch a body, or one link of it."""
+    def touching(self, body: int, link: int) -> frozenset[int]:
+        """Return which fingers, 0 and 1, touch a link of a body."""
         physics = self._body.physics
         points = physics.client.getClosestPoints(
             self._body.body, body, physics.config.finger_softness
         )
-        touched = {point[3] for point in points if link in (None, point[4])}
+        touched = {point[3] for point in points if link == point[4]}
         return frozenset(i for i, links in enumerate(self.fingers) if links & touched)
+
+    def _move(self, position: float) -> None:
+        self._targets = dict.fromkeys(self._gripper.fingers, position)
+        self._exert(self._gripper.effort)
 
     def _motor(self, name: str, position: float) -> None:
         client = self._body.physics.client
@@ -131,6 +113,8 @@ class GripperDrive:
         self._body.physics.client.changeConstraint(
             self._gear, gearRatio=-1.0, maxForce=_COUPLING * effort
         )
+        for name, target in self._targets.items():
+            self._motor(name, target)
 
     def _couple(self) -> int:
         """Return what keeps one finger as far open as the other, so that both do not give way."""
@@ -142,7 +126,3 @@ class GripperDrive:
             *ends, client.JOINT_GEAR, [1.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3
         )
         return gear
-
-
-def _between(gripper: Gripper, opening: float) -> float:
-    return gripper.closed + opening * (gripper.open - gripper.closed)

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from kinfeas.errors import KinfeasError
 from kinfeas.robots.elements import Element
 from kinfeas.robots.xml_text import numbers_text
 from kinfeas.scenes.inertia import MOMENTS, SLACK, read_moments
@@ -34,6 +35,10 @@ class Inertia:
         arm = self.centre - point
         moments: Array = self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         return moments
+
+
+FRAME = Inertia(0.001, np.zeros(3), 1e-6 * np.eye(3))
+"""Of a link that is a mere frame: PyBullet would take it for 1 kg and 1 kg m^2."""
 
 
 def read_inertia(link: Any) -> Inertia | None:
@@ -71,12 +76,29 @@ def possible(inertia: Inertia) -> Inertia:
     return replace(inertia, moments=inertia.moments + lacking * np.eye(3))
 
 
-def mend_inertias(robot: Any) -> None:
-    """Make the inertia of every link of the element <robot> possible; links without mass stay."""
+def mend_inertias(robot: Any, where: str) -> None:
+    """Make the inertia of every link of the element <robot> one that a body can have.
+
+    A link without an inertia is a mere frame, if it has no shape or hangs on a fixed joint. Links
+    without mass stay.
+
+    Args:
+        robot: The element; it is changed.
+        where: What an error begins with.
+
+    Raises:
+        KinfeasError: If another link has no inertia.
+    """
+    fixed = (joint for joint in robot.findall("joint") if joint.get("type") == "fixed")
+    hangs = {joint.find("child").get("link") for joint in fixed}
     for link in robot.findall("link"):
         inertia = read_inertia(link)
-        if inertia is None or inertia.mass == 0.0:
-            continue
-        mended = possible(inertia)
+        mended = FRAME if inertia is None else inertia
+        shaped = any(link.find(tag) is not None for tag in ("visual", "collision"))
+        if inertia is None and shaped and link.get("name") not in hangs:
+            name = link.get("name")
+            raise KinfeasError(f"{where}: link {name!r} can move, and <inertial> is missing")
+        if mended.mass > 0.0:
+            mended = possible(mended)
         if mended is not inertia:
             write_inertia(link, mended)

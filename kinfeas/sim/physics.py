@@ -3,6 +3,8 @@
 import math
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -209,10 +211,21 @@ class Physics:
         self.client.performCollisionDetection()
         self.client.restoreState(self._kept)
 
+    @contextmanager
+    def connected(self) -> Iterator[None]:
+        """Return a context in which PyBullet's errors are sentences, and a world may be gone.
+
+        Raises:
+            KinfeasError: If PyBullet fails, as it does once its window is closed.
+        """
+        try:
+            yield
+        except self.client.error as error:
+            raise KinfeasError(f"PyBullet fails, or its window was closed: {error}") from error
+
     def close(self) -> None:
-        """End the world; it may be called twice."""
-        if self.client.isConnected():
-            self.client.disconnect()
+        """End the world; it may be called twice, and nothing else after it."""
+        self.client.leave()
 
     def _load(self, urdf: Path, source: Path, *, fixed: bool) -> tuple[int, str]:
         """Return the number of a new body, and what PyBullet said; errors name `source`."""
@@ -253,5 +266,15 @@ def _connect(gui: bool) -> Any:
             self.__dict__[name] = found = super().__getattr__(name)
             return found
 
-    with silence():
-        return Client(pybullet.GUI if gui else pybullet.DIRECT)
+        def leave(self) -> None:
+            # What is bound to this connection must not reach the next one of the same number.
+            if self.isConnected():
+                self.disconnect()
+            self.__dict__.clear()
+            self._client = -1
+
+    try:
+        with silence():
+            return Client(pybullet.GUI if gui else pybullet.DIRECT)
+    except pybullet.error as error:
+        raise KinfeasError(f"PyBullet opens no world: {error}") from error

@@ -8,7 +8,7 @@ from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.meshes import find_mesh
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.xml_text import set_origin
-from kinfeas.sim.inertia import mend_inertias
+from kinfeas.sim.inertia import FRAME, mend_inertias, write_inertia
 from kinfeas.sim.moving_joints import moving_joints
 from kinfeas.sim.welding import weld
 
@@ -33,7 +33,8 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
         The URDF, and in which of its links each of the robot's links is, by name.
 
     Raises:
-        KinfeasError: If a mesh is not there or PyBullet cannot read it.
+        KinfeasError: If a mesh is not there or PyBullet cannot read it, or a link that
+            moves has a shape and no inertia.
     """
     xml = read_xml(robot.urdf_path, "robot").xml
     _place_meshes(xml, robot.urdf_path)
@@ -46,7 +47,7 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
             element.set("type", "fixed")
             set_origin(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
     part_of = weld(xml, keep={robot.ee_frame})
-    mend_inertias(xml)
+    mend_inertias(xml, str(robot.urdf_path))
     for element in reversed(_planar_base(robot.urdf.root)):
         xml.insert(0, element)
     return ElementTree.tostring(xml, encoding="unicode"), part_of
@@ -78,10 +79,7 @@ def _planar_base(root: str) -> list[ElementTree.Element]:
 
 
 def _frame(name: str) -> ElementTree.Element:
-    """Return a link that is a mere frame and weighs 1 g, since PyBullet takes none for 1 kg."""
+    """Return a link that is a mere frame."""
     link = ElementTree.Element("link", name=name)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", value="0.001")
-    moment = {"ixx": "1e-6", "iyy": "1e-6", "izz": "1e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
-    ElementTree.SubElement(inertial, "inertia", moment)
+    write_inertia(link, FRAME)
     return link

@@ -73,6 +73,11 @@ class Stage:
             f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
         )
 
+    @property
+    def judges(self) -> bool:
+        """Whether the task wants anything of objects that are there."""
+        return self._known is not None
+
     def done(self) -> bool | None:
         """Return whether the objects are now as the task wants them; None if it wants nothing."""
         furniture = self.backend.furniture
@@ -106,6 +111,12 @@ class Stage:
         moved = scene.with_poses(poses)
         moved.check_places(f"task {self.name!r}")
         return moved
+
+
+def has_scene(task: Task) -> bool:
+    """Return whether a task happens in a scene, and not on a floor and nothing else."""
+    chain = _chain(task)
+    return chain is not None and chain.scene is not None
 
 
 def task_scene(task: Task) -> Scene | None:

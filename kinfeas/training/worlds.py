@@ -1,7 +1,7 @@
 """The worlds of a training run: where it learns, and where its policy is judged."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.physics.evaluate import run_physics
 from kinfeas.evaluation.physics.world import (
+    PhysicsChanges,
     PhysicsSettings,
     PhysicsTrial,
     make_physics_world,
@@ -78,16 +79,12 @@ def physics_judge(config: TrainConfig) -> Judge:
     """Return what judges policies in the PyBullet world, in as many processes as learn."""
     physics, world = config.physics, config.world
     assert physics is not None
+    changes = {one.name: getattr(physics, one.name) for one in fields(PhysicsChanges)}
     settings = PhysicsSettings(
+        **{**changes, "yields": physics.yields or world.yields},
         dt=world.dt,
-        slow_down=physics.slow_down,
-        head_start=physics.head_start,
-        objects=physics.objects,
-        patience=physics.patience,
-        yields=physics.yields or world.yields,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,
-        physics=physics.physics,
     )
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
     trial = PhysicsTrial(robot, task, 1, config.seed + EVALUATION_SEED, settings)

@@ -212,6 +212,14 @@ def test_refuses_what_is_no_seed(seed):
         BaseMotionEnv().reset(seed=seed)
 
 
+@pytest.mark.parametrize("kind", [BaseMotionEnv, BaseMotionVectorEnv])
+def test_a_source_of_randomness_in_place_of_a_seed_is_refused(kind):
+    env = kind()
+    env.np_random = np.random.default_rng(3)
+    with pytest.raises(KinfeasError, match=r"set the seed by reset\(seed=...\)"):
+        env.reset()
+
+
 def test_resets_without_a_seed_begin_somewhere_else():
     first, second = (BaseMotionEnv().reset()[0] for _ in range(2))
     assert not np.array_equal(first, second)
@@ -237,7 +245,7 @@ def test_an_error_on_an_action_says_its_shape_and_not_its_numbers():
 @pytest.mark.parametrize("kind", [BaseMotionEnv, BaseMotionVectorEnv])
 def test_a_step_before_the_first_reset_is_refused(kind):
     env = kind()
-    with pytest.raises(ResetNeeded, match="call reset before the first step"):
+    with pytest.raises(ResetNeeded, match="call reset first"):
         env.step(env.action_space.sample())
 
 

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas import registry
+from kinfeas.errors import KinfeasError
 from kinfeas.sim.arm_drive import cubic
 from kinfeas.sim.backend import PyBulletBackend
 from tests.sim.conftest import twist
@@ -96,3 +99,12 @@ def test_without_its_springs_the_pr2_could_not_carry_its_arm():
         state = world.step(twist(), joints, 0.02)
     world.close()
     np.testing.assert_allclose(state.joint_positions, joints, atol=1e-3)
+
+
+def test_a_joint_without_effort_is_refused():
+    robot = registry.load_robot("tiago")
+    joints = dict(robot.urdf.joints)
+    joints["arm_3_joint"] = replace(joints["arm_3_joint"], effort=0.0)
+    weak = replace(robot, urdf=replace(robot.urdf, joints=joints))
+    with pytest.raises(KinfeasError, match="'tiago': the URDF gives joint 'arm_3_joint' an effort"):
+        PyBulletBackend(weak)

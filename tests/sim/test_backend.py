@@ -196,3 +196,12 @@ def test_refuses_what_it_cannot_do(world, begin):
     base[:, 2] = 0.1
     with pytest.raises(KinfeasError, match="the base must stand upright on the floor"):
         world.reset(base[:1], home[np.newaxis])
+
+
+def test_a_world_that_is_gone_is_one_sentence():
+    robot = registry.load_robot("hsr")
+    world, home = PyBulletBackend(robot), robot.home["home"][np.newaxis]
+    world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
+    world.close()
+    with pytest.raises(KinfeasError, match="its window was closed: Not connected"):
+        world.step(np.zeros((1, 6)), home, 0.02)

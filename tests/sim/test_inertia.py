@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kinfeas import registry
-from kinfeas.sim.inertia import Inertia, mend_inertias, possible, read_inertia, write_inertia
+from kinfeas.errors import KinfeasError
+from kinfeas.sim.inertia import (
+    FRAME,
+    Inertia,
+    mend_inertias,
+    possible,
+    read_inertia,
+    write_inertia,
+)
 from kinfeas.sim.robot_urdf import physics_urdf
 
 FINGER = (
@@ -46,8 +54,33 @@ def test_what_a_body_can_have_stays_as_it_is(squares, seed):
 def test_shipped_robots_are_left_alone(name):
     xml = ElementTree.fromstring(physics_urdf(registry.load_robot(name))[0])
     before = ElementTree.tostring(xml)
-    mend_inertias(xml)
+    mend_inertias(xml, name)
     assert ElementTree.tostring(xml) == before
+
+
+ARM = (
+    '<robot name="r"><link name="arm">{arm}<inertial><mass value="2"/>'
+    '<inertia ixx="0.1" iyy="0.1" izz="0.1"/></inertial></link>'
+    '<link name="tool">{tool}</link>'
+    '<joint name="j" type="{type}"><parent link="arm"/><child link="tool"/></joint></robot>'
+)
+BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+
+
+@pytest.mark.parametrize(("tool", "joint"), [("", "fixed"), (BOX, "fixed"), ("", "revolute")])
+def test_a_link_without_inertia_is_a_mere_frame(tool, joint):
+    xml = ElementTree.fromstring(ARM.format(arm=BOX, tool=tool, type=joint))
+    mend_inertias(xml, "r.urdf")
+    arm, frame = (read_inertia(link) for link in xml.findall("link"))
+    assert arm.mass == 2.0
+    assert frame.mass == FRAME.mass
+    np.testing.assert_array_equal(frame.moments, FRAME.moments)
+
+
+def test_what_moves_and_has_a_shape_needs_an_inertia():
+    xml = ElementTree.fromstring(ARM.format(arm="", tool=BOX, type="revolute"))
+    with pytest.raises(KinfeasError, match=r"r.urdf: link 'tool' can move, and <inertial> is"):
+        mend_inertias(xml, "r.urdf")
 
 
 def test_what_is_written_is_read_back():
@@ -69,7 +102,7 @@ def test_pybullet_gives_a_mended_link_an_inertia(tmp_path):
         for mend in (False, True):
             xml = ElementTree.fromstring(FINGER)
             if mend:
-                mend_inertias(xml)
+                mend_inertias(xml, "r.urdf")
             path = tmp_path / f"{mend}.urdf"
             path.write_text(ElementTree.tostring(xml, encoding="unicode"))
             body = bullet.loadURDF(str(path), flags=flags, physicsClientId=client)

@@ -26,10 +26,15 @@ def test_refuses_other_periods(physics, dt):
         physics.divide(dt)
 
 
-def test_can_be_closed_twice():
+def test_can_be_closed_twice_and_leaves_the_next_world_alone():
     physics = Physics(PhysicsConfig())
     physics.close()
+    other = Physics(PhysicsConfig())
     physics.close()
+    with pytest.raises(KinfeasError, match="Not connected"), physics.connected():
+        physics.advance()
+    other.advance()
+    other.close()
 
 
 def test_what_is_placed_is_there_although_its_mass_is_elsewhere(physics, scene):

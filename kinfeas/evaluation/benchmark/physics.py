@@ -30,6 +30,7 @@ class PhysicsCell(Cell):
         free_of_collisions: Share of episodes without either.
         slow_down: How many times longer than planned the EE motions lasted.
         head_start: Seconds that the EE stood still at first.
+        yields: Whether the base yielded to the arm.
         objects: Whether the scene was there.
     """
 
@@ -43,6 +44,7 @@ class PhysicsCell(Cell):
     free_of_collisions: float
     slow_down: float
     head_start: float
+    yields: bool
     objects: bool
 
     @property
@@ -110,6 +112,7 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
         free_of_collisions=mean_of(figures, "free_of_collisions"),
         slow_down=world.slow_down,
         head_start=world.head_start,
+        yields=world.yields,
         objects=world.objects,
     )
 

@@ -17,7 +17,7 @@ from kinfeas.evaluation.physics.world import (
 )
 from kinfeas.metrics import Figures, Share, summarize, wilson
 from kinfeas.policy import Policy
-from kinfeas.sim.stage import task_scene
+from kinfeas.sim.stage import has_scene
 
 _SHARES = 4  # of the episodes for each process
 
@@ -34,11 +34,12 @@ class PhysicsFigures(Figures):
 
 
 class PhysicsSummary(Summary, PhysicsFigures):
-    """The figures of a policy, and what they are of."""
+    """The figures of a policy, and what they are of: pace as adapters, too, have made it."""
 
     world: Literal["pybullet"]
     slow_down: float
     head_start: float
+    yields: bool
     objects: bool
 
 
@@ -68,16 +69,17 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
         that a task handles, its success is null.
     """
     records = run_physics(trial, policy, processes, on_done, gui=gui)
-    settings = trial.settings
+    pace = trial.pace
     return {
         "robot": trial.robot.name,
         "task": trial.task.name,
         "policy": name,
         "seed": trial.seed,
         "world": "pybullet",
-        "slow_down": settings.slow_down,
-        "head_start": settings.head_start,
-        "objects": settings.objects,
+        "slow_down": pace.slow_down,
+        "head_start": pace.head_start,
+        "yields": pace.yields,
+        "objects": trial.settings.objects,
         **physics_figures(records, judged=is_judged(trial)),
         "ceiling": ceiling.value if ceiling else None,
         "ceiling_low": ceiling.low if ceiling else None,
@@ -87,7 +89,7 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
 
 def is_judged(trial: PhysicsTrial) -> bool:
     """Return whether the task can be done: the objects that it handles, if any, are there."""
-    return trial.settings.objects or task_scene(trial.task) is None
+    return trial.settings.objects or not has_scene(trial.task)
 
 
 def physics_figures(records: PhysicsRecords, *, judged: bool) -> PhysicsFigures:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinfeas import registry
 from kinfeas.envs.gym import BaseMotionEnv
+from kinfeas.envs.interface import check_reset
 from kinfeas.envs.reward import RewardConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.physics.world import (
@@ -22,6 +23,9 @@ from kinfeas.evaluation.physics.world import (
 from kinfeas.sim.camera import take_picture
 from kinfeas.sim.contacts import Contacts
 from kinfeas.tasks.loading import load_task
+
+_BEYOND = 0.1
+"""How far motors let joints be beyond their limits at most, rad or m."""
 
 _SIZE = (480, 360)
 _CHEST = 0.7  # m above the floor, the middle of a robot
@@ -43,7 +47,7 @@ class PhysicsMotionEnv(BaseMotionEnv):
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
         "render_modes": ["human", "rgb_array"] if _screen() else ["rgb_array"],
-        "render_fps": 50,
+        "render_fps": 50,  # with the control period that it has by default
     }
 
     def __init__(
@@ -83,7 +87,9 @@ class PhysicsMotionEnv(BaseMotionEnv):
             known, load_task(task, task_parameters), settings, gui=render_mode == "human"
         )
         config = replace(settings.world, reward=reward or RewardConfig())
-        self._enter(make_physics_world(known, self.stage, config, settings.pace, 0))
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / settings.dt)}
+        world = make_physics_world(known, self.stage, config, settings.pace, 0)
+        self._enter(world, _BEYOND)
 
     def step(
         self, action: NDArray[np.float32]
@@ -103,7 +109,12 @@ class PhysicsMotionEnv(BaseMotionEnv):
         return seen, earned, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of robot and goal, shape (360, 480, 3), if `rgb_array` was asked for."""
+        """Return a picture of robot and goal, shape (360, 480, 3), if `rgb_array` was asked for.
+
+        Raises:
+            ResetNeeded: If no episode was begun.
+        """
+        check_reset(self.next_episode)
         if self.render_mode != "rgb_array":
             return None
         loop = self.world.loop

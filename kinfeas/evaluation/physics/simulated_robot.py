@@ -118,19 +118,13 @@ class SimulatedRobot:
         self._state = self._backend.step(twist, joints, dt)
 
     def measure(self) -> tuple[BaseReading, JointReading]:
-        """Return where base and joints are now."""
-        body, stamp = self._backend.body, time.time()
-        x, y, yaw = body.planar()
-        twist = self._state.base_twist
-        assert twist is not None
-        velocity = to_drive(self._robot.base, self._state.base_pose[0], twist[0], 0.0)
-        joints = {name: at for name, at in body.joints.items() if name not in PLANAR_JOINTS}
-        states = body.physics.client.getJointStates(body.body, list(joints.values()))
-        positions = dict(self._robot.fixed_joints)
-        positions |= {name: one[0] for name, one in zip(joints, states, strict=True)}
-        velocities = {name: one[1] for name, one in zip(joints, states, strict=True)}
-        base = BaseReading(x, y, yaw, velocity, stamp)
-        return base, JointReading(positions, velocities, stamp)
+        """Return where base and joints are now.
+
+        Raises:
+            KinfeasError: If the world is gone.
+        """
+        with self._backend.physics.connected():
+            return self._readings()
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:
@@ -145,6 +139,20 @@ class SimulatedRobot:
     def _take_grip(self, grip: Grip) -> None:
         with self._lock:
             self._grip = grip
+
+    def _readings(self) -> tuple[BaseReading, JointReading]:
+        body, stamp = self._backend.body, time.time()
+        x, y, yaw = body.planar()
+        twist = self._state.base_twist
+        assert twist is not None
+        velocity = to_drive(self._robot.base, self._state.base_pose[0], twist[0], 0.0)
+        joints = {name: at for name, at in body.joints.items() if name not in PLANAR_JOINTS}
+        states = body.physics.client.getJointStates(body.body, list(joints.values()))
+        positions = dict(self._robot.fixed_joints)
+        positions |= {name: one[0] for name, one in zip(joints, states, strict=True)}
+        velocities = {name: one[1] for name, one in zip(joints, states, strict=True)}
+        base = BaseReading(x, y, yaw, velocity, stamp)
+        return base, JointReading(positions, velocities, stamp)
 
 
 def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:

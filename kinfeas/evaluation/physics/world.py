@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import config
+from kinfeas import config, registry
+from kinfeas.adapters import paced, wrap
 from kinfeas.config import Interval
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
 from kinfeas.evaluation.episodes import Watch, run_episodes
@@ -43,26 +44,22 @@ class PhysicsChanges(PaceSettings):
 
 
 @dataclass(frozen=True)
-class PhysicsSettings(PaceSettings):
-    """What can be set of the PyBullet world beside robot, task and pace.
+class PhysicsSettings(PhysicsChanges):
+    """What can be set of the PyBullet world beside robot and task.
 
     Attributes:
         dt: Control period, seconds.
-        objects: Whether the task's scene is there, or a floor and nothing else.
         max_failures: Kinematic failures in one episode beyond which it ends.
         max_seconds: Of motion time in one leg, after which an episode is truncated.
         adapters: Wrapped around the PyBullet world, the first one innermost.
         ik: How hard IK searches.
-        physics: Numbers of the world.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.02
-    objects: bool = True
     max_failures: Annotated[int, Interval(low=0)] = 99
     max_seconds: PositiveSeconds = 150.0
     adapters: tuple[AdapterSpec, ...] = ()
     ik: IkOptions = field(default_factory=IkOptions)
-    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
 
     @property
     def world(self) -> WorldConfig:
@@ -87,6 +84,16 @@ class PhysicsTrial:
     episodes: int = 50
     seed: int = 1
     settings: PhysicsSettings = field(default_factory=PhysicsSettings)
+
+    @property
+    def pace(self) -> Pace:
+        """How the EE motions are carried out, with what the adapters make of it.
+
+        Raises:
+            KinfeasError: If an adapter cannot be built, or fails.
+        """
+        backend = registry.build("kinfeas.backends", "analytic", {})
+        return paced(wrap(backend, self.settings.adapters, self.robot), self.settings.pace)
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,8 @@ class PhysicsWorld:
         """Return what happens in one episode; `watch` sees each step, as in `run_episodes`."""
         meter = _Meter(self.stage.backend, self.world.loop.dt, watch)
         records = run_episodes(self.world, policy, 1, watch=meter, first=episode)
-        self._wait()
+        if self.stage.judges:
+            self._wait()
         done = self.stage.done()
         return PhysicsRecords(
             **columns(records),
@@ -146,7 +154,7 @@ class PhysicsWorld:
     def _wait(self) -> None:
         """Stand still, while what was put down comes to rest."""
         loop = self.world.loop
-        joints = loop.state.joint_positions
+        joints = (loop.state.truth or loop.state).joint_positions
         for _ in range(round(_AFTERWARDS / loop.dt)):
             self.stage.backend.step(np.zeros((1, 6)), joints, loop.dt)
 
@@ -166,9 +174,7 @@ class _Meter:
         self.arm.add(now.arm)
 
 
-def make_stage(
-    robot: Robot, task: Task, settings: PhysicsChanges | PhysicsSettings, *, gui: bool = False
-) -> Stage:
+def make_stage(robot: Robot, task: Task, settings: PhysicsChanges, *, gui: bool = False) -> Stage:
     """Return a task with a PyBullet world around it, in a window if `gui`.
 
     Raises:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas import config, registry
+from kinfeas.envs.world import AdapterSpec
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.policies import load_policy
 from kinfeas.tasks.ggr import ggr
@@ -92,6 +93,17 @@ def test_the_summary_holds_what_is_asked_for(trial, policy):
     assert (summary["world"], summary["objects"], summary["episodes"]) == ("pybullet", True, 1)
     for key in ("success", "within_5cm", "task_success", "base_collisions", "arm_collisions"):
         assert summary[key] >= 0.0
+
+
+def test_the_summary_tells_the_pace_that_adapters_have_made(trial, policy):
+    adapters = (
+        AdapterSpec("head_start", {"seconds": 3.0}), AdapterSpec("slow_down", {"factor": 2.0})
+    )  # fmt: skip
+    settings = replace(trial.settings, slow_down=2.0, yields=True, max_seconds=0.1)
+    slower = replace(trial, episodes=1, settings=replace(settings, adapters=adapters))
+    summary = evaluate_physics(slower, policy)
+    told = summary["slow_down"], summary["head_start"], summary["yields"]
+    assert told == (4.0, 3.0, True)
 
 
 def test_a_room_is_there_or_not(trial, policy):

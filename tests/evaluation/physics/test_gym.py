@@ -3,6 +3,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 import kinfeas.envs
@@ -39,6 +40,30 @@ def test_steps_tell_what_is_touched_and_pictures_show_the_robot():
     picture = env.render()
     assert picture.shape == (360, 480, 3)
     assert picture.std() > 5.0
+    env.close()
+
+
+def test_a_picture_before_the_first_reset_is_refused():
+    env = PhysicsMotionEnv("hsr", render_mode="rgb_array")
+    with pytest.raises(ResetNeeded, match="call reset first"):
+        env.render()
+    env.close()
+
+
+def test_films_run_at_the_control_rate():
+    for dt, rate in ((0.02, 50), (0.1, 10)):
+        env = PhysicsMotionEnv("hsr", world=PhysicsSettings(dt=dt))
+        assert env.metadata["render_fps"] == rate
+        env.close()
+
+
+def test_every_observation_is_within_the_space():
+    env = PhysicsMotionEnv("pr2")
+    rng = np.random.default_rng(1)
+    seen, _ = env.reset(seed=3)
+    for _ in range(200):
+        assert seen in env.observation_space
+        seen, *_ = env.step(rng.uniform(-1.0, 1.0, 3).astype(np.float32))
     env.close()
 
 
