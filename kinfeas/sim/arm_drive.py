@@ -116,6 +116,6 @@ def _check_efforts(robot: str, joints: Iterable[Joint]) -> None:
     for joint in joints:
         if joint.effort == 0.0:
             raise KinfeasError(
-                f"robot {robot!r}: the URDF gives joint {joint.name!r} an effort of 0, with which no "
-                "motor carries the arm; it must be above 0, or left out for no limit"
+                f"robot {robot!r}: the URDF gives joint {joint.name!r} an effort of 0, with which "
+                "no motor carries the arm; it must be above 0, or left out for no limit"
             )

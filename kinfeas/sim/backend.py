@@ -83,8 +83,8 @@ class PyBulletBackend:
         Nothing is left of what was before: equal episodes are equal to the bit.
 
         Raises:
-            KinfeasError: If there is not exactly one robot, its base stands not on the floor, or the
-                world is gone.
+            KinfeasError: If there is not exactly one robot, its base stands not on the floor, or
+                the world is gone.
         """
         self._check_one(base_pose, joint_positions)
         tilt = np.abs(base_pose[0, 2:5])

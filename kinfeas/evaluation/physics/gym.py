@@ -88,8 +88,8 @@ class PhysicsMotionEnv(BaseMotionEnv):
         )
         config = replace(settings.world, reward=reward or RewardConfig())
         self.metadata = {**self.metadata, "render_fps": round(1.0 / settings.dt)}
-        world = make_physics_world(known, self.stage, config, settings.pace, 0)
-        self._enter(world, _BEYOND)
+        made = make_physics_world(known, self.stage, config, settings.pace, 0)
+        self._enter(made, _BEYOND)
 
     def step(
         self, action: NDArray[np.float32]
