@@ -11,8 +11,9 @@ from kinfeas import spatial
 from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
 from kinfeas.conformance.adapter import unchecked
 from kinfeas.course import Course
-from kinfeas.drive import action_size, base_twist
+from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
+from kinfeas.following import Following
 from kinfeas.joints import joint_way, jumps
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
@@ -93,7 +94,8 @@ class Loop:
         self.course = Course(legs, self.robot, dt, pace)
         self._motion_time = dt / pace.slow_down
         self._patience = round(pace.patience / dt)
-        self._yielding = Yielding(solver, dt) if pace.yields else None
+        self._following = Following(solver, dt)
+        self._yielding = Yielding(self._following) if pace.yields else None
         self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.sent: Array = np.empty((0, len(self.robot.arm)))
@@ -144,12 +146,11 @@ class Loop:
         if held is not None:
             action = np.where(held[:, np.newaxis], 0.0, action)
         before, base_pose = self.sent, self.state.base_pose
-        if self._yielding is not None:
-            action = self._yielding.aside(action, base_pose, course.desired, before, held)
-        command = base_twist(self.robot.base, base_pose, action, self.dt)
-        commanded = spatial.integrate(base_pose, command, self.dt)
-        target = spatial.relative(course.desired, commanded)
-        arm = self.solver.solve(target, before, self.robot.max_joint_velocity * self.dt)
+        wanted = (action, base_pose, course.desired, before)
+        if self._yielding is None:
+            command, arm = self._following(*wanted)
+        else:
+            command, arm = self._yielding(*wanted, held)
         self.sent = arm.joint_positions
         self._measured(self.backend.step(command, self.sent, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import spatial
-from kinfeas.drive import action_size, base_twist
+from kinfeas.drive import action_size
+from kinfeas.following import Following
 from kinfeas.joints import jumps
-from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.ik import IkSolution
 from kinfeas.kinematics.spread import spread
 from kinfeas.spatial import Array
 
@@ -28,48 +28,59 @@ class Yielding:
         others: The commands that are tried, shape (32, a); the first is to stand still.
     """
 
-    def __init__(self, solver: IkSolver, dt: float) -> None:
-        """Set out the commands to try.
+    def __init__(self, following: Following) -> None:
+        """Set out the commands to try."""
+        self._following, self._robot = following, following.solver.robot
+        self.others = 2.0 * spread(_OTHERS, action_size(self._robot.base)) - 1.0
 
-        Args:
-            solver: The robot's kinematics.
-            dt: Control period in seconds.
-        """
-        self._solver, self._robot, self._dt = solver, solver.robot, dt
-        self._moves = solver.robot.max_joint_velocity * dt
-        self.others = 2.0 * spread(_OTHERS, action_size(solver.robot.base)) - 1.0
-        self.others[0] = 0.0
-
-    def aside(
+    def __call__(
         self,
         action: Array,
         base_pose: Array,
         desired: Array,
         joints: Array,
         held: NDArray[np.bool_] | None = None,
-    ) -> Array:
-        """Return the commands that come nearest to `action` and that the arm can follow.
+    ) -> tuple[Array, IkSolution]:
+        """Return what `Following` does, for the commands nearest to `action` that arms can follow.
 
         Args:
-            action: Wanted base commands in [-1, 1], shape (n, 3) or (n, 2).
-            base_pose: World pose of the base, shape (n, 7).
-            desired: World pose of the EE at the end of the period, shape (n, 7).
-            joints: Arm joints that were last commanded, shape (n, j), radians or metres.
+            action: Wanted base commands; these and the others are as for `Following`.
+            base_pose: World pose of the base.
+            desired: World pose of the EE at the end of the period.
+            joints: Arm joints that were last commanded.
             held: Rows that stand still and are left alone, shape (n,); none by default.
-
-        Returns:
-            Of the shape of `action`.
         """
-        follows = self._follows(action[:, np.newaxis], base_pose, desired, joints)[:, 0]
-        rows = np.flatnonzero(~follows if held is None else ~(follows | held))
-        if not rows.size:
-            return action
+        twist, arm = self._following(action, base_pose, desired, joints, swings=False)
+        late = np.flatnonzero(~self._in_time(joints, arm))
+        if late.size:
+            stands = (base_pose[late], desired[late], joints[late])
+            aside = self._aside(action[late], stands, None if held is None else held[late])
+            twist[late], found = self._following(aside, *stands)
+            arm.put(late, found)
+        return twist, arm
+
+    def _aside(
+        self,
+        action: Array,
+        stands: tuple[Array, Array, Array],
+        held: NDArray[np.bool_] | None,
+    ) -> Array:
+        """Return other commands for m rows, and the same where none helps or they are held.
+
+        Args:
+            action: Commands that the arm cannot follow, shape (m, a).
+            stands: Base poses, desired poses and arm joints.
+            held: Rows that are left alone, shape (m,), or none.
+        """
         taken = action.copy()
+        rows = np.arange(len(action)) if held is None else np.flatnonzero(~held)
         away = np.linalg.norm(self.others - action[rows, np.newaxis], axis=2)
         order = away.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
+            if not rows.size:
+                break
             tries = self.others[order[:, first:last]]
-            follows = self._follows(tries, base_pose[rows], desired[rows], joints[rows])
+            follows = self._follows(tries, *(values[rows] for values in stands))
             yields = follows.any(axis=1)
             taken[rows[yields]] = tries[yields, follows[yields].argmax(axis=1)]
             rows, order = rows[~yields], order[~yields]
@@ -87,11 +98,9 @@ class Yielding:
             joints: Shape (m, j).
         """
         m, k, size = tries.shape
-        base_pose, desired, joints = (
-            values.repeat(k, axis=0) for values in (base_pose, desired, joints)
-        )
-        twist = base_twist(self._robot.base, base_pose, tries.reshape(m * k, size), self._dt)
-        target = spatial.relative(desired, spatial.integrate(base_pose, twist, self._dt))
-        arm = self._solver.solve(target, joints, self._moves, swings=False)
-        follows = arm.feasible & ~jumps(self._robot, joints, arm.joint_positions, self._dt)
-        return follows.reshape(m, k)
+        stands = [values.repeat(k, axis=0) for values in (base_pose, desired, joints)]
+        _, arm = self._following(tries.reshape(m * k, size), *stands, swings=False)
+        return self._in_time(stands[-1], arm).reshape(m, k)
+
+    def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
+        return arm.feasible & ~jumps(self._robot, joints, arm.joint_positions, self._following.dt)

@@ -8,6 +8,7 @@ from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.policies import load_policy
+from kinfeas.following import Following
 from kinfeas.joints import jumps
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
@@ -40,43 +41,58 @@ def follows(solver, action, base_pose, desired, joints):
     return arm.feasible & ~jumps(robot, joints, arm.joint_positions, DT)
 
 
-def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene):
-    action, *rest = scene
-    taken = Yielding(solver, DT).aside(*scene)
+@pytest.fixture
+def yielding(solver):
+    return Yielding(Following(solver, DT))
+
+
+def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene, yielding):
+    wanted, _ = yielding(*scene)
     able = follows(solver, *scene)
     assert 0 < able.sum() < ROWS
-    np.testing.assert_array_equal(taken[able], action[able])
-    assert np.all(np.abs(taken) <= 1.0)
-    # What is taken in place of the others can be followed; where nothing can, they stay.
-    changed = np.any(taken != action, axis=1)
-    assert changed.any()
-    assert follows(solver, taken, *rest)[changed].all()
+    as_given, _ = Following(solver, DT)(*scene)
+    np.testing.assert_array_equal(wanted[able], as_given[able])
 
 
-def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene):
-    action, *rest = scene
-    yielding = Yielding(solver, DT)
-    taken = yielding.aside(*scene)
-    others = yielding.others
+def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene, yielding):
+    action, base_pose, *rest = scene
+    twist, arm = yielding(*scene)
+    others, helped = yielding.others, 0
     for row in np.flatnonzero(~follows(solver, *scene)):
-        alone = [np.repeat(values[[row]], len(others), axis=0) for values in rest]
+        alone = [np.repeat(values[[row]], len(others), axis=0) for values in (base_pose, *rest)]
         able = others[follows(solver, others, *alone)]
-        nearest = np.linalg.norm(able - action[row], axis=1).min() if len(able) else 0.0
-        assert np.linalg.norm(taken[row] - action[row]) == pytest.approx(nearest)
+        away = np.linalg.norm(able - action[row], axis=1)
+        # Where nothing can be followed, the command stays.
+        best = able[away.argmin()] if len(able) else action[row]
+        expected = base_twist(solver.robot.base, base_pose[[row]], best[np.newaxis], DT)
+        np.testing.assert_array_equal(twist[row], expected[0])
+        helped += len(able) > 0
+    assert helped > 0
+    assert arm.feasible.sum() >= follows(solver, *scene).sum() + helped
 
 
-def test_no_row_depends_on_the_others(solver, scene):
-    yielding = Yielding(solver, DT)
-    together = yielding.aside(*scene)
-    apart = [yielding.aside(*(values[[i]] for values in scene))[0] for i in range(0, ROWS, 7)]
+def test_the_arm_is_what_ik_finds_for_the_command_that_is_taken(solver, scene, yielding):
+    _, base_pose, desired, joints = scene
+    twist, arm = yielding(*scene)
+    target = spatial.relative(desired, spatial.integrate(base_pose, twist, DT))
+    alone = solver.solve(target, joints, solver.robot.max_joint_velocity * DT)
+    np.testing.assert_array_equal(arm.feasible, alone.feasible)
+    np.testing.assert_array_equal(arm.joint_positions, alone.joint_positions)
+
+
+def test_no_row_depends_on_the_others(scene, yielding):
+    together, _ = yielding(*scene)
+    apart = [yielding(*(values[[i]] for values in scene))[0][0] for i in range(0, ROWS, 7)]
     np.testing.assert_array_equal(apart, together[::7])
 
 
-def test_rows_that_stand_still_are_left_alone(solver, scene):
+def test_rows_that_stand_still_are_left_alone(solver, scene, yielding):
     held = np.arange(ROWS) % 2 == 0
-    taken = Yielding(solver, DT).aside(*scene, held)
-    np.testing.assert_array_equal(taken[held], scene[0][held])
-    np.testing.assert_array_equal(taken[~held], Yielding(solver, DT).aside(*scene)[~held])
+    twist, arm = yielding(*scene, held)
+    as_given, found = Following(solver, DT)(*scene)
+    np.testing.assert_array_equal(twist[held], as_given[held])
+    np.testing.assert_array_equal(arm.joint_positions[held], found.joint_positions[held])
+    np.testing.assert_array_equal(twist[~held], yielding(*scene)[0][~held])
 
 
 @pytest.mark.parametrize("policy", ["follow_ee_feedback", "pretrained"])

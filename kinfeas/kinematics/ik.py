@@ -1,6 +1,6 @@
 """Inverse kinematics that the reward can stand on: verified, within limits, deterministic."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
@@ -71,6 +71,11 @@ class IkSolution:
     feasible: NDArray[np.bool_]
     position_error: Array
     rotation_error: Array
+
+    def put(self, rows: NDArray[np.intp], found: "IkSolution") -> None:
+        """Put what was found for m of the targets in place of what is here; `rows` is (m,)."""
+        for entry in fields(self):
+            getattr(self, entry.name)[rows] = getattr(found, entry.name)
 
 
 class IkSolver:

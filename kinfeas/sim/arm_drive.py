@@ -56,14 +56,11 @@ class ArmDrive:
         self._offsets = np.array([one.offset for one in followers])
         moved = [robot.urdf.joints[name] for name in (*names, *(one.name for one in followers))]
         _check_efforts(robot.name, moved)
-        # In lists of one number each, as PyBullet wants them.
         speeds = [*self._speed.tolist(), *(joint.velocity for joint in moved[len(names) :])]
-        self._motors = {
-            "jointIndices": [body.joints[joint.name] for joint in moved],
-            "positionGains": [1.0] * len(moved),
-            "forces": [[joint.effort] for joint in moved],
-            "maxVelocities": [[speed] for speed in speeds],
-        }
+        self._motors = [
+            (body.joints[joint.name], joint.effort, speed)
+            for joint, speed in zip(moved, speeds, strict=True)
+        ]
         order = list(body.joints)
         sprung = [name for name in names if name in robot.counterbalanced]
         self._sprung = [(body.joints[name], order.index(name)) for name in sprung]
@@ -86,18 +83,24 @@ class ArmDrive:
         way, speed = cubic(self._at, self._velocity, change, self._horizon, time)
         self._at, self._velocity = way[-1], speed[-1]
         led = self._multipliers * way[:, self._leaders] + self._offsets
-        self._way = np.concatenate([way, led], axis=1)[:, :, np.newaxis].tolist()
+        self._way = np.concatenate([way, led], axis=1).tolist()
         self._load = self._weight()
 
     def drive(self, step: int) -> None:
         """Command the motors for physics step number `step` since `aim`."""
         client, body = self._body.physics.client, self._body.body
-        client.setJointMotorControlMultiDofArray(
-            body,
-            controlMode=client.POSITION_CONTROL,
-            targetPositions=self._way[step],
-            **self._motors,
-        )
+        # One by one: PyBullet's calls for several joints at once know no velocity limits.
+        move, mode = client.setJointMotorControl2, client.POSITION_CONTROL
+        for (joint, effort, speed), position in zip(self._motors, self._way[step], strict=True):
+            move(
+                body,
+                joint,
+                mode,
+                targetPosition=position,
+                positionGain=1.0,
+                force=effort,
+                maxVelocity=speed,
+            )
         if self._sprung:
             joints = [joint for joint, _ in self._sprung]
             client.setJointMotorControlArray(body, joints, client.TORQUE_CONTROL, forces=self._load)

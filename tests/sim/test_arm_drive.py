@@ -71,6 +71,19 @@ def test_no_joint_runs_ahead_of_the_slowest(world, begin):
     assert 0.2 < share[0] < 0.5
 
 
+def test_no_joint_is_faster_than_its_limit(world, begin):
+    robot = world.body.robot
+    begin()
+    lower, upper = robot.finite_joint_limits
+    far = np.clip(robot.home["home"] + 1.5, lower, upper)
+    fastest = np.zeros(len(robot.arm))
+    for _ in range(100):
+        state = world.step(twist(), far[np.newaxis], 0.02)
+        fastest = np.maximum(fastest, np.abs(state.joint_velocities[0]))
+    assert np.all(fastest <= 1.02 * robot.max_joint_velocity)
+    assert np.any(fastest >= 0.9 * robot.max_joint_velocity)
+
+
 def test_a_continuous_joint_takes_the_shorter_way():
     robot = registry.load_robot("pr2")
     world, home = PyBulletBackend(robot), robot.home["home"].copy()
