@@ -159,7 +159,7 @@ class Loop:
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=np.linalg.norm(self._true_ee()[:, :3] - course.desired[:, :3], axis=1),
+            deviation=np.linalg.norm(self.truth[1][:, :3] - course.desired[:, :3], axis=1),
             leg=course.leg,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
@@ -216,6 +216,14 @@ class Loop:
         return self.course.desired
 
     @property
+    def truth(self) -> tuple[Array, Array]:
+        """Where base and EE really are, as far as the backend knows, shape (n, 7) each."""
+        truth = self.state.truth
+        if truth is None:
+            return self.state.base_pose, self.ee_pose
+        return truth.base_pose, spatial.compose(truth.base_pose, self._ee_of(truth))
+
+    @property
     def situation(self) -> Situation:
         """What a policy may look at now."""
         return Situation(
@@ -237,13 +245,6 @@ class Loop:
         if state.ee_in_base is not None:
             return state.ee_in_base
         return forward(self.solver.chain, state.joint_positions)
-
-    def _true_ee(self) -> Array:
-        """Return where the EE really is, as far as the backend knows, shape (n, 7)."""
-        truth = self.state.truth
-        if truth is None:
-            return self.ee_pose
-        return spatial.compose(truth.base_pose, self._ee_of(truth))
 
     def _grip(self, leg: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Let the grippers do what the legs say that have just come to their end."""

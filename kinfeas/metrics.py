@@ -1,7 +1,8 @@
 """How well a policy did: shares with their confidence, failures, deviations, jumps."""
 
-from dataclasses import dataclass
-from typing import TypedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,16 @@ class EpisodeRecords:
     def within(self) -> NDArray[np.bool_]:
         """Whether the EE never strayed by more than `WITHIN` and ended as near, shape (n,)."""
         return (self.max_deviation <= WITHIN) & (self.final_distance <= WITHIN)
+
+
+Records = TypeVar("Records", bound=EpisodeRecords)
+
+
+def join(parts: Sequence[Records]) -> Records:
+    """Return the episodes of all parts, one after the other; there is at least one part."""
+    names = [entry.name for entry in fields(parts[0])]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return type(parts[0])(**joined)
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,15 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
-
-import numpy as np
 
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.ceiling import measure_ceiling
 from kinfeas.evaluation.episodes import BATCH, run_episodes
 from kinfeas.look_ahead import Foresight
-from kinfeas.metrics import EpisodeRecords, Figures, Share, summarize
+from kinfeas.metrics import EpisodeRecords, Figures, Share, join, summarize
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import Task
@@ -134,7 +132,7 @@ def run_trial(
             parts.append(part)
             if on_done is not None:
                 on_done(len(part.reached))
-    return _join(parts)
+    return join(parts)
 
 
 @contextmanager
@@ -164,10 +162,3 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 def _run_part(trial: Trial, policy: Policy, first: int, count: int) -> EpisodeRecords:
     world = World(trial.robot, trial.task, trial.world, trial.seed)
     return run_episodes(world, policy, count, first=first)
-
-
-def _join(parts: list[EpisodeRecords]) -> EpisodeRecords:
-    names = [entry.name for entry in fields(EpisodeRecords)]
-    return EpisodeRecords(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    )

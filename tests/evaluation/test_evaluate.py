@@ -19,7 +19,7 @@ from kinfeas.evaluation.evaluate import (
     worker_pool,
 )
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.metrics import Share
+from kinfeas.metrics import Share, join
 from kinfeas.tasks.ggr import ggr
 
 KEYS = {
@@ -68,7 +68,7 @@ def test_parts_join_to_the_whole(trial, policy):
     sizes = [8, 1, 11]
     firsts = np.cumsum([0, *sizes])
     parts = [module._run_part(trial, policy, *part) for part in zip(firsts, sizes, strict=False)]
-    joined = module._join(parts)
+    joined = join(parts)
     for key, values in vars(whole).items():
         np.testing.assert_array_equal(getattr(joined, key), values, err_msg=key)
 

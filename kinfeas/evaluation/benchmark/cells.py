@@ -15,17 +15,13 @@ from kinfeas.envs.world import World
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.identity import identities
 from kinfeas.evaluation.benchmark.job import CEILING, Job
+from kinfeas.evaluation.benchmark.records import to_lists
 from kinfeas.evaluation.benchmark.samples import WorkspaceSamples
 from kinfeas.evaluation.ceiling import measure_ceiling
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics.evaluate import is_judged, physics_figures, run_part
-from kinfeas.evaluation.physics.world import (
-    PhysicsRecords,
-    PhysicsSettings,
-    PhysicsTrial,
-    to_lists,
-)
+from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings, PhysicsTrial
 from kinfeas.evaluation.policies import BASELINES, load_driver, load_policy
 from kinfeas.metrics import summarize
 from kinfeas.policy import Network

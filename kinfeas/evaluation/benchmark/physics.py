@@ -7,10 +7,11 @@ from kinfeas import registry
 from kinfeas.evaluation.benchmark.cells import Result
 from kinfeas.evaluation.benchmark.job import Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
+from kinfeas.evaluation.benchmark.records import from_lists
 from kinfeas.evaluation.benchmark.table import Cell, common, interval, mean_of
 from kinfeas.evaluation.physics.evaluate import PhysicsFigures, is_judged, physics_figures
-from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial, join_records
-from kinfeas.metrics import Share
+from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial
+from kinfeas.metrics import Share, join
 from kinfeas.tasks.loading import load_task
 
 
@@ -90,7 +91,7 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
     trial = PhysicsTrial(registry.load_robot(job.robot), load_task(job.task), episodes)
     judged = is_judged(replace(trial, settings=world))
     figures = [
-        physics_figures(join_records([result["records"] for _, result in parts]), judged=judged)
+        physics_figures(join([from_lists(result["records"]) for _, result in parts]), judged=judged)
         for parts in sources
     ]
     seeds = [parts[0][0].training_seed for parts in sources]

@@ -12,10 +12,8 @@ from kinfeas.evaluation.physics.world import (
     PhysicsRecords,
     PhysicsTrial,
     PhysicsWorld,
-    columns,
-    join_records,
 )
-from kinfeas.metrics import Figures, Share, summarize, wilson
+from kinfeas.metrics import Figures, Share, join, summarize, wilson
 from kinfeas.policy import Policy
 from kinfeas.sim.stage import has_scene
 
@@ -131,7 +129,7 @@ def run_physics(
             parts.append(part)
             if on_done is not None:
                 on_done(len(part.reached))
-    return _join(parts)
+    return join(parts)
 
 
 def run_part(
@@ -151,8 +149,4 @@ def run_part(
                 on_done(1)
     finally:
         world.close()
-    return _join(parts)
-
-
-def _join(parts: list[PhysicsRecords]) -> PhysicsRecords:
-    return join_records([columns(part) for part in parts])
+    return join(parts)

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
-from kinfeas.kinematics.forward import forward
-from kinfeas.loop import Loop, Rows
+from kinfeas.loop import Rows
 from kinfeas.policy import Policy
 from kinfeas.sim.camera import Moment, keep_moment
-from kinfeas.spatial import Array, compose
+from kinfeas.spatial import Array
 
 _RATE = 25.0  # moments kept per second, at most
 
@@ -92,15 +91,6 @@ def record(
     )
 
 
-def _achieved(loop: Loop) -> tuple[Array, Array]:
-    """Return where base and EE really are: adapters show a policy something else."""
-    state = loop.state.truth or loop.state
-    within = state.ee_in_base
-    if within is None:
-        within = forward(loop.solver.chain, state.joint_positions)
-    return state.base_pose, compose(state.base_pose, within)
-
-
 @dataclass
 class _Kept:
     """What has been seen so far."""
@@ -120,7 +110,7 @@ class _Kept:
             loop = world.loop
             self.times.append((self.steps + 1) * loop.dt)
             self.moments.append(keep_moment(self.world.stage.backend.physics))
-            seen = (*_achieved(loop), loop.desired, loop.goal)
+            seen = (*loop.truth, loop.desired, loop.goal)
             self.places.append(tuple(pose[0, :3].copy() for pose in seen))
             self.failures.append(self.failed)
             self.failed = 0

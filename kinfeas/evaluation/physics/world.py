@@ -1,8 +1,8 @@
 """One policy in the PyBullet world: settings, episodes and what is recorded of them."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Annotated, Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,7 @@ class PhysicsWorld:
             self._wait()
         done = self.stage.done()
         return PhysicsRecords(
-            **columns(records),
+            **vars(records),
             done=records.reached if done is None else np.array([done]),
             base_collisions=np.array([meter.base.count]),
             arm_collisions=np.array([meter.arm.count]),
@@ -214,30 +214,3 @@ def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvalua
     """
     path = default_recipe("physics", robot.name)
     return config.load(PhysicsEvaluationConfig, path, overrides)
-
-
-def columns(records: EpisodeRecords) -> dict[str, NDArray[Any]]:
-    """Return what was recorded of n episodes by the names of the fields, each of shape (n,)."""
-    return {entry.name: getattr(records, entry.name) for entry in fields(records)}
-
-
-def to_lists(records: EpisodeRecords) -> dict[str, list[Any]]:
-    """Return records as JSON can hold them: null for a distance that is infinite."""
-    plain = {name: values.tolist() for name, values in columns(records).items()}
-    return {
-        name: [None if value == np.inf else value for value in values]
-        for name, values in plain.items()
-    }
-
-
-def join_records(parts: Sequence[Mapping[str, Any]]) -> PhysicsRecords:
-    """Return the episodes of all parts, each as `columns` or `to_lists` returns it."""
-    joined = {
-        entry.name: np.concatenate([_finite_or_not(part[entry.name]) for part in parts])
-        for entry in fields(PhysicsRecords)
-    }
-    return PhysicsRecords(**joined)
-
-
-def _finite_or_not(values: Iterable[Any]) -> NDArray[Any]:
-    return np.array([np.inf if value is None else value for value in values])

@@ -11,10 +11,11 @@ from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.physics import tabulate_physics
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
+from kinfeas.evaluation.benchmark.records import to_lists
 from kinfeas.evaluation.benchmark.study import StudyConfig, read_study
 from kinfeas.evaluation.benchmark.table import tabulate, to_json
 from kinfeas.evaluation.evaluate import evaluation_world
-from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings, to_lists
+from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings
 from tests.evaluation.benchmark.benchmark_cases import PHYSICS_STUDY, physics_plan
 
 

@@ -1,0 +1,25 @@
+"""What happened in episodes with physics, as JSON can hold it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from kinfeas.evaluation.physics.world import PhysicsRecords
+
+
+def to_lists(records: PhysicsRecords) -> dict[str, list[Any]]:
+    """Return records by the names of their fields: null for a distance that is infinite."""
+    return {
+        name: [None if value == np.inf else value for value in values.tolist()]
+        for name, values in vars(records).items()
+    }
+
+
+def from_lists(lists: Mapping[str, list[Any]]) -> PhysicsRecords:
+    """Return what `to_lists` was given."""
+    columns = {
+        name: np.array([np.inf if value is None else value for value in values])
+        for name, values in lists.items()
+    }
+    return PhysicsRecords(**columns)
