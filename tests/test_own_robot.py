@@ -11,9 +11,11 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.spec import RobotSpec
+from kinfeas.sim2real.ros_names import read_topics
 
 ROOT = Path(__file__).parents[1]
 YAML = str(ROOT / "examples" / "own_robot" / "scout.yaml")
+TOPICS = ROOT / "examples" / "own_robot" / "scout_topics.yaml"
 PAGE = (ROOT / "docs" / "own_robot.md").read_text()
 
 
@@ -58,3 +60,9 @@ def test_its_world_runs():
 def test_the_page_explains_every_key():
     for name in RobotSpec.__dataclass_fields__:
         assert re.search(rf"^\| `{name}` \|", PAGE, re.MULTILINE), name
+
+
+def test_the_topics_of_the_page_are_those_of_the_file():
+    assert f"```yaml\n{TOPICS.read_text()}```" in PAGE
+    topics = read_topics(registry.load_robot(YAML), 2, str(TOPICS))
+    assert len(topics.joints.controllers) == 2

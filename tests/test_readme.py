@@ -1,7 +1,9 @@
 """What the README and the pages of docs/ show works as it stands there."""
 
+import json
 import re
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +11,19 @@ import pytest
 import typer
 from markdown_it import MarkdownIt
 
-from kinfeas import registry
+from kinfeas import config, registry
 from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
+from kinfeas.training.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text()
+TRAINING = (ROOT / "docs" / "training.md").read_text()
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Whose Python blocks another test runs, since they need files or stand in a row.
 RUN_ELSEWHERE = {
@@ -109,6 +115,33 @@ def test_the_task_of_the_page_on_tasks(tmp_path):
     start = task.sample(IkSolver(registry.load_robot("pr2")), np.random.default_rng(0))
     assert start.target_poses.shape == (3, 7)
     assert [leg.wait for leg in task.legs] == [0.0, 2.0, 0.0]
+
+
+def test_the_topics_of_the_page_on_ros_are_those_of_tiago(tmp_path):
+    page = (ROOT / "docs" / "ros.md").read_text()
+    path = tmp_path / "mine.yaml"
+    path.write_text(re.search(r"^```yaml\n(.*?)^```$", page, re.M | re.S).group(1))
+    tiago = registry.load_robot("tiago")
+    assert read_topics(tiago, 2, str(path)) == read_topics(tiago, 2)
+
+
+ROWS = re.findall(r"^\| `(\S+)` \| (\S.*?) \| (\S.*?) \| (\S.*?) \|", TRAINING, re.M)
+
+
+@pytest.mark.parametrize(("key", "other", "pr2", "tiago"), ROWS)
+def test_the_recipes_of_the_page_on_training(key, other, pr2, tiago):
+    def value(robot):
+        known = asdict(config.load(TrainConfig, default_recipe("train", robot)))
+        for part in key.split("."):
+            known = known[part]
+        return list(known) if isinstance(known, tuple) else known
+
+    if key in {"world.reward", "world.adapters"}:
+        assert (pr2, tiago) == ("the same", "the same")
+        return
+    told = [float(text) if "[" not in text else json.loads(text) for text in (other, pr2, tiago)]
+    assert told == [value(robot) for robot in ("none", "pr2", "tiago")]
+    assert value("hsr") == told[1]
 
 
 def test_pictures_are_small():

@@ -78,6 +78,21 @@ def rigid_with(urdf: Urdf, link: str) -> frozenset[str]:
     return frozenset(group)
 
 
+def bare_stand(urdf: Urdf, arm: Arm) -> str:
+    """Return the link that an arm is on, if nothing tells it from the arm's own first link.
+
+    Nothing does if all that stands still below the arm is a single body, and nothing else moves
+    on it, such as wheels or a head. An arm that begins with a slide has a lift, and so a base.
+    The name is empty if something does.
+    """
+    first = arm.joints[0]
+    group = rigid_with(urdf, first.parent)
+    moving = [joint for joint in urdf.joints.values() if joint.moves and joint.parent in group]
+    bodies = [link for link in group if urdf.links[link].shapes]
+    bare = len(moving) == len(bodies) == 1 and first.kind != "prismatic"
+    return bodies[0] if bare else ""
+
+
 def _touches(joint: Joint, group: set[str]) -> bool:
     return joint.parent in group or joint.child in group
 

@@ -11,7 +11,7 @@ from kinfeas.draft.placed import link_pose
 from kinfeas.draft.primitives import MARGIN, fit_primitives
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.elements import Element, read_xml
-from kinfeas.robots.urdf import Joint, Shape, Urdf, parse_urdf, read_shape
+from kinfeas.robots.urdf import Joint, Shape, Urdf, read_shape, urdf_of
 from kinfeas.robots.xml_text import numbers_text, set_origin
 from kinfeas.spatial import compose, rotation
 
@@ -19,6 +19,8 @@ _DIGITS = 4
 """Of lengths in metres and of angles: what they take away is less than what `MARGIN` adds."""
 
 assert MARGIN > 10.0**-_DIGITS
+
+_THINNEST = 10.0**-_DIGITS  # m, of which rounding leaves something
 
 _COLOURS = ("0.78 0.8 0.83 1", "0.45 0.6 0.77 1")
 """Of links that are an even and an odd number of joints away from the root."""
@@ -45,7 +47,8 @@ def boxed_urdf(
     Raises:
         KinfeasError: If the URDF is broken, has no link `base`, or a mesh cannot be read.
     """
-    robot, urdf = read_robot_element(path), parse_urdf(path)
+    robot = read_robot_element(path)
+    urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, base or _first_body(urdf, links), str(path))
     out = ElementTree.Element("robot", name=urdf.name)
@@ -135,9 +138,8 @@ def _link(name: str, inertial: Any, shapes: Iterable[Shape], colour: str) -> Ele
 
 
 def _size(shape: Shape) -> dict[str, str]:
+    sizes = [max(size, _THINNEST) for size in shape.size]
     if shape.kind == "box":
-        return {"size": numbers_text(shape.size, _DIGITS)}
+        return {"size": numbers_text(sizes, _DIGITS)}
     names = ("radius", "length")
-    return {
-        name: numbers_text([size], _DIGITS) for name, size in zip(names, shape.size, strict=False)
-    }
+    return {name: numbers_text([size], _DIGITS) for name, size in zip(names, sizes, strict=False)}

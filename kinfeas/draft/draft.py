@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from kinfeas.draft.arm import Arm, find_arm
+from kinfeas import config
+from kinfeas.draft.arm import Arm, bare_stand, find_arm
 from kinfeas.draft.boxed import boxed_urdf, read_robot_element
 from kinfeas.draft.footprint import on_the_floor
 from kinfeas.draft.hand import read_hand
@@ -26,9 +26,11 @@ from kinfeas.draft.stated import LEEWAY, stated
 from kinfeas.draft.text import Guesses, robot_yaml
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
-from kinfeas.robots.robot import Robot, read_robot
+from kinfeas.robots.elements import parse_xml
+from kinfeas.robots.robot import Robot, build_robot
 from kinfeas.robots.spec import Drive, RobotSpec
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf import Urdf, urdf_of
+from kinfeas.storage import strict_yaml
 
 _HARD = 0.2
 """Share of reachable goals below which no height is worth learning."""
@@ -94,10 +96,8 @@ def draft_robot(
     tell = on_done or (lambda share: None)
     links = len(read_robot_element(path).children("link"))
     boxed = boxed_urdf(path, options.base, lambda _: tell(_BOXING / links))
-    with TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        urdf, spec, guesses = _stated(path, boxed, options, folder)
-        robot = _read(spec, urdf, folder)
+    urdf, spec, guesses = _stated(path, boxed, options)
+    robot = _read(spec, urdf, path)
     touching = built_to_touch(robot)
     leeway = LEEWAY if freedom(robot) < POSE_DIMENSIONS else None
     robot = replace(with_pairs(robot, touching), leeway=leeway)
@@ -136,32 +136,34 @@ def bands(heights: Heights, source: str) -> tuple[Band, Band]:
     return band, heights.band(EASY) or middle
 
 
-def _stated(
-    path: Path, boxed: str, options: DraftOptions, folder: Path
-) -> tuple[str, RobotSpec, Guesses]:
+def _stated(path: Path, boxed: str, options: DraftOptions) -> tuple[str, RobotSpec, Guesses]:
     """Return the text of the URDF, on the floor, and what it states; errors name `path`."""
-    draft = folder / path.name
-    draft.write_text(boxed, encoding="utf-8")
-    arm = find_arm(parse_urdf(draft), options.hand, str(path))
-    text, lifted = on_the_floor(draft, arm)
-    draft.write_text(text, encoding="utf-8")
-    urdf = parse_urdf(draft)
+    arm = find_arm(_parsed(boxed, path), options.hand, str(path))
+    text, lifted = on_the_floor(boxed, arm, str(path))
+    urdf = _parsed(text, path)
     spec = stated(options.name or path.stem, urdf, arm, read_hand(urdf, arm), options.drive)
-    return text, spec, _guesses(spec, arm, lifted)
+    return text, spec, _guesses(spec, urdf, arm, lifted)
 
 
-def _guesses(spec: RobotSpec, arm: Arm, lifted: float) -> Guesses:
+def _guesses(spec: RobotSpec, urdf: Urdf, arm: Arm, lifted: float) -> Guesses:
     names = [joint.name for joint in arm.joints]
     return Guesses(
         lifted=lifted,
         speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
+        slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
+        fingers=len(arm.fingers),
+        stand=bare_stand(urdf, arm),
     )
 
 
-def _read(spec: RobotSpec, urdf: str, folder: Path) -> Robot:
-    """Return the robot as kinfeas reads it from its files."""
-    (folder / spec.urdf).write_text(urdf, encoding="utf-8")
-    path = folder / f"{spec.name}.yaml"
-    path.write_text(robot_yaml(spec, Guesses()), encoding="utf-8")
-    return read_robot(path)
+def _read(spec: RobotSpec, urdf: str, path: Path) -> Robot:
+    """Return the robot as kinfeas will read it from its files; errors name `path`."""
+    source = str(path)
+    told = strict_yaml.parse(robot_yaml(spec, Guesses()), source)
+    spec = config.from_mapping(RobotSpec, told, source)
+    return build_robot(spec, _parsed(urdf, path), path, source)
+
+
+def _parsed(urdf: str, path: Path) -> Urdf:
+    return urdf_of(parse_xml(urdf, "robot", str(path)))

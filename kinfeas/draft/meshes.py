@@ -7,6 +7,7 @@ import numpy as np
 
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
+from kinfeas.quantities import FARTHEST
 from kinfeas.robots.elements import Element
 from kinfeas.robots.meshes import find_mesh
 from kinfeas.spatial import Array
@@ -25,14 +26,20 @@ def read_triangles(mesh: Element, folder: Path) -> Array:
         folder: Where the URDF lies, an absolute path.
 
     Raises:
-        KinfeasError: If there is no such file, it cannot be read, or it holds no triangle.
+        KinfeasError: If there is no such file, it cannot be read, it holds no triangle, or it
+            reaches farther than `FARTHEST`.
     """
     path = find_mesh(mesh, folder, FORMATS)
     if path.stat().st_size > _LARGEST:
         raise mesh.error(f"{str(path)!r} is too large, at most {_LARGEST} bytes are allowed")
-    triangles = _load(path, mesh.where) * np.array(mesh.vector("scale", 3, (1.0, 1.0, 1.0)))
-    if not len(triangles) or not np.isfinite(triangles).all():
-        raise mesh.error(f"{str(path)!r} holds no triangles, or corners that are not finite")
+    scale = mesh.vector("scale", 3, (1.0, 1.0, 1.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        triangles = _load(path, mesh.where) * np.array(scale)
+    if not len(triangles) or not (np.abs(triangles) <= FARTHEST).all():
+        raise mesh.error(
+            f"{str(path)!r} holds no triangles, or corners that are not finite or not within "
+            f"{FARTHEST:g} m"
+        )
     return triangles
 
 

@@ -12,22 +12,39 @@ _PLAIN = re.compile(r"[A-Za-z][\w./-]*")
 _WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 """Which YAML takes for something else."""
 
+_BASE_UNITS = {
+    "max_velocity": "m/s",
+    "max_rotation": "rad/s",
+    "max_acceleration": "m/s^2",
+    "max_rotation_acceleration": "rad/s^2",
+}
+
 
 @dataclass(frozen=True)
 class Guesses:
-    """What stands in the YAML file though the URDF does not say so.
+    """What stands in the YAML file though the URDF does not say so, and what comments are made of.
 
     Attributes:
         lifted: How far the URDF's own root is above the floor, metres.
         speeds: Arm joints to which the URDF gives no speed.
         limits: Arm joints that turn without end, but are not called continuous.
         touching: Share of configurations in which links touch that may, 0-1.
+        slides: Joints whose positions are metres; those of the others are radians.
+        fingers: How many fingers the hand has, by which its tip and its axes were found.
+        stand: The link that the arm is on, if that may be the arm's own first link; else nothing.
     """
 
     lifted: float = 0.0
     speeds: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    slides: frozenset[str] = frozenset()
+    fingers: int = 0
+    stand: str = ""
+
+    def unit(self, joint: str) -> str:
+        """Return the unit of a joint's position."""
+        return "m" if joint in self.slides else "rad"
 
 
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
@@ -49,23 +66,45 @@ def _head(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
         yield f"# A root on the floor was added to the URDF, {guesses.lifted:g} m below its own."
     yield f"urdf: {_flow(str(spec.urdf))}  # its shapes are primitives"
     yield f"ee_frame: {_flow(spec.ee_frame)}"
-    yield f"tool_tip: {_flow(spec.tool_tip)}  # guess: where the fingers end"
-    yield f"gripper_rotation: {_flow(spec.gripper_rotation)}  # guess: by where the fingers are"
+    tip, turned = _hand(guesses.fingers)
+    yield f"tool_tip: {_flow(spec.tool_tip)}  # m, guess: {tip}"
+    yield f"gripper_rotation: {_flow(spec.gripper_rotation)}  # x y z w, guess: {turned}"
+
+
+def _hand(fingers: int) -> tuple[str, str]:
+    """Return by what the tip and the axes of a hand were found."""
+    if fingers > 1:
+        return "where the fingers end", "by where the fingers are"
+    if fingers == 1:
+        return "as far as the hand reaches", "by how its jaw closes"
+    return "as far as the hand reaches", "no fingers; x away from the arm, y arbitrary"
 
 
 def _base(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
-    yield from ("", "# Guess: what the vendor allows stands in the manual.", "base:")
+    yield from ("", "# Guess: what the vendor allows stands in the manual.")
+    if guesses.stand:
+        yield f"# Is {_flow(guesses.stand)} a base that drives? It may be the arm's own first link."
+    yield "base:"
     for entry in fields(spec.base):
-        yield f"  {entry.name}: {_flow(getattr(spec.base, entry.name))}"
+        value = _flow(getattr(spec.base, entry.name))
+        yield f"  {entry.name}: {value}{_comment(_BASE_UNITS.get(entry.name))}"
 
 
 def _arm(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     yield from ("", "arm:")
     for name, joint in spec.arm.items():
-        guess = "  # guess" if name in (*guesses.speeds, *guesses.limits) else ""
-        yield f"  {_flow(name)}: {_joint(joint)}{guess}"
-    yield from ("", "home:")
+        yield f"  {_flow(name)}: {_joint(joint)}{_guessed(name, guesses)}"
+    slides = any(name in guesses.slides for name in spec.arm)
+    yield from ("", "# rad, or m where a joint slides" if slides else "# rad", "home:")
     yield from (f"  {_flow(name)}: {_flow(at)}" for name, at in spec.home.items())
+
+
+def _guessed(joint: str, guesses: Guesses) -> str:
+    """Return the comment on an arm joint: the units of what was guessed, if anything was."""
+    unit = guesses.unit(joint)
+    kinds = {unit: guesses.limits, f"{unit}/s": guesses.speeds}
+    units = [one for one, joints in kinds.items() if joint in joints]
+    return _comment(*units, "guess") if units else ""
 
 
 def _joint(joint: ArmJointSpec) -> str:
@@ -76,20 +115,25 @@ def _joint(joint: ArmJointSpec) -> str:
 def _gripper(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     if spec.gripper is None:
         return
+    unit = guesses.unit(spec.gripper.fingers[0])
+    effort = "N" if unit == "m" else "N m"
+    units = {"closed": unit, "open": unit, "effort": f"{effort}, the URDF's limit"}
     yield from ("", "gripper:")
     for entry in fields(spec.gripper):
-        yield f"  {entry.name}: {_flow(getattr(spec.gripper, entry.name))}"
+        value = _flow(getattr(spec.gripper, entry.name))
+        yield f"  {entry.name}: {value}{_comment(units.get(entry.name))}"
     yield from ("", "# The gripper is half open.", "fixed_joints:")
-    yield from (f"  {_flow(name)}: {_flow(at)}" for name, at in spec.fixed_joints.items())
+    for name, at in spec.fixed_joints.items():
+        yield f"  {_flow(name)}: {_flow(at)}{_comment(guesses.unit(name))}"
 
 
 def _reach(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     yield from ("", "# Where goals of any orientation can be reached.", "goal_heights:")
-    yield from (f"  {name}: {_flow(heights)}" for name, heights in spec.goal_heights.items())
+    yield from (f"  {name}: {_flow(heights)}  # m" for name, heights in spec.goal_heights.items())
     if spec.leeway is not None:
         yield from ("", "# Guess: these joints cannot follow six dimensions.", "leeway:")
-        for entry in fields(spec.leeway):
-            yield f"  {entry.name}: {_flow(getattr(spec.leeway, entry.name))}"
+        yield f"  position: {_flow(spec.leeway.position)}  # m"
+        yield f"  rotation: {_flow(spec.leeway.rotation)}  # rad"
 
 
 def _collisions(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
@@ -99,6 +143,12 @@ def _collisions(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     yield from ("# share of configurations in which they do.", "ignored_collisions:")
     for pair in spec.ignored_collisions:
         yield f"  - {_flow(pair)}  # {guesses.touching[pair]:.0%}"
+
+
+def _comment(*words: str | None) -> str:
+    """Return words as a comment at the end of a line; nothing if there are none."""
+    told = ", ".join(filter(None, words))
+    return f"  # {told}" if told else ""
 
 
 def _flow(value: Any) -> str:

@@ -1,7 +1,7 @@
 import pytest
 
 from kinfeas import registry
-from kinfeas.draft.arm import find_arm, rigid_with
+from kinfeas.draft.arm import bare_stand, find_arm, rigid_with
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.urdf import parse_urdf
 
@@ -85,3 +85,32 @@ def test_fingers_on_several_links_hang_on_the_one_before_these(changed):
         ('<parent link="palm"/><child link="left"/>', '<parent link="tool"/><child link="left"/>')
     )
     assert find_arm(parse_urdf(path), None, "dolly").hand == "palm"
+
+
+NECK = ('<joint name="neck" type="revolute">', '<joint name="neck" type="fixed">')
+HEAD = (
+    '<link name="head"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>',
+    '<link name="head"/>',
+)
+SLIDE = ('<joint name="pan" type="continuous">', '<joint name="pan" type="prismatic">')
+LIMIT = ('<axis xyz="0 0 1"/></joint>', '<axis xyz="0 0 1"/><limit lower="0" upper="1"/></joint>')
+
+
+@pytest.mark.parametrize(
+    ("changes", "stand"),
+    [
+        ((), ""),  # a head moves on it
+        ((NECK,), ""),  # two bodies
+        ((NECK, HEAD), "base"),
+        ((NECK, HEAD, SLIDE, LIMIT), ""),  # a lift
+    ],
+)
+def test_an_arm_on_a_single_body_may_have_no_base(changed, changes, stand):
+    urdf = parse_urdf(changed(*changes))
+    assert bare_stand(urdf, find_arm(urdf, None, "dolly")) == stand
+
+
+@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
+def test_shipped_robots_have_a_base(name):
+    robot = registry.load_robot(name)
+    assert not bare_stand(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))

@@ -44,6 +44,20 @@ def test_primitives_and_joints_stay_as_they_are(dolly, tmp_path):
         assert [shape.size for shape in shapes] == [shape.size for shape in link.shapes]
 
 
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ('<box size="0.4 0.4 0.00002"/>', (0.4, 0.4, 0.0001)),
+        ('<cylinder radius="0.00004" length="1e-320"/>', (0.0001, 0.0001)),
+        ('<sphere radius="0.00001"/>', (0.0001,)),
+    ],
+)
+def test_what_is_very_thin_stays_there(changed, tmp_path, shape, size):
+    path = changed(('<box size="0.04 0.1 0.04"/>', shape))
+    (found,) = boxed(path, tmp_path).links["palm"].shapes
+    assert found.size == size
+
+
 def test_a_mesh_becomes_a_primitive_that_holds_it(meshed, tmp_path):
     pytest.importorskip("trimesh")
     palm = boxed(meshed, tmp_path).links["palm"]
@@ -59,6 +73,8 @@ def test_a_mesh_becomes_a_primitive_that_holds_it(meshed, tmp_path):
         (None, "link 'palm', <collision>, <geometry>, <mesh>: there is no 'part.stl'"),
         ("solid\nendsolid\n", "holds no triangles"),
         (stl([[[0, 0, 0], [0, 0, "nan"], [1, 0, 0]]]), "not finite"),
+        (stl([[[0, 0, 0], [0, 0, 1e37], [1, 0, 0]]]), "not within 10000 m"),
+        (stl([[[0, 0, 0], [0, 1e5, 0], [1e5, 1e5, 0]]]), "not within 10000 m"),
     ],
 )
 def test_broken_meshes_are_one_sentence(changed, content, message):
@@ -68,6 +84,23 @@ def test_broken_meshes_are_one_sentence(changed, content, message):
         path.with_name("part.stl").write_text(content)
     with pytest.raises(KinfeasError, match=f"changed.urdf: .*{message}"):
         boxed_urdf(path)
+
+
+@pytest.mark.parametrize("scale", ["1e16 1e16 1e16", "1 1e16 1"])
+@pytest.mark.parametrize("corner", ["1e300 0 0", "1 1 1"])
+def test_what_reaches_too_far_is_one_sentence(changed, corner, scale):
+    pytest.importorskip("trimesh")
+    path = changed(('<box size="0.04 0.1 0.04"/>', f'<mesh filename="a.obj" scale="{scale}"/>'))
+    path.with_name("a.obj").write_text(f"v {corner}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(KinfeasError, match=r"<mesh>: .*a\.obj' holds no triangles, or .* 10000 m$"):
+        boxed_urdf(path)
+
+
+def test_what_just_reaches_so_far_is_boxed(changed, tmp_path):
+    pytest.importorskip("trimesh")
+    path = changed(('<box size="0.04 0.1 0.04"/>', '<mesh filename="a.obj"/>'))
+    path.with_name("a.obj").write_text("v 4999 0 0\nv 4998 0 0\nv 0 4999 0\nf 1 2 3\n")
+    assert boxed(path, tmp_path).links["palm"].shapes
 
 
 def test_meshes_need_what_reads_them(meshed, monkeypatch):

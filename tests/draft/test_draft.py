@@ -43,14 +43,28 @@ def test_what_is_guessed_is_called_so(dolly, few):
     draft = draft_robot(dolly, DraftOptions())
     assert draft.guesses.speeds == ("pan",)
     assert draft.guesses.limits == ("elbow",)
-    assert "  pan: {velocity: 1}  # guess\n" in draft.yaml
-    assert "  elbow: {soft_limits: [-3.1416, 3.1416]}  # guess\n" in draft.yaml
+    assert "  pan: {velocity: 1}  # rad/s, guess\n" in draft.yaml
+    assert "  elbow: {soft_limits: [-3.1416, 3.1416]}  # rad, guess\n" in draft.yaml
     assert "  lift: {}\n" in draft.yaml
+    assert "where the fingers end\n" in draft.yaml
 
 
 def test_equal_urdfs_make_equal_drafts(dolly, few):
     once, again = (draft_robot(dolly, DraftOptions()) for _ in range(2))
     assert (once.yaml, once.urdf) == (again.yaml, again.urdf)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ('lower="-2" upper="2"', 'lower="1" upper="1"'),
+        ('<box size="0.04 0.1 0.04"/>', '<box size="0.04 0.1 9999999"/>'),
+    ],
+)
+def test_errors_name_the_file_that_was_given(changed, change):
+    path = changed(change)
+    with pytest.raises(KinfeasError, match=f"^{path}: "):
+        draft_robot(path, DraftOptions())
 
 
 def test_names_that_yaml_takes_for_something_else_are_quoted(changed, tmp_path, few):

@@ -8,7 +8,8 @@ from kinfeas.robots.urdf import parse_urdf
 
 
 def stand(path, tmp_path):
-    text, lifted = on_the_floor(path, find_arm(parse_urdf(path), None, "dolly"))
+    arm = find_arm(parse_urdf(path), None, "dolly")
+    text, lifted = on_the_floor(path.read_text(), arm, str(path))
     out = tmp_path / "standing.urdf"
     out.write_text(text)
     return parse_urdf(out), lifted
@@ -19,12 +20,22 @@ def test_a_root_on_the_floor_stays(dolly, tmp_path):
     assert (urdf.root, lifted) == ("base", 0.0)
 
 
-@pytest.mark.parametrize("name", ["base_footprint", "footprint"])
-def test_a_root_above_the_floor_gets_one_below(changed, tmp_path, name):
-    changes = [('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"')]
-    if name == "footprint":
-        changes.append(("head", "base_footprint"))
-    urdf, lifted = stand(changed(*changes), tmp_path)
+@pytest.mark.parametrize(
+    ("taken", "name"),
+    [
+        ({}, "base_footprint"),
+        ({"head": "base_footprint"}, "footprint"),
+        ({'name="mount"': 'name="base_footprint_joint"'}, "footprint"),
+        ({"head": "base_footprint", '"tool"': '"footprint"'}, "footprint_2"),
+        (
+            {"head": "base_footprint", '"tool"': '"footprint"', '"mount"': '"footprint_2_joint"'},
+            "footprint_3",
+        ),
+    ],
+)
+def test_a_root_above_the_floor_gets_one_below(changed, tmp_path, taken, name):
+    above = ('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"')
+    urdf, lifted = stand(changed(above, *taken.items()), tmp_path)
     assert (urdf.root, lifted) == (name, 0.3)
     down = np.array([0.0, 0.0, -1.0])
     lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, {}))
