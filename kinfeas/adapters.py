@@ -17,6 +17,9 @@ from kinfeas.storage.recipes import find_recipe
 FOLDER = "sim2real"
 """Where the ladder of shipped lists stands among the configurations."""
 
+_GIVEN = ("backend", "robot")
+"""Parameters of every adapter that `wrap` gives it."""
+
 
 @dataclass(frozen=True)
 class AdapterSpec:
@@ -25,10 +28,21 @@ class AdapterSpec:
     Attributes:
         name: Entry-point name in the group kinfeas.adapters.
         parameters: Its keyword parameters.
+
+    Raises:
+        ValueError: If they say what is wrapped, or whom it moves.
     """
 
     name: str
     parameters: dict[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that nothing is said that is known already."""
+        for key in _GIVEN:
+            if key in self.parameters:
+                raise ValueError(
+                    f"adapter {self.name!r}: the parameter {key!r} follows from the run"
+                )
 
 
 @dataclass(frozen=True)

@@ -112,6 +112,15 @@ class Live(Protocol):
 
 
 @runtime_checkable
+class ArmLimited(Protocol):
+    """A backend that decides itself how fast the arm goes to where it is sent."""
+
+    def limit_arm(self, velocity: Array) -> None:
+        """Let no joint of the arm go faster from now on; shape (j,), rad/s or m/s."""
+        ...
+
+
+@runtime_checkable
 class Resumable(Protocol):
     """A backend or adapter whose whole state fits into arrays, so that a run can go on from it."""
 

@@ -1,16 +1,18 @@
 """The guards of commands: the last thing before the robot, within all adapters."""
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Grip, Live, RobotState, blaming
-from kinfeas.errors import KinfeasError
+from kinfeas.backend import ArmLimited, Backend, Grip, Live, RobotState, blaming
+from kinfeas.conformance.backend import BackendAnswers
 from kinfeas.joints import joint_way
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import DriveLimits, arm_go, from_drive, to_drive
-from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.passing import Passing
 from kinfeas.spatial import Array
@@ -27,24 +29,35 @@ class CommandGuard(Passing):
         joint_targets: Arm joints that were sent last, shape (1, j).
         held: Why the arm was not sent on in the last step, or nothing.
         stopped: Whether the base was commanded to zero for good, as it is before a reset.
+        steps: How many commands were carried out.
     """
 
-    def __init__(self, backend: Backend, robot: Robot, guards: Guards) -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        robot: Robot,
+        guards: Guards,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Put the guards right around what moves the robot.
 
         Args:
             backend: What moves the robot.
             robot: Who is moved.
             guards: What is allowed.
+            clock: What tells the time, in seconds; it never goes backwards.
         """
         super().__init__(backend)
-        self.robot, self._guards = robot, guards
+        self.robot, self._guards, self._clock = robot, guards, clock
+        self._live = backend if isinstance(backend, Live) else None
+        self._arm_limited = backend if isinstance(backend, ArmLimited) else None
+        self._answers = BackendAnswers(backend, len(robot.arm))
         self._limits = _limits(robot, guards)
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
         self._velocity, self._dt = np.zeros(3), 0.0
-        self._state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
+        self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
-        self.held, self.stopped = "", True
+        self.held, self.stopped, self.steps = "", True, 0
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
@@ -54,13 +67,14 @@ class CommandGuard(Passing):
         Raises:
             KinfeasError: If a backend from outside fails, or returns no state.
         """
+        if self._arm_limited is not None:
+            with blaming(self.backend, "limit_arm"):
+                self._arm_limited.limit_arm(self._joint_speed)
         with blaming(self.backend, "reset"):
             state = self.backend.reset(base_pose, joint_positions, rows)
-        if not isinstance(state, RobotState):
-            name, got = type(self.backend).__name__, type(state).__name__
-            raise KinfeasError(f"backend {name} must return a RobotState from reset, not {got}")
+        self._take("reset", state)
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
-        self._velocity, self._state = np.zeros(3), state
+        self._velocity = np.zeros(3)
         self.held, self.stopped = "", False
         return state
 
@@ -68,7 +82,9 @@ class CommandGuard(Passing):
         """Send what is allowed of a command and return what was measured; shapes as in `Backend`.
 
         Raises:
-            Fault: If the command is none, or the robot was stopped.
+            KinfeasError: If the backend returns no state.
+            Fault: If the command is none, or made of too old a measurement, or the robot was
+                stopped.
         """
         if self.stopped:
             raise Fault("the base was stopped")
@@ -80,9 +96,24 @@ class CommandGuard(Passing):
         targets = self._arm(joint_targets[0], dt)[np.newaxis]
         # Both are made of a measurement, too, which may still be on its way to who judges it.
         check_command(self.robot, twist, targets)
+        self._check_fresh()
         self.base_twist, self.joint_targets = twist, targets
-        self._state = self.backend.step(twist, targets, dt)
-        return self._state
+        # Copies, for others' code may write into them.
+        state = self._take("step", self.backend.step(twist.copy(), targets.copy(), dt))
+        self.steps += 1
+        return state
+
+    def look(self) -> RobotState | None:
+        """Return what is measured of a robot that moves by its own clock; None of any other.
+
+        Raises:
+            KinfeasError: If a backend from outside fails, or returns no state.
+        """
+        if self._live is None:
+            return None
+        with blaming(self.backend, "read"):
+            state = self._live.read()
+        return self._answers.state(state, "read")
 
     def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""
@@ -103,8 +134,8 @@ class CommandGuard(Passing):
         """Command the base to zero, the arm to stay; it may be called at any time, and twice."""
         drove, self.stopped = not self.stopped, True
         self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
-        if isinstance(self.backend, Live):
-            self.backend.stop()
+        if self._live is not None:
+            self._live.stop()
         elif drove and self._dt > 0.0:  # before the first step nothing moves
             self.backend.step(self.base_twist, self.joint_targets, self._dt)
 
@@ -117,6 +148,16 @@ class CommandGuard(Passing):
         with blaming(self.backend, "close"):
             self.backend.close()
 
+    def _take(self, method: str, answer: RobotState) -> RobotState:
+        """Return what was measured just now, if it is a state."""
+        self._state, self._measured = self._answers.state(answer, method), self._clock()
+        return self._state
+
+    def _check_fresh(self) -> None:
+        """Raise if a robot that moves meanwhile was measured too long ago."""
+        if self._live is not None:
+            check_age(self._state, self._clock() - self._measured, self._guards.max_age)
+
     def _arm(self, targets: Array, dt: float) -> Array:
         """Return how far toward targets, shape (j,), the arm is sent on."""
         before, robot = self.joint_targets[0], self.robot
@@ -125,7 +166,7 @@ class CommandGuard(Passing):
         self.held = ""
         if np.abs(move).max() > self._guards.joint_jump:
             self.held = "the arm's target is too far away"
-        elif lag.max() > self._guards.joint_lag:
+        elif not lag.max() <= self._guards.joint_lag:  # which is no number where an arm is lost
             self.held = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
         if self.held:
             return before
@@ -146,6 +187,25 @@ def check_command(robot: Robot, base_twist: Array, joint_targets: Array) -> None
         raise Fault("the command for the base is not finite")
     if not np.isfinite(joint_targets).all():
         raise Fault("the command for the arm is not finite")
+
+
+def check_age(state: RobotState, elapsed: float, most: float) -> None:
+    """Do nothing if a command may still be made of a measurement.
+
+    Args:
+        state: What was measured, of one robot.
+        elapsed: Seconds since it was.
+        most: Seconds that it may be old.
+
+    Raises:
+        Fault: If it is older.
+    """
+    old = elapsed + (0.0 if state.age is None else float(np.max(state.age)))
+    if not old <= most:
+        raise Fault(
+            f"the command is made of a measurement {beyond(old, most)} s old, at most {most:g} s "
+            "is allowed"
+        )
 
 
 def _limits(robot: Robot, guards: Guards) -> DriveLimits:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
+from signal import SIGHUP, SIGINT, SIGQUIT, SIGTERM
 
 from kinfeas.adapters import AdapterSpec
 from kinfeas.backend import Backend, Live
@@ -16,13 +17,18 @@ from kinfeas.tasks.task import Task
 
 
 class Code(IntEnum):
-    """How a run ended, as the exit code of the command says it; 2 is one that could not begin."""
+    """How a run ended, as the exit code of the command says it; 2 is one that could not begin.
+
+    From 128 on it is the signal that ended it, as a shell says it.
+    """
 
     REACHED = 0
     FAULT = 3
     TIME_OVER = 4
-    INTERRUPTED = 130
-    TERMINATED = 143
+    HUNG_UP = 128 + SIGHUP
+    INTERRUPTED = 128 + SIGINT
+    QUIT = 128 + SIGQUIT
+    TERMINATED = 128 + SIGTERM
 
 
 @dataclass(frozen=True)

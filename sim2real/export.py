@@ -1,6 +1,5 @@
 """Writing a trained policy as one ONNX file that describes itself."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,14 +8,16 @@ import numpy as np
 from kinfeas import __version__
 from kinfeas.errors import KinfeasError
 from kinfeas.observation import CLIP, HORIZON
-from kinfeas.policy import Network, policy_folder, read_network
+from kinfeas.policy import Network, read_network
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real import policy_about
 from kinfeas.sim2real.policy_about import About, Control, Golden
 from kinfeas.sim2real.policy_file import TOLERANCE, PolicyFile, parse_policy_file
 from kinfeas.sim2real.policy_graph import BATCH, INPUT, IR_VERSION, OPSET, OUTPUT
 from kinfeas.spatial import Array
-from kinfeas.storage.files import reading, write_file
+from kinfeas.storage import strict_json
+from kinfeas.storage.files import write_file
+from kinfeas.trained import Trained, read_trained
 
 if TYPE_CHECKING:
     import onnx
@@ -63,23 +64,15 @@ def describe(network: Network, folder: Path, robot: Robot) -> About:
     Raises:
         KinfeasError: If what is known of its training cannot be read.
     """
-    training = _read_json(policy_folder(folder) / "policy.json")
-    success = {key: training.pop(key) for key in ("evaluation", "benchmark") if key in training}
-    evaluation = folder / "evaluation.json"
-    if evaluation.exists():
-        # The path of the run says nothing to whoever gets the file.
-        figures = _read_json(evaluation)
-        success["evaluation"] = {key: figures[key] for key in figures if key != "policy"}
-    for key in ("format", "robot", "layers"):
-        training.pop(key, None)
+    trained = read_trained(folder)
     return About(
         version=__version__,
         robot=policy_about.describe_robot(robot),
         observation=policy_about.describe_observation(robot),
         action=policy_about.describe_action(robot),
-        control=Control(_period(training), HORIZON),
-        training=training,
-        success=success,
+        control=Control(trained.period, HORIZON),
+        training=_training(trained),
+        success=_success(trained, folder),
         golden=golden_pairs(network),
     )
 
@@ -166,20 +159,23 @@ def _observations(network: Network, rows: int, seed: int) -> Array:
     return draws / network.scale
 
 
-def _period(training: dict[str, Any]) -> float | None:
-    try:
-        return float(training["config"]["world"]["dt"])
-    except (KeyError, TypeError, ValueError):
-        return None  # a policy that came without its configuration
+def _training(trained: Trained) -> dict[str, object]:
+    """Return what is known of how a policy was trained, by name."""
+    known = {
+        "config": trained.config or None,
+        "steps": trained.steps,
+        "seed": trained.seed,
+        "version": trained.version,
+        "command": trained.command,
+    }
+    return {key: value for key, value in known.items() if value is not None}
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    with reading(path):
-        text = path.read_text(encoding="utf-8")
-    try:
-        data = json.loads(text)
-    except ValueError as error:
-        raise KinfeasError(f"{path}: broken JSON: {error}") from error
-    if not isinstance(data, dict):
-        raise KinfeasError(f"{path}: must hold a mapping of keys to values")
-    return data
+def _success(trained: Trained, folder: Path) -> dict[str, object]:
+    """Return the figures of a policy by kind: those of its run's `evaluation.json`, if there is."""
+    evaluation: dict[str, object] = dict(trained.evaluation)
+    if (path := folder / "evaluation.json").exists():
+        evaluation = strict_json.read(path)
+        evaluation.pop("policy", None)  # a path of the run says nothing to whoever gets the file
+    kinds = {"evaluation": evaluation, "benchmark": trained.benchmark}
+    return {kind: figures for kind, figures in kinds.items() if figures}

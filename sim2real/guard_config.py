@@ -9,9 +9,11 @@ from kinfeas.quantities import Count, Positive, PositiveSeconds, PositiveShare
 
 @dataclass(frozen=True)
 class Guards:
-    """When a run is stopped, and what commands are brought down to.
+    """When a run is refused or stopped, and what commands are brought down to.
 
     Attributes:
+        reach: Whether a run begins only if a base pose is found from which the arm comes to the end
+            of each leg. That is a search: what it does not find is most likely out of reach.
         max_age: Seconds that a measurement, and so a command made of it, may be old.
         max_stall: Seconds that a control period may take.
         clock_jump: Seconds by which the system's clock may be set during a control period, and by
@@ -36,6 +38,7 @@ class Guards:
             for none.
     """
 
+    reach: bool = True
     max_age: PositiveSeconds = 0.2
     max_stall: PositiveSeconds = 0.2
     clock_jump: PositiveSeconds = 0.1

@@ -14,8 +14,8 @@ from kinfeas.adapters import AdapterSpec, wrap
 from kinfeas.backend import Backend, Live, RobotState
 from kinfeas.foreign import BLAMED
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.command_guard import CommandGuard, check_command
-from kinfeas.sim2real.fault import Fault, beyond
+from kinfeas.sim2real.command_guard import CommandGuard, check_age, check_command
+from kinfeas.sim2real.fault import Fault, beyond, reason_of
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.measurement_guard import MeasurementGuard
 from kinfeas.sim2real.metronome import Metronome
@@ -74,7 +74,7 @@ class Guarded(Passing):
             KinfeasError: If there is no such adapter, or it refuses its parameters.
         """
         self.guards, self._clocks = guards or Guards(), clocks or Clocks()
-        self._commands = CommandGuard(backend, robot, self.guards)
+        self._commands = CommandGuard(backend, robot, self.guards, self._clocks.steady)
         wrapped = wrap(self._commands, adapters, robot)
         super().__init__(wrapped if metronome is None else Timed(wrapped, metronome))
         needs_age = isinstance(backend, Live)
@@ -114,6 +114,18 @@ class Guarded(Passing):
         self.state = state
         return state
 
+    def look(self) -> RobotState | None:
+        """Return where a robot stands that moves by its own clock; None of any other.
+
+        Raises:
+            KinfeasError: If a backend from outside fails, or returns no state.
+            Fault: If what is measured cannot be believed.
+        """
+        state = self._commands.look()
+        if state is not None:
+            self._measured.begin(state)
+        return state
+
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Send what is allowed of a command and return what was measured; shapes as in `Backend`.
 
@@ -126,7 +138,10 @@ class Guarded(Passing):
         try:
             self._check_delay()
             check_command(self._commands.robot, base_twist, joint_targets)
+            sent = self._commands.steps
             state = self.backend.step(base_twist, joint_targets, dt)
+            if self._commands.steps == sent:
+                raise Fault("an adapter has not passed the command on")
             elapsed = self._check_period()
             self._measured.check(state, elapsed)
             self.state, passed = state, True
@@ -160,7 +175,7 @@ class Guarded(Passing):
             self._commands.stop()
         except BLAMED as error:
             # What has led here is what the user must hear of; the watchdog tries again.
-            self.unstopped = str(error) or type(error).__name__
+            self.unstopped = reason_of(error)
 
     def close(self) -> None:
         """Stop the base and close the backend; it may be called twice, and raises nothing."""
@@ -169,17 +184,11 @@ class Guarded(Passing):
             self.backend.close()
         except BLAMED as error:
             if not self.unstopped:  # or else it is known already that nothing can be sent
-                self.unclosed = str(error) or type(error).__name__
+                self.unclosed = reason_of(error)
 
     def _check_delay(self) -> None:
         """Raise if the measurement that a command is made of has become too old meanwhile."""
-        age = 0.0 if self.state.age is None else float(np.max(self.state.age))
-        old, most = self._elapsed() + age, self.guards.max_age
-        if old > most:
-            raise Fault(
-                f"the command is made of a measurement {beyond(old, most)} s old, at most "
-                f"{most:g} s is allowed"
-            )
+        check_age(self.state, self._elapsed(), self.guards.max_age)
 
     def _check_period(self) -> float:
         """Return the seconds that the backend took; raise if they were too many."""

@@ -18,7 +18,7 @@ class HeadStart(Adapter):
         Args:
             backend: Gets all commands as they are.
             robot: Whom it moves.
-            seconds: For how long; added to any other head start.
+            seconds: Seconds for which the EE stands still; added to any other head start.
 
         Raises:
             ValueError: If it is negative or not finite.

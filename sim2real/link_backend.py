@@ -14,6 +14,7 @@ from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.link import Link
 from kinfeas.sim2real.link_inbox import Inbox
 from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.stamps import DRIFT
 from kinfeas.spatial import Array, wrap
 
 _POLL = 0.02  # s, between two looks at whether all is there
@@ -21,7 +22,7 @@ _OFF = 0.02  # rad or m by which a joint may stand beside where the kinematics h
 
 
 class LinkBackend:
-    """One robot that moves by its own clock; it is `Live` and `Gripping`.
+    """One robot that moves by its own clock; it is `Live`, `Gripping` and `ArmLimited`.
 
     Attributes:
         robot: Who moves.
@@ -30,7 +31,7 @@ class LinkBackend:
             the first step.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a file sets them by name
         self,
         robot: Robot,
         link: Link,
@@ -39,6 +40,7 @@ class LinkBackend:
         seconds: float = 0.1,
         patience: float = 5.0,
         stale: float = 0.2,
+        drift: float = DRIFT,
     ) -> None:
         """Connect nothing yet: `reset` does.
 
@@ -50,19 +52,25 @@ class LinkBackend:
             patience: For how many seconds `reset` waits for the first measurements.
             stale: Seconds after a measurement was handed out, or control periods if those are
                 longer, beyond which a command that follows from it is not sent any more.
+            drift: Share by which the robot's clock may be slower than ours; measurements that
+                fall behind more than that have waited in a queue, and are as old as that.
 
         Raises:
-            KinfeasError: If a duration is not above 0 and finite, or a name is unknown.
+            KinfeasError: If a duration is not above 0 and finite, the drift not in [0, 1), or a
+                name is unknown.
         """
         for name, value in (("seconds", seconds), ("patience", patience), ("stale", stale)):
             if not 0.0 < value < math.inf:
                 raise KinfeasError(f"{name} must be above 0 s and finite, not {value:g}")
+        if not 0.0 <= drift < 1.0:
+            raise KinfeasError(f"drift must be in [0, 1), not {drift:g}")
         self.robot, self.link = robot, link
         self.metronome: Metronome | None = None
         self._names = robot_names(robot, names or {})
-        self._inbox = Inbox(robot, self._names)
+        self._inbox = Inbox(robot, self._names, drift)
         self._seconds, self._patience, self._stale = seconds, patience, stale
         self._opened, self._handed_out = False, math.nan
+        self._joint_speed = robot.max_joint_velocity
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
@@ -150,6 +158,10 @@ class LinkBackend:
         if not any(self._inbox.lacks()):
             self._send(self._inbox.raw())
 
+    def limit_arm(self, velocity: Array) -> None:
+        """Let no joint go faster from now on, nor than it can; shape (j,), rad/s or m/s."""
+        self._joint_speed = np.minimum(velocity, self.robot.max_joint_velocity)
+
     def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
         """Begin to close or to open the gripper."""
         if rows.size:
@@ -170,7 +182,7 @@ class LinkBackend:
         # A robot counts the turns of a continuous joint: the shorter way from where it is.
         way = np.where(self.robot.continuous, wrap(targets - raw), targets - raw)
         # An arm that was held up has a longer way, and no joint shall be faster than it may.
-        seconds = max(self._seconds, float(np.max(np.abs(way) / self.robot.max_joint_velocity)))
+        seconds = max(self._seconds, float(np.max(np.abs(way) / self._joint_speed)))
         names = self._names.values()
         self.link.move(dict(zip(names, (raw + way).tolist(), strict=True)), seconds)
 

@@ -3,6 +3,8 @@
 import math
 import threading
 import time
+from collections import defaultdict
+from functools import partial
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from kinfeas.backend import RobotState
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import from_drive
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
+from kinfeas.sim2real.stamps import DRIFT, Stamps
 from kinfeas.spatial import Array, planar_pose, wrap
 
 BACKWARDS = 0.1
@@ -19,30 +22,33 @@ BACKWARDS = 0.1
 class Inbox:
     """Merges measurements that arrive from other threads, in any order and in parts.
 
-    Ages count from the arrival on the monotonic clock, so that no setting of a clock, here or on
-    the robot, makes old data look new. What bears the last stamp of the same part is as old as
-    that: a driver that hangs may repeat it for ever. What lies before it is not taken, and if it
-    lies far before, the robot's clock was set back and `fault` says so. Nor is what is not finite:
-    what is in here can be calculated with, whatever arrives meanwhile.
+    Ages count on the monotonic clock: from the arrival, or from before it where stamps say that a
+    measurement was longer on its way than others of the same part. So no setting of a clock, here
+    or on the robot, makes old data look new, nor does a queue that falls behind. What bears the
+    last stamp of the same part is as old as that: a driver that hangs may repeat it for ever. What
+    lies before it is not taken, and if it lies far before, the robot's clock was set back, or a
+    driver began anew with another clock, and `fault` says so until `forget`. Nor is what is not
+    finite: what is in here can be calculated with, whatever arrives meanwhile.
 
     Attributes:
         fault: What makes the measurements useless from now on; None while there is no such thing.
     """
 
-    def __init__(self, robot: Robot, names: dict[str, str]) -> None:
+    def __init__(self, robot: Robot, names: dict[str, str], drift: float = DRIFT) -> None:
         """Begin empty.
 
         Args:
             robot: Whose arm joints are looked for.
             names: The robot's name of each arm joint.
+            drift: Share by which the robot's clock may be slower than ours.
         """
         self.fault: str | None = None
         self._robot = robot
         self._names = [names[joint.name] for joint in robot.arm]
         self._changed = threading.Condition()
         self._base: tuple[BaseReading, float] | None = None
-        self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, arrival
-        self._stamps: dict[str, tuple[float, float]] = {}  # stamp, arrival
+        self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, since
+        self._stamps: defaultdict[str, Stamps] = defaultdict(partial(Stamps, drift))
 
     def readings(self) -> Readings:
         """Return what a transport hands measurements to."""
@@ -51,7 +57,9 @@ class Inbox:
     def forget(self) -> None:
         """Begin empty again."""
         with self._changed:
-            self._base, self._joints, self._stamps, self.fault = None, {}, {}, None
+            self._base, self.fault = None, None
+            self._joints.clear()
+            self._stamps.clear()
 
     def wait(self, seconds: float) -> bool:
         """Return whether everything has arrived, after `seconds` at most."""
@@ -78,12 +86,12 @@ class Inbox:
         with self._changed:
             assert self._base is not None
             (base, since), joints = self._base, [self._joints[name] for name in self._names]
-        position, velocity, arrival = np.array(joints).T
+        position, velocity, joint_since = np.array(joints).T
         pose = planar_pose(*np.array([[base.x], [base.y], [base.yaw]]))
         twist = None
         if base.velocity is not None:
             twist = from_drive(self._robot.base, pose[0], base.velocity, 0.0)[np.newaxis]
-        oldest = min(since, float(arrival.min()))
+        oldest = min(since, float(joint_since.min()))
         return RobotState(
             base_pose=pose,
             joint_positions=np.where(self._robot.continuous, wrap(position), position)[np.newaxis],
@@ -100,9 +108,10 @@ class Inbox:
             if not np.isfinite([reading.x, reading.y, reading.yaw, reading.age]).all():
                 self._refuse("the measured base pose is not finite")
                 return
-            since = self._since("the base", reading.stamp, time.monotonic() - reading.age)
+            now = time.monotonic()
+            since = self._since("the base", reading.stamp, now)
             if since is not None:
-                self._base = reading, since
+                self._base = reading, min(since, now - reading.age)
                 self._changed.notify_all()
 
     def _take_joints(self, reading: JointReading) -> None:
@@ -125,17 +134,18 @@ class Inbox:
             self.fault = reason
 
     def _since(self, part: str, stamp: float | None, arrival: float) -> float | None:
-        """Return when a measurement of a part arrived first; None if it was overtaken."""
+        """Return since when a measurement of a part is on its way; None if it is not taken."""
         if stamp is None:
             return arrival
-        last, since = self._stamps.get(part, (stamp, arrival))
-        if stamp < last:
-            if last - stamp > BACKWARDS:
+        if not math.isfinite(stamp):
+            self._refuse(f"a stamp of {part} is not finite")
+            return None
+        stamps = self._stamps[part]
+        if stamp < stamps.last:
+            if stamps.last - stamp > BACKWARDS:
                 self._refuse(
-                    f"the stamps of {part} went back by {last - stamp:.2f} s: was the robot's "
-                    "clock set, or do two robots report?"
+                    f"the stamps of {part} went back by {stamps.last - stamp:.2f} s: was the "
+                    "robot's clock set, or do two robots report?"
                 )
             return None
-        since = arrival if stamp > last else min(since, arrival)
-        self._stamps[part] = stamp, since
-        return since
+        return stamps.since(stamp, arrival)

@@ -34,11 +34,11 @@ class Localisation(Adapter):
         Args:
             backend: What measures.
             robot: Whom it moves.
-            drift: Standard deviation that the walk along each axis has after a second, m.
+            drift: Standard deviation in m that the walk along each axis has after a second.
             turn_drift: The same of the heading, rad.
             jump: Standard deviation of the error along each axis after a jump, m.
             turn_jump: The same of the heading, rad.
-            rate: Jumps per second, on average.
+            rate: How often it jumps on average, 1/s.
 
         Raises:
             ValueError: If a number is negative or not finite.

@@ -64,6 +64,11 @@ class MeasurementGuard:
         wanted = (1, 7), (1, len(self._robot.arm))
         if shapes != wanted:
             _refuse(f"measurements have the shapes {shapes}, those of this robot are {wanted}")
+        age = state.age
+        if age is not None and not (
+            isinstance(age, np.ndarray) and age.shape == (1,) and age.dtype.kind in "iuf"
+        ):
+            _refuse("the age of the measurements is no array of one number")
         if not np.isfinite(state.base_pose).all():
             _refuse("the measured base pose is not finite")
         if state.ee_in_base is not None and not np.isfinite(state.ee_in_base).all():

@@ -118,6 +118,13 @@ class About:
     success: dict[str, object]
     golden: Golden
 
+    @property
+    def trained_with(self) -> str:
+        """The robot by name or by path, as the training's settings have it."""
+        settings = self.training.get("config")
+        known = settings if isinstance(settings, dict) else {}
+        return str(known.get("robot", self.robot.name))
+
 
 def describe_robot(robot: Robot) -> RobotAbout:
     """Return what a policy file says of a robot."""
@@ -143,9 +150,12 @@ def describe_action(robot: Robot) -> tuple[Commanded, ...]:
 
 
 def to_metadata(about: About) -> dict[str, str]:
-    """Return the metadata that `from_metadata` reads back, without the digest."""
+    """Return the metadata that `from_metadata` reads back, without the digest.
+
+    Settings that are no finite numbers become words, for JSON has no others.
+    """
     entries = {"schema": SCHEMA, **config.to_mapping(about)}
-    return {PREFIX + key: json.dumps(value, allow_nan=False) for key, value in entries.items()}
+    return {PREFIX + key: json.dumps(_worded(value)) for key, value in entries.items()}
 
 
 def from_metadata(metadata: Mapping[str, str]) -> About:
@@ -204,6 +214,15 @@ def digest(model: bytes) -> str:
 def _pair(message: int | bytes) -> tuple[str, str]:
     pair = fields(content([message], "its metadata"), {1: "key", 2: "value"}, "metadata")
     return text(pair["key"], "a key"), text(pair["value"], "an entry of its metadata")
+
+
+def _worded(value: object) -> object:
+    """Return plain data with the words inf, -inf and nan in place of these numbers."""
+    if isinstance(value, dict):
+        return {key: _worded(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_worded(inner) for inner in value]
+    return value if not isinstance(value, float) or math.isfinite(value) else str(value)
 
 
 def _json(key: str, value: str) -> Any:

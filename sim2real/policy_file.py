@@ -1,5 +1,7 @@
 """Policies in one ONNX file, as `kinfeas export` writes them: checked, and run on onnxruntime."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -73,10 +75,19 @@ def read_policy_file(path: Path, robot: Robot | None) -> PolicyFile:
             wrongly, or is for another robot or other kinematics.
     """
     content = read_file(path, MAX_BYTES)
-    try:
+    with _naming(path):
         return parse_policy_file(content, robot)
-    except KinfeasError as error:
-        raise KinfeasError(f"{path}: {error}") from error
+
+
+def read_about(path: Path) -> About:
+    """Return what an ONNX file says of itself, without onnxruntime.
+
+    Raises:
+        KinfeasError: If `kinfeas export` did not write it, or it is damaged or changed.
+    """
+    content = read_file(path, MAX_BYTES)
+    with _naming(path):
+        return _check(content)
 
 
 def parse_policy_file(content: bytes, robot: Robot | None) -> PolicyFile:
@@ -87,6 +98,15 @@ def parse_policy_file(content: bytes, robot: Robot | None) -> PolicyFile:
     policy = PolicyFile(content, about)
     _check_golden(policy)
     return policy
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let errors begin with the file that they are about."""
+    try:
+        yield
+    except KinfeasError as error:
+        raise KinfeasError(f"{path}: {error}") from error
 
 
 def _check(content: bytes) -> About:

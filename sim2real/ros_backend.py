@@ -8,6 +8,7 @@ from kinfeas.sim2real.link_backend import LinkBackend
 from kinfeas.sim2real.ros_bus import Version, make_bus
 from kinfeas.sim2real.ros_link import RosLink
 from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.stamps import DRIFT
 from kinfeas.sim2real.watchdog import StopCall
 
 
@@ -29,6 +30,7 @@ class RosBackend(LinkBackend):
         seconds: float = 0.1,
         patience: float = 5.0,
         stale: float = 0.2,
+        drift: float = DRIFT,
     ) -> None:
         """Connect nothing yet: `reset` does.
 
@@ -36,16 +38,29 @@ class RosBackend(LinkBackend):
             robot: Robot at the other end.
             topics: Path of a YAML file with its names, or the name of one that comes with the
                 package; the robot's own name by default.
-            seconds: In which the arm shall reach each target: time_from_start of its points.
+            seconds: Seconds in which the arm shall reach each target: time_from_start of its
+                points.
             patience: For how many seconds `reset` waits for the first measurements.
-            stale: As in `LinkBackend`, seconds.
+            stale: Seconds after which a command is too late, as in `LinkBackend`.
+            drift: Share by which the robot's clock may be slower than ours, as in `LinkBackend`;
+                0.9 for a simulator that keeps to a tenth of real time.
 
         Raises:
-            KinfeasError: If the file is broken, or a duration is not above 0 and finite.
+            KinfeasError: If the file is broken, a duration is not above 0 and finite, or the drift
+                not in [0, 1).
         """
         self.topics = read_topics(robot, self.version, topics)
-        link, names = RosLink(self.topics, make_bus(self.version)), self.topics.joints.names
-        super().__init__(robot, link, names=names, seconds=seconds, patience=patience, stale=stale)
+        names = self.topics.joints.names
+        link = RosLink(self.topics, make_bus(self.version), drift)
+        super().__init__(
+            robot,
+            link,
+            names=names,
+            seconds=seconds,
+            patience=patience,
+            stale=stale,
+            drift=drift,
+        )
 
     def stop_call(self) -> StopCall:
         """Return what the watchdog calls."""
@@ -58,7 +73,8 @@ class RosBackend(LinkBackend):
         """Return the robot's end, for what plays a robot; arguments as in `Hosted`."""
         from kinfeas.sim2real.ros_robot import RosRobotLink
 
-        return RosRobotLink(read_topics(robot, cls.version, topics), make_bus(cls.version))
+        names = read_topics(robot, cls.version, topics, "--topics FILE")
+        return RosRobotLink(names, make_bus(cls.version))
 
 
 class Ros1Backend(RosBackend):

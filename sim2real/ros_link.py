@@ -11,6 +11,7 @@ from kinfeas.sim2real.link import Readings
 from kinfeas.sim2real.ros_bus import Publisher, RosBus
 from kinfeas.sim2real.ros_names import Topics
 from kinfeas.sim2real.ros_tf import TfTree
+from kinfeas.sim2real.stamps import DRIFT
 from kinfeas.spatial import Array
 
 
@@ -22,13 +23,13 @@ class RosLink:
         joint_source: Topic of joint positions.
     """
 
-    def __init__(self, topics: Topics, bus: RosBus) -> None:
-        """Set out the names; `open` connects."""
+    def __init__(self, topics: Topics, bus: RosBus, drift: float = DRIFT) -> None:
+        """Set out the names; `open` connects. The robot's clock may be slower by `drift`."""
         base = topics.base
         tf = f"/tf ({base.world_frame} to {base.frame})"
         self.base_source = base.odometry if base.measured_by == "odometry" else tf
         self.joint_source = topics.joints.measured
-        self._topics, self._bus = topics, bus
+        self._topics, self._bus, self._drift = topics, bus, drift
         self._publishers: dict[str, Publisher] = {}
         self._frame_fault: str | None = None
 
@@ -118,7 +119,8 @@ class RosLink:
 
     def _listen_to_tf(self, readings: Readings) -> None:
         base = self._topics.base
-        tree, kind = TfTree(base.world_frame, base.frame), self._bus.messages.TFMessage
+        tree = TfTree(base.world_frame, base.frame, self._drift)
+        kind = self._bus.messages.TFMessage
 
         def take(message: Any) -> None:
             tree.take(message)

@@ -95,7 +95,12 @@ class Topics:
     gripper: GripperTopics | None = None
 
 
-def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topics:
+def read_topics(
+    robot: Robot,
+    version: Version,
+    name: str | None = None,
+    option: str = "--set backend.topics=FILE",
+) -> Topics:
     """Return the names of a robot.
 
     Args:
@@ -103,12 +108,13 @@ def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topi
         version: Of ROS.
         name: Path of a YAML file, or the name of one that comes with the package; the robot's
             own name by default.
+        option: How the user names a file, for the error.
 
     Raises:
         KinfeasError: If there is no such file, it is broken, or its controllers do not share the
             arm's joints among them.
     """
-    path = _find(robot.name if name is None else name, version)
+    path = _find(robot.name if name is None else name, version, option)
     topics = config.load(Topics, path)
     commanded = Counter(name for one in topics.joints.controllers for name in one.joints)
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)
@@ -123,11 +129,13 @@ def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topi
     return topics
 
 
-def _find(name: str, version: Version) -> Path:
+def _find(name: str, version: Version, option: str) -> Path:
     if (own := Path(name)).is_file():
         return own
     folder = Path(str(files("kinfeas.sim2real").joinpath(f"ros{version}_topics")))
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
-        raise KinfeasError(f"unknown topics {name!r}{config.no_such(name, known)}, or a YAML file")
+        raise KinfeasError(
+            f"unknown topics {name!r}{config.no_such(name, known)}, or a YAML file: {option}"
+        )
     return folder / f"{name}.yaml"

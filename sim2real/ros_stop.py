@@ -14,7 +14,8 @@ def stop_base(
 ) -> Callable[[], None]:
     """Return a function that commands the base to zero over a connection that stands already.
 
-    Such a connection leads from one process to the other and outlives the master of ROS 1.
+    Such a connection leads from one process to the other and outlives the master of ROS 1. The
+    function raises Fault where nothing can be sent any more.
 
     Args:
         version: Of ROS.
@@ -34,4 +35,12 @@ def stop_base(
             raise KinfeasError(f"nobody listens to {topic} within {patience:g} s")
         time.sleep(0.02)
     time.sleep(_SETTLED)
-    return lambda: command.publish(twist())
+
+    def stop() -> None:
+        bus.check_sending()
+        zero = twist()
+        if stamped:  # or a robot might take it for one of long ago
+            zero.header.stamp = bus.messages.Time.from_sec(time.time())
+        command.publish(zero)
+
+    return stop

@@ -2,11 +2,14 @@
 
 import math
 import time
+from collections import defaultdict
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from kinfeas.sim2real.link import BaseReading
+from kinfeas.sim2real.stamps import DRIFT, Stamps
 from kinfeas.spatial import IDENTITY, Array, compose
 
 _DEEP = 32  # frames; more of them go round in a circle
@@ -15,23 +18,30 @@ _DEEP = 32  # frames; more of them go round in a circle
 class TfTree:
     """The newest transform of each frame to its parent."""
 
-    def __init__(self, world: str, base: str) -> None:
-        """Begin empty; wanted is the pose of the frame `base` in the frame `world`."""
+    def __init__(self, world: str, base: str, drift: float = DRIFT) -> None:
+        """Begin empty; wanted is the pose of the frame `base` in the frame `world`.
+
+        Args:
+            world: Name of the frame.
+            base: Likewise.
+            drift: Share by which the robot's clock may be slower than ours.
+        """
         self._world, self._base = _plain(world), _plain(base)
-        self._edges: dict[str, tuple[str, Array, float, float]] = {}  # parent, pose, stamp, arrival
+        self._edges: dict[str, tuple[str, Array, float, float]] = {}  # parent, pose, stamp, since
+        self._stamps: defaultdict[str, Stamps] = defaultdict(partial(Stamps, drift))
 
     def take(self, message: Any, *, static: bool = False) -> None:
         """Take a tf2_msgs/TFMessage; `static` transforms never grow old."""
-        now = math.inf if static else time.monotonic()
+        now = time.monotonic()
         for one in message.transforms:
             child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
             p, q = one.transform.translation, one.transform.rotation
             pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
             stamp = one.header.stamp.to_sec()
-            _, _, last, since = self._edges.get(child, (parent, pose, 0.0, now))
-            # What is sent again is no news.
-            arrival = min(since, now) if stamp and stamp == last else now
-            self._edges[child] = parent, pose, stamp, arrival
+            since = math.inf if static else now
+            if stamp and not static:
+                since = self._stamps[child].since(stamp, now)
+            self._edges[child] = parent, pose, stamp, since
 
     def reading(self) -> BaseReading | None:
         """Return where the base is, as old as the oldest transform on the way; None if unknown."""
@@ -44,9 +54,9 @@ class TfTree:
                 return BaseReading(x, y, heading, stamp=stamp or None, age=age)
             if frame not in edges:
                 return None
-            frame, above, when, arrival = edges[frame]
+            frame, above, when, since = edges[frame]
             stamp = when if stamp is None else stamp
-            pose, oldest = compose(above, pose), min(oldest, arrival)
+            pose, oldest = compose(above, pose), min(oldest, since)
         return None
 
 

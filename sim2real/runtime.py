@@ -5,6 +5,7 @@ import sys
 import traceback
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,9 @@ from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.goal_task import begin
 from kinfeas.sim2real.guards import Guarded, check_action
 from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.preview import preview
 from kinfeas.sim2real.signals import Signals
-from kinfeas.sim2real.watchdog import Watchdog, Watched
+from kinfeas.sim2real.watchdog import StopCall, Watchdog, Watched
 from kinfeas.spatial import IDENTITY, Array
 from kinfeas.tasks.task import build_legs
 
@@ -78,9 +80,7 @@ class _Run:
         """Return what stops the base should this process die or hang, if anything does."""
         backend, seconds = self.setup.backend, self.setup.guards.watchdog
         if seconds is not None and isinstance(backend, Watched):
-            with blaming(backend, "stop_call"):
-                call = backend.stop_call()
-            return Watchdog(call, seconds)
+            return Watchdog(_stop_call(backend), seconds)
         if seconds is not None and self.live is not None:
             sys.stderr.write(
                 f"no watchdog: nothing stops the base if this process dies or hangs, for "
@@ -91,9 +91,9 @@ class _Run:
     def start(self) -> None:
         """Put the robot where the run begins, or begin it where it stands."""
         rng = np.random.default_rng((self.setup.seed, 0))
-        with blaming(self.setup.backend, "read"):
-            now = None if self.live is None else self.live.read()
-        start = begin(self.setup.task, self.setup.solver, rng, now)
+        start = begin(self.setup.task, self.setup.solver, rng, self.guarded.look())
+        if warning := preview(self.loop, start, rng, self.setup.guards):
+            sys.stderr.write(f"{warning}\n")
         self.loop.start(start, [rng])
         self.began = self.setup.clocks.steady()
         self.note("start")
@@ -131,10 +131,8 @@ class _Run:
         setup, loop, size = self.setup, self.loop, action_size(self.robot.base)
         # Half a period, for none ends to the microsecond.
         while self.lasted() + 0.5 * setup.dt < setup.seconds:
-            if signals.caught is signal.SIGINT:
-                return Code.INTERRUPTED, "interrupted by Ctrl-C"
-            if signals.caught is signal.SIGTERM:
-                return Code.TERMINATED, "ended by SIGTERM"
+            if signals.caught is not None:
+                return _ended_by(signals.caught)
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died")
             goal = loop.goal[0]
@@ -185,3 +183,19 @@ class _Run:
                 event=event,
             )
         )
+
+
+def _stop_call(backend: Watched) -> StopCall:
+    """Return how another process stops the base, if the backend says it."""
+    with blaming(backend, "stop_call"):
+        call: Any = backend.stop_call()
+    if not isinstance(call, StopCall):
+        name, got = type(backend).__name__, type(call).__name__
+        raise KinfeasError(f"backend {name} must return a StopCall from stop_call, not {got}")
+    return call
+
+
+def _ended_by(caught: signal.Signals) -> tuple[Code, str]:
+    """Return how and why a run ends that a signal was sent to."""
+    by = "interrupted by Ctrl-C" if caught is signal.SIGINT else f"ended by {caught.name}"
+    return Code(128 + caught), by

@@ -18,12 +18,17 @@ from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import BLAMED
+from kinfeas.sim2real.fault import reason_of
 
 AGAIN, TIMES = 0.05, 10
 """Seconds between repeated stops, for a message may be lost, and how many follow a death."""
 
+LAST_TRY = 5.0
+"""Seconds after a death for which a stop that fails is tried again."""
+
 _BEAT, _END, _READY, _FIRED = b".", b"q", b"r", b"f"
-_PATIENCE, _FAREWELL = 20.0, 2.0  # s, for the process to connect to the robot, and to end
+_PATIENCE, _FAREWELL = 20.0, LAST_TRY + 2.0  # s, for the process to connect, and to end
 
 
 @dataclass(frozen=True)
@@ -33,12 +38,19 @@ class StopCall:
     Attributes:
         path: Function `module:function`. It is called once at the start, so that it can connect
             to the robot, and returns a function without arguments that commands the base to zero
-            at once.
+            at once. One that raises is called again.
         arguments: Keyword arguments of the first call, as JSON can hold them.
+
+    Raises:
+        TypeError: If JSON cannot hold them.
     """
 
     path: str
     arguments: dict[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that another process can be told of it."""
+        json.dumps(self.arguments)
 
 
 @runtime_checkable
@@ -126,14 +138,12 @@ def main(order: str) -> None:
     given, answers = json.loads(order), os.dup(1)
     os.dup2(2, 1)  # what libraries print must not be read as answers
     try:
-        stop = _connect(StopCall(**given["stop"]))
-    except (KinfeasError, ImportError, AttributeError, OSError) as error:
-        sys.exit(f"watchdog: {error}")
+        stop = _Stopping(_connect(StopCall(**given["stop"])))
+    except BLAMED as error:
+        sys.exit(f"watchdog: {reason_of(error)}")
     os.write(answers, _READY)
     if _watch(stop, given["seconds"], answers):
-        for _ in range(TIMES):
-            _try(stop)
-            time.sleep(AGAIN)
+        _outlive(stop)
 
 
 def _connect(call: StopCall) -> Callable[[], None]:
@@ -142,21 +152,43 @@ def _connect(call: StopCall) -> Callable[[], None]:
     return stop
 
 
-def _watch(stop: Callable[[], None], seconds: float, answers: int) -> bool:
+class _Stopping:
+    """The stop of the robot, which never raises: others wrote it, and it will be tried again.
+
+    What came of it is said when it changes, and once for each reason.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop, self._said = stop, ("", False)
+
+    def __call__(self, why: str) -> bool:
+        """Command the base to zero, and say `why`; return whether that worked."""
+        failed = ""
+        try:
+            self._stop()
+        except BLAMED as error:
+            failed = f"the base could not be commanded to zero: {reason_of(error)}"
+        if self._said != (why, bool(failed)):
+            _say(f"{why}: {failed or 'base commanded to zero'}")
+            self._said = why, bool(failed)
+        return not failed
+
+
+def _watch(stop: _Stopping, seconds: float, answers: int) -> bool:
     """Stop the base whenever no heartbeat comes; return whether the run died.
 
     The first one is waited for: nothing is commanded before it.
     """
     fired = False
     patience: float | None = None
+    stalled = f"no sign of life from the run for {seconds:g} s"
     while True:
         # Once fired it stays so: a run that comes back has to end, and must not drive on.
         if not select.select([0], [], [], patience)[0]:
-            _try(stop)
+            stop(stalled)
             if not fired:
                 with suppress(OSError):
                     os.write(answers, _FIRED)
-                _say(f"no sign of life from the run for {seconds:g} s")
             fired, patience = True, AGAIN
             continue
         if not fired:
@@ -165,30 +197,28 @@ def _watch(stop: Callable[[], None], seconds: float, answers: int) -> bool:
         if _END in heard:
             return False
         if not heard:
-            _try(stop)
-            _say("the run died")
             return True
         if fired:
-            _try(stop)
+            stop(stalled)
 
 
-def _try(stop: Callable[[], None]) -> None:
-    """Stop the base, unless that fails: it will be tried again."""
+def _outlive(stop: _Stopping) -> None:
+    """Stop the base of a run that died, until that has worked often enough or fails for good."""
+    end, told = time.monotonic() + LAST_TRY, 0
+    while told < TIMES and time.monotonic() < end:
+        told += stop("the run died")
+        time.sleep(AGAIN)
+
+
+def _say(sentence: str) -> None:
     try:
-        stop()
+        os.write(2, f"watchdog: {sentence}\n".encode(errors="backslashreplace"))
     except OSError:
-        # Who reads what it prints may have died with the run.
+        # Who reads it may have died with the run, and no stop that prints shall fail for that.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.dup2(nowhere, 2)
         os.close(nowhere)
-
-
-def _say(reason: str) -> None:
-    # Who reads it may have died with the run, and a stop is worth more than its report.
-    with suppress(OSError):
-        sys.stderr.write(f"watchdog: {reason}: base commanded to zero\n")
-        sys.stderr.flush()
 
 
 if __name__ == "__main__":

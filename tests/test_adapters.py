@@ -84,6 +84,17 @@ def test_a_file_that_is_not_there_is_named(tmp_path, monkeypatch):
             read_sim2real(name)
 
 
+@pytest.mark.parametrize("name", ["backend", "robot"])
+def test_what_every_adapter_is_given_is_not_to_be_set(tmp_path, name):
+    said = f"adapter 'base_noise': the parameter '{name}' follows from the run"
+    with pytest.raises(ValueError, match=f"^{said}$"):
+        AdapterSpec("base_noise", {name: 1})
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"adapters: [{{name: base_noise, parameters: {{{name}: 1}}}}]")
+    with pytest.raises(KinfeasError, match=rf"mine.yaml: 'adapters.0': {said}$"):
+        read_sim2real(str(path))
+
+
 def test_wrong_adapters_are_one_sentence(pr2):
     with pytest.raises(KinfeasError, match="did you mean 'base_noise'"):
         wrap(AnalyticBackend(), [AdapterSpec("base_nose")], pr2)

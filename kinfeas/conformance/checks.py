@@ -13,6 +13,8 @@ from kinfeas.spatial import Array
 
 _UNIT_LENGTH = 1e-6
 
+Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
+
 
 class ConformanceError(KinfeasError):
     """A motion generator breaks its contract; the sentence names it and what it broke.
@@ -30,8 +32,9 @@ class CheckedMotion:
     """A motion generator that passes on another one's answers if they have the right form.
 
     Shapes and types are checked at each call, and that twists and goals are finite; unit
-    quaternions when a motion begins. What the generator's own code raises becomes an error that
-    names it and the line.
+    quaternions when a motion begins. States keep the layout of the first one, so that rows of one
+    can be put into another. What the generator's own code raises becomes an error that names it and
+    the line.
 
     Args:
         generator: Who answers.
@@ -49,6 +52,7 @@ class CheckedMotion:
         self.generator = generator
         self.demonstrated = isinstance(generator, Demonstrated)
         self.subject = f"motion generator {name or kind.__name__}"
+        self._layout: Layout = {}  # until there is a state
         package = kind.__module__.partition(".")[0]
         self._start, self._goal_pose, self._twist, self._base_pose = (
             Blaming(f"{self.subject} fails in {method}:", package)
@@ -64,6 +68,8 @@ class CheckedMotion:
         self._require_state("start", state, len(ee_pose))
         if not state and len(ee_pose):
             raise self.error("must return a state from start that holds at least the goal")
+        self._layout = self._layout or _layout(state)
+        self._require_layout(state, len(ee_pose))
         self._require_unit(self.goal_pose(state))
         return state
 
@@ -87,7 +93,9 @@ class CheckedMotion:
         except BLAMED as error:
             self._twist.blame(error)
             raise
-        if not _plausible(answer, len(ee_pose)):
+        if not self._layout:  # of a run that goes on where another left off
+            self._layout = _layout(state)
+        if not _plausible(answer, len(ee_pose), self._layout):
             self._require_step(answer, len(ee_pose))
         return answer
 
@@ -111,6 +119,7 @@ class CheckedMotion:
         self._require_form("twist", answer[0], (n, 6))
         self._require_finite("twist", answer[0])
         self._require_state("twist", answer[1], n)
+        self._require_layout(answer[1], n)
 
     def _require_state(self, method: str, state: State, n: int) -> None:
         rule = f"must return a state from {method} that is a dict of numeric arrays"
@@ -121,6 +130,13 @@ class CheckedMotion:
                 raise self.error(f"{rule}, and {key!r} is not")
             if not value.ndim or len(value) != n:
                 raise self.error(f"{rule} of leading axis {n}, and {key!r} has shape {value.shape}")
+
+    def _require_layout(self, state: State, n: int) -> None:
+        found, first = _layout(state), self._layout
+        every = sorted(found.keys() | first.keys(), key=str)
+        keys = [key for key in every if found.get(key) != first.get(key)]
+        if keys and n:  # the state of no motion may have no keys
+            raise self.error(f"changes the keys, shapes or types of its state: {keys}", "layout")
 
     def _require_form(self, method: str, value: Array, shape: tuple[int, ...]) -> None:
         numeric = isinstance(value, np.ndarray) and value.dtype.kind in "biuf"
@@ -140,17 +156,17 @@ class CheckedMotion:
             )
 
 
-def _plausible(answer: Any, n: int) -> bool:
+def _plausible(answer: Any, n: int, layout: Layout) -> bool:
     """Return whether an answer of `twist` is surely sound; at each step, so as cheap as can be."""
     if type(answer) is not tuple or len(answer) != 2:
         return False
     twist, after = answer
-    if not _sound(twist, (n, 6)) or type(after) is not dict:
+    if not _sound(twist, (n, 6)) or type(after) is not dict or len(after) != len(layout):
         return False
-    for value in after.values():
+    for key, value in after.items():
         if type(value) is not np.ndarray or value.shape[:1] != (n,):
             return False
-        if value.dtype.kind not in "biuf":
+        if layout.get(key) != (value.dtype, value.shape[1:]):
             return False
     return True
 
@@ -161,6 +177,11 @@ def _sound(value: Any, shape: tuple[int, ...]) -> bool:
         return False
     # One product looks at all numbers at once; what overflows is looked at again.
     return math.isfinite(np.vdot(value, value))
+
+
+def _layout(state: State) -> Layout:
+    """Return what all motions of a state have in common: type and shape by key."""
+    return {key: (value.dtype, value.shape[1:]) for key, value in state.items()}
 
 
 def _count(state: State) -> int:

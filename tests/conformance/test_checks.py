@@ -4,6 +4,7 @@ import pytest
 from kinfeas.conformance.checks import CheckedMotion, ConformanceError
 from kinfeas.errors import KinfeasError
 from kinfeas.plugins.linear import Linear
+from kinfeas.single_motion import batched
 from kinfeas.spatial import IDENTITY
 
 POSES = np.tile(IDENTITY, (3, 1))
@@ -104,6 +105,69 @@ def test_all_finite_goals_pass(goal):
     state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
     generator.answers["goal"] = goal
     assert motion.goal_pose(state) is goal
+
+
+CHANGED = {
+    "a key that goes": ({"x": "goes"}, r"\['x'\]"),
+    "a key that comes": ({"velocity": np.zeros((3, 6))}, r"\['velocity'\]"),
+    "a shape": ({"x": np.zeros((3, 3))}, r"\['x'\]"),
+    "a type": ({"x": np.full(3, 0.5, dtype=np.float32)}, r"\['x'\]"),
+    "two types": ({"x": np.zeros(3, dtype=int), "goal": POSES.astype(int)}, r"\['goal', 'x'\]"),
+    "a key that is no word": ({5: np.zeros(3)}, r"\[5\]"),
+}
+
+
+def changed(state, changes):
+    after = {**state, **changes}
+    return {key: value for key, value in after.items() if not isinstance(value, str)}
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_a_state_keeps_its_layout(name):
+    changes, keys = CHANGED[name]
+    state = {"goal": POSES.copy(), "x": np.zeros(3)}
+    refused = rf"^motion generator mine changes the keys, shapes or types of its state: {keys}$"
+    generator = Answers(start=state, twist=(ZERO, changed(state, changes)))
+    with pytest.raises(ConformanceError, match=refused) as caught:
+        ask(generator)
+    assert caught.value.rule == "layout"
+    motion, rngs = CheckedMotion(generator, "mine"), [np.random.default_rng(0)] * 3
+    motion.start(POSES, POSES, rngs)
+    generator.answers["start"] = changed(state, changes)
+    with pytest.raises(ConformanceError, match=refused):
+        motion.start(POSES, POSES, rngs)
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_a_run_that_goes_on_knows_the_layout_from_its_state(name):
+    changes, keys = CHANGED[name]
+    state = {"goal": POSES.copy(), "x": np.zeros(3)}
+    motion = CheckedMotion(Answers(twist=(ZERO, state)), "mine")
+    assert motion.twist(state, POSES, 0.1)[1] is state
+    motion = CheckedMotion(Answers(twist=(ZERO, changed(state, changes))), "mine")
+    with pytest.raises(ConformanceError, match=f"its state: {keys}$"):
+        motion.twist(state, POSES, 0.1)
+
+
+def test_no_motion_may_have_no_keys():
+    motion, none = CheckedMotion(batched(Hover)()), np.zeros((0, 7))
+    for poses in (none, POSES, none):
+        rngs = [np.random.default_rng(0)] * len(poses)
+        state = motion.start(poses, poses, rngs)
+        assert motion.twist(state, poses, 0.1)[0].shape == (len(poses), 6)
+
+
+class Hover:
+    """Stands still."""
+
+    def start(self, ee_pose, target_pose, rng):
+        return {"goal": ee_pose}
+
+    def goal_pose(self, state):
+        return state["goal"]
+
+    def twist(self, state, ee_pose, dt):
+        return np.zeros(6), state
 
 
 @pytest.mark.parametrize("twist", [ZERO, TINY, HUGE, ZERO.astype(int), ZERO.astype(np.float32)])

@@ -1,8 +1,10 @@
 import hashlib
 import json
+import math
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -10,7 +12,7 @@ import pytest
 
 from kinfeas import pretrained, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.observation import scaled
+from kinfeas.observation import observe, scaled
 from kinfeas.policy import Network, read_network, write_network
 from kinfeas.sim2real.export import GOLDEN_PAIRS, export
 from kinfeas.sim2real.policy_about import About
@@ -142,7 +144,26 @@ def test_a_file_that_acts_otherwise_is_not_written(pr2, tmp_path, monkeypatch):
     assert not (tmp_path / "policy.onnx").exists()
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "{}x"])
+def test_settings_and_figures_that_are_no_numbers_become_words(pr2, tmp_path):
+    endless = {"task_parameters": {"speeds": [math.inf, -math.inf, math.nan]}, "world": {"dt": 0.1}}
+    write_run(pr2, tmp_path, extra={"config": endless})
+    (tmp_path / "evaluation.json").write_text('{"success": NaN, "episodes": 9}')
+    policy, _ = export(tmp_path, pr2, tmp_path / "policy.onnx")
+    words = ["inf", "-inf", "nan"]
+    assert policy.about.training["config"]["task_parameters"] == {"speeds": words}
+    assert policy.about.success["evaluation"] == {"success": "nan", "episodes": 9}
+    assert policy.about.control.period == 0.1
+
+
+def test_a_robot_of_other_kinematics_is_refused(pr2, tmp_path):
+    write_run(pr2, tmp_path)
+    faster = replace(pr2, base=replace(pr2.base, max_velocity=1.0))
+    with pytest.raises(KinfeasError, match="the kinematics of robot 'pr2' are not those"):
+        export(tmp_path, faster, tmp_path / "policy.onnx")
+    assert not (tmp_path / "policy.onnx").exists()
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}x", "[" * 200_000])
 def test_broken_figures(pr2, tmp_path, text):
     write_run(pr2, tmp_path)
     (tmp_path / "evaluation.json").write_text(text)
@@ -159,10 +180,24 @@ def test_the_example_of_the_page(pr2, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     exec(compile(example, "docs/export.md", "exec"), names)
-    action = read_policy_file(tmp_path / "pr2.onnx", pr2)(np.zeros((1, 28)))[0]
+    action = read_policy_file(tmp_path / "pr2.onnx", pr2)(names["observation"])[0]
     speed = np.hypot(*action[:2]) * 0.2
     expected = action * [0.2, 0.2, 1.0] * [*[0.2 / max(speed, 0.2)] * 2, 1.0]
     np.testing.assert_allclose(names["twist"], expected, atol=1e-5)
+
+
+def test_the_page_observes_as_the_loop_does():
+    names: dict[str, Any] = {}
+    start, end = PAGE.index("def times("), PAGE.index("# Put your robot's numbers here")
+    exec(compile(PAGE[start:end], "docs/export.md", "exec"), {"np": np}, names)
+    names["observe"].__globals__.update(names)
+    rng = np.random.default_rng(0)
+    poses = rng.normal(size=(4, 50, 7))
+    poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+    poses[1, :, 3:] *= np.sign(poses[1, :, 6:])  # where the EE is, w >= 0 as forward kinematics say
+    joints = rng.normal(size=(50, 7))
+    shown = [names["observe"](*row, angles) for *row, angles in zip(*poses, joints, strict=True)]
+    np.testing.assert_allclose(shown, observe(*poses, joints), atol=1e-12)
 
 
 def test_the_page_names_every_entry():

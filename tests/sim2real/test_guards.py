@@ -11,6 +11,7 @@ from kinfeas.adapters import AdapterSpec
 from kinfeas.backend import RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.joints import joint_way
+from kinfeas.sim2real.adapter import Adapter
 from kinfeas.sim2real.drive_limits import to_drive
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.guard_config import Guards
@@ -73,6 +74,14 @@ class LivePuppet(Puppet):
 
     def stop(self):
         self.stops += 1
+
+
+class Aging(LivePuppet):
+    """The same, which says how old its measurements are."""
+
+    def __init__(self, robot, time):
+        super().__init__(robot, time)
+        self.state = home(robot, age=np.array([0.0]))
 
 
 def home(robot, **changes):
@@ -242,7 +251,6 @@ BENT = ROBOTS["pr2"].home["home"] + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0]
     ({"age": np.array([0.21])}, "0.21 s old, at most 0.2 s is allowed"),
     ({"age": np.array([-0.2])}, "0.20 s in the future"),
     ({"age": np.array([np.nan])}, "age of the measurements is not finite"),
-    ({"base_pose": np.zeros((2, 7))}, "measurements have the shapes"),
     ({"ee_in_base": np.full((1, 7), np.nan)}, "EE pose is not finite"),
 ])  # fmt: skip
 def test_measurements_that_cannot_be_believed_stop_the_base(changes, message):
@@ -304,6 +312,76 @@ def test_a_clock_that_jumps_stops_the_base(clock, by, message):
     guard.step(twist(0.02), stays(guard), DT)
     setattr(backend.time, clock, getattr(backend.time, clock) + by)
     refused(guard, backend, message)
+
+
+class Slow(Adapter):
+    """An adapter that takes its time with a command."""
+
+    def command(self, twist, targets, dt):
+        self.backend.backend.time.passes(0.3)
+        return twist, targets
+
+
+class Keeping(Slow):
+    """A backend around a backend that keeps commands to itself."""
+
+    def step(self, base_twist, joint_targets, dt):
+        return self.backend._state
+
+
+class Swallowing(Slow):
+    """One that knows better than those that it is wrapped around."""
+
+    def step(self, base_twist, joint_targets, dt):
+        try:
+            return super().step(base_twist, joint_targets, dt)
+        except Fault:
+            return self.backend._state
+
+
+class Ageless(Slow):
+    """One that measures times in words."""
+
+    def command(self, twist, targets, dt):
+        return twist, targets
+
+    def view(self, state):
+        return replace(state, age="old")
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (Slow, r"the command is made of a measurement 0\.30 s old, at most 0\.2 s is allowed"),
+        (Keeping, "an adapter has not passed the command on"),
+        (Swallowing, "an adapter has not passed the command on"),
+    ],
+)
+def test_what_an_adapter_does_to_a_command_makes_no_stale_one(monkeypatch, kind, message):
+    guard, backend = adapted(monkeypatch, kind)
+    refused(guard, backend, message, twist(0.02))
+    assert backend.sent == []
+
+
+def test_an_age_that_an_adapter_makes_no_number_of_is_not_believed(monkeypatch):
+    with pytest.raises(Fault, match="the age of the measurements is no array of one number"):
+        adapted(monkeypatch, Ageless)
+
+
+def adapted(monkeypatch, kind):
+    """Return guards within which an adapter stands around a live robot, and that."""
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.adapters", "mine", kind)
+    return guarded(kind=Aging, adapters=[AdapterSpec("mine")])
+
+
+def test_what_is_simulated_grows_no_older_while_an_adapter_thinks(monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.adapters", "mine", Slow)
+    never = Guards().timeless()
+    guard, backend = guarded(guards=never, adapters=[AdapterSpec("mine")])
+    guard.step(twist(0.02), stays(guard), DT)
+    assert backend.sent
 
 
 def test_a_live_robot_must_say_how_old_its_measurements_are():
@@ -384,6 +462,51 @@ def test_adapters_do_not_get_beyond_the_limits(name):
         before = sent[0]
     guard.stop()
     assert not backend.sent[-1][0].any()
+
+
+class Scribbling(Puppet):
+    """The same, which writes into what it is given."""
+
+    def step(self, base_twist, joint_targets, dt):
+        state = super().step(base_twist, joint_targets, dt)
+        base_twist += 9.0
+        joint_targets += 9.0
+        return state
+
+
+def test_a_backend_that_writes_into_commands_changes_no_later_one():
+    guard, backend = guarded(kind=Scribbling)
+    command, targets = twist(0.02), stays(guard)
+    for _ in range(3):
+        guard.step(command, targets, DT)
+        np.testing.assert_allclose(guard.base_twist, twist(0.02))
+        np.testing.assert_allclose(guard.joint_targets, targets)
+    np.testing.assert_allclose(backend.sent[-1][1], targets)
+
+
+def test_an_arm_that_is_lost_is_sent_nowhere():
+    # As above: an adapter may keep it from the guards of measurements for a while.
+    guard, backend = guarded(adapters=[AdapterSpec("sensor_latency", {"seconds": 0.1})])
+    lost = np.full((1, len(ROBOTS["pr2"].arm)), np.nan)
+    backend.state, targets = home(ROBOTS["pr2"], joint_positions=lost), stays(guard)
+    targets[0, 3] += 0.5
+    for _ in range(3):
+        guard.step(twist(), targets, DT)
+    np.testing.assert_array_equal(backend.sent[-1][1], backend.sent[0][1])
+
+
+class Forming(Puppet):
+    """One that plans the arm's way itself."""
+
+    limit = None
+
+    def limit_arm(self, velocity):
+        self.limit = velocity
+
+
+def test_whoever_plans_the_arms_way_is_told_how_fast_it_may_go():
+    _, backend = guarded(guards=Guards(joint_speed=0.25), kind=Forming)
+    np.testing.assert_allclose(backend.limit, 0.25 * ROBOTS["pr2"].max_joint_velocity)
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from kinfeas import drive, registry, spatial
-from kinfeas.backend import Gripping, Live
+from kinfeas.backend import ArmLimited, Gripping, Live
 from kinfeas.errors import KinfeasError
+from kinfeas.sim2real.command_guard import CommandGuard
 from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link_backend import LinkBackend, robot_names
 from tests.sim2real.links import MemoryLink, connected, joints_at, present
@@ -21,13 +23,14 @@ def pr2():
 
 
 def still(robot):
-    return np.zeros((1, 6)), robot.home["home"][np.newaxis]
+    return np.zeros((1, 6)), robot.home["home"][np.newaxis].copy()
 
 
 def test_is_what_the_loop_asks_for(pr2):
     backend, _ = connected(pr2)
     assert isinstance(backend, Live)
     assert isinstance(backend, Gripping)
+    assert isinstance(backend, ArmLimited)
 
 
 def test_reset_leaves_the_robot_where_it_is(robot):
@@ -207,6 +210,31 @@ def test_an_arm_with_a_long_way_is_given_the_time_for_it(pr2):
     targets[0, joint] += 1.0
     backend.step(np.zeros((1, 6)), targets, DT)
     assert link.moved[-1][1] == pytest.approx(1.0 / pr2.max_joint_velocity[joint])
+
+
+@pytest.mark.parametrize("share", [1.0, 0.2])
+def test_an_arm_that_lags_is_sent_no_faster_than_the_guards_allow(pr2, share):
+    link, joint = MemoryLink(present(pr2)), 3
+    guard = CommandGuard(LinkBackend(pr2, link), pr2, Guards(joint_speed=share))
+    home = guard.reset(*still(pr2)).joint_positions[0]
+    target, speeds = still(pr2)[1], []
+    target[0, joint] += 1.0
+    for _ in range(30):
+        link.answer(link.readings)
+        guard.step(np.zeros((1, 6)), target, 0.02)
+        positions, seconds = link.moved[-1]
+        way = np.abs(np.array(list(positions.values())) - home)
+        speeds.append(way[joint] / seconds / pr2.max_joint_velocity[joint])
+    assert max(speeds) == pytest.approx(share)
+
+
+def test_no_limit_is_above_what_the_robot_can(pr2):
+    backend, link = connected(pr2)
+    backend.limit_arm(np.full(len(pr2.arm), 99.0))
+    targets = still(pr2)[1]
+    targets[0, 3] += 1.0
+    backend.step(np.zeros((1, 6)), targets, DT)
+    assert link.moved[-1][1] == pytest.approx(1.0 / pr2.max_joint_velocity[3])
 
 
 def test_what_follows_from_an_old_measurement_is_never_sent(pr2):

@@ -112,6 +112,32 @@ def test_what_is_repeated_is_not_new(pr2, inbox, monkeypatch):
     assert inbox.state().age[0] == 0.0
 
 
+def test_a_queue_that_falls_behind_shows_as_age(pr2, inbox, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    readings, positions = inbox.readings(), joints_at(pr2).positions
+    for number in range(1, 101):  # sent at 50 Hz, taken out at 45 Hz
+        now[0] = 100.0 + number / 45.0
+        readings.base(BaseReading(0.0, 0.0, 0.0, stamp=7.0 + 0.02 * number))
+        readings.joints(JointReading(positions, stamp=7.0 + 0.02 * number))
+    assert inbox.state().age[0] == pytest.approx(99 / 45.0 - 0.02 * 99, rel=0.02)
+
+
+def test_a_reading_that_was_old_before_it_was_stamped_stays_so(pr2, inbox, monkeypatch):
+    monkeypatch.setattr("time.monotonic", lambda: 100.0)
+    inbox.readings().joints(joints_at(pr2))
+    for age in (0.0, 0.3):
+        inbox.readings().base(BaseReading(0.0, 0.0, 0.0, stamp=7.0, age=age))
+        assert inbox.state().age[0] == pytest.approx(age)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_stamp_that_is_not_finite_is_a_fault(pr2, inbox, bad):
+    inbox.readings().base(BaseReading(0.0, 0.0, 0.0, stamp=bad))
+    assert inbox.fault == "a stamp of the base is not finite"
+    assert inbox.lacks()[0]
+
+
 def test_stamps_of_different_joints_are_not_compared(pr2, inbox):
     readings = inbox.readings()
     first, second = (joint.name for joint in pr2.arm[:2])

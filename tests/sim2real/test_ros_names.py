@@ -75,7 +75,11 @@ def test_controllers_share_the_arm_among_them(tmp_path, joints, said):
         read_topics(robot, 1, str(path))
 
 
-def test_an_unknown_name_lists_what_there_is():
+@pytest.mark.parametrize(
+    ("options", "said"), [((), "--set backend.topics=FILE"), (("--names FILE",), "--names FILE")]
+)
+def test_an_unknown_name_lists_what_there_is(options, said):
     robot = registry.load_robot("pr2")
-    with pytest.raises(KinfeasError, match=r"unknown topics 'pr3'.*known are hsr, pr2, tiago"):
-        read_topics(robot, 2, "pr3")
+    known = "known are hsr, pr2, tiago, or a YAML file"
+    with pytest.raises(KinfeasError, match=f"^unknown topics 'pr3'.*{known}: {said}$"):
+        read_topics(robot, 2, "pr3", *options)

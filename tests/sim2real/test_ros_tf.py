@@ -61,8 +61,20 @@ def test_what_is_sent_again_grows_old(monkeypatch):
         tree.take(message(("map", "base", pose(0, 0, 0), 7.0)))
         now[0] += 0.5
     assert tree.reading().age == pytest.approx(2.0)
-    tree.take(message(("map", "base", pose(0, 0, 0), 8.0)))
+    tree.take(message(("map", "base", pose(0, 0, 0), 9.0)))
     assert tree.reading().age == 0.0
+
+
+def test_a_queue_that_falls_behind_shows_as_age(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    tree = TfTree("map", "base")
+    tree.take(message(("odom", "base", pose(0, 0, 0), 0.0)))
+    for number in range(1, 11):  # sent at 10 Hz, taken out at 5 Hz
+        now[0] = 100.0 + 0.2 * number
+        tree.take(message(("map", "odom", pose(0, 0, 0), 0.1 * number)))
+        tree.take(message(("odom", "base", pose(0, 0, 0), 0.0)))
+    assert tree.reading().age == pytest.approx(0.9, rel=0.01)
 
 
 def test_static_transforms_do_not_age(monkeypatch):

@@ -279,12 +279,15 @@ def test_a_world_without_a_clock_may_be_slow(run):
 @pytest.mark.parametrize(("number", "code"), [
     (signal.SIGINT, Code.INTERRUPTED),
     (signal.SIGTERM, Code.TERMINATED),
+    (signal.SIGHUP, Code.HUNG_UP),
+    (signal.SIGQUIT, Code.QUIT),
 ])  # fmt: skip
 def test_signals_end_a_run_cleanly(run, number, code):
     before = signal.getsignal(number)
     robot = LiveRobot(registry.load_robot("pr2"))
     outcome, record = run(robot, Drive(at=5, do=lambda: os.kill(os.getpid(), number)))
     assert outcome.code is code
+    assert outcome.code == 128 + number
     assert not robot.commands[-1][1].any()
     assert record.event[-1] == outcome.reason
     assert signal.getsignal(number) is before
@@ -338,20 +341,28 @@ class Broken(AnalyticBackend):
 
 
 class BrokenRobot(LiveRobot):
-    def __init__(self, robot, method):
+    """A robot that answers what a test says where one of its methods is called."""
+
+    def __init__(self, robot, method, answer):
         super().__init__(robot)
-        self.method = method
+        self.method, self.answer = method, answer
 
     def reset(self, base_pose, joint_positions, rows=None):
-        return LiveRobot.read(self)
+        return self.says("reset", LiveRobot.read(self))
+
+    def step(self, base_twist, joint_targets, dt):
+        return self.says("step", super().step(base_twist, joint_targets, dt))
 
     def read(self):
-        if self.method == "read":
-            raise KeyError("no topic")
-        return super().read()
+        return self.says("read", super().read())
 
     def stop_call(self):
-        raise RuntimeError("no address")
+        return self.says("stop_call", StopCall("nobody:needs_it"))
+
+    def says(self, method, sound):
+        if self.method == method:
+            return self.answer(sound)
+        return sound
 
 
 @pytest.mark.parametrize("method", ["reset", "seed"])
@@ -372,13 +383,56 @@ def test_a_backend_that_measures_nothing_is_one_sentence(run):
 
 @pytest.mark.parametrize(
     ("method", "sentence"),
-    [("read", "read: KeyError: 'no topic'"), ("stop_call", "stop_call: RuntimeError: no address")],
+    [("read", "read: KeyError: 'boom'"), ("stop_call", "stop_call: KeyError: 'boom'")],
 )
 def test_a_robot_that_cannot_begin_is_one_sentence(run, pr2, method, sentence):
-    robot = BrokenRobot(pr2.robot, method)
+    def breaks(_):
+        raise KeyError("boom")
+
+    robot = BrokenRobot(pr2.robot, method, breaks)
     guards = Guards(watchdog=None if method == "read" else 0.5)
     with pytest.raises(KinfeasError, match=f"^backend BrokenRobot fails in {sentence}"):
         run(robot, Drive(), guards=guards)
+
+
+@pytest.mark.parametrize(("method", "answer", "sentence"), [
+    ("reset", lambda _: None, "backend BrokenRobot must return a RobotState from reset, not None"),
+    ("reset", lambda state: replace(state, joint_positions=[[0.0] * 7]), "must return joint_posi"),
+    ("read", lambda _: None, "backend BrokenRobot must return a RobotState from read, not None"),
+    ("read", lambda state: replace(state, age="old"), "backend BrokenRobot must return an age of"),
+    ("read", lambda state: replace(state, base_pose=state.base_pose * np.nan),
+     "the measured base pose is not finite"),
+    ("stop_call", lambda _: None, "backend BrokenRobot must return a StopCall from stop_call, not"),
+    ("stop_call", lambda _: StopCall("a:b", {"number": np.zeros(2)}),
+     "backend BrokenRobot fails in stop_call: TypeError: .*JSON"),
+])  # fmt: skip
+def test_a_robot_that_begins_with_nonsense_is_one_sentence(run, pr2, method, answer, sentence):
+    robot = BrokenRobot(pr2.robot, method, answer)
+    guards = Guards(watchdog=0.5 if method == "stop_call" else None)
+    with pytest.raises(KinfeasError, match=sentence):
+        run(robot, Drive(), guards=guards)
+    assert robot.closed
+    assert not any(twist.any() for _, twist in robot.commands)
+
+
+@pytest.mark.parametrize(("answer", "sentence"), [
+    (lambda _: None, "must return a RobotState from step, not NoneType"),
+    (lambda state: replace(state, age="old"),
+     "must return an age of shape (1,) from step, not str"),
+    (lambda state: replace(state, base_pose=state.base_pose.astype(complex)),
+     "must return a base_pose of numbers from step, not complex128"),
+    (lambda state: replace(state, ee_in_base=np.zeros(3)),
+     "must return an ee_in_base of shape (1, 7) from step, not (3,)"),
+])  # fmt: skip
+def test_a_robot_that_talks_nonsense_is_stopped_with_one_sentence(
+    run, pr2, capsys, answer, sentence
+):
+    robot = BrokenRobot(pr2.robot, "step", answer)
+    outcome, record = run(robot, Drive(), guards=Guards(watchdog=None))
+    assert (outcome.code, outcome.reason) == (Code.FAULT, f"backend BrokenRobot {sentence}")
+    assert record.event[-1] == outcome.reason
+    assert not robot.commands[-1][1].any()
+    assert capsys.readouterr().err == ""
 
 
 class OwnError(Exception):

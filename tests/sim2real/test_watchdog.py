@@ -5,7 +5,7 @@ import time
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.watchdog import StopCall, Watchdog
+from kinfeas.sim2real.watchdog import LAST_TRY, TIMES, StopCall, Watchdog
 
 ROBOT = """
 import time
@@ -19,6 +19,27 @@ def connect(path):
             file.write(f"{time.monotonic()}\\n")
 
     return stop
+"""
+
+FLAKY = """
+from kinfeas.sim2real.fault import Fault
+
+
+def connect(path, error, fails):
+    left = [fails]
+
+    def stop():
+        left[0] -= 1
+        if left[0] >= 0:
+            raise eval(error)
+        with open(path, "a") as file:
+            file.write("0\\n")
+
+    return stop
+
+
+def broken(error):
+    raise eval(error)
 """
 
 RUN = """
@@ -37,6 +58,7 @@ while True:
 def stops(tmp_path, monkeypatch):
     """Return where the stand-in of a robot writes down when it is stopped."""
     (tmp_path / "stand_in.py").write_text(ROBOT)
+    (tmp_path / "flaky.py").write_text(FLAKY)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     return tmp_path / "stops"
 
@@ -128,8 +150,57 @@ def test_an_error_that_nobody_has_dealt_with_stops_the_base(stops):
     assert stopped_at(stops)
 
 
-@pytest.mark.parametrize("path", ["stand_in:conect", "no_such_module:stop"])
-def test_does_not_begin_without_a_way_to_stop(stops, path, capfd):
+ERRORS = ["Fault('nothing can be sent')", "KeyError()", "SystemExit('nothing can be sent')"]
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_a_stop_that_fails_is_tried_again_whatever_it_raises(stops, error, capfd):
+    call = StopCall("flaky:connect", {"path": str(stops), "error": error, "fails": 2})
+    with Watchdog(call, 0.2) as watchdog:
+        watchdog.beat()
+        time.sleep(0.6)
+        assert not watchdog.beat()
+    assert len(stopped_at(stops)) > 2
+    first, second = capfd.readouterr().err.splitlines()
+    why = "watchdog: no sign of life from the run for 0.2 s: "
+    reason = "KeyError" if "Key" in error else "nothing can be sent"
+    assert first == f"{why}the base could not be commanded to zero: {reason}"
+    assert second == f"{why}base commanded to zero"
+
+
+def test_a_run_that_died_is_stopped_as_often_as_ever_if_that_fails_at_first(stops):
+    fails = TIMES + 2
+    call = StopCall("flaky:connect", {"path": str(stops), "error": ERRORS[0], "fails": fails})
+    with Watchdog(call, 5.0) as watchdog:
+        watchdog.abandon()
+    assert len(stopped_at(stops)) == TIMES
+
+
+def test_gives_up_where_nothing_can_be_sent_any_more(stops):
+    call = StopCall("flaky:connect", {"path": str(stops), "error": ERRORS[0], "fails": 10**9})
+    began = time.monotonic()
+    with Watchdog(call, 5.0) as watchdog:
+        watchdog.abandon()
+    assert LAST_TRY < time.monotonic() - began < LAST_TRY + 1.5
+
+
+@pytest.mark.parametrize(
+    ("path", "arguments"),
+    [
+        ("stand_in:conect", {}),
+        ("no_such_module:stop", {}),
+        ("stand_in:connect", {}),
+        ("flaky:broken", {"error": "KeyError()"}),
+        ("flaky:broken", {"error": "SystemExit(0)"}),
+    ],
+)
+def test_does_not_begin_without_a_way_to_stop(stops, path, arguments, capfd):
     with pytest.raises(KinfeasError, match=f"could not connect to the robot by '{path}'"):
-        Watchdog(StopCall(path), 0.2)
-    assert capfd.readouterr().err.startswith("watchdog: ")
+        Watchdog(StopCall(path, arguments), 0.2)
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("watchdog: ")
+
+
+def test_a_call_is_what_another_process_can_be_told_of():
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        StopCall("stand_in:connect", {"path": object()})
