@@ -103,8 +103,8 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
         tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
     save_file(contiguous, folder / WEIGHTS)
-    who = {"robot": robot.name, "kinematics": fingerprint(robot), "layers": len(network.weights)}
-    write_trained(Trained(**who, **known), folder)
+    layers, kinematics = len(network.weights), fingerprint(robot)
+    write_trained(Trained(robot=robot.name, layers=layers, kinematics=kinematics, **known), folder)
 
 
 def read_network(folder: Path, robot: Robot) -> Network:
@@ -118,7 +118,8 @@ def read_network(folder: Path, robot: Robot) -> Network:
         KinfeasError: If there is no policy, or a broken one, or one for another robot or for other
             kinematics.
     """
-    trained, place = read_trained(folder), policy_folder(folder)
+    place = policy_folder(folder)
+    trained = read_trained(place)
     try:
         tensors = load_file(place / WEIGHTS)
         network = Network(
@@ -143,8 +144,8 @@ def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) 
         )
     if trained.kinematics not in (None, fingerprint(robot)):
         raise KinfeasError(
-            f"{place}: a policy for other kinematics than those of robot {robot.name!r} here: its "
-            "joints, their limits, or the base's drive or speed were changed after the training"
+            f"{place}: the kinematics of robot {robot.name!r} are not those that the policy was "
+            "trained with: joints, limits, EE frame, or the base's drive or speed were changed"
         )
 
 

@@ -24,7 +24,10 @@ def of_rows(state: State, rows: Rows) -> State:
 
 
 def merged(state: State, rows: Rows, values: State, n: int) -> State:
-    """Return the state of n rows with `values` put into `rows`; a state that is empty has none."""
+    """Return the state of n rows with `values` put into `rows`; a state that is empty has none.
+
+    Both have the same keys, types and shapes, which `CheckedMotion` sees to.
+    """
     if len(rows) == n:
         return values
     return {

@@ -125,13 +125,17 @@ def read_xml(path: Path, tag: str) -> Element:
         KinfeasError: If `path` is not a readable file of at most `MAX_BYTES`, is not XML, declares
             a document type, or begins with another element.
     """
-    content = read_file(path, MAX_BYTES)
+    return parse_xml(read_file(path, MAX_BYTES), tag, str(path))
+
+
+def parse_xml(content: bytes | str, tag: str, source: str) -> Element:
+    """Return the root element of XML that is from `source`, which errors name; as `read_xml`."""
     try:
         xml = ElementTree.fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
-        raise KinfeasError(f"{path}: document types and entities are not allowed") from error
+        raise KinfeasError(f"{source}: document types and entities are not allowed") from error
     except (ParseError, ValueError, LookupError) as error:
-        raise KinfeasError(f"{path}: not XML: {error}") from error
+        raise KinfeasError(f"{source}: not XML: {error}") from error
     if xml.tag != tag:
-        raise KinfeasError(f"{path}: the first element must be <{tag}>, not <{xml.tag}>")
-    return Element(xml, str(path))
+        raise KinfeasError(f"{source}: the first element must be <{tag}>, not <{xml.tag}>")
+    return Element(xml, source)

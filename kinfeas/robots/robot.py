@@ -18,7 +18,7 @@ from kinfeas.robots.tree import Joint, Urdf
 from kinfeas.robots.urdf import parse_urdf
 from kinfeas.spatial import Array
 
-__all__ = ["ArmJoint", "Base", "Gripper", "Leeway", "Robot", "read_robot"]
+__all__ = ["ArmJoint", "Base", "Gripper", "Leeway", "Robot", "build_robot", "read_robot"]
 
 
 @dataclass(frozen=True)
@@ -135,9 +135,23 @@ def read_robot(path: Path) -> Robot:
     Raises:
         KinfeasError: If one of the files is broken, or they do not fit each other.
     """
-    spec, source = config.load(RobotSpec, path), str(path)
+    spec = config.load(RobotSpec, path)
     urdf_path = path.parent / spec.urdf
-    urdf = parse_urdf(urdf_path)
+    return build_robot(spec, parse_urdf(urdf_path), urdf_path, str(path))
+
+
+def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Robot:
+    """Return the robot that is described so.
+
+    Args:
+        spec: What its YAML says.
+        urdf: What its URDF says.
+        urdf_path: File that physics engines load.
+        source: Where the YAML is from, for errors.
+
+    Raises:
+        KinfeasError: If the two do not fit each other.
+    """
     _check_chain(spec, urdf, source)
     arm = tuple(_arm_joint(spec, urdf.joints[name], source) for name in spec.arm)
     rotation = np.array(spec.gripper_rotation)

@@ -7,6 +7,8 @@ from typing import Protocol, TypeVar, cast, get_args
 
 import numpy as np
 
+from kinfeas.errors import KinfeasError
+from kinfeas.quantities import FARTHEST
 from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.tree import (
     Joint,
@@ -20,7 +22,17 @@ from kinfeas.robots.tree import (
     find_root,
 )
 
-__all__ = ["Joint", "JointKind", "Link", "Mimic", "Shape", "ShapeKind", "Urdf", "parse_urdf"]
+__all__ = [
+    "Joint",
+    "JointKind",
+    "Link",
+    "Mimic",
+    "Shape",
+    "ShapeKind",
+    "Urdf",
+    "parse_urdf",
+    "urdf_of",
+]
 
 _HEAVIEST, _MOST_INERTIA = 1e5, 1e7  # kg and kg m^2
 
@@ -32,12 +44,19 @@ def parse_urdf(path: Path) -> Urdf:
         KinfeasError: If the file cannot be read, is not XML or no tree of supported joints, or
             holds a number that is missing, not finite or out of its range.
     """
-    robot = read_xml(path, "robot")
+    return urdf_of(read_xml(path, "robot"))
+
+
+def urdf_of(robot: Element) -> Urdf:
+    """Return the robot that an element <robot> describes; errors as in `parse_urdf`."""
     links = _by_name(robot, "link", _link)
     joints = _by_name(robot, "joint", _joint)
-    root = find_root(links, joints.values(), str(path))
-    check_mimics(joints, str(path))
-    return Urdf(robot.text("name"), links, joints, root)
+    root = find_root(links, joints.values(), robot.where)
+    check_mimics(joints, robot.where)
+    urdf = Urdf(robot.text("name"), links, joints, root)
+    for joint in joints.values():
+        _check_following(urdf, joint, robot.where)
+    return urdf
 
 
 class _Named(Protocol):
@@ -181,6 +200,15 @@ def _axis(joint: Element, kind: str) -> tuple[float, float, float]:
         raise joint.error("the axis must not be zero")
     x, y, z = (axis / length).tolist()
     return x, y, z
+
+
+def _check_following(urdf: Urdf, joint: Joint, source: str) -> None:
+    _, scale, offset = urdf.followed(joint)
+    if not (abs(scale) <= FARTHEST and abs(offset) <= FARTHEST):
+        raise KinfeasError(
+            f"{source}: joint {joint.name!r}, <mimic>: 'multiplier' and 'offset' must be at most "
+            f"{FARTHEST:g} in size, together with those of the joints that it follows"
+        )
 
 
 def _mimic(joint: Element, kind: str) -> Mimic | None:

@@ -38,12 +38,22 @@ def writing(path: Path) -> AbstractContextManager[None]:
 
 @contextmanager
 def _naming(path: Path, done: str) -> Iterator[None]:
+    if not _is_file_name(path):
+        raise KinfeasError(f"{str(path)!r}: cannot be {done}: no file can be called so")
     try:
         yield
     except OSError as error:
         raise KinfeasError(f"{path}: cannot be {done}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise KinfeasError(f"{path}: not a text file in UTF-8") from error
+
+
+def _is_file_name(path: Path) -> bool:
+    """Return whether the system takes a path for one: without NUL and lone surrogates."""
+    try:
+        return b"\0" not in os.fsencode(path)
+    except UnicodeEncodeError:
+        return False
 
 
 def read_file(path: Path, most: int) -> bytes:

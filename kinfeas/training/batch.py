@@ -71,11 +71,13 @@ class Batch:
         """Go on from what `snapshot` returned; return the observations, shape (n, d).
 
         Raises:
-            ValueError: If the snapshot is of another number of episodes.
+            ValueError: If the snapshot is of another number of episodes, or counts below 0.
         """
         if len(snapshot["steps"]) != self.size:
             raise ValueError(f"a snapshot of {len(snapshot['steps'])}, not {self.size} episodes")
         self.next_episode = int(snapshot["next_episode"])
+        if self.next_episode < 0:
+            raise ValueError(f"a snapshot whose next episode is {self.next_episode}")
         return self._scaled(self.world.restore(snapshot))
 
     def _note_ends(self, infos: list[dict[str, Any]], transition: Transition, rows: Rows) -> None:

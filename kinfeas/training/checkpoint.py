@@ -22,6 +22,9 @@ from kinfeas.training.learner import Learner
 _FORMAT = 1
 _TENSORS, _STATE = "state.safetensors", "state.json"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_WORLD = ("world.base_pose", "world.joint_positions", "world.sent", "world.desired")
+_FINITE = ("policy.", "buffer.", "log_ent_coef", *_WORLD)
+"""What the names of tensors begin with in which every number is finite."""
 _UNSIGNED = ".unsigned"
 
 Tensors = dict[str, torch.Tensor]
@@ -123,6 +126,7 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
         entries = {key: about[key] for key in ("updates", "buffer", "random")}
         numbers = checked(_Numbers, entries)
         tensors = load_file(folder / _TENSORS)
+        _check_finite(tensors)
         learner.policy.load_state_dict(_below("policy.", tensors))
         if (entropy := _learned_entropy(learner)) is not None:
             entropy.copy_(tensors["log_ent_coef"])
@@ -162,6 +166,12 @@ def loading(folder: Path) -> Iterator[None]:
         raise KinfeasError(
             f"{folder}: broken checkpoint, or one of another run: {type(error).__name__}: {reason}"
         ) from error
+
+
+def _check_finite(tensors: Tensors) -> None:
+    for key, values in tensors.items():
+        if key.startswith(_FINITE) and not torch.isfinite(values).all():
+            raise ValueError(f"{key} holds numbers that are not finite")
 
 
 def _load_optimizer(optimizer: torch.optim.Optimizer, groups: Any, tensors: Tensors) -> None:

@@ -82,11 +82,12 @@ class ProcessVecEnv(EpisodesVecEnv):
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Begin the episodes after those of `snapshot`; return the observations, shape (n, d)."""
-        if len(snapshot["next_episode"]) != self.num_envs:
-            raise ValueError(
-                f"a snapshot of {len(snapshot['next_episode'])}, not {self.num_envs} processes"
-            )
-        return self._begin(snapshot["next_episode"])
+        numbers = snapshot["next_episode"]
+        if len(numbers) != self.num_envs:
+            raise ValueError(f"a snapshot of {len(numbers)}, not {self.num_envs} processes")
+        if numbers.min() < 0:
+            raise ValueError(f"a snapshot whose next episodes are {numbers.tolist()}")
+        return self._begin(numbers)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Do nothing: the processes go by the seed of their configuration."""

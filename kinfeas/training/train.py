@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinfeas import config as configuration
 from kinfeas.errors import KinfeasError
 from kinfeas.metrics import summarize
-from kinfeas.policy import write_network
+from kinfeas.policy import read_network, write_network
 from kinfeas.storage.files import writing
 from kinfeas.storage.folders import alone, find_folder, write_folder
 from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
@@ -68,7 +68,8 @@ def resume(out: Path, report: Report | None = None) -> Progress:
     """Go on with a run from its last checkpoint and return how far it came.
 
     Raises:
-        KinfeasError: If the folder is no run, its checkpoint is broken, or the run still goes on.
+        KinfeasError: If the folder is no run, its checkpoint is broken, its robot has got other
+            kinematics, or the run still goes on.
     """
     if not (out / "config.yaml").is_file():
         raise KinfeasError(f"{out}: not a training run: there is no config.yaml in it")
@@ -80,7 +81,8 @@ def resume(out: Path, report: Report | None = None) -> Progress:
 
 def _check_new(out: Path) -> None:
     with writing(out):
-        if not (out.is_dir() and any(out.iterdir())):
+        # What is hidden may be left of a run that was killed while it wrote its first file.
+        if not (out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir())):
             return
         if not (out / "config.yaml").is_file():
             raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
@@ -112,12 +114,16 @@ class _Run:
         last, best = (find_folder(self.out / "checkpoints" / name) for name in ("last", "best"))
         if not last.is_dir():
             if best.is_dir():
-                raise KinfeasError(f"{last}: missing, and there is no other checkpoint to resume")
+                raise KinfeasError(
+                    f"{last}: missing, and there is no other checkpoint to resume; begin anew in "
+                    "another --out"
+                )
             self.begin()
             return
         state = read_state(last)
         with loading(last):
             self._check_same(state["config"], last)
+            read_network(last, self.env.robot)
             self.progress = read_progress(state["progress"])
             # The schedule may have been made longer.
             self.progress.share = self._share()
@@ -140,6 +146,8 @@ class _Run:
     def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
             self.observation = self.env.reset()
+            # First, so that at no moment there is a `best` and nothing to go on from.
+            self._save()
         judge = self._judge()
         begun = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds

@@ -271,6 +271,29 @@ def test_broken_urdf_is_one_sentence(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
+def following(name, leader, scale, offset=0.0):
+    """Return a link and a joint that follows another one."""
+    mimic = f'<mimic joint="{leader}" multiplier="{scale}" offset="{offset}"/>'
+    place = f'<parent link="hand"/><child link="{name}"/><limit velocity="1"/>'
+    return f'<link name="{name}"/><joint name="{name}" type="revolute">{place}{mimic}</joint>'
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        following("a", "elbow", 1e16),
+        following("a", "elbow", 1.0, -1e16),
+        following("a", "elbow", 200.0) + following("b", "a", -200.0),
+        following("a", "elbow", 1.0, 200.0) + following("b", "a", 200.0),
+        "".join(following(f"a{i}", f"a{i - 1}" if i else "elbow", 1e16, 1e16) for i in range(25)),
+    ],
+)
+def test_joints_do_not_follow_out_of_all_bounds(tmp_path, joints):
+    path = write(tmp_path, ARM.replace("</robot>", f"{joints}</robot>"))
+    with pytest.raises(KinfeasError, match=rf"^{path}: joint '\w+', <mimic>: .* at most 10000 in"):
+        parse_urdf(path)
+
+
 @pytest.mark.parametrize(
     ("joints", "message"),
     [

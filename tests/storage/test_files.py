@@ -62,6 +62,21 @@ def test_what_cannot_be_read_is_named(tmp_path):
         b"\xff".decode()
 
 
+@pytest.mark.parametrize("name", ["a\0.yaml", "\ud800.yaml"])
+def test_what_can_be_no_name_is_one_sentence(tmp_path, name):
+    with pytest.raises(KinfeasError, match="cannot be read: no file can be called so") as caught:
+        read_file(tmp_path / name, 9)
+    assert str(caught.value).isprintable()
+    with pytest.raises(KinfeasError, match="cannot be written: no file can be called so"):
+        write_file(tmp_path / name, b"1")
+
+
+def test_a_name_of_other_bytes_is_one(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff.yaml")
+    write_file(path, b"1")
+    assert read_file(path, 9) == b"1"
+
+
 def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
     path = tmp_path / "film.gif"
     path.write_bytes(b"old")

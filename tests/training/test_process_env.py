@@ -62,6 +62,8 @@ def test_episodes_end_and_begin_as_learners_want_it(env):
 def test_a_snapshot_of_others_and_a_dead_process_are_clear_errors(env):
     with pytest.raises(ValueError, match="a snapshot of 3, not 2 processes"):
         env.restore({"next_episode": np.zeros(3, dtype=int)})
+    with pytest.raises(ValueError, match=r"a snapshot whose next episodes are \[0, -1\]"):
+        env.restore({"next_episode": np.array([0, -1])})
     with pytest.raises(RuntimeError, match="needs a step_async"):
         env.step_wait()
     env._processes[1].kill()

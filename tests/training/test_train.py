@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save_file
 
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
@@ -178,6 +178,34 @@ def test_a_run_that_lost_its_checkpoint_does_not_begin_again(half, digest):
     with pytest.raises(KinfeasError, match="last: missing, and there is no other checkpoint"):
         resume(half)
     assert digest(half) == before
+
+
+class KilledError(BaseException):
+    """What nobody catches, as nobody catches a kill."""
+
+
+def test_a_run_killed_after_its_first_evaluation_resumes(plain, tmp_path, monkeypatch):
+    settings, expected = plain
+    seldom = replace(settings.schedule, checkpoint_seconds=1000.0)
+    write, out = training._Run._write, tmp_path / "run"
+
+    def killed(run, name, fill):
+        write(run, name, fill)
+        if name == "best":
+            raise KilledError
+
+    with monkeypatch.context() as patch, pytest.raises(KilledError):
+        patch.setattr(training._Run, "_write", killed)
+        train(replace(settings, schedule=seldom), out)
+    assert (out / "checkpoints" / "best").is_dir()
+    resume(out)
+    assert_same(out, expected)
+
+
+def test_a_run_killed_over_its_first_file_begins_again(tiny, tmp_path, monkeypatch):
+    out = tmp_path / "run"
+    (out / ".half").mkdir(parents=True)
+    assert train(tiny("schedule.steps=80"), out).steps == 80
 
 
 def test_learning_that_diverges_is_a_clear_error(tiny, tmp_path):
@@ -464,7 +492,9 @@ def test_a_broken_checkpoint_is_a_clear_error(half, digest, name, share):
     assert digest(half) == before
 
 
-@pytest.mark.parametrize("content", ["[]", "{}", "3", '{"format": 2}', '{"format": 1}', "\0"])
+@pytest.mark.parametrize(
+    "content", ["[]", "{}", "3", '{"format": 2}', '{"format": 1}', "\0", "[" * 100_000]
+)
 def test_a_foreign_checkpoint_is_a_clear_error(half, content):
     (half / "checkpoints" / "last" / "state.json").write_text(content)
     with pytest.raises(KinfeasError, match="last: broken checkpoint, or one of another run"):
@@ -493,6 +523,40 @@ def test_a_broken_progress_is_a_clear_error(half, digest, key, value):
     assert digest(half) == before
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("policy.actor.mu.weight", np.nan, "policy.actor.mu.weight holds numbers that are not fin"),
+        ("policy.critic.qf0.0.bias", np.inf, "policy.critic.qf0.0.bias holds numbers that are not"),
+        ("buffer.rewards", np.nan, "buffer.rewards holds numbers that are not finite"),
+        ("world.desired", np.nan, "world.desired holds numbers that are not finite"),
+        ("world.next_episode", -5, "a snapshot whose next episode is -5"),
+    ],
+)
+def test_senseless_numbers_are_a_clear_error(half, digest, key, value, message):
+    path = half / "checkpoints" / "last" / "state.safetensors"
+    tensors = load_file(path)
+    tensors[key] = np.full_like(tensors[key], value)
+    save_file(tensors, path)
+    before = digest(half)
+    with pytest.raises(KinfeasError, match=f"last: broken checkpoint, .*{message}"):
+        resume(half)
+    assert digest(half) == before
+
+
+def test_a_robot_that_was_changed_since_is_a_clear_error(tiny, tmp_path, digest):
+    shipped, mine, out = registry.load_robot("pr2"), tmp_path / "mine.yaml", tmp_path / "run"
+    text = (shipped.urdf_path.with_name("pr2.yaml")).read_text()
+    mine.write_text(text.replace("urdf: pr2.urdf", f"urdf: {shipped.urdf_path}"))
+    train(tiny(f"robot={mine}", "schedule.steps=80"), out)
+    assert "max_velocity: 0.2" in text
+    mine.write_text(mine.read_text().replace("max_velocity: 0.2", "max_velocity: 0.3"))
+    before = digest(out)
+    with pytest.raises(KinfeasError, match=f"^{out}/checkpoints/last: the kinematics of robot"):
+        resume(out)
+    assert digest(out) == before
+
+
 @pytest.mark.parametrize("progress", [None, [], {}, "far"])
 def test_no_progress_is_a_clear_error(half, progress):
     path = half / "checkpoints" / "last" / "state.json"
@@ -513,13 +577,10 @@ def test_the_state_of_a_writer_killed_between_its_renames_is_found(half):
 def test_metrics_are_replaced_not_overwritten(half, monkeypatch):
     before = (half / "metrics.csv").read_bytes()
 
-    class Killed(BaseException):
-        pass
-
     def killed(*_):
-        raise Killed
+        raise KilledError
 
-    with monkeypatch.context() as patch, pytest.raises(Killed):
+    with monkeypatch.context() as patch, pytest.raises(KilledError):
         patch.setattr(logs.csv.DictWriter, "writerows", killed)
         resume(half)
     assert (half / "metrics.csv").read_bytes() == before

@@ -4,17 +4,17 @@ import json
 import shlex
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from kinfeas import __version__, config
-from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.runs import Run
-from kinfeas.storage.folders import find_folder, write_folder
+from kinfeas.policy import WEIGHTS
+from kinfeas.storage.folders import write_folder
 from kinfeas.storage.recipes import default_recipe
+from kinfeas.trained import Trained, policy_folder, read_best, write_trained
 from kinfeas.training.config import TrainConfig
-
-_WEIGHTS, _ABOUT = "policy.safetensors", "policy.json"
 
 
 def publish(
@@ -33,16 +33,13 @@ def publish(
     Raises:
         KinfeasError: If a run has no policy, or something cannot be written.
     """
-    best: dict[str, tuple[float, Run, dict[str, Any]]] = {}
-    for run in runs:
-        about = _read_about(run)
-        success = float(about["evaluation"]["success"])
-        if run.robot not in best or success > best[run.robot][0]:
-            best[run.robot] = success, run, about
-    return {
-        robot: _copy(run, about, dict(figures.get(run.folder, {})), folder / robot)
-        for robot, (_, run, about) in best.items()
-    }
+    judged = [(run, read_best(run.folder)) for run in runs]
+    published = {}
+    for robot in dict.fromkeys(run.robot for run in runs):
+        own = [(run, trained) for run, trained in judged if run.robot == robot]
+        run, trained = max(own, key=lambda one: one[1].evaluation["success"])
+        published[robot] = _copy(run, trained, dict(figures.get(run.folder, {})), folder / robot)
+    return published
 
 
 def train_command(settings: TrainConfig) -> str:
@@ -70,33 +67,15 @@ def _changes(
     return found
 
 
-def _place(run: Run) -> Path:
-    return find_folder(run.folder / "checkpoints" / "best")
-
-
-def _read_about(run: Run) -> dict[str, Any]:
-    path = _place(run) / _ABOUT
-    try:
-        about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        float(about["evaluation"]["success"])
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise KinfeasError(f"{path}: not the best checkpoint of a training run") from error
-    return about
-
-
-def _copy(run: Run, about: dict[str, Any], figures: dict[str, Any], target: Path) -> Path:
-    settings = config.from_mapping(TrainConfig, about["config"], str(_place(run) / _ABOUT))
-    told = {
-        **about,
-        "seed": run.seed,
-        "version": __version__,
-        "command": train_command(settings),
-        "benchmark": figures,
-    }
+def _copy(run: Run, trained: Trained, figures: dict[str, Any], target: Path) -> Path:
+    place = policy_folder(run.folder)
+    settings = config.from_mapping(TrainConfig, trained.config, str(place))
+    command = train_command(settings)
+    told = replace(trained, seed=run.seed, version=__version__, command=command, benchmark=figures)
 
     def fill(folder: Path) -> None:
-        shutil.copyfile(_place(run) / _WEIGHTS, folder / _WEIGHTS)
-        (folder / _ABOUT).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        shutil.copyfile(place / WEIGHTS, folder / WEIGHTS)
+        write_trained(told, folder)
 
     write_folder(target, fill)
     return target

@@ -1,5 +1,6 @@
 import json
 import shlex
+from dataclasses import replace
 
 import pytest
 
@@ -10,6 +11,8 @@ from kinfeas.evaluation.benchmark.publish import publish, train_command
 from kinfeas.evaluation.benchmark.runs import Run
 from kinfeas.evaluation.speed import random_network
 from kinfeas.policy import read_network, write_network
+from kinfeas.robots.fingerprint import fingerprint
+from kinfeas.trained import read_trained, write_trained
 from kinfeas.training.config import TrainConfig
 
 
@@ -18,7 +21,8 @@ def made(folder, seed, success):
     settings = config.from_mapping(TrainConfig, {"seed": seed}, "made")
     best = folder / f"run-{seed}" / "checkpoints" / "best"
     best.mkdir(parents=True)
-    about = {"config": config.to_mapping(settings), "evaluation": {"success": success}}
+    figures = {"episodes": 9, "success": success, "success_low": 0.0, "success_high": 1.0}
+    about = {"config": config.to_mapping(settings), "steps": 9, "evaluation": figures}
     write_network(random_network(robot, hidden=4 + seed), best, robot, about)
     return Run(folder / f"run-{seed}", "pr2", "sac", seed, "ggr")
 
@@ -30,10 +34,12 @@ def test_the_best_seed_is_published(tmp_path):
     for _ in "twice":
         assert publish(runs, figures, target) == {"pr2": target / "pr2"}
     assert pretrained.find("pr2", target) == target / "pr2"
-    network = read_network(target / "pr2", registry.load_robot("pr2"))
+    robot = registry.load_robot("pr2")
+    network = read_network(target / "pr2", robot)
     assert network.weights[0].shape[1] == 5
     about = json.loads((target / "pr2" / "policy.json").read_text())
     assert about["seed"] == about["config"]["seed"] == 1
+    assert about["kinematics"] == fingerprint(robot)
     assert about["benchmark"] == {"ggr": {"success": 0.91}}
     assert about["command"].startswith("kinfeas train --robot pr2 --seed 1")
     assert sorted(path.name for path in target.iterdir()) == ["pr2"]
@@ -41,8 +47,12 @@ def test_the_best_seed_is_published(tmp_path):
 
 def test_a_run_without_a_policy_is_an_error(tmp_path):
     run = made(tmp_path, 0, 0.9)
-    (run.folder / "checkpoints" / "best" / "policy.json").write_text("{}")
-    with pytest.raises(KinfeasError, match="not the best checkpoint"):
+    best = run.folder / "checkpoints" / "best"
+    write_trained(replace(read_trained(best), evaluation={}), best)
+    with pytest.raises(KinfeasError, match="best: not the best checkpoint"):
+        publish([run], {}, tmp_path / "out")
+    (best / "policy.json").write_text("[" * 200_000)
+    with pytest.raises(KinfeasError, match=r"best/policy\.json: broken JSON"):
         publish([run], {}, tmp_path / "out")
 
 
