@@ -26,6 +26,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     [bold]ik.KEY[/], such as [bold]ik.self_collision=false[/], and [bold]task.KEY[/], the task's own
     parameters, such as [bold]task.orientation=so3[/].
     """
+    options.check_robot(robot)
     from kinfeas.evaluation.ceiling import CeilingConfig, measure_ceiling, measure_path_ceiling
     from kinfeas.kinematics.ceiling import STAGES
 

@@ -38,6 +38,7 @@ def demo(
 
     Settings are those of [bold]kinfeas train[/].
     """
+    options.check_robot(robot)
     from kinfeas.evaluation.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import Trial
     from kinfeas.evaluation.pages.report import write_report

@@ -12,6 +12,7 @@ import typer
 from kinfeas.cli import completion, inputs, options
 from kinfeas.cli.deploy_setup import Four, Goal, Three, Wishes, make_setup, make_task, read_settings
 from kinfeas.cli.output import check_outputs, print_table, status, write_json
+from kinfeas.cli.policy_robot import robot_of
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             autocompletion=completion.policies,
         ),
     ],
-    robot: options.RobotName = "pr2",
+    robot: options.PolicyRobotName = None,
     backend: Annotated[
         str,
         typer.Option(
@@ -40,7 +41,12 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = "pybullet",
     goal: Annotated[
         Three | None,
-        typer.Option("--goal", metavar="X Y Z", help="Where the EE shall go in the world, metres."),
+        typer.Option(
+            "--goal",
+            metavar="X Y Z",
+            help="Where the EE frame, which the robot's YAML names, shall go, metres in the world: "
+            "the frame that the backend measures the base in.",
+        ),
     ] = None,
     rpy: Annotated[
         Three | None,
@@ -116,22 +122,37 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Drive a robot to a goal or through a task, behind guards, and record the run.
 
-    Settings: [bold]guards.KEY[/], slow_down, head_start, patience, yields (whether the base
-    takes the nearest command that the arm can follow where it cannot follow the policy's), ik,
-    [bold]look_ahead.KEY[/] (seconds that are tried out, every so many seconds, tries, spread, jump,
-    stray), and the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/].
+    Settings: [bold]guards.KEY[/], slow_down=1 (2 for pr2), head_start=0 s, patience=8 s,
+    yields=false (true for pr2 and tiago; whether the base takes the nearest command that the arm
+    can follow where it cannot follow the policy's), [bold]ik.KEY[/], [bold]look_ahead.KEY[/]
+    (seconds=6 s that are tried out, every=0.5 s, tries=32, spread=0.8, jump=0.1, stray=0.1), and
+    the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/], which
+    [bold]kinfeas plugins info NAME[/] lists. An unknown KEY is answered by those that there are.
+
+    Guards: reach=true refuses a goal that no base pose is found for. The run is stopped beyond
+    max_age=0.2 s of a measurement, max_stall=0.2 s, clock_jump=0.1 s, max_distance=20 m,
+    max_tilt=0.15 rad, pose_jump=0.3 m, heading_jump=0.5 rad, joint_tolerance=0.1 rad or m,
+    infeasible_steps=50 in a row, and watchdog=0.2 s without a sign of life. Commands are brought
+    down to speed (m/s), rotation (rad/s), acceleration (m/s^2) and rotation_acceleration (rad/s^2),
+    all four by default the robot's own, joint_speed=1 of the arm's own, joint_jump=3.2 rad or m,
+    and joint_lag=0.5 s.
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
     4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM. In each case the base was commanded
     to zero.
     """
+    options.check_robot(robot)
     from kinfeas.record import Recorder
     from kinfeas.sim2real.runtime import deploy as run
 
     read = {"--robot": robot, "--task": task, "--sim2real": sim2real, "--guards": guards}
     sources = {option: inputs.named(name) for option, name in read.items()}
     sources |= {"POLICY": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
-    check_outputs({"--record": record, "--json": json}, sources)
+    outputs = {"--record": record, "--json": json}
+    check_outputs(outputs, sources)
+    if robot is None:
+        robot = robot_of(policy)
+        check_outputs(outputs, {"POLICY": inputs.named(robot)})
     if record is not None and record.exists():
         raise KinfeasError(f"--record: {record} exists, and a record is never written over")
     options.check_look_ahead(overrides, wanted=look_ahead)

@@ -12,14 +12,22 @@ _ENTRY = re.compile(r"^ {4}(\*{0,2}\w+)(?: \([^)]*\))?: *(.*)$")
 # A line break within a paragraph or an item of a list, with what the next line is indented by.
 _WRAP = re.compile(r"(?<!\n)\n(?!\n| *(?:[-*]|\d+\.) ) *")
 
-# What stands in prose, and the symbol of it; the first that is found in a description counts.
-_UNITS = {
-    "m/s^2": "m/s^2",
-    "rad/s^2": "rad/s^2",
-    "rad/s": "rad/s",
-    "m/s": "m/s",
-    "1/s": "1/s",
-    "N m": "N m",
+_SYMBOLS = (
+    "m/s^3",
+    "rad/s^3",
+    "m/s^2",
+    "rad/s^2",
+    "rad/s",
+    "m/s",
+    "1/s",
+    "N m",
+    "m",
+    "rad",
+    "s",
+    "Hz",
+    "kg",
+)
+_WORDS = {
     "metres": "m",
     "metre": "m",
     "radians": "rad",
@@ -27,12 +35,10 @@ _UNITS = {
     "milliseconds": "ms",
     "seconds": "s",
     "second": "s",
-    "m": "m",
-    "rad": "rad",
-    "s": "s",
-    "Hz": "Hz",
-    "kg": "kg",
 }
+# What stands in prose, and the symbol of it; the first that is found in a description counts.
+_UNITS = {symbol: symbol for symbol in _SYMBOLS} | _WORDS
+_UNITS |= {word.capitalize(): symbol for word, symbol in _WORDS.items()}
 _LONGEST_FIRST = "|".join(map(re.escape, sorted(_UNITS, key=len, reverse=True)))
 # A lone letter is a unit only where prose puts one: "in m", "length, m".
 _UNIT = re.compile(rf"(?:(?<=in )|(?<=, )|(?<![\w/'])(?=[\w/^ ]{{2}}))({_LONGEST_FIRST})(?![\w/^])")

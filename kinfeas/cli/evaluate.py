@@ -20,6 +20,7 @@ from kinfeas.cli.output import (
     write_json,
 )
 from kinfeas.cli.physics_options import physics_assignments
+from kinfeas.cli.policy_robot import robot_of
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import MOST_EPISODES
@@ -47,7 +48,7 @@ class WorldName(StrEnum):
 
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyName,
-    robot: options.RobotName = "pr2",
+    robot: options.PolicyRobotName = None,
     task: options.TaskName = "ggr",
     world: Annotated[
         WorldName,
@@ -114,12 +115,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
-    Settings: [bold]world.KEY[/] (dt, max_failures, max_seconds, adapters, ik, yields, which lets
-    the base yield where the arm could not follow, and reward, which changes no figure; with physics
-    dt, max_failures, max_seconds, adapters, ik, yields, physics, patience, slow_down, head_start,
-    objects), [bold]task.KEY[/], the task's own parameters, such as
-    [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds that are tried out, every so
-    many seconds, tries, spread, jump, stray).
+    Settings: [bold]world.KEY[/], [bold]task.KEY[/], the task's own parameters, such as
+    [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds=6 s that are tried out,
+    every=0.5 s, tries=32, spread=0.8, jump=0.1, stray=0.1). An unknown KEY, of
+    [bold]world.ik.KEY[/] and [bold]world.physics.KEY[/] too, is answered by those that there are.
+
+    The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik, yields=false
+    (whether the base yields where the arm could not follow), and reward, which changes no figure.
+    PyBullet's has dt=0.02 s, max_failures=99, max_seconds=150 s, adapters, ik, yields=false (true
+    for pr2 and tiago), physics, patience=8 s, slow_down=1 (2 for pr2), head_start=0 s, and
+    objects=true.
 
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.
@@ -127,6 +132,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
     achieved one green, steps without an IK solution red.
     """
+    options.check_robot(robot)
     if picture is not None and sim2real is None:
         raise KinfeasError("--picture needs --sim2real")
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
@@ -134,6 +140,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     sources = {option: inputs.named(name) for option, name in read.items()}
     sources |= {"--policy": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
     check_outputs(outputs, sources)
+    if robot is None:
+        robot = robot_of(policy)
+        check_outputs(outputs, {"--policy": inputs.named(robot)})
     if look_ahead:
         policy = f"look_ahead:{policy}"
     options.check_look_ahead(overrides, wanted=policy.startswith("look_ahead:"))

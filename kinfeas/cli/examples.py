@@ -8,7 +8,7 @@ EXAMPLES = {
         "kinfeas train --robot hsr --steps 500000 --sim2real harsh --set learner.hidden=[128,128]",
     ),
     "evaluate": (
-        "kinfeas evaluate --policy runs/pr2 --robot pr2",
+        "kinfeas evaluate --policy runs/pr2",
         "kinfeas evaluate --policy pretrained --robot tiago --task door --episodes 100",
         "kinfeas evaluate --policy pretrained --robot hsr --task door --world pybullet "
         "--episodes 5",
@@ -28,9 +28,9 @@ EXAMPLES = {
     ),
     "deploy": (
         "kinfeas deploy pretrained --goal 1.5 0.3 0.8",
-        "kinfeas deploy pr2.onnx --robot pr2 --task door --sim2real pr2_like",
+        "kinfeas deploy pr2.onnx --task door --sim2real pr2_like",
         "kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9 --seconds 10 "
-        "--set guards.speed=0.05",
+        "--set slow_down=4 --set guards.speed=0.05 --set guards.rotation=0.2",
     ),
     "fit": ("kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml",),
     "export": (

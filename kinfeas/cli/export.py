@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import inputs, options
+from kinfeas.cli import completion, inputs, options
 from kinfeas.cli.output import (
     check_file_path,
     check_outputs,
@@ -15,6 +15,7 @@ from kinfeas.cli.output import (
     status,
     write_json,
 )
+from kinfeas.cli.policy_robot import robot_of
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -48,8 +49,9 @@ def export(
         str | None,
         typer.Option(
             "--robot",
-            help="Robot by name (pr2, tiago, hsr) or path of its YAML; what is not for it is "
-            "refused. By default the one that the run was trained for; with pretrained pr2.",
+            help=f"{options.ROBOT_HELP[:-1]}; what is not for it is refused. By default the one "
+            "that the run was trained for; with pretrained pr2.",
+            autocompletion=completion.plugins("robots"),
         ),
     ] = None,
     json: options.JsonPath = None,
@@ -94,33 +96,15 @@ def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> Non
             f"{policy or repr(policy)}: not the folder of a training run or of a checkpoint, nor "
             f"{pretrained.NAME!r}; nothing else can be exported"
         )
+    known = options.read_robot(robot or robot_of(policy))
     if policy == pretrained.NAME:
-        known = options.read_robot(robot or "pr2")
         folder = pretrained.find(known.name)
-    else:
-        known = options.read_robot(robot or _trained_with(folder))
     with status("exporting"):
         found, off = run(folder, known, out)
     if json is not None:
         write_json({**_facts(found, out), "parity": off}, json)
     size = ["size", f"{out.stat().st_size:,} bytes"]
     _show(f"exported: {out}", found, [size, ["off the training policy, at most", f"{off:.1e}"]])
-
-
-def _trained_with(folder: Path) -> str:
-    """Return the robot of a run, by name or path as its configuration has it."""
-    from json import loads
-
-    from kinfeas.policy import policy_folder
-
-    path = policy_folder(folder) / "policy.json"
-    try:
-        about = loads(path.read_text(encoding="utf-8"))
-        return str(about.get("config", about)["robot"])
-    except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
-        raise KinfeasError(
-            f"{folder}: not a training run or checkpoint: {path} is missing or broken"
-        ) from error
 
 
 def _facts(policy: "PolicyFile", path: Path) -> dict[str, object]:

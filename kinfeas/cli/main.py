@@ -27,14 +27,12 @@ from kinfeas.cli import (
     train,
     view,
 )
+from kinfeas.cli.commands import Command, Group
 from kinfeas.cli.docstrings import unwrapped
 from kinfeas.cli.examples import epilog
 from kinfeas.errors import KinfeasError
 
-app = typer.Typer(
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
+app = typer.Typer(cls=Group, pretty_exceptions_enable=False, rich_markup_mode="rich")
 _PANELS: dict[str, dict[str, Callable[..., None]]] = {
     "See and train": {
         "demo": demo.demo,
@@ -58,24 +56,38 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
 }
 for _panel, _commands in _PANELS.items():
     for _name, _command in _commands.items():
-        app.command(_name, help=unwrapped(_command), rich_help_panel=_panel, epilog=epilog(_name))(
-            _command
-        )
+        app.command(
+            _name,
+            cls=Command,
+            help=unwrapped(_command),
+            rich_help_panel=_panel,
+            epilog=epilog(_name),
+        )(_command)
 app.add_typer(plugins.app, name="plugins", rich_help_panel="Motions and scenes")
 
 
 def main() -> None:
-    """Run the command line; exit with 2 and one line on bad input, with 130 on Ctrl-C."""
+    """Run the command line; exit with 2 and one line on bad input, with 130 on Ctrl-C.
+
+    What the system refuses, such as a look into a folder that one may not enter, is bad input, too.
+    """
     try:
         code = app(standalone_mode=False)
-    except (KinfeasError, TyperException) as error:
-        message = error.format_message() if isinstance(error, TyperException) else str(error)
-        if message:
+    except (KinfeasError, TyperException, OSError) as error:
+        if message := _message(error):
             sys.stderr.write(f"error: {' '.join(message.split())}\n")
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         code = 130
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, TyperException):
+        return error.format_message()
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error)
+    return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
 
 
 def _print_version(wanted: bool) -> None:

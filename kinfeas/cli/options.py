@@ -30,13 +30,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+ROBOT_HELP = "Robot by name (pr2, tiago, hsr) or path of its YAML."
 TASK_HELP = "Task by name (ggr, ggr_restricted, pick_place, door, drawer) or path of its YAML."
 
 RobotName = Annotated[
-    str,
+    str, typer.Option("--robot", help=ROBOT_HELP, autocompletion=completion.plugins("robots"))
+]
+PolicyRobotName = Annotated[
+    str | None,
     typer.Option(
         "--robot",
-        help="Robot by name (pr2, tiago, hsr) or path of its YAML.",
+        help=f"{ROBOT_HELP[:-1]}; by default the one that the policy was trained for, and pr2 for "
+        "pretrained and baselines.",
         autocompletion=completion.plugins("robots"),
     ),
 ]
@@ -158,6 +163,21 @@ def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
             kind = next(one for one in get_args(kind) if one is not NoneType)
         if value is not None:
             check_value(kind, value, Place(option))
+
+
+def check_robot(name: str | None) -> None:
+    """Check that what `--robot` names is there, before anything slow is imported.
+
+    Args:
+        name: Name or path; None if it was not given.
+
+    Raises:
+        KinfeasError: If there is no robot of that name.
+    """
+    from kinfeas.storage.files import is_path
+
+    if name is not None and not is_path(name) and name not in completion.plugins("robots")(""):
+        read_robot(name)  # which says what there is, or finds what this process has registered
 
 
 def read_robot(name: str) -> "Robot":

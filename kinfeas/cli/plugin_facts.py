@@ -7,8 +7,6 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kinfeas import registry
 from kinfeas.cli.docstrings import Docstring, read_docstring, unit
 from kinfeas.errors import KinfeasError
@@ -16,8 +14,6 @@ from kinfeas.foreign import Blaming
 from kinfeas.registry import GROUPS, Plugin
 from kinfeas.schema import no_such
 from kinfeas.storage import strict_yaml
-from kinfeas.tasks.checks import unchecked
-from kinfeas.tasks.loading import load_task, task_name
 
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 # What the program itself gives.
@@ -100,6 +96,8 @@ def facts_of_file(path: str) -> dict[str, Any]:
     registry.check_no_urdf(path)
     keys = strict_yaml.read(Path(path)).keys()
     if "legs" in keys:
+        from kinfeas.tasks.loading import task_name
+
         return {"kind": "task", "name": task_name(path), "file": path, **_task(path, [])}
     if "urdf" in keys:
         robot = _robot(path)
@@ -188,6 +186,9 @@ def _type(kind: Any) -> str:
 
 def _task(name: str, found: list[Parameter]) -> dict[str, Any]:
     """Return the parameters of a task by name or path, its fields if none were found, and legs."""
+    from kinfeas.tasks.checks import unchecked
+    from kinfeas.tasks.loading import load_task
+
     task = load_task(name)
     found = found or fields_of(unchecked(task))
     return {
@@ -225,7 +226,7 @@ def _robot(name: str) -> dict[str, Any]:
         "base": vars(robot.base),
         "arm": joints,
         "ee_frame": robot.ee_frame,
-        "tool_tip_m": np.round(robot.tool_tip, 4).tolist(),
+        "tool_tip_m": [round(value, 4) for value in robot.tool_tip.tolist()],
         "goal_heights_m": {key: list(value) for key, value in robot.goal_heights.items()},
         "leeway": None if robot.leeway is None else vars(robot.leeway),
         "gripper": None if robot.gripper is None else list(robot.gripper.fingers),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from kinfeas.cli import inputs, options, plugin_check, plugin_new
+from kinfeas.cli.commands import Command, Group
 from kinfeas.cli.docstrings import unwrapped
 from kinfeas.cli.examples import epilog
 from kinfeas.cli.output import check_outputs, print_table, write_json
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from kinfeas.registry import Plugin
 
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
     help="Robots, tasks, motion generators, adapters and backends: show, check and begin them.",
 )
@@ -178,4 +180,6 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "check": plugin_check.check,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name, help=unwrapped(_command), epilog=epilog(f"plugins {_name}"))(_command)
+    app.command(_name, cls=Command, help=unwrapped(_command), epilog=epilog(f"plugins {_name}"))(
+        _command
+    )

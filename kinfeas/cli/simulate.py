@@ -57,6 +57,7 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Whatever drives the real robot can drive this one, such as [bold]kinfeas deploy[/] in another
     process. It ends after --seconds or with Ctrl-C.
     """
+    options.check_robot(robot)
     from kinfeas.evaluation.physics.simulated_robot import (
         Role,
         SimulatedRobot,

@@ -6,6 +6,7 @@ import typer
 
 from kinfeas.cli import inputs, options
 from kinfeas.cli.output import check_outputs, print_table, share, status, write_json
+from kinfeas.cli.policy_robot import robot_of
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ PolicyFolder = Annotated[
 
 
 def speed(
-    robot: options.RobotName = "pr2",
+    robot: options.PolicyRobotName = None,
     policy: PolicyFolder = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -30,10 +31,14 @@ def speed(
 
     One core each, the best of several repeats; training takes all cores, half a minute long.
     """
+    options.check_robot(robot)
     from kinfeas.evaluation.speed import Figure, measure_speed
 
     sources = {"--robot": inputs.named(robot), "--policy": inputs.of_policy(policy)}
     check_outputs({"--json": json}, sources)
+    if robot is None:
+        robot = robot_of(policy)
+        check_outputs({"--json": json}, {"--policy": inputs.named(robot)})
     network = _read_policy(policy, options.read_robot(robot)) if policy is not None else None
     with status("speed") as show:
         figures = measure_speed(robot, network, on_part=lambda part: show(f"timing: {part}"))

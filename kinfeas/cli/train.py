@@ -1,6 +1,5 @@
 """`kinfeas train`: learn a base policy."""
 
-import json
 import shlex
 import sys
 from collections.abc import Callable
@@ -45,7 +44,8 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         str | None,
         typer.Option(
             "--robot",
-            help="Robot by name (pr2, tiago, hsr) or path of its YAML; " + _RECIPE.format("pr2"),
+            help=f"{options.ROBOT_HELP[:-1]}; by default the recipe's; without --config that of "
+            "--init, else pr2.",
             autocompletion=completion.plugins("robots"),
         ),
     ] = None,
@@ -125,6 +125,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     replay buffer and counters go on, but the episodes that were under way are given up for new
     ones: PyBullet's state cannot be saved.
     """
+    options.check_robot(robot)
     if processes is not None and world is WorldName.ANALYTIC:
         raise KinfeasError("--processes needs --world pybullet")
     pybullet = True if world is WorldName.PYBULLET else None
@@ -134,12 +135,29 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     if resume is not None:
         if any(value is not None for value in (*vars(wishes).values(), out, config, overrides)):
             raise KinfeasError("--resume goes on with the run's own settings: leave out all others")
+        _check_folder(resume, begun=True)
         folder, progress = resume, resume_run(resume)
     else:
+        if out is not None:
+            _check_folder(out, begun=False)
         settings = read_settings(wishes, config, overrides or [])
         folder = out or default_folder(settings)
+        _check_folder(folder, begun=False)
         progress = train_run(settings, folder)
     _show(progress, folder)
+
+
+def _check_folder(folder: Path, *, begun: bool) -> None:
+    """Refuse to begin a run that there is, or to go on with none, before torch is imported.
+
+    That takes seconds, and `kinfeas.training.train` looks more closely.
+    """
+    if (folder / "config.yaml").is_file() is begun:
+        return
+    if begun:
+        raise KinfeasError(f"{folder}: not a training run: there is no config.yaml in it")
+    again = f"--resume {shlex.quote(str(folder))}"
+    raise KinfeasError(f"{folder}: already there; use {again}, or another --out")
 
 
 def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
@@ -179,20 +197,21 @@ def best_figures(folder: Path) -> dict[str, Any]:
     Raises:
         KinfeasError: If the run has none, or it cannot be read.
     """
-    path = folder / "checkpoints" / "best" / "policy.json"
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        return {
-            "robot": about["robot"],
-            "trained_with": about["config"]["robot"],
-            "task": about["config"]["task"],
-            "world": WorldName.PYBULLET if about["config"].get("physics") else WorldName.ANALYTIC,
-            "policy": str(folder),
-            "steps": about["steps"],
-            **about["evaluation"],
-        }
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise KinfeasError(f"{path}: not the best checkpoint of a training run") from error
+    from kinfeas.config import from_mapping
+    from kinfeas.trained import read_best
+    from kinfeas.training.config import TrainConfig
+
+    best = read_best(folder)
+    settings = from_mapping(TrainConfig, best.config, str(folder))
+    return {
+        "robot": best.robot,
+        "trained_with": settings.robot,
+        "task": settings.task,
+        "world": WorldName.ANALYTIC if settings.physics is None else WorldName.PYBULLET,
+        "policy": str(folder),
+        "steps": best.steps,
+        **best.evaluation,
+    }
 
 
 def _show(progress: "Progress", folder: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinfeas.cli import options
+from kinfeas.cli.policy_robot import robot_of
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     from kinfeas.training.config import TrainConfig
 
     folder = "train_physics" if wishes.pybullet else "train"
+    if recipe is None and wishes.robot is None and wishes.init is not None:
+        wishes = replace(wishes, robot=robot_of(wishes.init))
     if recipe is None:
         path = default_recipe(folder, options.read_robot(wishes.robot or TrainConfig.robot).name)
     else:

@@ -45,7 +45,7 @@ class PyBulletBackend:
             robot: Robot to simulate.
             scene: Room and furniture; without one there is a floor and nothing else.
             gui: Whether to show the world in a window.
-            physics: Numbers of the world.
+            physics: Gravity, rate, friction and other numbers of the world.
 
         Raises:
             KinfeasError: If PyBullet is not installed.

@@ -1,6 +1,5 @@
 import json
 import re
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -8,6 +7,7 @@ from typer.testing import CliRunner
 
 from kinfeas import registry
 from kinfeas.cli.main import app
+from kinfeas.cli.plugin_facts import fields_of
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation import evaluate as evaluate_module
@@ -16,6 +16,10 @@ from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.evaluation.speed import Figure, random_network
 from kinfeas.look_ahead import Foresight, LookAhead
 from kinfeas.policy import write_network
+from kinfeas.sim2real.deploy_config import DeployConfig
+from kinfeas.sim2real.guard_config import Guards
+from kinfeas.storage import strict_yaml
+from kinfeas.storage.recipes import default_recipe
 
 SHORT = ["--set", "world.max_seconds=3.0", "--episodes", "3"]
 
@@ -120,10 +124,34 @@ def test_evaluate_is_used_wrongly(arguments):
     assert kinfeas("evaluate", *arguments).exit_code == 2
 
 
-def test_the_help_of_evaluate_names_every_setting_of_its_worlds():
-    shown = set(re.findall(r"\w+", CliRunner().invoke(app, ["evaluate", "--help"]).output))
-    for world in (WorldConfig, PhysicsSettings, Foresight):
-        assert {field.name for field in fields(world)} <= shown
+SETTINGS = {
+    "evaluate": [WorldConfig(), PhysicsSettings(), Foresight()],
+    "deploy": [DeployConfig(), Guards(), Foresight()],
+}
+
+
+@pytest.mark.parametrize("command", SETTINGS)
+def test_help_tells_every_setting_with_its_default_and_its_unit(monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "2000")
+    shown = CliRunner().invoke(app, [command, "--help"]).output
+    for one in (setting for settings in SETTINGS[command] for setting in fields_of(settings)):
+        assert re.search(rf"\b{one.name}\b", shown), one
+        if one.default == "null":
+            assert f"{one.name} ({one.unit})" in shown, one
+        elif re.fullmatch(r"\d[\d.]*|true|false", str(one.default)):
+            assert f"{one.name}={one.default} {one.unit}".strip() in shown, one
+
+
+@pytest.mark.parametrize(("command", "folder"), [("evaluate", "physics"), ("deploy", "deploy")])
+def test_help_tells_the_settings_that_robots_have_of_their_own(monkeypatch, command, folder):
+    monkeypatch.setenv("COLUMNS", "2000")
+    shown = CliRunner().invoke(app, [command, "--help"]).output
+    own = {name: strict_yaml.read(default_recipe(folder, name)) for name in ("pr2", "tiago", "hsr")}
+    paces = {name: data.get("world", data) for name, data in own.items()}
+    slow = [f"{pace['slow_down']:g} for {name}" for name, pace in paces.items()
+            if pace.get("slow_down", 1.0) != 1.0]  # fmt: skip
+    assert f"slow_down=1 ({', '.join(slow)})" in shown
+    assert f"true for {' and '.join(name for name in paces if paces[name].get('yields'))}" in shown
 
 
 def test_evaluate_with_physics(tmp_path):

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas import registry
+from kinfeas import pretrained, registry
 from kinfeas.cli import deploy
+from kinfeas.cli.examples import EXAMPLES
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.record import REACHED, About, read_record
 from tests.cli.conftest import is_one_line
@@ -166,6 +167,16 @@ def test_a_folder_without_a_policy_is_none(kinfeas, policy, message):
     assert message in done.err
 
 
+@pytest.mark.parametrize("command", ["deploy", "simulate"])
+def test_a_robot_without_topics_is_told_how_to_name_them(kinfeas, command):
+    robot = ("--robot", str(OWN_ROBOT / "scout.yaml"), "--backend", "ros2")
+    deployed = command == "deploy"
+    done = kinfeas(command, *(("follow_ee", *GOAL[2:]) if deployed else ()), *robot)
+    assert is_one_line(done)
+    option = "--set backend.topics=FILE" if deployed else "--topics FILE"
+    assert done.err.endswith(f"known are hsr, pr2, tiago, or a YAML file: {option}\n")
+
+
 def test_a_run_that_cannot_begin_leaves_no_record(kinfeas, tmp_path):
     done = kinfeas("deploy", "pretrained", "--backend", "ros1", *GOAL[2:])
     assert is_one_line(done)
@@ -231,12 +242,69 @@ def test_help_names_baselines_as_policies(kinfeas):
     assert "follow_ee" in kinfeas("deploy", "--help").out
 
 
-def test_a_policy_of_another_robot_is_refused(kinfeas):
-    from kinfeas import pretrained
+def test_help_says_what_a_goal_is_the_pose_of_and_in_which_frame(kinfeas, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    (line,) = (one for one in kinfeas("deploy", "--help").out.splitlines() if "--goal  " in one)
+    for words in ("EE frame", "robot's YAML", "the frame that the backend measures the base in"):
+        assert words in line
 
-    done = kinfeas("deploy", str(pretrained.find("tiago")), *GOAL)
-    assert done.code == 2
+
+def test_an_example_that_slows_the_base_down_slows_the_hand_down_as_much():
+    creeping = [one for one in EXAMPLES["deploy"] if "guards.speed=0.05" in one]
+    assert creeping
+    for example in creeping:
+        assert "--set slow_down=4" in example  # a quarter of the 0.2 m/s of all three robots
+        assert "--set guards.rotation" in example
+
+
+def test_drives_the_robot_that_the_policy_was_trained_for(kinfeas, tmp_path):
+    assert kinfeas("export", "pretrained", "--robot", "tiago", "--out", "tiago.onnx").code == 0
+    for number, policy in enumerate((str(pretrained.find("tiago")), "tiago.onnx")):
+        done = kinfeas("deploy", policy, *GOAL, "--as-fast-as-possible", "--seconds", "0.1",
+                       "--record", f"{number}.csv")  # fmt: skip
+        assert done.code == 4, done.err
+        assert read_record(tmp_path / f"{number}.csv").about.robot == "tiago"
+
+
+def test_a_policy_of_another_robot_is_refused(kinfeas):
+    done = kinfeas("deploy", str(pretrained.find("tiago")), *GOAL, "--robot", "pr2")
+    assert is_one_line(done)
     assert "a policy for robot 'tiago'" in done.err
+
+
+HIGH = ("--backend", "analytic", "--goal", "1.5", "0", "2.2")
+
+
+def test_a_goal_out_of_reach_is_refused_before_anything_moves(kinfeas, tmp_path):
+    done = kinfeas("deploy", "pretrained", *HIGH)
+    assert is_one_line(done)
+    assert "from which the arm reaches the goal, x 1.5, y 0, z 2.2 m, roll 0, pitch 0" in done.err
+    assert "--set guards.reach=false goes there all the same" in done.err
+    assert not list(tmp_path.rglob("*.csv"))
+    done = kinfeas("deploy", "pretrained", *HIGH, "--as-fast-as-possible", "--seconds", "0.1",
+                   "--set", "guards.reach=false")  # fmt: skip
+    assert (done.code, done.err) == (4, "stopped: the goal was not reached within 0.1 s\n")
+
+
+def test_the_end_of_a_leg_out_of_reach_is_refused(kinfeas, tmp_path):
+    place = "{position: [1.5, 0, %s], rpy: [0, 0, 0]}"
+    places = f"places: {{low: {place % 0.8}, high: {place % 2.2}}}"
+    (tmp_path / "up.yaml").write_text(
+        f"name: up\n{places}\nlegs: [{{place: low}}, {{place: high}}]"
+    )
+    done = kinfeas("deploy", "pretrained", "--backend", "analytic", "--task", "up.yaml")
+    assert is_one_line(done)
+    assert "the arm reaches the end of leg 2 of 2, x 1.5, y 0, z 2.2 m" in done.err
+
+
+@pytest.mark.parametrize(("more", "warns"), [((), True), (("--set", "slow_down=4"), False)])
+def test_a_hand_that_would_outrun_the_base_is_warned_of(kinfeas, more, warns):
+    done = kinfeas("deploy", "pretrained", "--robot", "hsr", *GOAL[:2], "--goal", "-1.5", "1.0",
+                   "0.9", "--set", "guards.speed=0.05", *more, "--as-fast-as-possible",
+                   "--seconds", "0.1")  # fmt: skip
+    first, *rest = done.err.splitlines()
+    assert (first.startswith("guards.speed slows down the base alone"), len(rest)) == (warns, warns)
+    assert ("--set slow_down=4 slows it down as much" in first) is warns
 
 
 def test_imports_nothing_heavy(tmp_path):

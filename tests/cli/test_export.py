@@ -62,6 +62,18 @@ def test_evaluate_takes_the_file(kinfeas, file, tmp_path):
     assert one["mean_failures"] == two["mean_failures"]
 
 
+def test_evaluate_takes_the_robot_of_the_file(kinfeas):
+    assert kinfeas("export", "pretrained", "--robot", "hsr", "--out", "hsr.onnx").code == 0
+    short = ("--episodes", "1", "--set", "world.max_seconds=1")
+    for name in ("hsr.onnx", "look_ahead:hsr.onnx"):
+        outcome = kinfeas("evaluate", "--policy", name, *short)
+        assert outcome.code == 0, outcome.err
+        assert f"{name} on ggr, robot hsr" in outcome.out
+    outcome = kinfeas("evaluate", "--policy", "hsr.onnx", "--robot", "pr2", *short)
+    assert is_one_line(outcome)
+    assert "a policy for robot 'hsr', not for 'pr2'" in outcome.err
+
+
 def test_a_spoiled_file_is_refused_in_one_line(kinfeas, file):
     file.write_bytes(file.read_bytes()[:-1000])
     for arguments in (("export", "--check"), ("evaluate", "--policy")):

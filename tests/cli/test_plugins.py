@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,23 @@ def test_info_on_a_motion_generator(kinfeas, tmp_path):
     gain = {one["name"]: one for one in known["parameters"]}["gain"]
     assert (gain["type"], gain["unit"], gain["default"]) == ("float", "1/s", "0.1")
     assert gain["description"].startswith("Speed per distance to the goal")
+
+
+def test_info_tells_the_unit_of_every_number_that_has_one(kinfeas, tmp_path):
+    kinfeas("plugins", "list", "--json", "list.json")
+    listed = json.loads((tmp_path / "list.json").read_text())
+    told = {}
+    for name in {one["name"] for one in listed if one["kind"] != "robot"}:
+        kinfeas("plugins", "info", name, "--json", "info.json")
+        for known in json.loads((tmp_path / "info.json").read_text()):
+            told |= {f"{name}.{one['name']}": one for one in known.get("parameters", [])
+                     if "float" in one["type"]}  # fmt: skip
+    for name, one in told.items():
+        assert one["unit"] or re.search("[Ss]hare|0-1|times", one["description"]), name
+    units = {"head_start.seconds": "s", "ros1.seconds": "s", "ros2.seconds": "s",
+             "acceleration_limit.linear_jerk": "m/s^3", "localisation.drift": "m",
+             "acceleration_limit.angular_jerk": "rad/s^3", "localisation.rate": "1/s"}  # fmt: skip
+    assert {name: told[name]["unit"] for name in units} == units
 
 
 @pytest.mark.parametrize("name", ["ggr", "door", "base_noise", "analytic", "pybullet"])

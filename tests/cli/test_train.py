@@ -1,13 +1,19 @@
 import csv
 import json
 import shutil
+import subprocess
+import sys
+from dataclasses import replace
 
 import pytest
 import yaml
 
+from kinfeas import registry
 from kinfeas.adapters import read_sim2real
+from kinfeas.cli.train_settings import Wishes, read_settings
 from kinfeas.training import train as training
 from tests.cli.conftest import TINY, is_one_line
+from tests.sim2real.policy_cases import write_run
 
 
 @pytest.fixture
@@ -147,6 +153,39 @@ def test_a_run_is_not_overwritten(kinfeas, run_folder):
     outcome = kinfeas("train", "--steps", "64", "--out", "run", *TINY)
     assert is_one_line(outcome), outcome.err
     assert "--resume run" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("option", "end"),
+    [
+        ("--out", "use --resume run, or another --out"),
+        ("--resume", "there is no config.yaml in it"),
+    ],
+)
+def test_a_wrong_folder_is_refused_before_torch_is_imported(tmp_path, option, end):
+    (tmp_path / "run").mkdir()
+    if option == "--out":
+        (tmp_path / "run" / "config.yaml").touch()
+    code = """
+import sys
+from kinfeas.cli.main import main
+try:
+    main()
+finally:
+    print("heavy:", {"torch", "numba"} & set(sys.modules))
+"""
+    command = [sys.executable, "-c", code, "train", option, "run"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "heavy: set()\n")
+    assert done.stderr.endswith(f"{end}\n")
+
+
+def test_a_run_goes_on_from_a_policy_with_its_robot(tmp_path):
+    write_run(registry.load_robot("hsr"), tmp_path, extra={"config": {"robot": "hsr"}})
+    settings = read_settings(Wishes(init=str(tmp_path)), None, [])
+    assert settings == replace(read_settings(Wishes("hsr"), None, []), init=str(tmp_path))
+    assert read_settings(Wishes(init=str(tmp_path)), "train/pr2", []).robot == "pr2"
+    assert read_settings(Wishes("pr2", init=str(tmp_path)), None, []).robot == "pr2"
 
 
 def test_a_broken_checkpoint_is_one_line(kinfeas, run_folder):

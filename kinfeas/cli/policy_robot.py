@@ -1,0 +1,49 @@
+"""The robot that a policy was trained for: the one that moves where no other is named."""
+
+from pathlib import Path
+
+from kinfeas.cli import completion
+from kinfeas.errors import KinfeasError
+
+DEFAULT = "pr2"
+
+
+def robot_of(policy: str | None) -> str:
+    """Return the robot that a policy was trained for, by name or by the path of its YAML.
+
+    It is `DEFAULT` for what can drive any robot, and for what is no policy at all.
+
+    Args:
+        policy: As an option names it; None if it names none.
+
+    Raises:
+        KinfeasError: If a run or a file is broken, or its robot is not on this machine.
+    """
+    from kinfeas.evaluation.policies import LOOK_AHEAD
+
+    name = (policy or "").removeprefix(LOOK_AHEAD)
+    if name in ("", *completion.POLICIES) or not Path(name).exists():
+        return DEFAULT
+    robot = _trained_with(Path(name))
+    if _is_missing(robot):
+        raise KinfeasError(
+            f"{name}: a policy for the robot of {robot}, which is not there: "
+            "name the YAML of the robot with --robot"
+        )
+    return robot
+
+
+def _trained_with(path: Path) -> str:
+    from kinfeas.evaluation.policies import check_place
+    from kinfeas.sim2real.policy_file import read_about
+    from kinfeas.trained import read_trained
+
+    check_place(path)
+    trained = read_trained(path) if path.is_dir() else read_about(path)
+    return trained.trained_with
+
+
+def _is_missing(robot: str) -> bool:
+    from kinfeas.storage.files import is_path
+
+    return is_path(robot) and not Path(robot).is_file()
