@@ -13,13 +13,15 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
-from kinfeas.robots.robot import Robot, read_robot
 from kinfeas.schema import Place, check_value, no_such
 from kinfeas.storage.files import is_path
+
+if TYPE_CHECKING:
+    from kinfeas.robots.robot import Robot
 
 GROUPS = {
     "kinfeas.motion_generators": "motion generator",
@@ -142,7 +144,7 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
     return built
 
 
-def load_robot(name_or_path: str) -> Robot:
+def load_robot(name_or_path: str) -> "Robot":
     """Return the robot of a YAML file (`my/robot.yaml`) or of an entry point (`pr2`).
 
     Raises:
@@ -150,14 +152,18 @@ def load_robot(name_or_path: str) -> Robot:
             place of the YAML.
     """
     check_no_urdf(name_or_path)
-    if is_path(name_or_path):
-        return read_robot(Path(name_or_path))
-    built = build("kinfeas.robots", name_or_path, {})
+    path = Path(name_or_path) if is_path(name_or_path) else _robot_yaml(name_or_path)
+    # Late, for it takes NumPy, SciPy and Numba along, which a wrong name can do without.
+    from kinfeas.robots.robot import read_robot
+
+    return read_robot(path)
+
+
+def _robot_yaml(name: str) -> Path:
+    built = build("kinfeas.robots", name, {})
     if not isinstance(built, Path):
-        raise KinfeasError(
-            f"robot {name_or_path!r} must return the Path of its YAML, not {built!r}"
-        )
-    return read_robot(built)
+        raise KinfeasError(f"robot {name!r} must return the Path of its YAML, not {built!r}")
+    return built
 
 
 def check_no_urdf(name_or_path: object) -> None:
