@@ -79,7 +79,7 @@ CONFINED = {
     "sklearn": ("kinfeas.plugins.fit",),
     "onnx": ("kinfeas.sim2real.export",),
     "onnxruntime": ("kinfeas.sim2real.policy_file",),
-    "cyclonedds": ("kinfeas.sim2real.ros2_bus", "kinfeas.sim2real.ros2_messages"),
+    "cyclonedds": ("kinfeas.sim2real.ros.ros2_bus", "kinfeas.sim2real.ros.ros2_messages"),
     "movement_primitives": ("kinfeas.plugins.forcing",),
     "trimesh": ("kinfeas.draft",),
     "viser": ("kinfeas.evaluation.pages.viser_server",),

@@ -11,7 +11,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.spec import RobotSpec
-from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.ros.names import read_topics
 
 ROOT = Path(__file__).parents[1]
 YAML = str(ROOT / "examples" / "own_robot" / "scout.yaml")

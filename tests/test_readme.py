@@ -15,7 +15,7 @@ from kinfeas import config, registry
 from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.ros.names import read_topics
 from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator

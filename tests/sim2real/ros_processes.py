@@ -15,8 +15,8 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real import ros1_node
-from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.ros import ros1_node
+from kinfeas.sim2real.ros.names import read_topics
 
 
 def _ros1_is_there() -> bool:
@@ -44,7 +44,7 @@ PATIENCE = 180.0
 _COMMAND = "from kinfeas.cli.main import main; main()"
 _LISTEN = """
 import os, sys, time
-from kinfeas.sim2real.ros_bus import make_bus
+from kinfeas.sim2real.ros.bus import make_bus
 def said(mark, twist):
     numbers = time.monotonic(), twist.linear.x, twist.linear.y, twist.angular.z
     os.write(1, f"{mark} {' '.join(map(str, numbers))}\\n".encode())  # whole lines, from threads

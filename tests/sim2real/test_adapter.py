@@ -6,8 +6,8 @@ from kinfeas.adapters import AdapterSpec, read_sim2real, wrap
 from kinfeas.backend import Gripping, Live, Resumable, RobotState, Stochastic
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.sim2real.adapter import Adapter
-from kinfeas.sim2real.base_noise import BaseNoise
-from kinfeas.sim2real.command_latency import CommandLatency
+from kinfeas.sim2real.adapters.base_noise import BaseNoise
+from kinfeas.sim2real.adapters.command_latency import CommandLatency
 from kinfeas.spatial import planar_pose
 
 NAMES = sorted(plugin.name for plugin in registry.plugins("kinfeas.adapters"))

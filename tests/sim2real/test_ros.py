@@ -11,7 +11,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.record import read_record
 from kinfeas.sim2real.link import Hosted
-from kinfeas.sim2real.ros_backend import Ros1Backend, Ros2Backend
+from kinfeas.sim2real.ros.backend import Ros1Backend, Ros2Backend
 from kinfeas.sim2real.watchdog import Watched
 from tests.sim2real.ros_processes import Ros1, Ros2, needs_ros1
 

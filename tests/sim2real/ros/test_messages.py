@@ -8,10 +8,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real import ros2_messages, ros_messages
-from kinfeas.sim2real.ros1_bus import ros1_message_classes
-from kinfeas.sim2real.ros2_bus import ros2_message_classes
-from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.ros import messages as ros_messages
+from kinfeas.sim2real.ros import ros2_messages
+from kinfeas.sim2real.ros.names import read_topics
+from kinfeas.sim2real.ros.ros1_bus import ros1_message_classes
+from kinfeas.sim2real.ros.ros2_bus import ros2_message_classes
 from tests.sim2real.ros_processes import needs_ros1
 
 JUDGE = get_typestore(Stores.ROS2_HUMBLE)

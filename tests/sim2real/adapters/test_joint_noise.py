@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.sim2real.joint_noise import JointNoise
+from kinfeas.sim2real.adapters.joint_noise import JointNoise
 
 
 def test_what_is_measured_scatters_and_what_is_is_beside_it(rig):

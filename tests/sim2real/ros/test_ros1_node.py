@@ -7,9 +7,9 @@ import time
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real import ros1_node
 from kinfeas.sim2real.fault import Fault
-from kinfeas.sim2real.ros1_node import MasterWatch
+from kinfeas.sim2real.ros import ros1_node
+from kinfeas.sim2real.ros.ros1_node import MasterWatch
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_the_systems_packages_stand_behind_ours(monkeypatch, tmp_path):
 
 
 def test_what_the_watchdog_imports_is_small():
-    code = "import kinfeas.sim2real.ros_stop, sys; print(sorted(sys.modules))"
+    code = "import kinfeas.sim2real.ros.stop, sys; print(sorted(sys.modules))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "'numpy'" not in said.stdout
     assert "'rospy'" not in said.stdout

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.sim2real import ros_messages
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders
-from kinfeas.sim2real.ros_bus import RosBus
-from kinfeas.sim2real.ros_names import GripperTopics, Topics
+from kinfeas.sim2real.ros import messages as ros_messages
+from kinfeas.sim2real.ros.bus import RosBus
+from kinfeas.sim2real.ros.names import GripperTopics, Topics
 
 _ODOM = "odom"
 

@@ -10,7 +10,7 @@ from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import Positive
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.ros_bus import Version
+from kinfeas.sim2real.ros.bus import Version
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def read_topics(
 def _find(name: str, version: Version, option: str) -> Path:
     if (own := Path(name)).is_file():
         return own
-    folder = Path(str(files("kinfeas.sim2real").joinpath(f"ros{version}_topics")))
+    folder = Path(str(files("kinfeas.sim2real.ros").joinpath(f"ros{version}_topics")))
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
         raise KinfeasError(

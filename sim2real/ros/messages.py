@@ -7,9 +7,9 @@ import numpy as np
 
 from kinfeas.backend import Grip
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
-from kinfeas.sim2real.ros_bus import Messages
-from kinfeas.sim2real.ros_names import GripperTopics
-from kinfeas.sim2real.ros_tf import planar
+from kinfeas.sim2real.ros.bus import Messages
+from kinfeas.sim2real.ros.names import GripperTopics
+from kinfeas.sim2real.ros.tf import planar
 from kinfeas.spatial import Array
 
 

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.ros_bus import Version, make_bus
+from kinfeas.sim2real.ros.bus import Version, make_bus
 
 _SETTLED = 0.05  # s; a connection is counted a little before it carries anything
 

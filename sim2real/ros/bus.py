@@ -92,9 +92,9 @@ class RosBus(Protocol):
 def make_bus(version: Version) -> RosBus:
     """Return a bus of a version of ROS that is not open yet."""
     if version == 1:
-        from kinfeas.sim2real.ros1_bus import Ros1Bus
+        from kinfeas.sim2real.ros.ros1_bus import Ros1Bus
 
         return Ros1Bus()
-    from kinfeas.sim2real.ros2_bus import Ros2Bus
+    from kinfeas.sim2real.ros.ros2_bus import Ros2Bus
 
     return Ros2Bus()

@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.adapters import AdapterSpec, wrap
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.joint_limit_clamp import JointLimitClamp
+from kinfeas.sim2real.adapters.joint_limit_clamp import JointLimitClamp
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.05])

@@ -5,7 +5,7 @@ from scipy.stats import kstest
 from kinfeas import registry
 from kinfeas.backend import RobotState, Stochastic
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.base_noise import BaseNoise
+from kinfeas.sim2real.adapters.base_noise import BaseNoise
 from kinfeas.sim2real.draws import Range
 
 PR2 = registry.load_robot("pr2")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.sim2real.actuator_lag import ActuatorLag
+from kinfeas.sim2real.adapters.actuator_lag import ActuatorLag
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.1, 0.25])

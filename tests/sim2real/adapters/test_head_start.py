@@ -7,7 +7,7 @@ from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.legs import Pace, Pacing
-from kinfeas.sim2real.head_start import HeadStart
+from kinfeas.sim2real.adapters.head_start import HeadStart
 from kinfeas.tasks.ggr import ggr
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas import spatial
-from kinfeas.sim2real.ros_tf import TfTree, planar
+from kinfeas.sim2real.ros.tf import TfTree, planar
 
 
 def message(*edges):

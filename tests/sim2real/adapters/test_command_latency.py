@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.sim2real.command_latency import CommandLatency
+from kinfeas.sim2real.adapters.command_latency import CommandLatency
 
 
 def targets(steps, seed=0):

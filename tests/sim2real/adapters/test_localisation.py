@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.sim2real.localisation import Localisation
+from kinfeas.sim2real.adapters.localisation import Localisation
 from kinfeas.spatial import yaw
 
 STILL = {"drift": 0.0, "turn_drift": 0.0, "jump": 0.0, "turn_jump": 0.0, "rate": 0.0}

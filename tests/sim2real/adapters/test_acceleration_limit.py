@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.adapters import AdapterSpec, wrap
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.acceleration_limit import AccelerationLimit
+from kinfeas.sim2real.adapters.acceleration_limit import AccelerationLimit
 
 PARTS = ((slice(0, 3), "linear"), (slice(3, 6), "angular"))
 LIMITS = {"linear": 0.7, "angular": 1.5}

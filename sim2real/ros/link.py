@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from kinfeas.backend import Grip
-from kinfeas.sim2real import ros_messages
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.link import Readings
-from kinfeas.sim2real.ros_bus import Publisher, RosBus
-from kinfeas.sim2real.ros_names import Topics
-from kinfeas.sim2real.ros_tf import TfTree
+from kinfeas.sim2real.ros import messages as ros_messages
+from kinfeas.sim2real.ros.bus import Publisher, RosBus
+from kinfeas.sim2real.ros.names import Topics
+from kinfeas.sim2real.ros.tf import TfTree
 from kinfeas.sim2real.stamps import DRIFT
 from kinfeas.spatial import Array
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.sim2real.velocity_clamp import VelocityClamp
+from kinfeas.sim2real.adapters.velocity_clamp import VelocityClamp
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.1])

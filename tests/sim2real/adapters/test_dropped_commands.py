@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.adapters import AdapterSpec, wrap
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.dropped_commands import DroppedCommands
+from kinfeas.sim2real.adapters.dropped_commands import DroppedCommands
 
 
 def test_what_is_lost_leaves_the_last_command_in_force(rig, drive):

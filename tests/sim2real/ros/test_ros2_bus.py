@@ -11,11 +11,11 @@ import pytest
 from kinfeas import registry, spatial
 from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings
-from kinfeas.sim2real.ros2_bus import Ros2Bus
-from kinfeas.sim2real.ros_link import RosLink
-from kinfeas.sim2real.ros_names import read_topics
-from kinfeas.sim2real.ros_robot import RosRobotLink
-from kinfeas.sim2real.ros_stop import stop_base
+from kinfeas.sim2real.ros.link import RosLink
+from kinfeas.sim2real.ros.names import read_topics
+from kinfeas.sim2real.ros.robot import RosRobotLink
+from kinfeas.sim2real.ros.ros2_bus import Ros2Bus
+from kinfeas.sim2real.ros.stop import stop_base
 
 TOPICS = """
 base: {command: /cmd_vel, stamped: %s, measured_by: %s}
@@ -108,7 +108,7 @@ def test_measurements_arrive(ends):
 
 
 def test_static_transforms_count_whoever_came_first(tmp_path):
-    from kinfeas.sim2real import ros2_messages as messages
+    from kinfeas.sim2real.ros import ros2_messages as messages
 
     sender, late, heard = Ros2Bus(), Ros2Bus(), []
     sender.open("early")
@@ -159,7 +159,7 @@ def test_a_domain_that_is_none(monkeypatch, text):
 BROKEN = """
 import sys
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.ros2_bus import Ros2Bus
+from kinfeas.sim2real.ros.ros2_bus import Ros2Bus
 if sys.argv[1] == "missing":
     sys.modules["cyclonedds"] = None
 try:

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real import ros_stop
 from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.ros import stop as ros_stop
 
 
 class Twist:

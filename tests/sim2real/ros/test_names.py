@@ -3,7 +3,7 @@ import yaml
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.ros.names import read_topics
 
 PR2 = """
 base: {command: /cmd, odometry: /odom}

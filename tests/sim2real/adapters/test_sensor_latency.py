@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.sim2real.ee_noise import EeNoise
-from kinfeas.sim2real.sensor_latency import SensorLatency
+from kinfeas.sim2real.adapters.ee_noise import EeNoise
+from kinfeas.sim2real.adapters.sensor_latency import SensorLatency
 from kinfeas.spatial import yaw
 
 

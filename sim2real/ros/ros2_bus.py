@@ -11,7 +11,7 @@ from typing import Any
 
 from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.fault import Fault
-from kinfeas.sim2real.ros_bus import Messages, Publisher
+from kinfeas.sim2real.ros.bus import Messages, Publisher
 
 _DOMAINS = 232
 """The last domain whose ports are free on Linux."""
@@ -174,7 +174,7 @@ def _stays_here() -> bool:
 
 def ros2_message_classes() -> Messages:
     """Return the classes of messages of ROS 2, for which DDS must be there."""
-    from kinfeas.sim2real import ros2_messages as own
+    from kinfeas.sim2real.ros import ros2_messages as own
 
     return Messages(
         Twist=own.Twist,

@@ -4,8 +4,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
-from kinfeas.sim2real.ee_noise import EeNoise
-from kinfeas.sim2real.joint_noise import JointNoise
+from kinfeas.sim2real.adapters.ee_noise import EeNoise
+from kinfeas.sim2real.adapters.joint_noise import JointNoise
 
 
 def test_the_ee_scatters_about_where_the_joints_have_it(rig, pr2):

@@ -5,9 +5,9 @@ from typing import ClassVar
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import RobotLink
 from kinfeas.sim2real.link_backend import LinkBackend
-from kinfeas.sim2real.ros_bus import Version, make_bus
-from kinfeas.sim2real.ros_link import RosLink
-from kinfeas.sim2real.ros_names import read_topics
+from kinfeas.sim2real.ros.bus import Version, make_bus
+from kinfeas.sim2real.ros.link import RosLink
+from kinfeas.sim2real.ros.names import read_topics
 from kinfeas.sim2real.stamps import DRIFT
 from kinfeas.sim2real.watchdog import StopCall
 
@@ -66,12 +66,12 @@ class RosBackend(LinkBackend):
         """Return what the watchdog calls."""
         base = self.topics.base
         given = {"version": self.version, "topic": base.command, "stamped": base.stamped}
-        return StopCall("kinfeas.sim2real.ros_stop:stop_base", given)
+        return StopCall("kinfeas.sim2real.ros.stop:stop_base", given)
 
     @classmethod
     def robot_link(cls, robot: Robot, topics: str | None = None) -> RobotLink:
         """Return the robot's end, for what plays a robot; arguments as in `Hosted`."""
-        from kinfeas.sim2real.ros_robot import RosRobotLink
+        from kinfeas.sim2real.ros.robot import RosRobotLink
 
         names = read_topics(robot, cls.version, topics, "--topics FILE")
         return RosRobotLink(names, make_bus(cls.version))

@@ -1,0 +1,1 @@
+"""Adapters: what differs between a simulation and a robot, each a wrapper around a backend."""
