@@ -22,6 +22,7 @@ REACHED = "goal reached"
 """The event that a run ends with if it did what it should."""
 
 _FORMAT = "kinfeas record 1"
+_NOT_UNIT = 0.1  # how far the norm of a quaternion may be from 1: what was measured is written down
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -177,7 +178,16 @@ def read_record(path: Path) -> Record:
         raise KinfeasError(f"{path}: the run ended before its first step")
     width = len(_names(about.joints))
     rows = [_row(line, width, f"{path}, line {n}") for n, line in enumerate(whole[2:], 3)]
-    return _record(about, np.array([numbers for numbers, _ in rows]), [text for _, text in rows])
+    record = _record(about, np.array([numbers for numbers, _ in rows]), [text for _, text in rows])
+    _check_quaternions(record, path)
+    return record
+
+
+def _check_quaternions(record: Record, path: Path) -> None:
+    for name in ("base_pose", "desired", "goal"):
+        norm = np.linalg.norm(getattr(record, name)[:, 3:], axis=1)
+        for row in np.flatnonzero(np.abs(norm - 1.0) > _NOT_UNIT)[:1]:
+            raise KinfeasError(f"{path}, line {row + 3}: {name} has no unit quaternion (xyzw)")
 
 
 def _about(line: str, path: Path) -> About:

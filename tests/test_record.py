@@ -3,6 +3,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kinfeas.errors import KinfeasError
 from kinfeas.record import About, Moment, Recorder, read_record
@@ -11,12 +12,16 @@ JOINTS = ("shoulder", "elbow, the left")
 ABOUT = About("pr2", "door", "pretrained", "analytic", 0.02, JOINTS, "2026-01-02T03:04:05+00:00")
 
 
+def pose(rng):
+    return np.concatenate([rng.normal(size=3), Rotation.random(rng=rng).as_quat()])
+
+
 def moment(seed, **changes):
     rng = np.random.default_rng(seed)
     values = {
-        "time": 0.02 * seed, "age": 0.01, "base_pose": rng.normal(size=7),
-        "joint_positions": rng.normal(size=2), "desired": rng.normal(size=7),
-        "goal": rng.normal(size=7), "base_twist": rng.normal(size=6),
+        "time": 0.02 * seed, "age": 0.01, "base_pose": pose(rng),
+        "joint_positions": rng.normal(size=2), "desired": pose(rng),
+        "goal": pose(rng), "base_twist": rng.normal(size=6),
         "joint_targets": rng.normal(size=2), "feasible": bool(seed % 2), "leg": seed // 2,
     }  # fmt: skip
     return Moment(**{**values, **changes})
@@ -102,6 +107,12 @@ def test_never_writes_over_another_record(path):
     write(path, [moment(0)])
     with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written: File exists"):
         Recorder(path, ABOUT)
+
+
+def test_refuses_a_quaternion_that_is_none(path):
+    write(path, [moment(0), moment(1, desired=np.zeros(7))])
+    with pytest.raises(KinfeasError, match="line 4: desired has no unit quaternion"):
+        read_record(path)
 
 
 @pytest.mark.parametrize(

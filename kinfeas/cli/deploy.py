@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -138,8 +139,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     and joint_lag=0.5 s.
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
-    4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM. In each case the base was commanded
-    to zero.
+    4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed, 131
+    SIGQUIT. In each case the base was commanded to zero.
     """
     options.check_robot(robot)
     from kinfeas.record import Recorder
@@ -168,16 +169,21 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
-    _show(outcome, about, recorder.path)
+    with suppress(OSError):  # of a terminal that was closed
+        _show(outcome, about, recorder.path)
+        _complain(outcome)
+    if json is not None:
+        _write_json(outcome, recorder.path, json)
+    raise typer.Exit(int(outcome.code))
+
+
+def _complain(outcome: "Outcome") -> None:
     if outcome.code:
         sys.stderr.write(f"stopped: {outcome.reason}\n")
     if outcome.unstopped:
         sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
     if outcome.unclosed:
         sys.stderr.write(f"the backend could not be closed: {outcome.unclosed}\n")
-    if json is not None:
-        _write_json(outcome, recorder.path, json)
-    raise typer.Exit(int(outcome.code))
 
 
 def _about(wishes: Wishes, setup: "Setup") -> "About":

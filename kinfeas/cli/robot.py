@@ -159,6 +159,8 @@ def _show(draft: "Draft", path: Path) -> None:
         rows.append(["shapes", "none: what touches what is not looked at"])
     if guesses.lifted:
         rows.append(["root", f"{guesses.lifted:g} m above the floor: one on it was added"])
+    if guesses.stand:
+        rows.append(["base", f"is {guesses.stand} one that drives, or the arm's own first link?"])
     if guesses.speeds:
         rows.append(["velocities guessed", ", ".join(guesses.speeds)])
     print_table(f"{spec.name}, as its URDF has it", ["", "found"], rows)
