@@ -12,7 +12,7 @@ import io
 import json
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from kinfeas.evaluation.benchmark.plot import table_figure
 from kinfeas.evaluation.benchmark.table import Cell
 from kinfeas.evaluation.benchmark.text import to_markdown
 from kinfeas.evaluation.pictures.style import png
+from kinfeas.evaluation.policies import BASELINES
 
 DOCS = Path(__file__).parent
 README = DOCS.parent / "README.md"
@@ -58,6 +59,12 @@ PHYSICS = {
     ("", "geometric_modulation"): "{}, `geometric_modulation`",
     ("", "demonstrated_base"): "{}, `demonstrated_base`",
 }
+IN_PYBULLET = {
+    "pr2": (("head_start", "pretrained"),),
+    "tiago": (("", "pretrained"), ("", "look_ahead:pretrained")),
+    "hsr": (("", "pretrained"),),
+}
+"""Variants and policies of the README's rows with physics."""
 PICTURES = ("learning_curves", "examples-tiago", "workspace")
 COLOURS = 128
 
@@ -110,8 +117,8 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
     return _found(filled, count, "results.md: no tables before 'How they learn'")
 
 
-def fill_readme(page: str, record: Sequence[Entry]) -> str:
-    """Return the README with the rows of its table filled anew."""
+def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) -> str:
+    """Return the README with the rows of its tables filled anew."""
     cells = of_variant(record, "")
     for robot, name in ROBOTS.items():
         aid, aided = AIDS[robot]
@@ -119,7 +126,19 @@ def fill_readme(page: str, record: Sequence[Entry]) -> str:
             for head, policy in rows.items():
                 values = [entry(cells, robot, task, policy or aided) for task in TASKS]
                 page = _fill(page, head.format(name, aid=aid), values)
+        for head, values in _physics_rows(physics, robot):
+            page = _fill(page, head, values)
     return page
+
+
+def _physics_rows(record: Sequence[Entry], robot: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield heads and values of the README's rows with physics of a robot; the paper's last."""
+    name = ROBOTS[robot]
+    for variant, policy in IN_PYBULLET[robot]:
+        cells = of_variant(record, variant)
+        head = PHYSICS[variant, policy].format(f"**{name}** in PyBullet")
+        yield head, [_share(cells, robot, task, policy) for task in TASKS]
+    yield f"{name} in PyBullet, paper", [_paper(cells[robot, task, policy]) for task in TASKS]
 
 
 def fill_physics(page: str, record: Sequence[Entry]) -> str:
@@ -150,12 +169,16 @@ def _found(filled: str, places: int, complaint: str) -> str:
     return filled
 
 
+def _paper(cell: Entry) -> str:
+    return f"{100 * cell['paper_success']:.1f} ({100 * cell['paper_within_5cm']:.1f})"
+
+
 def _share(cells: Cells, robot: str, task: str, policy: str) -> str:
     if (robot, task, policy) not in cells:
         return ""
     cell = cells[robot, task, policy]
     text = f"{100 * cell['success']:.1f} ({100 * cell['within_5cm']:.1f})"
-    return f"**{text}**" if Cell(**cell).learned else text
+    return text if policy in BASELINES else f"**{text}**"
 
 
 def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
@@ -215,7 +238,7 @@ def main(studies: Sequence[Path]) -> None:
         _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
     results, page = DOCS / "results.md", DOCS / "physics.md"
     _write(results, fill_results(results.read_text(encoding="utf-8"), records["analytic"]))
-    _write(README, fill_readme(README.read_text(encoding="utf-8"), records["analytic"]))
+    _write(README, fill_readme(README.read_text(encoding="utf-8"), *records.values()))
     _write(page, fill_physics(page.read_text(encoding="utf-8"), records["pybullet"]))
     table = png(table_figure(shown(records["analytic"])), 110)
     _keep(Image.open(io.BytesIO(table)), "benchmark")

@@ -19,17 +19,21 @@ NEW = {"success": 0.1234, "within_5cm": 0.5678, "jumps_per_episode": 9.87}
 
 def test_the_pages_hold_what_the_record_says():
     assert SCRIPT["fill_results"](RESULTS, STUDY) == RESULTS
-    assert SCRIPT["fill_readme"](README, STUDY) == README
+    assert SCRIPT["fill_readme"](README, STUDY, IN_PYBULLET) == README
     assert SCRIPT["fill_physics"](PHYSICS, IN_PYBULLET) == PHYSICS
 
 
 def test_every_row_of_the_readme_is_filled():
-    filled = SCRIPT["fill_readme"](README, [{**cell, **NEW} for cell in STUDY])
+    record, physics = ([{**cell, **NEW} for cell in cells] for cells in (STUDY, IN_PYBULLET))
+    filled = SCRIPT["fill_readme"](README, record, physics)
+    assert "| **PR2** in PyBullet, 3 s head start | **12.3 (56.8)** |" in filled
+    assert "| **TIAGo** in PyBullet, looking ahead | **12.3 (56.8)** |" in filled
     for robot, name in SCRIPT["ROBOTS"].items():
         aid, _ = SCRIPT["AIDS"][robot]
         assert f"| **{name}**, ours | **12.3 (56.8)** |" in filled
         assert f"| {name}, `whole_body_qp` | 12.3 (56.8) |" in filled
         assert f"| **{name}**, ours, {aid} | **12.3 (56.8)** |" in filled
+        assert f"| {name} in PyBullet, paper | " in filled
         assert f"| {name}, arm jumps an episode, ours | 9.87 |" in filled
         assert f"| {name}, arm jumps an episode, {aid} | 9.87 |" in filled
 
@@ -43,7 +47,7 @@ def test_a_study_takes_the_place_of_its_own_cells_alone():
 def test_a_row_whose_name_has_changed_is_an_error():
     changed = README.replace("| TIAGo, `whole_body_qp` |", "| TIAGo, QP |")
     with pytest.raises(SystemExit, match=r"README\.md: no row 'TIAGo, `whole_body_qp`'; its fig"):
-        SCRIPT["fill_readme"](changed, STUDY)
+        SCRIPT["fill_readme"](changed, STUDY, IN_PYBULLET)
 
 
 def test_pages_without_their_tables_are_errors():
