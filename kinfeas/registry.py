@@ -154,7 +154,7 @@ def load_robot(name_or_path: str) -> "Robot":
     check_no_urdf(name_or_path)
     path = Path(name_or_path) if is_path(name_or_path) else _robot_yaml(name_or_path)
     # Late, for it takes NumPy, SciPy and Numba along, which a wrong name can do without.
-    from kinfeas.robots.robot import read_robot
+    from kinfeas.robots.reading import read_robot
 
     return read_robot(path)
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from kinfeas import registry
 from kinfeas.cli.main import app
-from kinfeas.robots.robot import read_robot
+from kinfeas.robots.reading import read_robot
 from kinfeas.templates.distribution import write_distribution
 from kinfeas.testing import check_motion_generator
 

@@ -70,7 +70,7 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     above all.
     """
     from kinfeas.draft.draft import DraftOptions, draft_robot
-    from kinfeas.robots.robot import read_robot
+    from kinfeas.robots.reading import read_robot
 
     called = _checked_name(urdf.stem if name is None else name)
     yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))

@@ -27,7 +27,8 @@ from kinfeas.draft.text import Guesses, robot_yaml
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
 from kinfeas.robots.elements import parse_xml
-from kinfeas.robots.robot import Robot, build_robot
+from kinfeas.robots.reading import build_robot
+from kinfeas.robots.robot import Robot
 from kinfeas.robots.spec import Drive, RobotSpec
 from kinfeas.robots.urdf import Urdf, urdf_of
 from kinfeas.storage import strict_yaml

@@ -3,7 +3,7 @@ import re
 
 import pytest
 
-from kinfeas.robots.robot import read_robot
+from kinfeas.robots.reading import read_robot
 from tests.cli.conftest import is_one_line
 from tests.draft.conftest import ARM
 

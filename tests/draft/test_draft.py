@@ -6,7 +6,7 @@ from kinfeas.draft.reach import Heights
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.robot import read_robot
+from kinfeas.robots.reading import read_robot
 
 
 def written(draft, folder):

@@ -21,7 +21,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
-from kinfeas.robots.robot import read_robot
+from kinfeas.robots.reading import read_robot
 from kinfeas.robots.urdf import parse_urdf
 
 HEIGHTS = np.arange(6.0)

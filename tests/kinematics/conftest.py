@@ -8,7 +8,8 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.robots.robot import Robot, read_robot
+from kinfeas.robots.reading import read_robot
+from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
 

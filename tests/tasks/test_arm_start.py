@@ -8,7 +8,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.robots.robot import read_robot
+from kinfeas.robots.reading import read_robot
 from kinfeas.spatial import compose
 from kinfeas.tasks.arm_start import random_arm
 

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import robots
 from kinfeas.errors import KinfeasError
-from kinfeas.robots.robot import Robot, read_robot
+from kinfeas.robots.reading import read_robot
+from kinfeas.robots.robot import Robot
 from kinfeas.robots.tree import Joint, Shape
 from kinfeas.spatial import IDENTITY, Array, compose, make_pose, rotation
 
