@@ -1,7 +1,5 @@
 """The stage of a task: its episodes, with the furniture where each of them wants it."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from kinfeas.errors import KinfeasError
@@ -97,11 +95,10 @@ class Stage:
         return backend.grasp.held[0] == backend.furniture.bodies[name]
 
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return another episode; a task that moves furniture leads to where `first` does."""
-        start = self.task.sample(solver, rng)
+        """Return another start; a task that moves furniture leads to where `first` does."""
         if self._chain:
-            return replace(start, target_poses=first.target_poses)
-        return start
+            return self._chain.toward(first.target_poses, solver, rng)
+        return self.task.sample(solver, rng)
 
     def _moved(self, scene: Scene, start: Start) -> Scene:
         """Return a scene as an episode wants it, after a check that it can be."""

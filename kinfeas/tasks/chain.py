@@ -123,6 +123,10 @@ class ChainTask:
         """Return one random episode, its arrays without a leading axis."""
         places = {name: place.draw(rng) for name, place in self.places.items()}
         targets = np.stack([_shifted(places[leg.place], leg.offset) for leg in self.legs])
+        return self.toward(targets, solver, rng)
+
+    def toward(self, targets: Array, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return a random start of an episode whose legs lead to `targets`, shape (legs, 7)."""
         x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
         bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
         heading = bearing + rng.uniform(-self.start.heading, self.start.heading)

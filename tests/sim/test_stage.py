@@ -63,6 +63,22 @@ def test_a_start_in_the_way_moves_the_robot_and_not_the_furniture(stage, solver,
     assert not np.array_equal(start.joint_positions, first.joint_positions)
 
 
+def test_a_start_in_the_way_is_drawn_anew_as_the_task_allows(stage, solver, monkeypatch):
+    allowed = stage.task.start
+    rng = np.random.default_rng(0)
+    monkeypatch.setattr(stage.backend, "reset", lambda *_: None)
+    for _ in range(300):
+        answers = iter([False, True])
+        monkeypatch.setattr(stage.backend, "free", lambda answers=answers: next(answers))
+        start = stage.sample(solver, rng)
+        x, y = start.base_pose[:2]
+        assert max(abs(x), abs(y)) <= allowed.square / 2.0
+        heading = 2.0 * np.arctan2(start.base_pose[5], start.base_pose[6])
+        ahead = start.target_poses[0, :2] - [x, y]
+        turned = heading - np.arctan2(ahead[1], ahead[0])
+        assert abs((turned + np.pi) % (2.0 * np.pi) - np.pi) <= allowed.heading + 1e-9
+
+
 def test_equal_seeds_draw_equal_episodes(stage, solver):
     one, other = (stage.sample(solver, np.random.default_rng(3)) for _ in range(2))
     for key, value in vars(one).items():
