@@ -10,7 +10,7 @@ from kinfeas.cli.output import check_outputs, print_table, write_json
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.physics.simulated_robot import Played
+    from kinfeas.evaluation.physics.playing import Played
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -58,13 +58,9 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     process. It ends after --seconds or with Ctrl-C.
     """
     options.check_robot(robot)
-    from kinfeas.evaluation.physics.simulated_robot import (
-        Role,
-        SimulatedRobot,
-        play,
-        robot_link,
-        set_stage,
-    )
+    from kinfeas.evaluation.physics.playing import play, robot_link
+    from kinfeas.evaluation.physics.simulated_robot import Role, SimulatedRobot
+    from kinfeas.evaluation.physics.standing import set_stage
 
     read = {"--robot": robot, "--task": task, "--scene": scene, "--topics": topics}
     check_outputs({"--json": json}, {option: inputs.named(name) for option, name in read.items()})
