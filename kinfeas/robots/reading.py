@@ -43,6 +43,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Ro
         KinfeasError: If the two do not fit each other.
     """
     _check_chain(spec, urdf, source)
+    _check_followers(spec, urdf, source)
     arm = tuple(_arm_joint(spec, urdf.joints[name], source) for name in spec.arm)
     rotation = np.array(spec.gripper_rotation)
     return Robot(
@@ -89,6 +90,18 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
             raise KinfeasError(
                 f"{source}: joint {joint.name!r}, on the way to {spec.ee_frame!r}, must stand in "
                 "'arm' or 'fixed_joints', or follow one that does"
+            )
+
+
+def _check_followers(spec: RobotSpec, urdf: Urdf, source: str) -> None:
+    """Check that what follows an endless joint of the arm stands as before after a whole turn."""
+    for joint in urdf.joints.values():
+        leader, scale, _ = urdf.followed(joint)
+        comes_round = joint.kind != "prismatic" and scale.is_integer()
+        if leader.name in spec.arm and leader.kind == "continuous" and not comes_round:
+            raise KinfeasError(
+                f"{source}: 'arm.{leader.name}': a turn of it changes where {joint.name!r} stands, "
+                "which follows it, so the URDF must make it revolute and give it limits"
             )
 
 

@@ -241,6 +241,24 @@ def test_limits_without_a_way_between_them_are_named(tmp_path):
         read_robot(write(tmp_path, spec, URDF.replace(joint, stuck)))
 
 
+def led_by_spin(follower: str, multiplier: str) -> str:
+    """Return the crane with a claw that follows the endless joint."""
+    joint = URDF[URDF.index('<joint name="grip"') : URDF.index("</robot>")]
+    told = joint.replace('"revolute"', f'"{follower}"')
+    told = told.replace('joint="swing"', f'joint="spin" multiplier="{multiplier}"')
+    return URDF.replace(joint, told)
+
+
+def test_what_follows_an_endless_joint_comes_round_with_it(tmp_path):
+    """IK takes angles a whole turn apart for the same."""
+    for multiplier in ("1", "-2", "0"):
+        read_robot(write(tmp_path, crane(), led_by_spin("revolute", multiplier)))
+    for follower, multiplier in (("revolute", "0.5"), ("prismatic", "1")):
+        message = "'arm.spin': a turn of it changes where 'grip' stands"
+        with pytest.raises(KinfeasError, match=message):
+            read_robot(write(tmp_path, crane(), led_by_spin(follower, multiplier)))
+
+
 def test_a_fixed_joint_has_no_position(tmp_path):
     urdf = URDF.replace('"spin" type="continuous"', '"spin" type="fixed"')
     spec = crane() | {"arm": {"lift": {}, "swing": {}}, "home": {"home": [0.5, 0.0]}}
