@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.draft.placed import link_pose
 from kinfeas.errors import KinfeasError
-from kinfeas.kinematics.ceiling import reachable
+from kinfeas.kinematics.ceiling import at_goals, reachable
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
@@ -166,13 +166,13 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
     """Return how many goals can be reached at which heights, from the floor up.
 
     The goals have random orientations, as those that a policy learns from. IK decides, from up to
-    256 base poses around each of them.
+    256 base poses around each of them, to as near as success asks for if the robot has leeway.
 
     Args:
         robot: The robot.
         on_done: Called with the share of all work, 0-1, that has just been done.
     """
-    solver, rng = IkSolver(robot, _SEARCH), np.random.default_rng(_SEED)
+    solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(_SEED)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
     at = np.arange(_STEP, max(float(ee.max()), 2.0 * _STEP) + _STEP, _STEP)
     shares = []

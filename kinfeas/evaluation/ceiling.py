@@ -1,14 +1,13 @@
 """The ceiling of a task: what no policy can beat."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from kinfeas.evaluation.waypoints import draw_goals, draw_waypoints
-from kinfeas.kinematics.ceiling import STAGES, Ceiling, reachable
+from kinfeas.kinematics.ceiling import STAGES, Ceiling, at_goals, reachable
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.metrics import wilson
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
@@ -91,16 +90,8 @@ def measure_path_ceiling(
 
 
 def _goals(robot: Robot, task: Task, episodes: int, seed: int, ik: IkOptions | None) -> _Poses:
-    solver = IkSolver(robot, _strict(robot, ik or IkOptions()))
+    solver = IkSolver(robot, at_goals(robot, ik or IkOptions()))
     return _Poses(solver, draw_goals(solver, task, episodes, seed))
-
-
-def _strict(robot: Robot, ik: IkOptions) -> IkOptions:
-    if robot.leeway is None or not ik.leeway:
-        return ik
-    return replace(
-        ik, leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
-    )
 
 
 def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Ceiling:

@@ -1,15 +1,17 @@
 """The ceiling: how many goals can be reached from any base pose at all."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkSolver, spread_configurations
+from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.metrics import Share, wilson
+from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, planar_pose, relative, rotation
 
 STAGES = (4, 16, 64, 256, 1024)
@@ -31,6 +33,15 @@ class Ceiling:
     reached: NDArray[np.bool_]
     share: Share
     convergence: tuple[float, ...]
+
+
+def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
+    """Return how IK searches at goals, where a robot's leeway is not for more than success asks."""
+    if robot.leeway is None or not ik.leeway:
+        return ik
+    return replace(
+        ik, leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
+    )
 
 
 def reachable(

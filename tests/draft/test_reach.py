@@ -22,6 +22,7 @@ from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.robots.reading import read_robot
+from kinfeas.robots.spec import Leeway
 from kinfeas.robots.urdf import parse_urdf
 
 HEIGHTS = np.arange(6.0)
@@ -85,6 +86,17 @@ def test_useful_heights_are_those_of_the_robots_file():
     inside = (heights.at >= low) & (heights.at <= high)
     assert np.all(heights.share[inside] > 0.9)
     assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5
+
+
+def test_leeway_makes_no_height_useful(monkeypatch):
+    """A goal counts within the same distance for every robot."""
+    monkeypatch.setattr("kinfeas.draft.reach._GOALS", 8)
+    monkeypatch.setattr("kinfeas.draft.reach._STAGES", (4,))
+    robot = registry.load_robot("hsr")
+    wide = replace(robot, leeway=Leeway(position=1.0, rotation=3.0))
+    shares = [useful_heights(one).share for one in (robot, wide)]
+    np.testing.assert_array_equal(*shares)
+    assert shares[0].max() > 0.5
 
 
 def test_an_arm_has_the_freedom_of_its_hand(robot):

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas import spatial
-from kinfeas.kinematics.ceiling import STAGES, reachable
+from kinfeas.kinematics.ceiling import STAGES, at_goals, reachable
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
@@ -48,6 +48,16 @@ def test_what_the_arm_can_do_is_reachable(robot):
     assert found.reached.all()
     assert found.share.value == 1.0
     assert found.share.low < 1.0
+
+
+def test_leeway_is_for_the_way_and_not_for_goals(robot):
+    asked, exact = IkOptions(restarts=6), IkOptions(leeway=False)
+    found = at_goals(robot, asked)
+    assert at_goals(robot, exact) is exact
+    if robot.leeway is None:
+        assert found is asked
+    else:
+        assert (found.leeway, found.position_tolerance, found.restarts) == (False, 0.025, 6)
 
 
 def test_what_is_out_of_reach_is_not(solver):
