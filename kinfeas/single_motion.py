@@ -8,6 +8,7 @@ from typing import Any, ParamSpec, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinfeas.conformance.arrays import instead
 from kinfeas.errors import KinfeasError
 from kinfeas.motion import MotionGenerator, State
 from kinfeas.spatial import Array
@@ -109,9 +110,9 @@ class RowByRow:
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise KinfeasError(f"{where} must return a pair: the twist and the next state")
         twist = np.asarray(answer[0])
-        if twist.shape != (6,) or twist.dtype.kind not in "biuf":
+        if got := instead(twist, (6,)):
             raise KinfeasError(
-                f"{where} must return a twist of shape (6,), m/s and rad/s, not {twist.shape}"
+                f"{where} must return a twist of shape (6,), m/s and rad/s, not {got}"
             )
         return twist, answer[1]
 

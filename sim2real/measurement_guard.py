@@ -6,6 +6,7 @@ import numpy as np
 
 from kinfeas import spatial
 from kinfeas.backend import RobotState
+from kinfeas.conformance.arrays import instead
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.guard_config import Guards
@@ -64,10 +65,7 @@ class MeasurementGuard:
         wanted = (1, 7), (1, len(self._robot.arm))
         if shapes != wanted:
             _refuse(f"measurements have the shapes {shapes}, those of this robot are {wanted}")
-        age = state.age
-        if age is not None and not (
-            isinstance(age, np.ndarray) and age.shape == (1,) and age.dtype.kind in "iuf"
-        ):
+        if state.age is not None and instead(state.age, (1,)):
             _refuse("the age of the measurements is no array of one number")
         if not np.isfinite(state.base_pose).all():
             _refuse("the measured base pose is not finite")

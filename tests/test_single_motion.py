@@ -181,6 +181,12 @@ class ShortTwist(Approach):
         return twist[:3], state
 
 
+class MixedTwist(Approach):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return [*twist[:5], None], state
+
+
 class WordInState(Approach):
     def start(self, ee_pose, target_pose, rng):
         return {**super().start(ee_pose, target_pose, rng), "way": "up"}
@@ -196,6 +202,10 @@ class NoState(Approach):
     [
         (NoPair, r"NoPair.twist must return a pair: the twist and the next state"),
         (ShortTwist, r"ShortTwist.twist must return a twist of shape \(6,\).*not \(3,\)"),
+        (
+            MixedTwist,
+            r"MixedTwist.twist must return a twist of shape \(6,\).*not an array of object",
+        ),
         (WordInState, r"WordInState.start must return .* and 'way' is neither"),
         (NoState, r"NoState.start must return a state that is a dict of numbers, not a ndarray"),
     ],

@@ -1,11 +1,11 @@
 """What the answers of an adapter from outside must be: sentences on those that are not."""
 
-import math
 from typing import Any
 
 import numpy as np
 
 from kinfeas.backend import RobotState
+from kinfeas.conformance.arrays import instead, sound
 from kinfeas.errors import KinfeasError
 from kinfeas.spatial import Array
 
@@ -40,19 +40,10 @@ class Answers:
 
     def check_array(self, answer: Any, what: str, method: str, given: Array) -> None:
         """Do nothing if an answer is an array of the form of `given`."""
-        if (
-            type(answer) is np.ndarray
-            and answer.shape == given.shape
-            and answer.dtype == np.float64
-        ):
-            # One product looks at all numbers at once; what overflows is looked at again.
-            if math.isfinite(np.vdot(answer, answer)):
-                return
-        elif not isinstance(answer, np.ndarray) or answer.shape != given.shape:
-            got = getattr(answer, "shape", type(answer).__name__)
+        if sound(answer, given.shape):
+            return
+        if got := instead(answer, given.shape):
             raise self.error(f"must return {what} of shape {given.shape} from {method}, not {got}")
-        elif answer.dtype.kind not in "biuf":
-            raise self.error(f"must return {what} of numbers from {method}, not {answer.dtype}")
         if not np.isfinite(answer).all() and np.isfinite(given).all():
             raise self.error(f"returns {what} from {method} with numbers that are not finite")
 

@@ -1,11 +1,11 @@
 """A motion generator whose every answer is looked at: nothing malformed gets into a loop."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from kinfeas.conformance.arrays import instead, sound
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import BLAMED, Blaming
 from kinfeas.motion import Demonstrated, MotionGenerator, State
@@ -81,7 +81,7 @@ class CheckedMotion:
             self._goal_pose.blame(error)
             raise
         n = _count(state)
-        if not _sound(goal, (n, 7)):
+        if not sound(goal, (n, 7)):
             self._require_form("goal_pose", goal, (n, 7))
             self._require_finite("goal_pose", goal)
         return goal
@@ -139,9 +139,7 @@ class CheckedMotion:
             raise self.error(f"changes the keys, shapes or types of its state: {keys}", "layout")
 
     def _require_form(self, method: str, value: Array, shape: tuple[int, ...]) -> None:
-        numeric = isinstance(value, np.ndarray) and value.dtype.kind in "biuf"
-        if not numeric or value.shape != shape:
-            got = getattr(value, "shape", type(value).__name__)
+        if got := instead(value, shape):
             raise self.error(f"must return an array of shape {shape} from {method}, not {got}")
 
     def _require_finite(self, method: str, value: Array) -> None:
@@ -161,7 +159,7 @@ def _plausible(answer: Any, n: int, layout: Layout) -> bool:
     if type(answer) is not tuple or len(answer) != 2:
         return False
     twist, after = answer
-    if not _sound(twist, (n, 6)) or type(after) is not dict or len(after) != len(layout):
+    if not sound(twist, (n, 6)) or type(after) is not dict or len(after) != len(layout):
         return False
     for key, value in after.items():
         if type(value) is not np.ndarray or value.shape[:1] != (n,):
@@ -169,14 +167,6 @@ def _plausible(answer: Any, n: int, layout: Layout) -> bool:
         if layout.get(key) != (value.dtype, value.shape[1:]):
             return False
     return True
-
-
-def _sound(value: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether an answer surely has the shape, and numbers that are finite."""
-    if type(value) is not np.ndarray or value.shape != shape or value.dtype != np.float64:
-        return False
-    # One product looks at all numbers at once; what overflows is looked at again.
-    return math.isfinite(np.vdot(value, value))
 
 
 def _layout(state: State) -> Layout:

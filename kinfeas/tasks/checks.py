@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from kinfeas.conformance.arrays import instead
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming, package_of
 from kinfeas.kinematics.ik import IkSolver
@@ -98,12 +99,8 @@ def check_start(start: Start, subject: str, legs: int, joints: int) -> None:
     shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (legs, 7)}
     for name, shape in shapes.items():
         value: Any = getattr(start, name, None)
-        numeric = isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
-        if not numeric or value.shape != shape:
-            got = getattr(value, "shape", type(value).__name__)
-            raise KinfeasError(
-                f"{subject} must sample a {name} of shape {shape} in numbers, not {got}"
-            )
+        if got := instead(value, shape):
+            raise KinfeasError(f"{subject} must sample a {name} of shape {shape}, not {got}")
         if not np.isfinite(value).all():
             raise KinfeasError(f"{subject} samples a {name} with numbers that are not finite")
         if name != "joint_positions":

@@ -93,7 +93,11 @@ BAD = {
         lambda both: (both[0].astype(np.float32) + np.inf, both[1]),
         "returns a twist from command with numbers that are not finite",
     ),
-    "words": ("command", lambda both: (both[0].astype(str), both[1]), "a twist of numbers from"),
+    "words": (
+        "command",
+        lambda both: (both[0].astype(str), both[1]),
+        "a twist of .*, not an array of <U",
+    ),
     "lists": ("command", lambda both: (both[0], both[1].tolist()), "joint targets of .*, not list"),
     "no state": ("view", lambda state: None, "must return a RobotState from view, not NoneType"),
     "a flat base": ("view", changed(base_pose=BASE[:, :3]), r"a base_pose of shape \(2, 7\) from"),
