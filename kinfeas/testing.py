@@ -76,8 +76,8 @@ def examine(
         on_step: Called after each of the trial's steps.
     """
     found: dict[str, str] = {}
-    probe = Probe(CheckedMotion(generator, name), trial or Trial(), found)
     try:
+        probe = Probe(CheckedMotion(generator, name), trial or Trial(), found)
         run_trial(probe, on_step)
         ended = True
     except ConformanceError as error:

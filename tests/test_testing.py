@@ -304,6 +304,12 @@ def test_examine_goes_on_after_a_light_fault_and_stops_at_a_grave_one():
     assert not by_rule["arrival"].checked
 
 
+def test_examine_tells_what_is_no_generator():
+    form, *others = examine(object(), name="mine")
+    assert form.broken.endswith("object lacks start, goal_pose, twist")
+    assert not any(one.checked for one in others)
+
+
 def test_examine_tells_what_the_generators_own_code_raises():
     class Raises(Good):
         def twist(self, state, ee_pose, dt):

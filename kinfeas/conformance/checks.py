@@ -7,10 +7,11 @@ import numpy as np
 
 from kinfeas.conformance.arrays import instead, sound
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import BLAMED, Blaming
+from kinfeas.foreign import BLAMED, Blaming, package_of
 from kinfeas.motion import Demonstrated, MotionGenerator, State
 from kinfeas.spatial import Array
 
+_METHODS = ("start", "goal_pose", "twist")
 _UNIT_LENGTH = 1e-6
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
@@ -44,16 +45,21 @@ class CheckedMotion:
         demonstrated: Whether the base was demonstrated, too.
 
     Raises:
-        ConformanceError: From every method, if the answer is malformed.
+        ConformanceError: If it lacks a method; from every method, if the answer is malformed.
     """
 
     def __init__(self, generator: MotionGenerator, name: str = "") -> None:
-        kind = type(generator)
+        kind, package = type(generator).__name__, package_of(generator)
         self.generator = generator
         self.demonstrated = isinstance(generator, Demonstrated)
-        self.subject = f"motion generator {name or kind.__name__}"
+        self.subject = f"motion generator {name or kind}"
         self._layout: Layout = {}  # until there is a state
-        package = kind.__module__.partition(".")[0]
+        lacks = [one for one in _METHODS if not callable(getattr(generator, one, None))]
+        if lacks:
+            words = ", ".join(lacks)
+            raise self.error(
+                f"must have the methods start, goal_pose and twist; {kind} lacks {words}"
+            )
         self._start, self._goal_pose, self._twist, self._base_pose = (
             Blaming(f"{self.subject} fails in {method}:", package)
             for method in ("start", "goal_pose", "twist", "base_pose")
@@ -126,6 +132,8 @@ class CheckedMotion:
         if not isinstance(state, dict):
             raise self.error(f"{rule}, not a {type(state).__name__}")
         for key, value in state.items():
+            if not isinstance(key, str):
+                raise self.error(f"{rule} by strings, and {key!r} is none")
             if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
                 raise self.error(f"{rule}, and {key!r} is not")
             if not value.ndim or len(value) != n:
@@ -133,7 +141,7 @@ class CheckedMotion:
 
     def _require_layout(self, state: State, n: int) -> None:
         found, first = _layout(state), self._layout
-        every = sorted(found.keys() | first.keys(), key=str)
+        every = sorted(found.keys() | first.keys())
         keys = [key for key in every if found.get(key) != first.get(key)]
         if keys and n:  # the state of no motion may have no keys
             raise self.error(f"changes the keys, shapes or types of its state: {keys}", "layout")

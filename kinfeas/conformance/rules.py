@@ -17,7 +17,7 @@ _ROUNDING = 1e-6
 _LOOKS = 10  # steps of each motion at which every rule is checked; the cheap ones are at each
 
 RULES = {
-    "form": "states, poses and twists have the right form and finite numbers",
+    "form": "states, poses and twists have the right form, poses and twists finite numbers",
     "quaternions": "goal poses have quaternions of unit length",
     "copies": "what is passed in is neither written into nor kept",
     "layout": "a state keeps its keys, shapes and types",
