@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
-from kinfeas.schema import Place, check_value, no_such
+from kinfeas.schema import Place, convert, no_such
 from kinfeas.storage.files import is_path
 
 if TYPE_CHECKING:
@@ -122,7 +122,8 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
     Args:
         group: One of `GROUPS`.
         name: Name of an entry point.
-        parameters: Keyword parameters, as a YAML block gives them.
+        parameters: Keyword parameters, as a YAML block gives them; it is given what that makes of
+            them in the types that they are annotated with, such as a Path or a dataclass.
 
     Raises:
         KinfeasError: As `load`; also if a parameter is unknown, missing, refused or not of the
@@ -137,9 +138,9 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         with _refusing(subject):
             signature = _signature(factory)
             _check_names(signature, parameters)
-        _check_types(signature, parameters, str(subject))
+        typed = _typed(signature, parameters, str(subject))
         with _refusing(subject):
-            built = factory(**parameters)
+            built = factory(**typed)
     _check_methods(built, group, str(subject))
     return built
 
@@ -212,12 +213,16 @@ def _find(group: str, name: object) -> EntryPoint:
 
 def _plugin(entry: EntryPoint) -> Plugin:
     distribution, version = (entry.dist.name, entry.dist.version) if entry.dist else ("?", "?")
-    return Plugin(entry.group, entry.name, distribution, version, entry.value)
+    # One that was half removed has neither.
+    return Plugin(entry.group, entry.name, distribution or "?", version or "?", entry.value)
 
 
 def _import(entry: EntryPoint) -> Any:
+    subject = f"{_plugin(entry)} cannot be loaded:"
+    if entry.pattern.match(entry.value) is None:
+        raise KinfeasError(f"{subject} its entry point must be module:name, not {entry.value!r}")
     # Whatever an outside module does on import is its own affair.
-    with Blaming(f"{_plugin(entry)} cannot be loaded:", _package(entry)):
+    with Blaming(subject, _package(entry)):
         return entry.load()
 
 
@@ -244,14 +249,18 @@ def _signature(factory: Any) -> inspect.Signature:
         return inspect.signature(factory)
 
 
-def _check_types(signature: inspect.Signature, given: Mapping[str, object], subject: str) -> None:
-    """Raise if a parameter is not of the type that it is annotated with, nor the default."""
+def _typed(
+    signature: inspect.Signature, given: Mapping[str, object], subject: str
+) -> dict[str, object]:
+    """Return parameters in the types that they are annotated with; a default stays as it is."""
+    typed = dict(given)
     for name in given.keys() & signature.parameters.keys():
         value, taken = given[name], signature.parameters[name]
         # What `.inf` means, is for the plugin to say.
         endless = isinstance(value, float) and not math.isfinite(value)
         if not endless and value is not taken.default:
-            check_value(taken.annotation, value, Place(subject, name))
+            typed[name] = convert(taken.annotation, value, Place(subject, name))
+    return typed
 
 
 def _check_methods(built: object, group: str, subject: str) -> None:

@@ -113,17 +113,23 @@ def convert_dataclass(cls: Any, value: object, place: Place) -> Any:
         raise place.error(f"{place.key!r}: {error}" if place.key else str(error)) from error
 
 
-def check_value(kind: Any, value: object, place: Place) -> None:
-    """Raise if plain data is not of the type `kind`.
+def convert(kind: Any, value: object, place: Place) -> Any:
+    """Return plain data as the type `kind`.
 
-    Other values, and types that no file can hold, are not looked at.
+    Other values, and those of types that no file can hold, come back as they are.
 
     Raises:
         KinfeasError: If `value` has a wrong type or range.
     """
     if isinstance(value, _PLAIN):
         with suppress(TypeError):
-            _convert(kind, value, place)
+            return _convert(kind, value, place)
+    return value
+
+
+def check_value(kind: Any, value: object, place: Place) -> None:
+    """Raise as `convert` does."""
+    convert(kind, value, place)
 
 
 def init_fields(cls: Any) -> list[Field[Any]]:

@@ -14,6 +14,15 @@ SOUND = """
     from dataclasses import dataclass
     from pathlib import Path
 
+    @dataclass(frozen=True)
+    class Shape:
+        width: float = 1.0
+        ends: tuple[float, float] = (0.0, 1.0)
+
+    class Shaped:
+        def __init__(self, shape: Shape | None = None, *, file: Path = Path("x")):
+            self.kept = (shape, file)
+
     class Wave:
         def __init__(self, height, *, width=1.0):
             if height < 0.0:
@@ -70,7 +79,7 @@ def sound(install):
     """A distribution of plugins that work."""
     motions = ["wave = sound_module:Wave", "any = sound_module:anything"]
     motions += ["typed = sound_module:Typed"]
-    motions += ["lenient = sound_module:Lenient"]
+    motions += ["lenient = sound_module:Lenient", "shaped = sound_module:Shaped"]
     motions += ["number = sound_module:NUMBER", "absent = sound_module:Absent"]
     robots = ["mine = sound_module:my_robot", "text = sound_module:no_path"]
     install("sound", "sound_module", SOUND, {MOTIONS: motions, "kinfeas.robots": robots})
@@ -140,8 +149,17 @@ def test_build_refuses_parameters(sound, name, parameters, expected):
 def test_annotated_parameters_may_be_all_that_they_could_be(sound):
     given = {"lag": 1, "count": 2, "ends": [1, 2], "file": "a", "rest": None, "shape": [1]}
     built = registry.build(MOTIONS, "lenient", {**given, "table": {1: 2.0}})
-    assert built.kept == (1, 2, "", False, [1, 2], "a", None)
+    assert built.kept == (1, 2, "", False, (1, 2), Path("a"), None)
     assert registry.build(MOTIONS, "lenient", {"lag": float("inf")}).kept[0] == float("inf")
+
+
+def test_parameters_come_in_the_types_that_they_are_annotated_with(sound):
+    given = {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
+    shape, file = registry.build(MOTIONS, "shaped", given).kept
+    assert (shape.width, shape.ends, file) == (1.0, (1.0, 2.0), Path("a.yaml"))
+    assert given == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
+    text = message(registry.build, MOTIONS, "shaped", {"shape": {"end": 1}})
+    assert "unknown key 'shape.end' (did you mean 'ends'?)" in text
 
 
 def test_types_that_are_written_as_text_are_known(install):
@@ -194,6 +212,23 @@ def test_broken_plugin_names_itself_and_disturbs_no_other(sound, install, source
     assert "bad" in registry.names(MOTIONS)
     assert registry.load(MOTIONS, "wave").__name__ == "Wave"
     assert registry.load(MOTIONS, "linear").__name__ == "Linear"
+
+
+@pytest.mark.parametrize("target", ["", "broken-module:Broken", "broken_module.Broken()"])
+def test_an_entry_point_to_nothing_says_what_it_must_be(install, target):
+    install("broken", "broken_module", "", {MOTIONS: [f"bad = {target}"]})
+    text = message(registry.build, MOTIONS, "bad", {})
+    cause = f"its entry point must be module:name, not {target!r}"
+    assert text == f"motion generator 'bad' (broken 1.2) cannot be loaded: {cause}"
+
+
+def test_a_distribution_that_was_half_removed_disturbs_nobody(install, tmp_path):
+    install("half", "half_module", "class Wave: pass", {MOTIONS: ["wave = half_module:Wave"]})
+    (tmp_path / "half" / "half-1.2.dist-info" / "METADATA").unlink()
+    [found] = [plugin for plugin in registry.plugins(MOTIONS) if plugin.name == "wave"]
+    assert str(found) == "motion generator 'wave' (? ?)"
+    install("rival", "rival_module", "Wave = int", {MOTIONS: ["wave = rival_module:Wave"]})
+    assert "is claimed by ? and rival" in message(registry.load, MOTIONS, "wave")
 
 
 def test_name_claimed_twice_names_both(sound, install):
