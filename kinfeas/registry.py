@@ -258,8 +258,11 @@ def _typed(
         value, taken = given[name], signature.parameters[name]
         # What `.inf` means, is for the plugin to say.
         endless = isinstance(value, float) and not math.isfinite(value)
-        if not endless and value is not taken.default:
-            typed[name] = convert(taken.annotation, value, Place(subject, name))
+        if endless or value is taken.default:
+            continue
+        converted = convert(taken.annotation, value, Place(subject, name))
+        # A whole number stays as it was written, for errors that quote it.
+        typed[name] = value if converted == value else converted
     return typed
 
 

@@ -158,6 +158,7 @@ def test_parameters_come_in_the_types_that_they_are_annotated_with(sound):
     shape, file = registry.build(MOTIONS, "shaped", given).kept
     assert (shape.width, shape.ends, file) == (1.0, (1.0, 2.0), Path("a.yaml"))
     assert given == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
+    assert "not -1" in message(registry.build, MOTIONS, "typed", {"height": -1})
     text = message(registry.build, MOTIONS, "shaped", {"shape": {"end": 1}})
     assert "unknown key 'shape.end' (did you mean 'ends'?)" in text
 
