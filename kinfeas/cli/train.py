@@ -126,6 +126,8 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     ones: PyBullet's state cannot be saved.
     """
     options.check_robot(robot)
+    from kinfeas.training.run_folder import check_begun, check_new
+
     if processes is not None and world is WorldName.ANALYTIC:
         raise KinfeasError("--processes needs --world pybullet")
     pybullet = True if world is WorldName.PYBULLET else None
@@ -135,29 +137,31 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     if resume is not None:
         if any(value is not None for value in (*vars(wishes).values(), out, config, overrides)):
             raise KinfeasError("--resume goes on with the run's own settings: leave out all others")
-        _check_folder(resume, begun=True)
-        folder, progress = resume, resume_run(resume)
+        check_begun(resume)
+        folder, progress = resume, _finished(resume) or resume_run(resume)
     else:
         if out is not None:
-            _check_folder(out, begun=False)
+            check_new(out)
         settings = read_settings(wishes, config, overrides or [])
         folder = out or default_folder(settings)
-        _check_folder(folder, begun=False)
+        check_new(folder)
         progress = train_run(settings, folder)
     _show(progress, folder)
 
 
-def _check_folder(folder: Path, *, begun: bool) -> None:
-    """Refuse to begin a run that there is, or to go on with none, before torch is imported.
+def _finished(folder: Path) -> "Progress | None":
+    """Return how far a run came that has nothing left to do, and say so; None for any other."""
+    from kinfeas.training.run_folder import SETTINGS
+    from kinfeas.training.standing import finished
 
-    That takes seconds, and `kinfeas.training.train` looks more closely.
-    """
-    if (folder / "config.yaml").is_file() is begun:
-        return
-    if begun:
-        raise KinfeasError(f"{folder}: not a training run: there is no config.yaml in it")
-    again = f"--resume {shlex.quote(str(folder))}"
-    raise KinfeasError(f"{folder}: already there; use {again}, or another --out")
+    progress = finished(folder)
+    if progress is not None:
+        sys.stderr.write(
+            f"{folder}: finished; a higher schedule.steps or schedule.minutes in its {SETTINGS} "
+            "takes it further\n"
+        )
+        write_json(best_figures(folder), folder / "evaluation.json")
+    return progress
 
 
 def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
@@ -175,11 +179,13 @@ def resume_run(folder: Path) -> "Progress":
 
 
 def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
+    from kinfeas.training.run_folder import SETTINGS
+
     try:
         with training_bar() as report:
             progress = work(report)
     except KeyboardInterrupt:
-        begun = (folder / "config.yaml").is_file()
+        begun = (folder / SETTINGS).is_file()
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
         sys.stderr.write(
             f"interrupted: the run is kept, go on with: {resume}\n"

@@ -72,6 +72,7 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     from kinfeas.registry import from_anywhere
     from kinfeas.storage.recipes import default_recipe, find_recipe
     from kinfeas.training.config import TrainConfig
+    from kinfeas.training.origin import fitted
 
     folder = "train_physics" if wishes.pybullet else "train"
     if recipe is None and wishes.robot is None and wishes.init is not None:
@@ -90,7 +91,8 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     # What names something unknown is refused before there is a folder.
     robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
     World(options.read_robot(robot), task, settings.world, settings.seed)
-    return replace(settings, robot=from_anywhere(robot), task=from_anywhere(settings.task))
+    named = replace(settings, robot=from_anywhere(robot), task=from_anywhere(settings.task))
+    return fitted(named)
 
 
 def default_folder(settings: "TrainConfig") -> Path:

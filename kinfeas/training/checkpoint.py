@@ -1,26 +1,23 @@
 """Checkpoints to resume from: tensors in safetensors, numbers in JSON; nothing is unpickled."""
 
-import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import SAC
 
-from kinfeas import config
 from kinfeas.config import Interval
-from kinfeas.errors import KinfeasError
 from kinfeas.training.learner import Learner
+from kinfeas.training.state import Tally, checked, loading, read_state, write_state
 
-_FORMAT = 1
-_TENSORS, _STATE = "state.safetensors", "state.json"
+__all__ = ["load_learner", "loading", "read_state", "save_learner"]
+
+_TENSORS = "state.safetensors"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _WORLD = ("world.base_pose", "world.joint_positions", "world.sent", "world.desired")
 _FINITE = ("policy.", "buffer.", "log_ent_coef", *_WORLD)
@@ -28,9 +25,6 @@ _FINITE = ("policy.", "buffer.", "log_ent_coef", *_WORLD)
 _UNSIGNED = ".unsigned"
 
 Tensors = dict[str, torch.Tensor]
-Tally = Annotated[int, Interval(low=0)]
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -90,27 +84,13 @@ def save_learner(
     tensors |= random_tensors
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     about = {
-        "format": _FORMAT,
         "optimizers": optimizers,
         "updates": learner._n_updates,
         "buffer": {"position": buffer.pos, "full": buffer.full},
         "random": random,
         **state,
     }
-    (folder / _STATE).write_text(json.dumps(about), encoding="utf-8")
-
-
-def read_state(folder: Path) -> dict[str, Any]:
-    """Return what `save_learner` was given as `state`, beside its own entries.
-
-    Raises:
-        KinfeasError: If there is no checkpoint, or a broken one.
-    """
-    with loading(folder):
-        about: dict[str, Any] = json.loads((folder / _STATE).read_text(encoding="utf-8"))
-        if about["format"] != _FORMAT:
-            raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
-        return about
+    write_state(folder, about)
 
 
 def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
@@ -138,34 +118,6 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
         learner._n_updates = numbers.updates
         _load_random_state(numbers.random, tensors)
         return _world_arrays(tensors)
-
-
-def checked(cls: type[T], entries: object) -> T:
-    """Return entries of a checkpoint's numbers as an instance of the frozen dataclass `cls`.
-
-    Raises:
-        ValueError: If one is not what `cls` allows; `loading` makes a sentence of it.
-    """
-    try:
-        return config.from_mapping(cls, entries, _STATE)
-    except KinfeasError as error:
-        raise ValueError(str(error)) from error
-
-
-@contextmanager
-def loading(folder: Path) -> Iterator[None]:
-    """Turn what a missing or broken checkpoint brings about into one `KinfeasError`."""
-    try:
-        yield
-    except KinfeasError:
-        raise  # it says all there is to say
-    except FileNotFoundError as error:
-        raise KinfeasError(f"{folder}: no checkpoint to resume: a file is missing") from error
-    except (OSError, SafetensorError, LookupError, ValueError, TypeError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise KinfeasError(
-            f"{folder}: broken checkpoint, or one of another run: {type(error).__name__}: {reason}"
-        ) from error
 
 
 def _check_finite(tensors: Tensors) -> None:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from kinfeas import pretrained, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.policies import load_policy
-from kinfeas.policy import Network
+from kinfeas.policy import Network, read_network
 from kinfeas.training.config import TrainConfig
 
 
@@ -17,7 +16,7 @@ def fitted(config: TrainConfig) -> TrainConfig:
     """Return the configuration with the layers and the lasting name of what it goes on from.
 
     Raises:
-        KinfeasError: If that policy cannot be read, or is no network.
+        KinfeasError: If that policy cannot be read, or is none that was trained.
     """
     if config.init is None:
         return config
@@ -34,7 +33,7 @@ def first_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:
         scale: Factor on each observed number in the run's environment, shape (o,).
 
     Raises:
-        KinfeasError: If it cannot be read, is no network, or has another scale.
+        KinfeasError: If it cannot be read, is none that was trained, or has another scale.
     """
     network = _load(config)
     if not np.array_equal(network.scale, scale):
@@ -43,11 +42,13 @@ def first_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:
 
 
 def _load(config: TrainConfig) -> Network:
-    assert config.init is not None
-    found = load_policy(config.init, registry.load_robot(config.robot))
-    if not isinstance(found, Network):
+    init, robot = config.init, registry.load_robot(config.robot)
+    assert init is not None
+    if init == pretrained.NAME:
+        return read_network(pretrained.find(robot.name), robot)
+    if not (init and Path(init).is_dir()):  # an empty path is the folder that one is in
         raise KinfeasError(
-            f"init: {config.init} has no weights to go on from; it must be the folder of a "
-            "training run or of a checkpoint, or pretrained"
+            f"init: {init or repr(init)}: neither the folder of a training run or of a checkpoint "
+            f"nor {pretrained.NAME!r}; nothing else has weights to go on from"
         )
-    return found
+    return read_network(Path(init), robot)

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinfeas.config import Interval
 from kinfeas.quantities import NotNegative
-from kinfeas.training.checkpoint import Tally, checked
+from kinfeas.training.state import Tally, checked
 
 RECENT = 256
 """Training episodes that the reported success rate is the mean of."""

@@ -1,6 +1,5 @@
 """A training run: collect, learn, evaluate, save; and go on after any interruption."""
 
-import shlex
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from kinfeas.metrics import summarize
 from kinfeas.policy import read_network, write_network
 from kinfeas.storage.files import writing
 from kinfeas.storage.folders import alone, find_folder, write_folder
-from kinfeas.training.checkpoint import load_learner, loading, read_state, save_learner
+from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import (
@@ -30,7 +29,16 @@ from kinfeas.training.learner import (
 from kinfeas.training.logs import LEARNER, Logs
 from kinfeas.training.origin import first_policy, fitted
 from kinfeas.training.process_env import ProcessVecEnv
-from kinfeas.training.progress import Progress, read_progress
+from kinfeas.training.progress import Progress
+from kinfeas.training.run_folder import SETTINGS, check_begun, check_new
+from kinfeas.training.standing import (
+    evaluations_due,
+    identity,
+    read_settings,
+    read_standing,
+    share_done,
+)
+from kinfeas.training.state import loading
 from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
 from kinfeas.training.worlds import Judge, analytic_judge, analytic_world, physics_judge
 
@@ -51,7 +59,7 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     Raises:
         KinfeasError: If the folder exists with something in it, or cannot be written.
     """
-    _check_new(out)
+    check_new(out)
     # What is wrong with the configuration shows here, before anything is written.
     config = fitted(config)
     run = _Run(config, out)
@@ -59,8 +67,8 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     with alone(out):
-        _check_new(out)  # another run may have begun there since
-        configuration.dump(config, out / "config.yaml")
+        check_new(out)  # another run may have begun there since
+        configuration.dump(config, out / SETTINGS)
         return run.go(report)
 
 
@@ -71,23 +79,11 @@ def resume(out: Path, report: Report | None = None) -> Progress:
         KinfeasError: If the folder is no run, its checkpoint is broken, its robot has got other
             kinematics, or the run still goes on.
     """
-    if not (out / "config.yaml").is_file():
-        raise KinfeasError(f"{out}: not a training run: there is no config.yaml in it")
+    check_begun(out)
     with alone(out):
-        run = _Run(configuration.load(TrainConfig, out / "config.yaml"), out)
+        run = _Run(read_settings(out), out)
         run.load()
         return run.go(report)
-
-
-def _check_new(out: Path) -> None:
-    with writing(out):
-        # What is hidden may be left of a run that was killed while it wrote its first file.
-        if not (out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir())):
-            return
-        if not (out / "config.yaml").is_file():
-            raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
-    again = f"--resume {shlex.quote(str(out))}"
-    raise KinfeasError(f"{out}: already there; use {again}, or another --out")
 
 
 class _Run:
@@ -120,14 +116,9 @@ class _Run:
                 )
             self.begin()
             return
-        state = read_state(last)
+        self.progress = read_standing(self.config, last)
         with loading(last):
-            self._check_same(state["config"], last)
             read_network(last, self.env.robot)
-            self.progress = read_progress(state["progress"])
-            # The schedule may have been made longer.
-            self.progress.share = self._share()
-            self.progress.evaluations = min(self.progress.evaluations, self._evaluations_due())
             self.observation = self.env.restore(load_learner(last, self.learner))
 
     def go(self, report: Report | None) -> Progress:
@@ -153,8 +144,9 @@ class _Run:
         logged = saved = self.progress.seconds
         while True:
             # First, so that a run that was interrupted while it was being judged is judged again.
-            if self._evaluations_due() > self.progress.evaluations:
+            if evaluations_due(self.config, self.progress) > self.progress.evaluations:
                 self._evaluate(judge, logs)
+                self.progress.seconds = time.monotonic() - begun
                 self._save()
                 self.progress.seconds = saved = time.monotonic() - begun
             if self.progress.share >= 1.0:
@@ -162,7 +154,7 @@ class _Run:
             with uninterrupted():
                 self._step()
                 self.progress.seconds = now = time.monotonic() - begun
-                self.progress.share = self._share()
+                self.progress.share = share_done(self.config.schedule, self.progress)
             if now - saved >= self.config.schedule.checkpoint_seconds:
                 self._save()
                 saved = now
@@ -203,20 +195,6 @@ class _Run:
         steps = self.config.environments * self.config.hold
         progress.add(steps, (infos[row]["is_success"] for row in ended))
 
-    def _share(self) -> float:
-        schedule = self.config.schedule
-        shares = [0.0]
-        if schedule.steps is not None:
-            shares.append(self.progress.steps / schedule.steps)
-        if schedule.minutes is not None:
-            shares.append(self.progress.seconds / (60.0 * schedule.minutes))
-        return min(1.0, max(shares))
-
-    def _evaluations_due(self) -> int:
-        # What the run goes on from is judged, too: it may stay the best.
-        first = self.config.init is not None
-        return first + int(self.progress.share * self.config.schedule.evaluations)
-
     def _evaluate(self, judge: Judge, logs: Logs) -> None:
         """Judge the policy on fixed episodes; keep it if none was better."""
         self._losses()
@@ -224,7 +202,7 @@ class _Run:
         records = judge(network, self.config.schedule.evaluation_episodes)
         figures: Mapping[str, Any] = summarize(records)
         with uninterrupted():
-            self.progress.evaluations = self._evaluations_due()
+            self.progress.evaluations = evaluations_due(self.config, self.progress)
             if figures["success"] >= self.progress.best:
                 self.progress.best = float(figures["success"])
                 about = {
@@ -254,7 +232,7 @@ class _Run:
 
     def _save(self) -> None:
         self._losses()
-        state = {"config": self._identity(), "progress": self.progress.saved()}
+        state = {"config": identity(self.config), "progress": self.progress.saved()}
 
         def fill(folder: Path) -> None:
             save_learner(folder, self.learner, self.env.snapshot(), state)
@@ -268,19 +246,3 @@ class _Run:
     def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
         network = network_of(self.learner, self.env.scale)
         write_network(network, folder, self.env.robot, about)
-
-    def _identity(self) -> dict[str, object]:
-        """Return what must be the same for a run to go on: everything but how long it lasts."""
-        mapping = configuration.to_mapping(self.config)
-        del mapping["schedule"]
-        return mapping
-
-    def _check_same(self, told: dict[str, object], place: Path) -> None:
-        # What was no key yet when the checkpoint was written had its default.
-        saved = configuration.to_mapping(configuration.from_mapping(TrainConfig, told, str(place)))
-        for key, value in self._identity().items():
-            if saved[key] != value:
-                raise KinfeasError(
-                    f"{place}: a checkpoint of another run: its {key} is {saved[key]}, "
-                    f"but {self.out / 'config.yaml'} says {value}"
-                )

@@ -11,6 +11,7 @@ import yaml
 from kinfeas import registry
 from kinfeas.adapters import read_sim2real
 from kinfeas.cli.train_settings import Wishes, read_settings
+from kinfeas.errors import KinfeasError
 from kinfeas.training import train as training
 from tests.cli.conftest import TINY, is_one_line
 from tests.sim2real.policy_cases import write_run
@@ -56,10 +57,44 @@ def test_a_robot_by_path_and_a_recipe_by_path(kinfeas, tmp_path):
     assert f"--robot {tmp_path / 'pr2.yaml'}" in outcome.out
 
 
-def test_resume_of_a_finished_run_does_no_harm(kinfeas, run_folder):
-    before = (run_folder / "checkpoints" / "best" / "policy.safetensors").read_bytes()
-    assert kinfeas("train", "--resume", "run").code == 0
-    assert (run_folder / "checkpoints" / "best" / "policy.safetensors").read_bytes() == before
+def test_resume_of_a_finished_run_shows_it_and_does_no_harm(kinfeas, run_folder):
+    (run_folder / "evaluation.json").unlink()  # a kill may have come before it
+    before = {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()}
+    outcome = kinfeas("train", "--resume", "run")
+    assert outcome.code == 0
+    assert outcome.err == (
+        "run: finished; a higher schedule.steps or schedule.minutes in its config.yaml takes it "
+        "further\n"
+    )
+    assert "kinfeas evaluate --robot pr2 --task ggr --policy run" in outcome.out
+    assert json.loads((run_folder / "evaluation.json").read_text())["steps"] == 64
+    (run_folder / "evaluation.json").unlink()
+    assert {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()} == before
+
+
+def test_a_finished_run_is_shown_without_torch(run_folder):
+    code = """
+import sys
+from kinfeas.cli.main import main
+try:
+    main()
+finally:
+    print("torch" in sys.modules)
+"""
+    command = [sys.executable, "-c", code, "train", "--resume", "run"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=run_folder.parent
+    )
+    assert done.stdout.endswith("--policy run\nFalse\n")
+
+
+def test_a_longer_schedule_takes_a_finished_run_further(kinfeas, run_folder):
+    settings = run_folder / "config.yaml"
+    settings.write_text(settings.read_text().replace("steps: 64", "steps: 128"))
+    outcome = kinfeas("train", "--resume", "run")
+    assert outcome.code == 0, outcome.err
+    assert "128" in outcome.out
+    assert "finished" not in outcome.err
 
 
 def test_interruption_says_how_to_go_on(kinfeas, monkeypatch):
@@ -128,7 +163,8 @@ def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
         (("--set", "learner.learning_rate=1.5"), "must be a number in (0, 1], not 1.5"),
         (("--world", "pybullet", "--processes", "257"), "less than or equal to 256"),
         (("--processes", "2"), "needs --world pybullet"),
-        (("--init", "follow_ee", "--steps", "8"), "has no weights to go on from"),
+        (("--init", "follow_ee", "--steps", "8"), "nothing else has weights to go on from"),
+        (("--init", "nowhere"), "error: init: nowhere: neither the folder of a training run"),
         (("--world", "pybullet", "--config", "train/default"), "a recipe without 'physics'"),
         (("--config", "train_physics/default"), "needs --world pybullet"),
         (("--resume", "nowhere"), "not a training run"),
@@ -156,16 +192,17 @@ def test_a_run_is_not_overwritten(kinfeas, run_folder):
 
 
 @pytest.mark.parametrize(
-    ("option", "end"),
+    ("option", "place", "end"),
     [
-        ("--out", "use --resume run, or another --out"),
-        ("--resume", "there is no config.yaml in it"),
+        ("--out", "run", "use --resume run, or another --out"),
+        ("--out", ".", "holds other files, --out needs a new or an empty folder"),
+        ("--out", "run/config.yaml/below", "cannot be written: Not a directory"),
+        ("--resume", ".", "there is no config.yaml in it"),
     ],
 )
-def test_a_wrong_folder_is_refused_before_torch_is_imported(tmp_path, option, end):
+def test_a_wrong_folder_is_refused_before_torch_is_imported(tmp_path, option, place, end):
     (tmp_path / "run").mkdir()
-    if option == "--out":
-        (tmp_path / "run" / "config.yaml").touch()
+    (tmp_path / "run" / "config.yaml").touch()
     code = """
 import sys
 from kinfeas.cli.main import main
@@ -174,7 +211,7 @@ try:
 finally:
     print("heavy:", {"torch", "numba"} & set(sys.modules))
 """
-    command = [sys.executable, "-c", code, "train", option, "run"]
+    command = [sys.executable, "-c", code, "train", option, place]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "heavy: set()\n")
     assert done.stderr.endswith(f"{end}\n")
@@ -183,12 +220,17 @@ finally:
 def test_a_run_goes_on_from_a_policy_with_its_robot(tmp_path):
     write_run(registry.load_robot("hsr"), tmp_path, extra={"config": {"robot": "hsr"}})
     settings = read_settings(Wishes(init=str(tmp_path)), None, [])
-    assert settings == replace(read_settings(Wishes("hsr"), None, []), init=str(tmp_path))
-    assert read_settings(Wishes(init=str(tmp_path)), "train/pr2", []).robot == "pr2"
-    assert read_settings(Wishes("pr2", init=str(tmp_path)), None, []).robot == "pr2"
+    recipe = read_settings(Wishes("hsr"), None, [])
+    learner = replace(recipe.learner, hidden=(8, 8))
+    assert settings == replace(recipe, init=str(tmp_path), learner=learner)
+    for wishes, recipe in ((Wishes(), "train/pr2"), (Wishes("pr2"), None)):
+        with pytest.raises(KinfeasError, match=r"for robot 'hsr' .* but robot 'pr2' has"):
+            read_settings(replace(wishes, init=str(tmp_path)), recipe, [])
 
 
 def test_a_broken_checkpoint_is_one_line(kinfeas, run_folder):
     state = run_folder / "checkpoints" / "last" / "state.safetensors"
     state.write_bytes(state.read_bytes()[:100])
+    settings = run_folder / "config.yaml"
+    settings.write_text(settings.read_text().replace("steps: 64", "steps: 128"))
     assert is_one_line(kinfeas("train", "--resume", "run"))

@@ -322,6 +322,20 @@ def test_minutes_end_a_run_and_count_over_its_parts(tiny, tmp_path):
     assert resume(tmp_path / "run").steps == progress.steps
 
 
+def test_the_time_of_an_evaluation_is_kept(tiny, tmp_path, monkeypatch):
+    run_episodes = worlds.run_episodes
+
+    def slow(*arguments):
+        time.sleep(0.5)
+        return run_episodes(*arguments)
+
+    monkeypatch.setattr(worlds, "run_episodes", slow)
+    out = tmp_path / "run"
+    train(tiny("schedule.steps=80", "schedule.evaluations=1"), out)
+    judged = [float(row["seconds"]) for row in rows(out) if row["evaluation/success"]]
+    assert state(out)["progress"]["seconds"] >= judged[-1] + 0.5
+
+
 def test_the_best_policy_is_kept(tiny, tmp_path, monkeypatch):
     successes = iter([0.5, 0.25, 0.5, 0.4])
     original = training.summarize
@@ -621,8 +635,9 @@ def test_what_it_goes_on_from_may_be_named_from_any_folder(finished, tiny, tmp_p
 @pytest.mark.parametrize(
     ("init", "message"),
     [
-        ("follow_ee", "init: follow_ee has no weights to go on from"),
-        ("nowhere", "unknown policy 'nowhere'"),
+        ("follow_ee", "init: follow_ee: neither the folder of a training run or of a checkpoint"),
+        ("nowhere", "init: nowhere: neither .* nor 'pretrained'; nothing else has weights"),
+        ("''", "init: '': neither the folder"),
     ],
 )
 def test_what_has_no_weights_is_a_clear_error(tiny, tmp_path, init, message):
