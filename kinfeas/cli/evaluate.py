@@ -20,7 +20,7 @@ from kinfeas.cli.output import (
     write_json,
 )
 from kinfeas.cli.physics_options import physics_assignments
-from kinfeas.cli.policy_robot import robot_of
+from kinfeas.cli.policy_robot import check_policy, robot_of
 from kinfeas.cli.sim2real_table import weigh
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import MOST_EPISODES
@@ -133,6 +133,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     achieved one green, steps without an IK solution red.
     """
     options.check_robot(robot)
+    check_policy(policy)
     if picture is not None and sim2real is None:
         raise KinfeasError("--picture needs --sim2real")
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}

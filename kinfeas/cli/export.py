@@ -88,15 +88,16 @@ def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
 def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> None:
     from kinfeas import pretrained
     from kinfeas.evaluation.policies import BASELINES
-    from kinfeas.sim2real.export import export as run
 
     folder = Path(policy)
-    if policy in ("", *BASELINES) or (folder.exists() and not folder.is_dir()):
+    if policy in ("", *BASELINES) or (policy != pretrained.NAME and not folder.is_dir()):
         raise KinfeasError(
             f"{policy or repr(policy)}: not the folder of a training run or of a checkpoint, nor "
             f"{pretrained.NAME!r}; nothing else can be exported"
         )
     known = options.read_robot(robot or robot_of(policy))
+    from kinfeas.sim2real.export import export as run
+
     if policy == pretrained.NAME:
         folder = pretrained.find(known.name)
     with status("exporting"):

@@ -1,4 +1,4 @@
-"""The robot that a policy was trained for: the one that moves where no other is named."""
+"""The policy that is asked for, and the robot that moves where no other is named: its own."""
 
 from pathlib import Path
 
@@ -6,6 +6,17 @@ from kinfeas.cli import completion
 from kinfeas.errors import KinfeasError
 
 DEFAULT = "pr2"
+
+
+def check_policy(policy: str) -> None:
+    """Check that what `--policy` names is there, before anything slow is imported.
+
+    Raises:
+        KinfeasError: If it is not.
+    """
+    from kinfeas.evaluation.policies import LOOK_AHEAD, check_name
+
+    check_name(policy.removeprefix(LOOK_AHEAD))
 
 
 def robot_of(policy: str | None) -> str:

@@ -4,48 +4,48 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinfeas import policy, pretrained
+from kinfeas import pretrained
 from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
-from kinfeas.policy import Policy
-from kinfeas.robots.robot import Robot
 
 if TYPE_CHECKING:
     from kinfeas.look_ahead import Foresight
+    from kinfeas.policy import Policy
+    from kinfeas.robots.robot import Robot
 
 
 # Each is imported when it is asked for: a deployed policy needs none of them.
-def _follow_ee(robot: Robot) -> Policy:
+def _follow_ee(robot: "Robot") -> "Policy":
     from kinfeas.baselines.follow_ee import FollowEe
 
     return FollowEe(robot.base)
 
 
-def _follow_ee_feedback(robot: Robot) -> Policy:
+def _follow_ee_feedback(robot: "Robot") -> "Policy":
     from kinfeas.baselines.follow_ee import FollowEe
 
     return FollowEe(robot.base, feedback=True)
 
 
-def _demonstrated_base(robot: Robot) -> Policy:
+def _demonstrated_base(robot: "Robot") -> "Policy":
     from kinfeas.baselines.demonstrated_base import demonstrated_base
 
     return demonstrated_base(robot)
 
 
-def _geometric_modulation(robot: Robot) -> Policy:
+def _geometric_modulation(robot: "Robot") -> "Policy":
     from kinfeas.baselines.geometric_modulation import geometric_modulation
 
     return geometric_modulation(robot)
 
 
-def _whole_body_qp(robot: Robot) -> Policy:
+def _whole_body_qp(robot: "Robot") -> "Policy":
     from kinfeas.baselines.whole_body_qp import whole_body_qp
 
     return whole_body_qp(robot)
 
 
-BASELINES: dict[str, Callable[[Robot], Policy]] = {
+BASELINES: "dict[str, Callable[[Robot], Policy]]" = {
     "follow_ee": _follow_ee,
     "follow_ee_feedback": _follow_ee_feedback,
     "demonstrated_base": _demonstrated_base,
@@ -61,7 +61,7 @@ QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Those that a trained policy is always set beside: they cost nothing and need no extra."""
 
 
-def load_policy(name: str, robot: Robot) -> Policy:
+def load_policy(name: str, robot: "Robot") -> "Policy":
     """Return a baseline by its name, or a trained policy by its folder or its ONNX file.
 
     `pretrained` is the policy that comes with the package for `robot`.
@@ -69,22 +69,35 @@ def load_policy(name: str, robot: Robot) -> Policy:
     Raises:
         KinfeasError: If there is none, or the trained policy is broken or not for `robot`.
     """
+    check_name(name)
     if name in BASELINES:
         return BASELINES[name](robot)
+    from kinfeas.policy import read_network
+
     if name == pretrained.NAME:
-        return policy.read_network(pretrained.find(robot.name), robot)
-    if not name or not Path(name).exists():  # an empty path is the folder that one is in
-        problem = f"unknown policy {name!r}" if name else "the name of the policy is empty"
-        raise KinfeasError(
-            f"{problem}{no_such(name, [*BASELINES, pretrained.NAME])}, "
-            "or the folder of a training run, or the ONNX file of an export"
-        )
+        return read_network(pretrained.find(robot.name), robot)
     check_place(Path(name))
     if Path(name).is_file():
         from kinfeas.sim2real.policy_file import read_policy_file
 
         return read_policy_file(Path(name), robot)
-    return policy.read_network(Path(name), robot)
+    return read_network(Path(name), robot)
+
+
+def check_name(name: str) -> None:
+    """Check that there is a policy of this name, or something in its place, at once.
+
+    Raises:
+        KinfeasError: If there is not.
+    """
+    known = (*BASELINES, pretrained.NAME)
+    if name in known or (name and Path(name).exists()):  # an empty path is the folder one is in
+        return
+    problem = f"unknown policy {name!r}" if name else "the name of the policy is empty"
+    raise KinfeasError(
+        f"{problem}{no_such(name, known)}, "
+        "or the folder of a training run, or the ONNX file of an export"
+    )
 
 
 def check_place(path: Path) -> None:
@@ -101,7 +114,7 @@ def check_place(path: Path) -> None:
         raise KinfeasError(f"{path}: empty, and so not the ONNX file of an export")
 
 
-def load_driver(name: str, robot: Robot, foresight: "Foresight | None" = None) -> Policy:
+def load_driver(name: str, robot: "Robot", foresight: "Foresight | None" = None) -> "Policy":
     """Return what `load_policy` does, or for `look_ahead:NAME` that policy, looking ahead.
 
     Args:

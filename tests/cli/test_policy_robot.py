@@ -1,10 +1,11 @@
+import re
 import subprocess
 import sys
 
 import pytest
 
 from kinfeas import registry
-from kinfeas.cli.policy_robot import DEFAULT, robot_of
+from kinfeas.cli.policy_robot import DEFAULT, check_policy, robot_of
 from kinfeas.errors import KinfeasError
 from tests.cli.conftest import is_one_line
 from tests.sim2real.policy_cases import write_policy_file, write_run
@@ -15,6 +16,40 @@ from tests.sim2real.policy_cases import write_policy_file, write_run
 )
 def test_what_can_drive_any_robot_or_is_not_there_drives_the_default(policy):
     assert robot_of(policy) == DEFAULT
+
+
+@pytest.mark.parametrize("policy", ["pretrained", "follow_ee", "look_ahead:follow_ee", "."])
+def test_a_policy_that_is_there(policy):
+    check_policy(policy)
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        ("nowhere", "unknown policy 'nowhere'; known are"),
+        ("look_ahead:folow_ee", "unknown policy 'folow_ee' (did you mean 'follow_ee'?)"),
+        ("look_ahead:", "the name of the policy is empty"),
+    ],
+)
+def test_a_policy_that_is_not_there(policy, message):
+    with pytest.raises(KinfeasError, match=re.escape(message)):
+        check_policy(policy)
+
+
+@pytest.mark.parametrize("line", ["evaluate --policy nowhere", "export nowhere --out x.onnx"])
+def test_a_policy_that_is_not_there_is_refused_before_anything_slow_is_imported(tmp_path, line):
+    code = """
+import sys
+from kinfeas.cli.main import main
+try:
+    main()
+finally:
+    print({"numba", "scipy", "onnx", "torch"} & set(sys.modules))
+"""
+    command = [sys.executable, "-c", code, *line.split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "set()\n")
+    assert "nowhere" in done.stderr
 
 
 @pytest.mark.parametrize("extra", [{}, {"config": {"robot": "hsr"}}])
