@@ -12,7 +12,9 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from kinfeas import observation
 from kinfeas.drive import action_size
+from kinfeas.envs.interface import read_actions
 from kinfeas.envs.world import World
+from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.training.batch import Batch, StepResult
 
@@ -81,7 +83,13 @@ class WorldVecEnv(EpisodesVecEnv):
     """n episodes in one world, which moves in a thread of its own; see `Batch`."""
 
     def __init__(self, world: World, num_envs: int, hold: int = 1) -> None:
-        """Put `num_envs` episodes at a time into `world`; an action holds for `hold` periods."""
+        """Put `num_envs` episodes at a time into `world`; an action holds for `hold` periods.
+
+        Raises:
+            KinfeasError: If `num_envs` is less than 1.
+        """
+        if num_envs < 1:
+            raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         super().__init__(world.robot, num_envs)
         self.world, self.batch = world, Batch(world, num_envs, hold)
         self._worker = ThreadPoolExecutor(1)
@@ -92,8 +100,14 @@ class WorldVecEnv(EpisodesVecEnv):
         return self.batch.start()
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Begin a step with the actions, shape (n, a)."""
-        self._coming = self._worker.submit(self.batch.step, np.array(actions, dtype=np.float64))
+        """Begin a step with the actions, shape (n, a).
+
+        Raises:
+            KinfeasError: If the actions are of another shape or not finite.
+        """
+        commands = read_actions(actions, (self.num_envs, self.world.action_size))
+        # A copy, for whoever asked may change the actions meanwhile.
+        self._coming = self._worker.submit(self.batch.step, commands.copy())
 
     def step_wait(self) -> StepResult:
         """Return observations, rewards, dones and infos; where done, a new episode has begun."""

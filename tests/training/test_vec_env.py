@@ -1,9 +1,12 @@
+import re
+
 import numpy as np
 import pytest
 from stable_baselines3 import SAC
 
 from kinfeas import registry
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.errors import KinfeasError
 from kinfeas.observation import CLIP, scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
@@ -177,3 +180,20 @@ def test_an_action_holds_and_earns_the_mean(robot):
         np.testing.assert_array_equal(seen, scaled(beside.loop.observation, env.scale))
         ended += int(over.sum())
     assert ended > 0
+
+
+def test_actions_that_are_none_are_refused(robot):
+    env = make(robot, 2)
+    env.reset()
+    size = env.world.action_size
+    for shape in ((1, size), (2, size + 1), (size,)):
+        with pytest.raises(KinfeasError, match=re.escape(f"not of shape {shape}")):
+            env.step_async(np.zeros(shape))
+    with pytest.raises(KinfeasError, match="not NaN or infinite"):
+        env.step_async(np.full((2, size), np.nan))
+    assert np.isfinite(env.step(np.zeros((2, size)))[0]).all()
+
+
+def test_no_episodes_are_refused(robot):
+    with pytest.raises(KinfeasError, match="num_envs must be at least 1, not 0"):
+        make(robot, 0)
