@@ -10,7 +10,7 @@ from kinfeas import config
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.positions import fixed_positions
 from kinfeas.robots.robot import ArmJoint, Base, Robot
-from kinfeas.robots.spec import Gripper, RobotSpec
+from kinfeas.robots.spec import FASTEST_JOINT, Gripper, RobotSpec
 from kinfeas.robots.tree import Joint, Urdf
 from kinfeas.robots.urdf import parse_urdf
 from kinfeas.spatial import Array
@@ -108,8 +108,11 @@ def _check_followers(spec: RobotSpec, urdf: Urdf, source: str) -> None:
 def _arm_joint(spec: RobotSpec, joint: Joint, source: str) -> ArmJoint:
     block, where = spec.arm[joint.name], f"{source}: 'arm.{joint.name}'"
     velocity = joint.velocity if block.velocity is None else block.velocity
-    if not 0.0 < velocity < math.inf:
-        raise KinfeasError(f"{where}: the URDF gives no velocity above 0, so 'velocity' must")
+    if not 0.0 < velocity <= FASTEST_JOINT:
+        raise KinfeasError(
+            f"{where}: the URDF gives no velocity above 0 and up to {FASTEST_JOINT:g}, so "
+            "'velocity' must"
+        )
     if joint.kind == "continuous":
         if block.soft_limits is not None:
             raise KinfeasError(f"{where}: a continuous joint has no 'soft_limits'")

@@ -12,8 +12,9 @@ from kinfeas.quantities import Metres
 Drive = Literal["omnidirectional", "differential"]
 
 # What no robot has exceeded; larger numbers are mistakes, or would make anything feasible.
+FASTEST_JOINT = 1000.0
 Speed = Annotated[float, Interval(low=0.0, high=100.0, open_low=True)]
-JointSpeed = Annotated[float, Interval(low=0.0, high=1000.0, open_low=True)]
+JointSpeed = Annotated[float, Interval(low=0.0, high=FASTEST_JOINT, open_low=True)]
 Acceleration = Annotated[float, Interval(low=0.0, high=1e4, open_low=True)]
 Effort = Annotated[float, Interval(low=0.0, high=1e5, open_low=True)]
 

@@ -241,6 +241,14 @@ def test_limits_without_a_way_between_them_are_named(tmp_path):
         read_robot(write(tmp_path, spec, URDF.replace(joint, stuck)))
 
 
+def test_a_velocity_that_stands_for_none_is_none(tmp_path):
+    spec = crane() | {"arm": crane()["arm"] | {"swing": {}}}
+    swing = URDF.replace('upper="2" velocity="1"', 'upper="2" velocity="1e16"')
+    read_robot(write(tmp_path, spec))
+    with pytest.raises(KinfeasError, match=r"'arm\.swing': the URDF gives no velocity above 0"):
+        read_robot(write(tmp_path, spec, swing))
+
+
 def led_by_spin(follower: str, multiplier: str) -> str:
     """Return the crane with a claw that follows the endless joint."""
     joint = URDF[URDF.index('<joint name="grip"') : URDF.index("</robot>")]
