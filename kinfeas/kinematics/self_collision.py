@@ -255,6 +255,8 @@ def _rigid_groups(robot: Robot) -> dict[str, str]:
     above = {j.child: j.parent for j in robot.urdf.joints.values() if j.kind == "fixed"}
 
     def top(link: str) -> str:
-        return top(above[link]) if link in above else link
+        while link in above:
+            link = above[link]
+        return link
 
     return {link: top(link) for link in robot.urdf.links}

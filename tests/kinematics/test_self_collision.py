@@ -1,4 +1,5 @@
-from itertools import combinations
+from dataclasses import replace
+from itertools import combinations, pairwise
 
 import fcl
 import numpy as np
@@ -89,6 +90,20 @@ def test_followers_carry_their_shapes(odd_robot, odd_judge, draw):
     )
     assert free > 100
     assert touching > 10
+
+
+def test_links_may_hang_on_each_other_as_deep_as_they_like(odd_robot):
+    urdf, hand = odd_robot.urdf, odd_robot.ee_frame
+    mount = next(joint for joint in urdf.joints.values() if joint.kind == "fixed")
+    ends = [hand, *(f"frame_{i}" for i in range(1500))]
+    links = {name: replace(urdf.links[hand], name=name, shapes=()) for name in ends[1:]}
+    joints = {
+        child: replace(mount, name=child, parent=parent, child=child)
+        for parent, child in pairwise(ends)
+    }
+    deep = replace(urdf, links=urdf.links | links, joints=urdf.joints | joints)
+    pairs = build_collision_model(replace(odd_robot, urdf=deep)).pairs
+    np.testing.assert_array_equal(pairs, build_collision_model(odd_robot).pairs)
 
 
 def test_what_is_checked(robot, judge, draw):
