@@ -1,5 +1,6 @@
 """`kinfeas robot`: the files of a robot, from its URDF."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -161,8 +162,10 @@ def _show(draft: "Draft", path: Path) -> None:
         rows.append(["root", f"{guesses.lifted:g} m above the floor: one on it was added"])
     if guesses.stand:
         rows.append(["base", f"is {guesses.stand} one that drives, or the arm's own first link?"])
+    if guesses.stuck:
+        rows.append(["stand still, for lack of room", ", ".join(guesses.stuck)])
     if guesses.speeds:
         rows.append(["velocities guessed", ", ".join(guesses.speeds)])
     print_table(f"{spec.name}, as its URDF has it", ["", "found"], rows)
     typer.echo(f"look through it: {path}")
-    typer.echo(f"what it can reach: kinfeas ceiling --robot {path}")
+    typer.echo(f"what it can reach: kinfeas ceiling --robot {shlex.quote(str(path))}")

@@ -26,11 +26,13 @@ class Arm:
     Attributes:
         hand: The link that carries the fingers, or the last one of an arm without.
         joints: Joints that move by themselves, from the root to the hand.
+        stuck: Joints on the way that would, but have limits that leave them no room.
         fingers: Joints right at the hand whose links have collision shapes.
     """
 
     hand: str
     joints: tuple[Joint, ...]
+    stuck: tuple[Joint, ...]
     fingers: tuple[Joint, ...]
 
 
@@ -52,7 +54,8 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
         hand = _find_hand(urdf, source)
     if hand not in urdf.links:
         raise KinfeasError(f"{source}: there is no link {hand!r}{no_such(hand, urdf.links)}")
-    joints = tuple(joint for joint in urdf.path_to(hand) if joint.moves and joint.mimic is None)
+    own = [joint for joint in urdf.path_to(hand) if joint.moves and joint.mimic is None]
+    joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
     group = rigid_with(urdf, hand)
@@ -64,17 +67,21 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
         and any(urdf.links[link].shapes for link in urdf.below(joint.name))
         and joint not in urdf.path_to(hand)
     )
-    return Arm(hand, joints, fingers)
+    return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
 
 
 def rigid_with(urdf: Urdf, link: str) -> frozenset[str]:
     """Return the links that cannot move against `link`, itself included."""
-    group, grown = {link}, True
-    while grown:
-        fixed = (joint for joint in urdf.joints.values() if not joint.moves)
-        more = {end for one in fixed for end in (one.parent, one.child) if _touches(one, group)}
-        grown = not more <= group
+    beside: dict[str, list[str]] = {}
+    for joint in urdf.joints.values():
+        if not joint.moves:
+            beside.setdefault(joint.parent, []).append(joint.child)
+            beside.setdefault(joint.child, []).append(joint.parent)
+    group, todo = {link}, [link]
+    while todo:
+        more = set(beside.get(todo.pop(), ())) - group
         group |= more
+        todo += more
     return frozenset(group)
 
 
@@ -91,10 +98,6 @@ def bare_stand(urdf: Urdf, arm: Arm) -> str:
     bodies = [link for link in group if urdf.links[link].shapes]
     bare = len(moving) == len(bodies) == 1 and first.kind != "prismatic"
     return bodies[0] if bare else ""
-
-
-def _touches(joint: Joint, group: set[str]) -> bool:
-    return joint.parent in group or joint.child in group
 
 
 def _find_hand(urdf: Urdf, source: str) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from kinfeas.config import no_such
 from kinfeas.draft.arm import rigid_with
 from kinfeas.draft.meshes import read_triangles
 from kinfeas.draft.placed import link_pose
@@ -105,7 +106,7 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
         KinfeasError: If there is no such link.
     """
     if link not in urdf.links:
-        raise KinfeasError(f"{source}: there is no link {link!r}, only {', '.join(urdf.links)}")
+        raise KinfeasError(f"{source}: there is no link {link!r}{no_such(link, urdf.links)}")
     above = [joint.name for joint in urdf.joints.values() if joint.parent == link]
     return frozenset({link}).union(*(urdf.below(name) for name in above))
 

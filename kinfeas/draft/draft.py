@@ -121,7 +121,7 @@ def bands(heights: Heights, source: str) -> tuple[Band, Band]:
     """Return the heights that are worth learning, metres, and the comfortable ones.
 
     Raises:
-        KinfeasError: If hardly any goal is reached at any height; it names `source`.
+        KinfeasError: If hardly any goal is reached but at a single height; it names `source`.
     """
     for least in (WORTH, WORTH / 2.0, _HARD):
         if band := heights.band(least):
@@ -129,8 +129,9 @@ def bands(heights: Heights, source: str) -> tuple[Band, Band]:
     else:
         best = int(np.argmax(heights.share))
         raise KinfeasError(
-            f"{source}: the arm reaches hardly any goal: at best {heights.share[best]:.0%}, "
-            f"{heights.at[best]:g} m above the floor; is the hand the link that it should be?"
+            f"{source}: the arm reaches {_HARD:.0%} of the goals at no range of heights: at best "
+            f"{heights.share[best]:.0%}, {heights.at[best]:g} m above the floor; is the hand the "
+            "link that it should be?"
         )
     quarter = (band[1] - band[0]) / 4.0
     middle = (round(band[0] + quarter, 3), round(band[1] - quarter, 3))
@@ -152,6 +153,7 @@ def _guesses(spec: RobotSpec, urdf: Urdf, arm: Arm, lifted: float) -> Guesses:
         lifted=lifted,
         speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
         limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
+        stuck=tuple(joint.name for joint in arm.stuck),
         slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
         fingers=len(arm.fingers),
         stand=bare_stand(urdf, arm),

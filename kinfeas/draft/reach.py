@@ -29,6 +29,7 @@ WORTH, EASY = 0.8, 0.98
 _PARALLEL = 0.999  # cosine of the angle between two axes
 _CONFIGURATIONS, _FEW = 4096, 64
 _STEP, _GOALS = 0.1, 48  # metres between heights, and goals at each
+_HIGHEST = 100.0  # m, beyond any robot that drives
 _STAGES = (4, 16, 64, 256)
 _SEARCH = IkOptions(restarts=6, candidates=1)
 """Of IK, from base poses that are many: whether it finds something is enough."""
@@ -171,10 +172,18 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
     Args:
         robot: The robot.
         on_done: Called with the share of all work, 0-1, that has just been done.
+
+    Raises:
+        KinfeasError: If the hand gets higher than any robot's, as with lengths in millimetres.
     """
     solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(_SEED)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
-    at = np.arange(_STEP, max(float(ee.max()), 2.0 * _STEP) + _STEP, _STEP)
+    if (highest := float(ee.max())) > _HIGHEST:
+        raise KinfeasError(
+            f"{robot.name}: the hand gets {highest:.0f} m high, at most {_HIGHEST:g} are allowed; "
+            "lengths in a URDF are metres"
+        )
+    at = np.arange(_STEP, max(highest, 2.0 * _STEP) + _STEP, _STEP)
     shares = []
     for height in at:
         turn = Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (_GOALS, 3)))

@@ -7,11 +7,13 @@ import numpy as np
 
 from kinfeas.draft.arm import Arm
 from kinfeas.draft.hand import Hand
-from kinfeas.robots.spec import ArmJointSpec, BaseSpec, Drive, Leeway, RobotSpec
+from kinfeas.robots.spec import FASTEST_JOINT, ArmJointSpec, BaseSpec, Drive, Leeway, RobotSpec
 from kinfeas.robots.urdf import Joint, Urdf
 
 _WIDEST = 4.0 * math.pi + 0.01
 """Radians: a wider range than a turn either way stands for no limit."""
+
+_HALF_TURN = 3.1416
 
 _TURN, _SLIDE = 1.0, 0.1
 """rad/s and m/s of joints to which the URDF gives no speed."""
@@ -39,18 +41,27 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
         arm=joints,
         home={"home": tuple(_middle(joint, joints[joint.name]) for joint in arm.joints)},
         goal_heights=_HEIGHTS,
-        fixed_joints=_half_open(urdf, hand),
+        fixed_joints={one.name: one.soft_lower for one in arm.stuck} | _half_open(urdf, hand),
         gripper=hand.gripper,
     )
 
 
 def _joint(joint: Joint) -> ArmJointSpec:
-    known = 0.0 < joint.velocity < math.inf
-    endless = joint.kind == "revolute" and joint.upper - joint.lower > _WIDEST
+    known = 0.0 < joint.velocity <= FASTEST_JOINT
     return ArmJointSpec(
-        soft_limits=(-3.1416, 3.1416) if endless else None,
+        soft_limits=_one_turn(joint),
         velocity=None if known else _SLIDE if joint.kind == "prismatic" else _TURN,
     )
+
+
+def _one_turn(joint: Joint) -> tuple[float, float] | None:
+    """Return the turn about 0, or as near to it as may be, of a joint of more than two turns."""
+    lower, upper = joint.soft_lower, joint.soft_upper
+    if joint.kind != "revolute" or upper - lower <= _WIDEST:
+        return None
+    middle = min(max(0.0, lower + _HALF_TURN), upper - _HALF_TURN)
+    low, high = round(middle - _HALF_TURN, 4), round(middle + _HALF_TURN, 4)
+    return max(low, lower), min(high, upper)
 
 
 def _middle(joint: Joint, spec: ArmJointSpec) -> float:

@@ -28,6 +28,7 @@ class Guesses:
         lifted: How far the URDF's own root is above the floor, metres.
         speeds: Arm joints to which the URDF gives no speed.
         limits: Arm joints that turn without end, but are not called continuous.
+        stuck: Joints on the way to the hand whose limits leave them no room.
         touching: Share of configurations in which links touch that may, 0-1.
         slides: Joints whose positions are metres; those of the others are radians.
         fingers: How many fingers the hand has, by which its tip and its axes were found.
@@ -37,6 +38,7 @@ class Guesses:
     lifted: float = 0.0
     speeds: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
+    stuck: tuple[str, ...] = ()
     touching: Mapping[tuple[str, str], float] = field(default_factory=dict)
     slides: frozenset[str] = frozenset()
     fingers: int = 0
@@ -54,7 +56,7 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         spec: What it says.
         guesses: What of that was guessed, which comments tell.
     """
-    parts = (_head, _base, _arm, _gripper, _reach, _collisions)
+    parts = (_head, _base, _arm, _gripper, _fixed, _reach, _collisions)
     return "\n".join(line for part in parts for line in part(spec, guesses)) + "\n"
 
 
@@ -122,9 +124,18 @@ def _gripper(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     for entry in fields(spec.gripper):
         value = _flow(getattr(spec.gripper, entry.name))
         yield f"  {entry.name}: {value}{_comment(units.get(entry.name))}"
-    yield from ("", "# The gripper is half open.", "fixed_joints:")
+
+
+def _fixed(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
+    if not spec.fixed_joints:
+        return
+    yield ""
+    if spec.gripper is not None:
+        yield "# The gripper is half open."
+    yield "fixed_joints:"
     for name, at in spec.fixed_joints.items():
-        yield f"  {_flow(name)}: {_flow(at)}{_comment(guesses.unit(name))}"
+        why = "its limits leave it no room" if name in guesses.stuck else None
+        yield f"  {_flow(name)}: {_flow(at)}{_comment(guesses.unit(name), why)}"
 
 
 def _reach(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
@@ -157,5 +168,6 @@ def _flow(value: Any) -> str:
         plain = _PLAIN.fullmatch(value) and value.lower() not in _WORDS
         return value if plain else json.dumps(value, ensure_ascii=False)
     if isinstance(value, float | int):
-        return f"{value:g}" if round(value, 4) == value else repr(value)
+        short = f"{value:g}"
+        return short if float(short) == value else repr(value)
     return f"[{', '.join(_flow(item) for item in value)}]"

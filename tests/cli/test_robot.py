@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.robots.reading import read_robot
 from tests.cli.conftest import is_one_line
-from tests.draft.conftest import ARM
+from tests.draft.conftest import ARM, STUCK
 
 
 @pytest.fixture
@@ -42,6 +42,17 @@ def test_a_robot_without_shapes_is_told_of(robot, tmp_path):
     assert "none: what touches what is not looked at" in outcome.out
 
 
+def test_what_stands_still_and_how_to_go_on_is_told(robot, tmp_path):
+    text = ARM
+    for old, new in STUCK:
+        text = text.replace(old, new)
+    (tmp_path / "dolly.urdf").write_text(text)
+    outcome = robot("--out", "my robots")
+    assert outcome.code == 0, outcome.err
+    assert re.search(r"stand still, for lack of room.*│ mount ", outcome.out)
+    assert outcome.out.endswith("kinfeas ceiling --robot 'my robots/dolly.yaml'\n")
+
+
 def test_what_is_there_stays(robot, tmp_path):
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "dolly.yaml").write_text("mine")
@@ -57,7 +68,7 @@ def test_what_is_there_stays(robot, tmp_path):
     ("arguments", "message"),
     [
         (("--ee", "plam"), "there is no link 'plam' (did you mean 'palm'?)"),
-        (("--base", "bass"), "there is no link 'bass'"),
+        (("--base", "bass"), "there is no link 'bass' (did you mean 'base'?)"),
         (("--name", "a/b"), "--name: 'name' must be printable"),
         (("--name", ""), "--name: 'name' must be printable"),
         (("--picture", "dolly.jpg"), "--picture: dolly.jpg must end in .png"),

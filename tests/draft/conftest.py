@@ -41,6 +41,13 @@ ARM = """<robot name="dolly">
 """A box with an arm of three joints, a head and a gripper."""
 
 
+STUCK = (
+    ('name="mount" type="fixed"', 'name="mount" type="revolute"'),
+    ('<axis xyz="0 0 0"/>', '<axis xyz="0 0 1"/><limit lower="0.1234567" upper="0.1234567"/>'),
+)
+"""Changes to it that make of a fixed joint one whose limits leave it no room."""
+
+
 @pytest.fixture
 def dolly(tmp_path) -> Path:
     path = tmp_path / "dolly.urdf"

@@ -55,6 +55,13 @@ def test_a_robot_without_an_arm_is_one_sentence(changed):
         find_arm(urdf, None, "dolly")
 
 
+def test_joints_whose_limits_leave_no_room_are_told_apart(changed):
+    path = changed(('lower="-2" upper="2"', 'lower="1" upper="1"'))
+    arm = find_arm(parse_urdf(path), None, "dolly")
+    assert [joint.name for joint in arm.joints] == ["pan", "elbow"]
+    assert [joint.name for joint in arm.stuck] == ["lift"]
+
+
 def test_links_on_fixed_joints_cannot_move_against_each_other(dolly):
     assert rigid_with(parse_urdf(dolly), "tool") == {"wrist", "palm", "tool"}
 

@@ -7,6 +7,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.reading import read_robot
+from tests.draft.conftest import STUCK
 
 
 def written(draft, folder):
@@ -54,15 +55,17 @@ def test_equal_urdfs_make_equal_drafts(dolly, few):
     assert (once.yaml, once.urdf) == (again.yaml, again.urdf)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        ('lower="-2" upper="2"', 'lower="1" upper="1"'),
-        ('<box size="0.04 0.1 0.04"/>', '<box size="0.04 0.1 9999999"/>'),
-    ],
-)
-def test_errors_name_the_file_that_was_given(changed, change):
-    path = changed(change)
+def test_a_joint_without_room_is_no_joint_of_the_arm(changed, tmp_path, few):
+    """Many URDFs lock a joint so, or forget its limits."""
+    draft = draft_robot(changed(*STUCK), DraftOptions())
+    robot = read_robot(written(draft, tmp_path))
+    assert [joint.name for joint in robot.arm] == ["pan", "lift", "elbow"]
+    assert robot.fixed_joints["mount"] == 0.1234567
+    assert "  mount: 0.1234567  # rad, its limits leave it no room\n" in draft.yaml
+
+
+def test_errors_name_the_file_that_was_given(changed):
+    path = changed(('<box size="0.04 0.1 0.04"/>', '<box size="0.04 0.1 9999999"/>'))
     with pytest.raises(KinfeasError, match=f"^{path}: "):
         draft_robot(path, DraftOptions())
 
@@ -84,11 +87,11 @@ def test_heights_are_those_that_are_worth_learning(share, expected):
     assert bands(Heights(np.arange(6.0), np.array(share)), "arm") == expected
 
 
-def test_an_arm_that_reaches_nothing_is_one_sentence():
-    heights = Heights(np.arange(3.0), np.array([0.0, 0.1, 0.0]))
-    with pytest.raises(
-        KinfeasError, match=r"arm: the arm reaches hardly any goal: at best 10%, 1 m"
-    ):
+@pytest.mark.parametrize("best", [0.1, 0.9])
+def test_an_arm_that_reaches_no_range_of_heights_is_one_sentence(best):
+    heights = Heights(np.arange(3.0), np.array([0.0, best, 0.0]))
+    message = f"arm: the arm reaches 20% of the goals at no range of heights: at best {best:.0%}"
+    with pytest.raises(KinfeasError, match=f"{message}, 1 m above"):
         bands(heights, "arm")
 
 

@@ -88,6 +88,15 @@ def test_useful_heights_are_those_of_the_robots_file():
     assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5
 
 
+def test_lengths_in_millimetres_are_one_sentence():
+    """Of that many heights the trial would take a day."""
+    robot = registry.load_robot("tiago")
+    lift = replace(robot.urdf.joints["torso_lift_joint"], origin=np.array([0, 0, 790, 0, 0, 0, 1]))
+    urdf = replace(robot.urdf, joints=robot.urdf.joints | {lift.name: lift})
+    with pytest.raises(KinfeasError, match=r"tiago: the hand gets 79\d m high, at most 100 are"):
+        useful_heights(replace(robot, urdf=urdf))
+
+
 def test_leeway_makes_no_height_useful(monkeypatch):
     """A goal counts within the same distance for every robot."""
     monkeypatch.setattr("kinfeas.draft.reach._GOALS", 8)

@@ -79,6 +79,13 @@ def test_an_arm_that_may_have_no_base_is_told_of_in_a_line(spec):
     assert "own first link" not in robot_yaml(spec, Guesses())
 
 
+@pytest.mark.parametrize("value", [1234.5678, 0.1 + 0.2, 1e-5, 12345678.0, 20.0])
+def test_numbers_are_read_as_they_were(spec, value):
+    fixed = {"finger": value}
+    text = robot_yaml(replace(spec, fixed_joints=fixed), Guesses())
+    assert config.from_mapping(RobotSpec, strict_yaml.parse(text, "it"), "it").fixed_joints == fixed
+
+
 @pytest.mark.parametrize("stand", ["", "a: b", "two\nlines: 1"])
 def test_comments_change_nothing(spec, stand):
     guesses = Guesses(slides=SLIDES, fingers=2, stand=stand)
