@@ -85,7 +85,8 @@ class Place:
         for assigned, text in self.overrides.items():
             if key.startswith(f"{assigned}.") or (self.key and f"{assigned}.".startswith(key)):
                 return text
-        return self.source
+        # What is wrong with all of it together may be the fault of any of them.
+        return self.source if self.key else " with ".join([self.source, *self.overrides.values()])
 
 
 def convert_dataclass(cls: Any, value: object, place: Place) -> Any:

@@ -200,6 +200,11 @@ def test_check_across_fields_names_the_block():
         from_mapping(Required, {"steps": 1, "range": {"low": 2, "high": 1}}, "f")
 
 
+def test_check_across_fields_names_the_file_and_all_that_was_set():
+    with pytest.raises(KinfeasError, match=r"^f with --set low=3: low must not exceed high, not 3"):
+        from_mapping(Range, {"low": 1, "high": 2}, "f", ["low=3"])
+
+
 @pytest.mark.parametrize("data", [None, [], "x", 3])
 def test_data_must_be_a_mapping(data):
     with pytest.raises(KinfeasError, match=r"^f: must be a mapping of keys to values, not"):

@@ -171,8 +171,9 @@ def _text(value: object) -> str:
         return str(value).lower()
     if is_dataclass(value) or isinstance(value, dict):
         return "..."
-    if isinstance(value, tuple | list) and any(is_dataclass(one) for one in value):
-        return f"{len(value)} of them"
+    if isinstance(value, tuple | list):
+        lists = not any(is_dataclass(one) for one in value)
+        return f"[{', '.join(map(_text, value))}]" if lists else f"{len(value)} of them"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

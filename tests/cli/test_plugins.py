@@ -81,6 +81,13 @@ def test_info_on_a_task_heads_its_grip_as_a_file_does(kinfeas):
     assert "gripper" not in shown.partition("legs")[2]
 
 
+def test_info_tells_lists_as_they_are_set(kinfeas, tmp_path):
+    kinfeas("plugins", "info", "ggr", "--json", "ggr.json")
+    [known] = json.loads((tmp_path / "ggr.json").read_text())
+    defaults = {one["name"]: one["default"] for one in known["parameters"]}
+    assert defaults["distance"] == "[1, 5]"
+
+
 def test_info_on_a_robot(kinfeas, tmp_path):
     outcome = kinfeas("plugins", "info", "hsr", "--json", "hsr.json")
     assert "arm_lift_joint" in outcome.out
