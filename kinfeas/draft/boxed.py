@@ -51,7 +51,7 @@ def boxed_urdf(
     robot = read_robot_element(path)
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
-    kept = carried(urdf, base or _first_body(urdf, links), str(path))
+    kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
     out = ElementTree.Element("robot", name=urdf.name)
     for name in filter(kept.__contains__, links):
         link = Element(links[name].xml, f"{path}: link {name!r}")

@@ -41,7 +41,7 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
         arm=joints,
         home={"home": tuple(_middle(joint, joints[joint.name]) for joint in arm.joints)},
         goal_heights=_HEIGHTS,
-        fixed_joints={one.name: one.soft_lower for one in arm.stuck} | _half_open(urdf, hand),
+        fixed_joints=_still(urdf, arm) | _half_open(urdf, hand),
         gripper=hand.gripper,
     )
 
@@ -67,6 +67,20 @@ def _one_turn(joint: Joint) -> tuple[float, float] | None:
 def _middle(joint: Joint, spec: ArmJointSpec) -> float:
     lower, upper = spec.soft_limits or (joint.soft_lower, joint.soft_upper)
     return (lower + upper) / 2.0 if math.isfinite(upper - lower) else 0.0
+
+
+def _still(urdf: Urdf, arm: Arm) -> dict[str, float]:
+    """Return where joints stand on which the hand hangs, though they are not of the arm.
+
+    They have no room, or lie off the way to the hand but are followed by joints on it.
+    """
+    leaders = [urdf.followed(joint)[0] for joint in urdf.path_to(arm.hand) if joint.moves]
+    moving = [joint.name for joint in arm.joints]
+    return {
+        one.name: min(max(0.0, one.soft_lower), one.soft_upper)
+        for one in leaders
+        if one.name not in moving
+    }
 
 
 def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:

@@ -134,7 +134,9 @@ def _fixed(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
         yield "# The gripper is half open."
     yield "fixed_joints:"
     for name, at in spec.fixed_joints.items():
-        why = "its limits leave it no room" if name in guesses.stuck else None
+        why = "guess" if spec.gripper is None else None
+        if name in guesses.stuck:
+            why = "its limits leave it no room"
         yield f"  {_flow(name)}: {_flow(at)}{_comment(guesses.unit(name), why)}"
 
 

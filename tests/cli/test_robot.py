@@ -69,6 +69,7 @@ def test_what_is_there_stays(robot, tmp_path):
     [
         (("--ee", "plam"), "there is no link 'plam' (did you mean 'palm'?)"),
         (("--base", "bass"), "there is no link 'bass' (did you mean 'base'?)"),
+        (("--base", ""), "there is no link ''"),
         (("--name", "a/b"), "--name: 'name' must be printable"),
         (("--name", ""), "--name: 'name' must be printable"),
         (("--picture", "dolly.jpg"), "--picture: dolly.jpg must end in .png"),

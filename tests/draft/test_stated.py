@@ -1,8 +1,10 @@
 import pytest
 
+from kinfeas import registry
 from kinfeas.draft.arm import find_arm
 from kinfeas.draft.hand import read_hand
 from kinfeas.draft.stated import stated
+from kinfeas.draft.text import Guesses, robot_yaml
 from kinfeas.robots.urdf import parse_urdf
 
 LIMITS = 'lower="-2" upper="2"'
@@ -46,6 +48,16 @@ def test_a_safety_controllers_limits_need_no_others(changed):
 def test_what_stands_for_no_speed_is_guessed(changed, velocity, guess):
     path = changed(('velocity="1.5"', f'velocity="{velocity}"'))
     assert stated_of(path).arm["lift"].velocity == guess
+
+
+def test_a_joint_that_is_followed_from_off_the_way_stands_still():
+    urdf = registry.load_robot("pr2").urdf
+    arm = find_arm(urdf, "r_gripper_r_finger_tip_link", "pr2")
+    told = stated("pr2", urdf, arm, read_hand(urdf, arm), "omnidirectional")
+    assert "r_gripper_r_finger_joint" not in told.arm  # which follows the other finger's
+    assert told.fixed_joints == {"r_gripper_l_finger_joint": 0.0}
+    guessed = "  r_gripper_l_finger_joint: 0  # rad, guess\n"
+    assert guessed in robot_yaml(told, Guesses())
 
 
 @pytest.mark.parametrize("at", [0.0, 1.23456789])
