@@ -3,8 +3,6 @@
 Everything is looked up lazily and one name at a time, so that a broken plugin disturbs no other.
 """
 
-import inspect
-import math
 import reprlib
 import shlex
 from collections.abc import Iterator, Mapping
@@ -15,9 +13,10 @@ from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
+from kinfeas.conformance.parameters import check_names, in_types, signature_of
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming
-from kinfeas.schema import Place, convert, no_such
+from kinfeas.schema import no_such
 from kinfeas.storage.files import is_path
 
 if TYPE_CHECKING:
@@ -136,9 +135,9 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         raise KinfeasError(f"{subject} must be a class or a function, not {kind}")
     with Blaming(f"{subject} fails:", _package(entry)):
         with _refusing(subject):
-            signature = _signature(factory)
-            _check_names(signature, parameters)
-        typed = _typed(signature, parameters, str(subject))
+            signature = signature_of(factory)
+            check_names(signature, parameters)
+        typed = in_types(signature, parameters, str(subject))
         with _refusing(subject):
             built = factory(**typed)
     _check_methods(built, group, str(subject))
@@ -240,49 +239,9 @@ def _refusing(subject: Plugin) -> Iterator[None]:
         raise KinfeasError(f"{subject}: {error}") from error
 
 
-def _signature(factory: Any) -> inspect.Signature:
-    """Return the signature of a class or function, with its annotations as types where it can."""
-    try:
-        return inspect.signature(factory, eval_str=True)
-    # Annotations may be of names that only a type checker imports.
-    except (NameError, AttributeError, SyntaxError, TypeError):
-        return inspect.signature(factory)
-
-
-def _typed(
-    signature: inspect.Signature, given: Mapping[str, object], subject: str
-) -> dict[str, object]:
-    """Return parameters in the types that they are annotated with; a default stays as it is."""
-    typed = dict(given)
-    for name in given.keys() & signature.parameters.keys():
-        value, taken = given[name], signature.parameters[name]
-        # What `.inf` means, is for the plugin to say.
-        endless = isinstance(value, float) and not math.isfinite(value)
-        if endless or value is taken.default:
-            continue
-        converted = convert(taken.annotation, value, Place(subject, name))
-        # A whole number stays as it was written, for errors that quote it.
-        typed[name] = value if converted == value else converted
-    return typed
-
-
 def _check_methods(built: object, group: str, subject: str) -> None:
     """Raise if what an entry has made lacks a method that all of its kind have."""
     lacks = [name for name in _METHODS.get(group, ()) if not callable(getattr(built, name, None))]
     if lacks:
         words, got = ", ".join(lacks), type(built).__name__
         raise KinfeasError(f"{subject} must return an object with the methods {words}, not {got}")
-
-
-def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:
-    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    taken = {p.name: p for p in signature.parameters.values() if p.kind in by_name}
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
-    for name in given:
-        if name not in taken and not open_ended:
-            raise KinfeasError(f"unknown parameter {name!r}{no_such(name, taken)}")
-    for name, parameter in taken.items():
-        if parameter.default is parameter.empty and name not in given:
-            raise KinfeasError(
-                f"the parameter {name!r} is missing; known are {', '.join(sorted(taken))}"
-            )

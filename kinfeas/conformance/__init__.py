@@ -1,1 +1,1 @@
-"""What every motion generator keeps to: the rules, the trial that shows it, and checks at work."""
+"""What plugins keep to: the rules of motion generators, a trial of them, and checks at work."""
