@@ -42,7 +42,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _enter(self, world: World, beyond: float = 0.0) -> None:
         """Take a world, and its spaces; `beyond` is as in `observation_space`."""
         self.world = world
-        self.observation_space = observation_space(self.world.robot, beyond)
+        self.observation_space = observation_space(self.world, beyond)
         self.action_space = action_space(self.world)
         self.next_episode = 0
 

@@ -12,12 +12,14 @@ from kinfeas import registry
 from kinfeas.envs.world import Transition, World, WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.observation import FIELDS, HORIZON
-from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.tasks.loading import load_task
 
 _FARTHEST = 1000.0
 """Metres; wider than any episode, since Gymnasium wants the bounds of a space to be finite."""
+
+_NOISE = 0.5
+"""How far from where it is adapters may let a joint be measured, rad or m; more than they do."""
 
 
 def make_world(
@@ -45,12 +47,12 @@ def make_world(
     )
 
 
-def observation_space(robot: Robot, beyond: float = 0.0) -> "spaces.Box[np.float32]":
+def observation_space(world: World, beyond: float = 0.0) -> "spaces.Box[np.float32]":
     """Return the space of what is seen of one robot, shape (21 + j,), in metres and radians.
 
     Args:
-        robot: Who is seen.
-        beyond: How far its joints may be beyond their limits, rad or m.
+        world: Where it is seen; within adapters its joints may be measured elsewhere.
+        beyond: How far its joints may really be beyond their limits, rad or m.
     """
     bounds = {
         "ee_position": _FARTHEST,
@@ -58,7 +60,8 @@ def observation_space(robot: Robot, beyond: float = 0.0) -> "spaces.Box[np.float
         "goal_position": _FARTHEST,
     }
     fields = np.concatenate([np.full(count, bounds.get(name, 1.0)) for name, count in FIELDS])
-    low, high = robot.finite_joint_limits
+    low, high = world.robot.finite_joint_limits
+    beyond += _NOISE if world.config.adapters else 0.0
     return spaces.Box(
         np.concatenate([-fields, low - beyond]).astype(np.float32),
         np.concatenate([fields, high + beyond]).astype(np.float32),

@@ -54,7 +54,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
         self.world = make_world(robot, task, task_parameters, world)
-        self.single_observation_space = observation_space(self.world.robot)
+        self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

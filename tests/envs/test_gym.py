@@ -103,6 +103,19 @@ def test_shows_what_the_world_sees(name):
     np.testing.assert_array_equal(env.action_space.high, np.ones(world.action_size))
 
 
+def test_what_adapters_measure_lies_in_the_space(name):
+    noise = AdapterSpec("joint_noise", {"deviation": 0.02})
+    env = BaseMotionEnv(name, world=WorldConfig(max_failures=999, adapters=(noise,)))
+    lower, upper = env.world.robot.finite_joint_limits
+    seen, beyond = env.reset(seed=0)[0], 0
+    for _ in range(400):
+        assert seen in env.observation_space
+        joints = seen[-len(lower) :]
+        beyond += bool(((joints < lower) | (joints > upper)).any())
+        seen, *_ = env.step(np.zeros(env.action_space.shape))
+    assert beyond
+
+
 def test_every_observation_is_within_the_space(name):
     env = BaseMotionVectorEnv(32, name)
     env.reset(seed=0)
