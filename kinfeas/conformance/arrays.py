@@ -5,6 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from kinfeas.spatial import Array
+
+_UNIT_LENGTH = 1e-6  # by which the length of a quaternion may be off
+
 
 def sound(value: Any, shape: tuple[int, ...]) -> bool:
     """Return whether an answer surely is an array of `shape`, of floats that are finite.
@@ -27,3 +31,9 @@ def instead(value: object, shape: tuple[int, ...]) -> str:
     if value.shape != shape:
         return str(value.shape)
     return "" if value.dtype.kind in "iuf" else f"an array of {value.dtype}"
+
+
+def are_unit(poses: Array) -> bool:
+    """Return whether all quaternions of poses, shape (..., 7), are of unit length; NaN is not."""
+    off = np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1.0).max(initial=0.0)
+    return bool(off < _UNIT_LENGTH)

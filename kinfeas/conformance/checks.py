@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.conformance.arrays import instead, sound
+from kinfeas.conformance.arrays import are_unit, instead, sound
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import BLAMED, Blaming, package_of
 from kinfeas.motion import Demonstrated, MotionGenerator, State
 from kinfeas.spatial import Array
 
 _METHODS = ("start", "goal_pose", "twist")
-_UNIT_LENGTH = 1e-6
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
@@ -155,8 +154,7 @@ class CheckedMotion:
             raise self.error(f"returns numbers from {method} that are not finite")
 
     def _require_unit(self, goal: Array) -> None:
-        off = np.abs(np.linalg.norm(goal[:, 3:], axis=-1) - 1.0).max(initial=0.0)
-        if not off < _UNIT_LENGTH:
+        if not are_unit(goal):
             raise self.error(
                 "returns a goal_pose whose quaternion is not of unit length", "quaternions"
             )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas.conformance.arrays import are_unit
 from kinfeas.conformance.checks import CheckedMotion
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import LONGEST
@@ -60,13 +61,15 @@ class Trial:
         target itself, a half turn on the spot, a path without a turn, a turn with almost no path.
 
         Raises:
-            KinfeasError: If `target_poses` has a wrong shape.
+            KinfeasError: If `target_poses` has a wrong shape, or poses that are none.
         """
         rng = np.random.default_rng(self.seed)
         given = self.target_poses
         targets = _random_poses(rng, 8) if given is None else np.array(given, float)
         if targets.shape[1:] != (7,) or not len(targets):
             raise KinfeasError(f"target_poses must have shape (m, 7), m >= 1, not {targets.shape}")
+        if not (np.isfinite(targets).all() and are_unit(targets)):
+            raise KinfeasError("target_poses must be finite, with unit quaternions (xyzw)")
         return _trials(rng, targets)
 
 

@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.conformance.arrays import instead
+from kinfeas.conformance.arrays import are_unit, instead
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming, package_of
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.names import check_name
 from kinfeas.start import Start
 from kinfeas.tasks.task import Leg, Task
-
-_UNIT_LENGTH = 1e-6
 
 
 class CheckedTask:
@@ -103,11 +101,5 @@ def check_start(start: Start, subject: str, legs: int, joints: int) -> None:
             raise KinfeasError(f"{subject} must sample a {name} of shape {shape}, not {got}")
         if not np.isfinite(value).all():
             raise KinfeasError(f"{subject} samples a {name} with numbers that are not finite")
-        if name != "joint_positions":
-            _check_unit(value, f"{subject} samples a {name}")
-
-
-def _check_unit(poses: Any, subject: str) -> None:
-    off = np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1.0).max(initial=0.0)
-    if not off < _UNIT_LENGTH:
-        raise KinfeasError(f"{subject} whose quaternion is not of unit length")
+        if name != "joint_positions" and not are_unit(value):
+            raise KinfeasError(f"{subject} samples a {name} whose quaternion is not of unit length")

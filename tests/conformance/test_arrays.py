@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.conformance.arrays import instead, sound
+from kinfeas.conformance.arrays import are_unit, instead, sound
+from kinfeas.spatial import IDENTITY
 
 ZERO = np.zeros((3, 6))
 
@@ -55,3 +56,11 @@ def test_finite_floats_are_surely_sound(value):
 )
 def test_whatever_else_is_not_surely_so(value):
     assert not sound(value, (3, 6))
+
+
+@pytest.mark.parametrize("shape", [(7,), (3, 7), (2, 3, 7), (0, 7)])
+def test_unit_quaternions(shape):
+    poses = np.broadcast_to(IDENTITY, shape)
+    assert are_unit(poses)
+    assert are_unit(-poses)
+    assert not poses.size or not (are_unit(poses * 1.00001) or are_unit(poses * np.nan))

@@ -58,6 +58,12 @@ def test_steps_that_nobody_can_count_are_refused(times, message):
         Trial(**times)
 
 
+@pytest.mark.parametrize("target", [0.0, np.nan, 1.0, np.r_[np.inf, 0, 0, 0, 0, 0, 1]])
+def test_targets_that_are_no_poses_are_not_the_generators_fault(target):
+    with pytest.raises(KinfeasError, match="target_poses must be finite, with unit quaternions"):
+        Trial(np.full((1, 7), target)).poses()
+
+
 def test_targets_of_a_wrong_shape():
     with pytest.raises(KinfeasError, match="target_poses must have shape"):
         Trial(np.zeros((2, 6))).poses()
