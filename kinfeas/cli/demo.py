@@ -14,6 +14,7 @@ from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, share, write_json
 from kinfeas.cli.train import train_run
 from kinfeas.cli.train_settings import Wishes, read_settings
+from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.comparison import Comparison
@@ -64,7 +65,13 @@ def demo(
 
 
 def free_folder(wanted: Path) -> Path:
-    """Return `wanted`, or with the first number from 2 on that makes a folder not there yet."""
+    """Return `wanted`, or with the first number from 2 on that makes a folder not there yet.
+
+    Raises:
+        KinfeasError: If it ends in no name that a number can follow.
+    """
+    if wanted.name in ("", ".."):
+        raise KinfeasError(f"--out: must end in the name of a folder, not {str(wanted)!r}")
     folder, number = wanted, 1
     while folder.exists():
         number += 1

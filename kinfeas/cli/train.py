@@ -156,11 +156,11 @@ def _finished(folder: Path) -> "Progress | None":
 
     progress = finished(folder)
     if progress is not None:
+        write_json(best_figures(folder), folder / "evaluation.json")
         sys.stderr.write(
             f"{folder}: finished; a higher schedule.steps or schedule.minutes in its {SETTINGS} "
             "takes it further\n"
         )
-        write_json(best_figures(folder), folder / "evaluation.json")
     return progress
 
 

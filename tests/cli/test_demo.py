@@ -3,6 +3,8 @@ import re
 import shlex
 from html import unescape
 
+import pytest
+
 from tests.cli.conftest import TINY, is_one_line
 
 QUICK = ("--minutes", "0.01", "--episodes", "3", *TINY)
@@ -65,3 +67,11 @@ def test_bad_input_is_one_line(kinfeas, tmp_path):
     for arguments in (("--robot", "pr3"), ("--minutes", "-1"), ("--set", "x=1")):
         assert is_one_line(kinfeas("demo", *arguments))
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("out", ["", ".", ".."])
+def test_a_folder_without_a_name_of_its_own_is_one_line(kinfeas, tmp_path, out):
+    outcome = kinfeas("demo", *QUICK, "--out", out)
+    assert is_one_line(outcome), outcome.err
+    assert "--out: must end in the name of a folder" in outcome.err
+    assert not list(tmp_path.iterdir())

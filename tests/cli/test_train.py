@@ -88,6 +88,13 @@ finally:
     assert done.stdout.endswith("--policy run\nFalse\n")
 
 
+def test_a_finished_run_that_lost_its_best_policy_is_one_line(kinfeas, run_folder):
+    shutil.rmtree(run_folder / "checkpoints" / "best")
+    outcome = kinfeas("train", "--resume", "run")
+    assert is_one_line(outcome), outcome.err
+    assert "not a training run or checkpoint: there is no run/policy.json" in outcome.err
+
+
 def test_a_longer_schedule_takes_a_finished_run_further(kinfeas, run_folder):
     settings = run_folder / "config.yaml"
     settings.write_text(settings.read_text().replace("steps: 64", "steps: 128"))
