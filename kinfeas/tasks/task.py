@@ -8,8 +8,10 @@ import numpy as np
 
 from kinfeas import registry
 from kinfeas.backend import Grip
+from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.legs import Frame, LegMotion
+from kinfeas.motion import MotionGenerator
 from kinfeas.quantities import Seconds
 from kinfeas.start import Start
 
@@ -74,17 +76,23 @@ def build_legs(legs: Sequence[Leg]) -> tuple[LegMotion, ...]:
     """Return legs with their generators; those of equal motions share one.
 
     Raises:
-        KinfeasError: If there is no such generator, or a parameter is wrong.
+        KinfeasError: If there is no such generator, or a parameter is wrong; of several legs, the
+            sentence names the one.
     """
     built: list[LegMotion] = []
-    for leg in legs:
+    for number, leg in enumerate(legs):
         known = next((b for a, b in zip(legs, built, strict=False) if a.motion == leg.motion), None)
-        generator = (
-            known.generator
-            if known
-            else registry.build(
-                "kinfeas.motion_generators", leg.motion.generator, leg.motion.parameters
-            )
-        )
+        where = f"'legs.{number}.motion': " if len(legs) > 1 else ""
+        generator = known.generator if known else _build(leg.motion, where)
         built.append(LegMotion(generator, leg.frame, leg.wait, leg.grip, leg.motion.generator))
     return tuple(built)
+
+
+def _build(motion: MotionSpec, where: str) -> MotionGenerator:
+    try:
+        generator: MotionGenerator = registry.build(
+            "kinfeas.motion_generators", motion.generator, motion.parameters
+        )
+    except KinfeasError as error:
+        raise KinfeasError(f"{where}{error}") from error
+    return generator

@@ -22,5 +22,8 @@ def test_equal_motions_share_a_generator():
     ],
 )
 def test_wrong_motions_are_one_sentence(motion, message):
-    with pytest.raises(KinfeasError, match=message):
+    with pytest.raises(KinfeasError, match=message) as alone:
         build_legs([Leg(motion)])
+    with pytest.raises(KinfeasError) as second:
+        build_legs([Leg(), Leg(motion)])
+    assert str(second.value) == f"'legs.1.motion': {alone.value}"
