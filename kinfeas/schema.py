@@ -128,11 +128,6 @@ def convert(kind: Any, value: object, place: Place) -> Any:
     return value
 
 
-def check_value(kind: Any, value: object, place: Place) -> None:
-    """Raise as `convert` does."""
-    convert(kind, value, place)
-
-
 def init_fields(cls: Any) -> list[Field[Any]]:
     """Return the fields that the constructor of the dataclass `cls` takes."""
     return [entry for entry in fields(cls) if entry.init]

@@ -6,7 +6,7 @@ import pytest
 
 from kinfeas.config import Interval, from_mapping
 from kinfeas.errors import KinfeasError
-from kinfeas.schema import Place, check_value, convert, no_such
+from kinfeas.schema import Place, convert, no_such
 
 Share = Annotated[float, Interval(0.0, 1.0)]
 Count = Annotated[int, Interval(low=1)]
@@ -242,20 +242,14 @@ def test_interval(interval, inside, outside, text):
     assert str(interval) == text
 
 
-def test_checks_plain_values_of_types_that_a_file_can_hold():
-    place = Place("file.yaml", "speed")
-    for kind, value in [(float, 1), (float | None, None), (slice, 1), ("float", "x"), (str, slice)]:
-        check_value(kind, value, place)
-    with pytest.raises(KinfeasError, match=r"file\.yaml: 'speed' must be a finite number, not 'x'"):
-        check_value(float, "x", place)
-
-
 def test_converts_plain_values_to_types_that_a_file_can_hold():
     place = Place("file.yaml", "speed")
     assert convert(tuple[float, ...], [1, 2], place) == (1.0, 2.0)
     assert convert(Path | None, "a", place) == Path("a")
     for kind, value in [(slice, [1]), ("float", "x"), (str, slice), (list[float], [1])]:
         assert convert(kind, value, place) is value
+    with pytest.raises(KinfeasError, match=r"file\.yaml: 'speed' must be a finite number, not 'x'"):
+        convert(float, "x", place)
 
 
 def test_no_such_lists_what_there_is():

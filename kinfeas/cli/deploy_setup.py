@@ -102,14 +102,9 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
     policy = LookAhead(trained, config.look_ahead) if wishes.look_ahead else trained
     warm_up(solver, policy, task, wishes.dt, adapters)
     if wishes.backend == _WORLD:
-        from kinfeas.config import from_mapping
-        from kinfeas.sim.physics import PhysicsConfig
         from kinfeas.sim.stage import Stage, task_scene
 
-        given = dict(config.backend)
-        if "physics" in given:
-            given["physics"] = from_mapping(PhysicsConfig, given["physics"], "backend.physics")
-        backend = build_backend(_WORLD, given, robot=robot, scene=task_scene(task))
+        backend = build_backend(_WORLD, config.backend, robot=robot, scene=task_scene(task))
         task = Stage(task, backend)
     else:
         backend = build_backend(wishes.backend, config.backend, robot=robot)

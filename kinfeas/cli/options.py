@@ -153,7 +153,7 @@ def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
     Raises:
         KinfeasError: If a value has a wrong type or range.
     """
-    from kinfeas.schema import Place, check_value
+    from kinfeas.schema import Place, convert
 
     for option, (key, value) in said.items():
         kind: Any = cls
@@ -162,7 +162,7 @@ def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
         if get_origin(kind) in (Union, UnionType):  # null is nothing that an option can say
             kind = next(one for one in get_args(kind) if one is not NoneType)
         if value is not None:
-            check_value(kind, value, Place(option))
+            convert(kind, value, Place(option))
 
 
 def check_robot(name: str | None) -> None:

@@ -6,7 +6,7 @@ import typer
 
 from kinfeas.cli import inputs, options
 from kinfeas.cli.output import check_outputs, print_table, share, status, write_json
-from kinfeas.cli.policy_robot import robot_of
+from kinfeas.cli.policy_robot import check_policy, robot_of
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ def speed(
     One core each, the best of several repeats; training takes all cores, half a minute long.
     """
     options.check_robot(robot)
+    if policy is not None:
+        check_policy(policy)
     from kinfeas.evaluation.speed import Figure, measure_speed
 
     sources = {"--robot": inputs.named(robot), "--policy": inputs.of_policy(policy)}

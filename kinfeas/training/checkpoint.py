@@ -15,8 +15,6 @@ from kinfeas.config import Interval
 from kinfeas.training.learner import Learner
 from kinfeas.training.state import Tally, checked, loading, read_state, write_state
 
-__all__ = ["load_learner", "loading", "read_state", "save_learner"]
-
 _TENSORS = "state.safetensors"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _WORLD = ("world.base_pose", "world.joint_positions", "world.sent", "world.desired")

@@ -136,7 +136,7 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.scene=room"),
      "backend 'pybullet': the parameter 'scene' follows from the run"),
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.physics={gravity: -1}"),
-     "backend.physics: 'gravity' must be a number >= 0, not -1"),
+     "'physics.gravity' must be a number >= 0, not -1"),
     (("--backend", "ros1", *GOAL[2:], "--set", "backend.patience=soon"),
      "'patience' must be a finite number, not 'soon'"),
     ((*GOAL, "--set", "look_ahead.tries=8"), "--set look_ahead.KEY needs --look-ahead"),

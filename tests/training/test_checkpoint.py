@@ -12,8 +12,9 @@ from kinfeas import registry
 from kinfeas.envs.world import World
 from kinfeas.errors import KinfeasError
 from kinfeas.policy import read_network
-from kinfeas.training.checkpoint import load_learner, read_state, save_learner
+from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.learner import explore, make_learner
+from kinfeas.training.state import read_state
 from kinfeas.training.train import resume, train
 from kinfeas.training.vec_env import WorldVecEnv
 

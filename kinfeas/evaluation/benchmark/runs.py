@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.evaluate import worker_pool
-from kinfeas.storage.folders import find_folder
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.standing import finished
 
 if TYPE_CHECKING:
     from kinfeas.training.train import Report
@@ -75,23 +75,6 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
     return [found[key] for key in sorted(found)]
 
 
-def is_finished(folder: Path) -> bool:
-    """Return whether a run has come to the end of its schedule.
-
-    Raises:
-        KinfeasError: If its settings or its checkpoint are broken.
-    """
-    from kinfeas.training.checkpoint import loading, read_state
-
-    last = find_folder(folder / "checkpoints" / "last")
-    if not last.is_dir():
-        return False
-    schedule = config.load(TrainConfig, folder / "config.yaml").schedule
-    with loading(last):
-        saved = read_state(last)["progress"]
-        return bool(saved["share"] >= 1.0 and saved["evaluations"] >= schedule.evaluations)
-
-
 def is_missing(settings: TrainConfig, folder: Path) -> bool:
     """Return whether there is anything left to train.
 
@@ -107,7 +90,7 @@ def is_missing(settings: TrainConfig, folder: Path) -> bool:
                 f"{folder}: a run with another {key!r} than the study's: {there[key]} instead of "
                 f"{value}; remove it, or choose another --out"
             )
-    return not is_finished(folder)
+    return finished(folder) is None
 
 
 def finish(settings: TrainConfig, folder: Path, report: "Report | None" = None) -> None:
