@@ -19,9 +19,10 @@ from numba import guvectorize, njit
 
 from kinfeas import kernel_cache
 
-kernel_cache.settle()  # before the first kernel; all modules with others import this one
+kernel_cache.settle()  # before the first kernel
 
-inlined = njit(cache=True, error_model="numpy", forceinline=True)
+# What is not said here, the first caller of a process would decide, and with it the last bits.
+inlined = njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
 
 
 def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
@@ -54,45 +55,7 @@ def _alone() -> Iterator[None]:
 
 
 @inlined
-def write_matrix(pose, out):
-    """Write the orientation of a pose, shape (7,), as a matrix, shape (3, 3)."""
-    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    out[0, 0], out[1, 1] = 1.0 - s * (y * y + z * z), 1.0 - s * (x * x + z * z)
-    out[2, 2] = 1.0 - s * (x * x + y * y)
-    out[0, 1], out[1, 0] = s * (x * y - z * w), s * (x * y + z * w)
-    out[0, 2], out[2, 0] = s * (x * z + y * w), s * (x * z - y * w)
-    out[1, 2], out[2, 1] = s * (y * z - x * w), s * (y * z + x * w)
-
-
-@inlined
-def write_pose(position, matrix, out):
-    """Write a position, shape (3,), and a rotation matrix, shape (3, 3), as a pose, shape (7,).
-
-    The largest of the four numbers is taken from the diagonal, the others from its quotients
-    (Shepperd, J. Guidance and Control 1978).
-    """
-    a, b, c = matrix[0, 0], matrix[1, 1], matrix[2, 2]
-    if a + b + c > 0.0:
-        w = 1.0 + a + b + c
-        x, y = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0]
-        z = matrix[1, 0] - matrix[0, 1]
-    elif a >= b and a >= c:
-        x, w = 1.0 + a - b - c, matrix[2, 1] - matrix[1, 2]
-        y, z = matrix[0, 1] + matrix[1, 0], matrix[0, 2] + matrix[2, 0]
-    elif b >= c:
-        y, w = 1.0 + b - a - c, matrix[0, 2] - matrix[2, 0]
-        x, z = matrix[0, 1] + matrix[1, 0], matrix[1, 2] + matrix[2, 1]
-    else:
-        z, w = 1.0 + c - a - b, matrix[1, 0] - matrix[0, 1]
-        x, y = matrix[0, 2] + matrix[2, 0], matrix[1, 2] + matrix[2, 1]
-    for i in range(3):
-        out[i] = position[i]
-    out[3], out[4], out[5], out[6] = _product(x, y, z, w, 0.0, 0.0, 0.0, 1.0)
-
-
-@inlined
-def _product(ax, ay, az, aw, bx, by, bz, bw):
+def product(ax, ay, az, aw, bx, by, bz, bw):
     """Return the unit quaternion of b followed by a, with w >= 0."""
     x = aw * bx + ax * bw + ay * bz - az * by
     y = aw * by - ax * bz + ay * bw + az * bx
@@ -120,7 +83,7 @@ def compose(parent, child, out):
     """Pose `child`, given in `parent`, in the frame of `parent`."""
     a, b = parent, child
     x, y, z = _turn(a[3], a[4], a[5], a[6], b[0], b[1], b[2])
-    quaternion = _product(a[3], a[4], a[5], a[6], b[3], b[4], b[5], b[6])
+    quaternion = product(a[3], a[4], a[5], a[6], b[3], b[4], b[5], b[6])
     out[0], out[1], out[2] = a[0] + x, a[1] + y, a[2] + z
     out[3], out[4], out[5], out[6] = quaternion
 
@@ -130,7 +93,7 @@ def relative(pose, frame, out):
     """`pose` as seen from `frame`."""
     a, b = frame, pose
     x, y, z = _turn(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
-    quaternion = _product(-a[3], -a[4], -a[5], a[6], b[3], b[4], b[5], b[6])
+    quaternion = product(-a[3], -a[4], -a[5], a[6], b[3], b[4], b[5], b[6])
     out[0], out[1], out[2] = x, y, z
     out[3], out[4], out[5], out[6] = quaternion
 
@@ -142,7 +105,7 @@ def integrate(pose, twist, dt, out):
     angle = math.sqrt(x * x + y * y + z * z)
     # sin(angle / 2) / angle, by its series where the quotient would lose digits
     scale = math.sin(0.5 * angle) / angle if angle > 1e-4 else 0.5 - angle * angle / 48.0
-    quaternion = _product(
+    quaternion = product(
         x * scale, y * scale, z * scale, math.cos(0.5 * angle), pose[3], pose[4], pose[5], pose[6]
     )
     for i in range(3):
@@ -153,7 +116,7 @@ def integrate(pose, twist, dt, out):
 @compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)")
 def twist_between(start, end, dt, like, out):
     """World twist that leads from `start` to `end` in `dt` seconds; `like` only lends its size."""
-    x, y, z, w = _product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
+    x, y, z, w = product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
     sine = math.sqrt(x * x + y * y + z * z)
     # angle / sin(angle / 2), by its series where the quotient would lose digits
     scale = 2.0 * math.atan2(sine, w) / sine if sine > 1e-4 else 2.0 + sine * sine / 3.0
@@ -165,10 +128,10 @@ def twist_between(start, end, dt, like, out):
 @compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p)->(),()")
 def distance(a, b, metres, radians):
     """Metres between two poses, and the angle between them in [0, pi]."""
-    x, y, z, w = _product(a[3], a[4], a[5], a[6], -b[3], -b[4], -b[5], b[6])
+    x, y, z, w = product(a[3], a[4], a[5], a[6], -b[3], -b[4], -b[5], b[6])
     squared = 0.0
     for i in range(3):
-        squared += (a[i] - b[i]) ** 2
+        squared += (a[i] - b[i]) * (a[i] - b[i])
     metres[0] = math.sqrt(squared)
     radians[0] = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 

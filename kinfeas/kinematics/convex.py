@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from kinfeas.kinematics.forward import copy_row, kernel
+from kinfeas.kinematics.kernels import copy_row, kernel, square
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 MAX_ITERATIONS = 30
@@ -170,7 +170,7 @@ def _nearest_in_tetrahedron(simplex, v):
         copy_row(q, simplex[1])
         copy_row(r, simplex[2])
         count = _nearest_on_triangle(simplex, trial)
-        squared = trial[0] ** 2 + trial[1] ** 2 + trial[2] ** 2
+        squared = square(trial[0]) + square(trial[1]) + square(trial[2])
         if squared < best:
             best, best_count = squared, count
             copy_row(trial, v)

@@ -6,15 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinfeas.kinematics.chain import Chain
-from kinfeas.kinematics.forward import (
-    Frames,
-    copy_row,
-    fill_columns,
-    inlined,
-    kernel,
-    make_frames,
-    place_chain,
-)
+from kinfeas.kinematics.forward import Frames, fill_columns, make_frames, place_chain
+from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 from kinfeas.spatial import Array
 
 STALL_STEPS = 3
@@ -116,7 +109,7 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
         metres, radians = measure(chain, target_rotation, target_position, q, scratch)
         if metres <= options.position_tolerance and radians <= options.rotation_tolerance:
             break
-        cost = metres**2 + (options.rotation_weight * radians) ** 2
+        cost = square(metres) + square(options.rotation_weight * radians)
         stalled = 0 if cost < 0.95 * best else stalled + 1
         best = min(best, cost)
         # What is returned was measured at the very `q` that is left behind.
@@ -147,7 +140,7 @@ def measure(chain, target_rotation, target_position, q, scratch):
     squared = 0.0
     for i in range(3):
         scratch.error[i] = target_position[i] - scratch.frames.position[i]
-        squared += scratch.error[i] ** 2
+        squared += square(scratch.error[i])
     angle = rotation_error(target_rotation, scratch.frames.rotation, scratch.error)
     return math.sqrt(squared), angle
 
@@ -193,7 +186,7 @@ def _half_turn(target, current, error):
         for k in range(3):
             entry += target[i, k] * current[column, k]
         error[3 + i] = entry + (1.0 if i == column else 0.0)
-        norm += error[3 + i] ** 2
+        norm += square(error[3 + i])
     scale = math.pi / math.sqrt(norm)
     for i in range(3):
         error[3 + i] *= scale

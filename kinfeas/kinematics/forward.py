@@ -4,21 +4,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import Chain, Tree
-from kinfeas.pose_kernels import write_pose
+from kinfeas.kinematics.kernels import inlined, kernel
+from kinfeas.kinematics.matrices import write_pose
 from kinfeas.spatial import Array
-
-# numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
-# be regrouped and multiply-adds fused, always in the same way: results stay deterministic. A kernel
-# that did not say that it is not inlined would be, everywhere, if its first caller is. What finds
-# numbers for other kernels is inlined, for else each of them has a copy of it, regrouped in its own
-# way, and what else a process has compiled decides which copy runs.
-_FAST = {"contract", "reassoc", "nsz"}
-kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False)
-inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 
 
 def forward(chain: Chain, joint_positions: Array) -> Array:
@@ -107,17 +98,6 @@ class Frames(NamedTuple):
     origin: Array
     rotation: Array
     position: Array
-
-
-@inlined
-def copy_row(values, out):
-    """Write the same values, shape (n,).
-
-    An assignment to a slice would compile numpy's broadcasting and the making of its messages
-    along, at times for minutes.
-    """
-    for i in range(len(values)):
-        out[i] = values[i]
 
 
 @inlined

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Chain
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure, within
-from kinfeas.kinematics.forward import copy_row, inlined, kernel, place_chain
+from kinfeas.kinematics.forward import place_chain
+from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
+from kinfeas.kinematics.matrices import write_matrix
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
-from kinfeas.pose_kernels import write_matrix
 from kinfeas.spatial import Array
 
 WARM_COST = 0.3**2
@@ -130,10 +131,10 @@ def _solve_from_seed(problem, target, moves, swings, near, solution, error, scra
     place_chain(problem.chain, q, scratch.frames)
     cost, trace = 0.0, 0.0
     for i in range(3):
-        cost += (target[1][i] - scratch.frames.position[i]) ** 2
+        cost += square(target[1][i] - scratch.frames.position[i])
         for k in range(3):
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
-    cost += limits.rotation_weight**2 * (3.0 - trace)
+    cost += square(limits.rotation_weight) * (3.0 - trace)
     error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
     if cost > WARM_COST:
         return False
@@ -241,7 +242,7 @@ def _improves(problem, metres, radians, error, q, touching):
 
 @inlined
 def _cost(problem, metres, radians):
-    return metres**2 + (problem.descent.rotation_weight * radians) ** 2
+    return square(metres) + square(problem.descent.rotation_weight * radians)
 
 
 @inlined
@@ -278,10 +279,10 @@ def _out_of_reach(problem, target):
         for k in range(3):
             for m in range(3):
                 joint -= target[0][i, k] * turn[m, k] * problem.chain.ee_offset[m]
-        squared += (joint - problem.reach[i]) ** 2
-        lever += problem.chain.ee_offset[i] ** 2
+        squared += square(joint - problem.reach[i])
+        lever += square(problem.chain.ee_offset[i])
     leeway = problem.accept_position + problem.accept_rotation * math.sqrt(lever)
-    return squared > (problem.reach[3] + leeway) ** 2
+    return squared > square(problem.reach[3] + leeway)
 
 
 @inlined

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from kinfeas.kinematics.chain import Mount, Tree, build_tree
 from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
-from kinfeas.kinematics.forward import copy_row, flattened, inlined, kernel, place_joints, turn_row
+from kinfeas.kinematics.forward import flattened, place_joints, turn_row
+from kinfeas.kinematics.kernels import copy_row, inlined, kernel
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.spatial import Array, rotation
