@@ -340,17 +340,17 @@ class Foreign:
 @pytest.mark.parametrize(
     ("name", "value", "got"),
     [
-        ("base_pose", np.zeros(3), r"a base_pose of shape \(7,\) in numbers, not \(3,\)"),
+        ("base_pose", np.zeros(3), r"a base_pose of shape \(7,\), not \(3,\)"),
         ("base_pose", [0.0] * 7, "not list"),
         (
             "joint_positions",
             np.zeros(2),
-            r"a joint_positions of shape \(\d,\) in numbers, not \(2,",
+            r"a joint_positions of shape \(\d,\), not \(2,",
         ),
         ("joint_positions", None, "not NoneType"),
-        ("target_poses", np.zeros(7), r"a target_poses of shape \(1, 7\) in numbers, not \(7,\)"),
+        ("target_poses", np.zeros(7), r"a target_poses of shape \(1, 7\), not \(7,\)"),
         ("target_poses", np.zeros((2, 7)), r"not \(2, 7\)"),
-        ("target_poses", np.full((1, 7), None), r"in numbers, not \(1, 7\)"),
+        ("target_poses", np.full((1, 7), None), r"not an array of object"),
     ],
 )
 def test_a_task_that_samples_other_shapes_is_named(robot, name, value, got):

@@ -420,7 +420,7 @@ def test_a_robot_that_begins_with_nonsense_is_one_sentence(run, pr2, method, ans
     (lambda state: replace(state, age="old"),
      "must return an age of shape (1,) from step, not str"),
     (lambda state: replace(state, base_pose=state.base_pose.astype(complex)),
-     "must return a base_pose of numbers from step, not complex128"),
+     "must return a base_pose of shape (1, 7) from step, not an array of complex128"),
     (lambda state: replace(state, ee_in_base=np.zeros(3)),
      "must return an ee_in_base of shape (1, 7) from step, not (3,)"),
 ])  # fmt: skip
