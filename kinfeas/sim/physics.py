@@ -95,7 +95,7 @@ class Physics:
         plane = self.client.createCollisionShape(self.client.GEOM_PLANE)
         self.floor: int = self.client.createMultiBody(0.0, plane)
         self.step_time = 0.0
-        self._free: list[int] = []
+        self._bodies: list[int] = []
         self._kept: int | None = None
 
     def load(self, urdf: Path, *, fixed: bool) -> int:
@@ -110,8 +110,6 @@ class Physics:
         """
         body, heard = self._load(urdf, urdf, fixed=fixed)
         sys.stderr.write(remarks(heard))
-        if not fixed:
-            self._free.append(body)
         return body
 
     def load_text(self, urdf: str, source: Path) -> int:
@@ -204,8 +202,9 @@ class Physics:
 
     def rewind(self) -> None:
         """Return to what `keep` remembered, contacts and all."""
-        # The impulses of the corners that something lies on would stay with it, wherever it goes.
-        for number, body in enumerate(self._free):
+        # What touches would keep its impulses, or its place among other contacts, wherever it goes:
+        # the corners that something lies on, or a robot at a wall.
+        for number, body in enumerate(self._bodies):
             place = [0.0, 0.0, _AWAY * (number + 1.0)]
             self.client.resetBasePositionAndOrientation(body, place, IDENTITY[3:])
         self.client.performCollisionDetection()
@@ -242,6 +241,7 @@ class Physics:
                 f"{source}: PyBullet finds no triangles in the mesh {mesh!r}; binary STL, OBJ and "
                 "DAE files are allowed"
             )
+        self._bodies.append(body)
         return body, heard.getvalue()
 
     def _mass_in_root(self, body: int) -> Array:

@@ -121,8 +121,12 @@ def play(world, begin, seed):
 
 
 def test_equal_episodes_are_equal_to_the_bit_whatever_was_before(
-    robot, scene, world, begin, between_fingers
+    robot, scene, solver, world, begin, between_fingers
 ):
+    rng = np.random.default_rng(0)
+    for _ in range(20):  # at times within a wall
+        begin(*rng.uniform(-1.5, 1.5, 3), joints=random_joints(solver, rng))
+        stay(world, 1, twist(0.2, 0.1, 0.3))
     begin(bar=between_fingers)
     world.gripper.close()
     for _ in range(40):
