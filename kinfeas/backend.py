@@ -94,6 +94,50 @@ class Gripping(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Nearby:
+    """What stands near the bases of n robots: k places each, of which some may be empty.
+
+    Attributes:
+        place: The point of the base that is nearest to a thing, in the base frame, shape (n, k, 2),
+            metres.
+        toward: Horizontal part of the unit vector from there to the thing, in the base frame, shape
+            (n, k, 2).
+        distance: How far the thing is away, shape (n, k), metres: below 0 where both are in one
+            another, inf where there is none.
+
+    Raises:
+        ValueError: If the shapes are others, or something is no number.
+    """
+
+    place: Array
+    toward: Array
+    distance: Array
+
+    def __post_init__(self) -> None:
+        """Check what a backend from outside may have made."""
+        shape = (*self.distance.shape, 2)
+        if len(shape) != 3 or self.place.shape != shape or self.toward.shape != shape:
+            shapes = f"{self.place.shape}, {self.toward.shape} and {self.distance.shape}"
+            raise ValueError(
+                "place, toward and distance must be of the shapes (n, k, 2), (n, k, 2) and (n, k), "
+                f"not {shapes}"
+            )
+        if not (np.isfinite(self.place).all() and np.isfinite(self.toward).all()):
+            raise ValueError("place and toward must be finite")
+        if not (self.distance > -np.inf).all():
+            raise ValueError("distance must be a number, or inf where there is nothing")
+
+
+@runtime_checkable
+class Seeing(Protocol):
+    """A backend or adapter that knows what stands around its robots."""
+
+    def near(self, within: float) -> Nearby:
+        """Return what is nearer than `within` metres to the bases, but for what they handle."""
+        ...
+
+
 @runtime_checkable
 class Live(Protocol):
     """A backend whose robot moves by a clock of its own: a real one, or a process that plays one.

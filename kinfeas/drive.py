@@ -44,6 +44,17 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
     return twist
 
 
+def carried_out(action: Array) -> Array:
+    """Return commands as `base_twist` carries them out: within [-1, 1], planar speed by its norm.
+
+    Args:
+        action: Shares of the limits, shape (..., 3) or (..., 2).
+    """
+    action = np.clip(action, -1.0, 1.0)
+    action[..., :-1] /= np.maximum(np.linalg.norm(action[..., :-1], axis=-1, keepdims=True), 1.0)
+    return action
+
+
 def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
     """Return the action that moves the base by a planar world velocity as well as its drive can.
 

@@ -10,7 +10,7 @@ from kinfeas import spatial
 from kinfeas.backend import Grip
 from kinfeas.errors import KinfeasError
 from kinfeas.motion import MotionGenerator
-from kinfeas.quantities import SLOWEST, Seconds, SlowDown
+from kinfeas.quantities import SLOWEST, Distance, Seconds, SlowDown
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 
@@ -59,6 +59,8 @@ class Pace:
         patience: Seconds for which motion and base stand still at most, while the arm swings to
             another configuration that is further away than `SWING_SECONDS`.
         yields: Whether the base yields where the arm could not follow: see `Yielding`.
+        clearance: Metres that the base keeps from what stands around, which the backend has to know
+            then; 0 for a base that does not look.
     """
 
     slow_down: SlowDown = 1.0
@@ -67,6 +69,7 @@ class Pace:
     spread: Seconds = 0.0
     patience: Seconds = 0.0
     yields: bool = False
+    clearance: Distance = 0.0
 
     def __post_init__(self) -> None:
         """Check what adapters may have multiplied."""
@@ -91,12 +94,15 @@ class PaceSettings:
             configuration.
         yields: Whether the base takes the nearest command that the arm can follow where it cannot
             follow the policy's.
+        clearance: Metres that the base keeps from what the backend knows to stand around; 0 for a
+            base that does not look.
     """
 
     slow_down: SlowDown = 1.0
     head_start: Seconds = 0.0
     patience: Seconds = PATIENCE_SECONDS
     yields: bool = False
+    clearance: Distance = 0.0
 
     @property
     def pace(self) -> Pace:
@@ -107,6 +113,7 @@ class PaceSettings:
             SETTLE_SECONDS,
             patience=self.patience,
             yields=self.yields,
+            clearance=self.clearance,
         )
 
 

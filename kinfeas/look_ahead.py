@@ -84,8 +84,9 @@ class LookAhead:
         self._loop = loop
         options = replace(loop.solver.options, restarts=_RESTARTS)
         solver = IkSolver(loop.robot, options)
-        # It need not yield: what is avoided without yielding is avoided with it.
-        pace = replace(loop.pace, patience=0.0, yields=False)
+        # It need not yield: what is avoided without yielding is avoided with it. Nothing stands in
+        # its way there.
+        pace = replace(loop.pace, patience=0.0, yields=False, clearance=0.0)
         analytic = registry.build("kinfeas.backends", "analytic", {})
         self._twin = Loop(solver, loop.course.legs, analytic, HORIZON, pace)
         self._every = max(1, round(self.foresight.every / loop.dt))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
+from kinfeas.clearance import Clearance
 from kinfeas.conformance.adapter import unchecked
 from kinfeas.course import Course
 from kinfeas.drive import action_size
@@ -87,6 +88,9 @@ class Loop:
             backend: Moves the robots.
             dt: Control period in seconds.
             pace: How the motions are carried out; as they are planned by default.
+
+        Raises:
+            KinfeasError: If the bases are to keep clear of what the backend does not know.
         """
         self.pace = pace = pace or Pace()
         self.solver, self.backend, self.dt = solver, backend, dt
@@ -96,6 +100,9 @@ class Loop:
         self._patience = round(pace.patience / dt)
         self._following = Following(solver, dt)
         self._yielding = Yielding(self._following) if pace.yields else None
+        self._clearance = (
+            Clearance(self.robot.base, backend, pace.clearance, dt) if pace.clearance else None
+        )
         self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.sent: Array = np.empty((0, len(self.robot.arm)))
@@ -146,11 +153,15 @@ class Loop:
         if held is not None:
             action = np.where(held[:, np.newaxis], 0.0, action)
         before, base_pose = self.sent, self.state.base_pose
+        limits = None
+        if self._clearance is not None:
+            limits = self._clearance.limits()
+            action = limits.hold(action[:, np.newaxis])[:, 0]
         wanted = (action, base_pose, course.desired, before)
         if self._yielding is None:
             command, arm = self._following(*wanted)
         else:
-            command, arm = self._yielding(*wanted, held)
+            command, arm = self._yielding(*wanted, held, limits)
         self.sent = arm.joint_positions
         self._measured(self.backend.step(command, self.sent, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.clearance import Limits
 from kinfeas.drive import action_size
 from kinfeas.following import Following
 from kinfeas.joints import jumps
@@ -40,6 +41,7 @@ class Yielding:
         desired: Array,
         joints: Array,
         held: NDArray[np.bool_] | None = None,
+        limits: Limits | None = None,
     ) -> tuple[Array, IkSolution]:
         """Return what `Following` does, for the commands nearest to `action` that arms can follow.
 
@@ -49,12 +51,15 @@ class Yielding:
             desired: World pose of the EE at the end of the period.
             joints: Arm joints that were last commanded.
             held: Rows that stand still and are left alone, shape (n,); none by default.
+            limits: What the commands that are tried keep; `action` keeps it already.
         """
         twist, arm = self._following(action, base_pose, desired, joints, swings=False)
         late = np.flatnonzero(~self._in_time(joints, arm))
         if late.size:
             stands = (base_pose[late], desired[late], joints[late])
-            aside = self._aside(action[late], stands, None if held is None else held[late])
+            free = np.ones(late.size, dtype=bool) if held is None else ~held[late]
+            within = None if limits is None else limits.of(late)
+            aside = self._aside(action[late], stands, np.flatnonzero(free), within)
             twist[late], found = self._following(aside, *stands)
             arm.put(late, found)
         return twist, arm
@@ -63,23 +68,26 @@ class Yielding:
         self,
         action: Array,
         stands: tuple[Array, Array, Array],
-        held: NDArray[np.bool_] | None,
+        rows: NDArray[np.intp],
+        limits: Limits | None,
     ) -> Array:
-        """Return other commands for m rows, and the same where none helps or they are held.
+        """Return other commands for some of m rows, and the same for others or where none helps.
 
         Args:
             action: Commands that the arm cannot follow, shape (m, a).
             stands: Base poses, desired poses and arm joints.
-            held: Rows that are left alone, shape (m,), or none.
+            rows: Of these, who may have another command.
+            limits: What others keep, or none.
         """
         taken = action.copy()
-        rows = np.arange(len(action)) if held is None else np.flatnonzero(~held)
         away = np.linalg.norm(self.others - action[rows, np.newaxis], axis=2)
         order = away.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
             if not rows.size:
                 break
             tries = self.others[order[:, first:last]]
+            if limits is not None:
+                tries = limits.of(rows).hold(tries)
             follows = self._follows(tries, *(values[rows] for values in stands))
             yields = follows.any(axis=1)
             taken[rows[yields]] = tries[yields, follows[yields].argmax(axis=1)]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.adapters import chain
-from kinfeas.backend import Backend, Gripping, Live, Resumable, RobotState, Stochastic
+from kinfeas.backend import Backend, Gripping, Live, Resumable, RobotState, Seeing, Stochastic
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import is_own
@@ -31,8 +31,8 @@ class Adapter:
     `begin` says what is remembered from the start of an episode on, `command` changes what is
     commanded, `advance` takes note of what was measured after it, and `view` says what is seen of
     that. `view` is a function of the state, the memory and the draws alone and may be asked twice.
-    No row may depend on others. An adapter can what its backend can: it has `grip`, `read` and
-    `stop`, `snapshot` and `restore` if that has them.
+    No row may depend on others. An adapter can what its backend can: it has `grip`, `near`, `read`
+    and `stop`, `snapshot` and `restore` if that has them.
 
     What is drawn depends on the episode's seed, the step, the class and how many of the same class
     stand within: an adapter more or less in the list leaves the draws of the others alone.
@@ -80,6 +80,8 @@ class Adapter:
         self._hooks: Hooks = self
         if isinstance(backend, Gripping):
             self.grip = backend.grip
+        if isinstance(backend, Seeing):
+            self.near = backend.near
         if isinstance(backend, Live):
             self.read, self.stop = backend.read, backend.stop
         if isinstance(backend, Resumable):

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Grip, Gripping, Stochastic
+from kinfeas.backend import Backend, Grip, Gripping, Seeing, Stochastic
 
 
 class Passing:
@@ -11,6 +11,8 @@ class Passing:
 
     def __init__(self, backend: Backend) -> None:
         self.backend = backend
+        if isinstance(backend, Seeing):
+            self.near = backend.near
 
     def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""

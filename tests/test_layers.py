@@ -46,9 +46,11 @@ LAYERS = (
         {
             "kinematics",
             "legs",
+            "clearance",
             "course",
             "drive",
             "following",
+            "half_spaces",
             "joints",
             "yielding",
             "observation",

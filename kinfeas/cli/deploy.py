@@ -125,7 +125,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Settings: [bold]guards.KEY[/], slow_down=1 (2 for pr2), head_start=0 s, patience=8 s,
     yields=false (true for pr2 and tiago; whether the base takes the nearest command that the arm
-    can follow where it cannot follow the policy's), [bold]ik.KEY[/], [bold]look_ahead.KEY[/]
+    can follow where it cannot follow the policy's), clearance=0 m (what the base keeps from what
+    stands around, where the backend knows that), [bold]ik.KEY[/], [bold]look_ahead.KEY[/]
     (seconds=6 s that are tried out, every=0.5 s, tries=32, spread=0.8, jump=0.1, stray=0.1), and
     the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/], which
     [bold]kinfeas plugins info NAME[/] lists. An unknown KEY is answered by those that there are.

@@ -123,8 +123,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik, yields=false
     (whether the base yields where the arm could not follow), and reward, which changes no figure.
     PyBullet's has dt=0.02 s, max_failures=99, max_seconds=150 s, adapters, ik, yields=false (true
-    for pr2 and tiago), physics, patience=8 s, slow_down=1 (2 for pr2), head_start=0 s, and
-    objects=true.
+    for pr2 and tiago), clearance=0 m (0.03 for pr2; what the base keeps from furniture), physics,
+    patience=8 s, slow_down=1 (2 for pr2), head_start=0 s, and objects=true.
 
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone.

@@ -13,7 +13,7 @@ from kinfeas.foreign import Blaming, package_of
 from kinfeas.spatial import Array
 
 _METHODS = ("reset", "step", "close", "restore")
-_PASSED_ON = ("seed", "grip", "read", "stop", "snapshot")
+_PASSED_ON = ("seed", "grip", "near", "read", "stop", "snapshot")
 """What some backends can beside that, whose answers are not looked at."""
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Grip, RobotState
+from kinfeas.backend import Grip, Nearby, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
@@ -13,6 +13,7 @@ from kinfeas.sim.contacts import Contacts, Touched, contacts, touched
 from kinfeas.sim.furniture import Furniture
 from kinfeas.sim.grasp import Grasp
 from kinfeas.sim.gripper import GripperDrive
+from kinfeas.sim.nearby import Surroundings
 from kinfeas.sim.physics import Physics, PhysicsConfig
 from kinfeas.sim.robot_body import RobotBody
 from kinfeas.spatial import Array
@@ -54,6 +55,7 @@ class PyBulletBackend:
         self.furniture = Furniture(self.physics, scene) if scene else None
         self.body = RobotBody(self.physics, robot)
         self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
+        self._surroundings = Surroundings(self.body)
         self.gripper = GripperDrive(self.body) if robot.gripper else None
         self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
         self._handled: tuple[int, int] | None = None
@@ -124,6 +126,12 @@ class PyBulletBackend:
                 self._drive(step)
             self._hold()
             return self.body.state()
+
+    def near(self, within: float) -> Nearby:
+        """Return what is nearer than `within` metres to the base, but for what it handles."""
+        bodies = self.furniture.bodies.values() if self.furniture else ()
+        with self.physics.connected():
+            return self._surroundings.near(bodies, within, self._spared())
 
     def contacts(self) -> Contacts:
         """Return what the robot touches now, but for the link that it handles."""

@@ -7,7 +7,7 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.adapters import AdapterSpec, wrap
-from kinfeas.backend import Gripping, Live, Resumable, RobotState, Stochastic
+from kinfeas.backend import Gripping, Live, Resumable, RobotState, Seeing, Stochastic
 from kinfeas.conformance.adapter import CheckedAdapter, unchecked
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
@@ -53,6 +53,9 @@ class Able(Around):
 
     def grip(self, grip, rows):
         self.answer("grip", None)
+
+    def near(self, within):
+        return self.answer("near", within)
 
     def read(self):
         return self.answer("read", self.backend.state)
@@ -147,7 +150,7 @@ def test_what_is_nobodys_mistake_stays_what_it_is(error):
     assert caught.value is error
 
 
-@pytest.mark.parametrize("protocol", [Stochastic, Gripping, Live, Resumable])
+@pytest.mark.parametrize("protocol", [Stochastic, Gripping, Seeing, Live, Resumable])
 def test_it_can_what_the_adapter_can(protocol):
     assert isinstance(checked(Able), protocol)
     assert not isinstance(checked(), protocol)

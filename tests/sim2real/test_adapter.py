@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.adapters import AdapterSpec, read_sim2real, wrap
-from kinfeas.backend import Gripping, Live, Resumable, RobotState, Stochastic
+from kinfeas.backend import Gripping, Live, Nearby, Resumable, RobotState, Seeing, Stochastic
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.sim2real.adapter import Adapter
 from kinfeas.sim2real.adapters.base_noise import BaseNoise
@@ -43,6 +43,10 @@ class Doll(AnalyticBackend):
 
     def grip(self, grip, rows):
         self.told.append((grip, rows.tolist()))
+
+    def near(self, within):
+        self.told.append(within)
+        return Nearby(np.zeros((1, 0, 2)), np.zeros((1, 0, 2)), np.zeros((1, 0)))
 
     def read(self):
         return self.state
@@ -129,13 +133,14 @@ def test_with_nothing_to_do_it_is_the_identity_to_the_bit(name, pr2):
 def test_it_can_what_its_backend_can(name, pr2):
     doll = Doll()
     adapter = built(name, pr2, doll)
-    for protocol in (Stochastic, Gripping, Live, Resumable):
+    for protocol in (Stochastic, Gripping, Seeing, Live, Resumable):
         assert isinstance(adapter, protocol)
     adapter.grip("close", np.array([1]))
     adapter.stop()
     adapter.close()
     adapter.seed(np.array([7], dtype=np.uint64), np.array([0]))
-    assert doll.told == [("close", [1]), "stop"]
+    assert adapter.near(0.5).distance.shape == (1, 0)
+    assert doll.told == [("close", [1]), "stop", 0.5]
     assert (doll.closed, doll.seeded) == (1, [([7], [0])])
     assert adapter.read() is doll.state
 
@@ -143,7 +148,7 @@ def test_it_can_what_its_backend_can(name, pr2):
 @pytest.mark.parametrize("name", NAMES)
 def test_and_no_more(name, pr2):
     adapter = built(name, pr2, Bare())
-    for protocol in (Gripping, Live, Resumable):
+    for protocol in (Gripping, Seeing, Live, Resumable):
         assert not isinstance(adapter, protocol)
 
 

@@ -28,7 +28,7 @@ _FORMAT = 1
 _RULES = 2
 """By which collisions and tasks done are told in the PyBullet world, counted up as they change."""
 
-_LATER = (("yields", False),)
+_LATER = (("yields", False), ("clearance", 0.0))
 """Settings of the world that came after the first cells, with the value that changes nothing: left
 out, so that these cells are found."""
 

@@ -32,6 +32,7 @@ class PhysicsCell(Cell):
         slow_down: How many times longer than planned the EE motions lasted.
         head_start: Seconds that the EE stood still at first.
         yields: Whether the base yielded to the arm.
+        clearance: Metres that the base kept from what stood around; 0 if it did not look.
         objects: Whether the scene was there.
     """
 
@@ -46,6 +47,7 @@ class PhysicsCell(Cell):
     slow_down: float
     head_start: float
     yields: bool
+    clearance: float
     objects: bool
 
     @property
@@ -114,6 +116,7 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
         slow_down=world.slow_down,
         head_start=world.head_start,
         yields=world.yields,
+        clearance=world.clearance,
         objects=world.objects,
     )
 

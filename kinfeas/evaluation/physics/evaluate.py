@@ -38,6 +38,7 @@ class PhysicsSummary(Summary, PhysicsFigures):
     slow_down: float
     head_start: float
     yields: bool
+    clearance: float
     objects: bool
 
 
@@ -77,6 +78,7 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
         "slow_down": pace.slow_down,
         "head_start": pace.head_start,
         "yields": pace.yields,
+        "clearance": pace.clearance,
         "objects": trial.settings.objects,
         **physics_figures(records, judged=is_judged(trial)),
         "ceiling": ceiling.value if ceiling else None,

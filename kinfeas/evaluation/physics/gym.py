@@ -64,8 +64,8 @@ class PhysicsMotionEnv(BaseMotionEnv):
         Args:
             robot: Name or YAML file of the robot.
             task: Entry-point name or YAML file of the task.
-            world: Where it happens; by default what suits the robot, but for a base that yields:
-                what is learned from are the commands that were given.
+            world: Where it happens; by default what suits the robot, but for a base that yields or
+                keeps clear: what is learned from are the commands that were given.
             task_parameters: Keyword parameters of the task, or changes to its file.
             reward: What a step earns; as in training by default.
             render_mode: `human`, `rgb_array` or None.
@@ -82,7 +82,7 @@ class PhysicsMotionEnv(BaseMotionEnv):
             raise KinfeasError(f"reward must be RewardConfig or None, not {reward!r}")
         self.render_mode = render_mode
         known = registry.load_robot(robot)
-        settings = world or replace(physics_config(known).world, yields=False)
+        settings = world or replace(physics_config(known).world, yields=False, clearance=0.0)
         self.stage = make_stage(
             known, load_task(task, task_parameters), settings, gui=render_mode == "human"
         )

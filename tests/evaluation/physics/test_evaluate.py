@@ -48,6 +48,14 @@ def test_the_pr2_is_slowed_down_and_others_are_not():
     assert slow == {"pr2": 2.0, "tiago": 1.0, "hsr": 1.0}
 
 
+def test_the_pr2_keeps_clear_of_furniture_and_others_do_not():
+    kept = {
+        name: physics_config(registry.load_robot(name)).world.clearance
+        for name in ("pr2", "tiago", "hsr")
+    }
+    assert kept == {"pr2": 0.03, "tiago": 0.0, "hsr": 0.0}
+
+
 def test_time_limits_are_in_motion_time():
     settings = physics_config(registry.load_robot("pr2"), ["world.max_seconds=15"]).world
     assert settings.world.max_seconds == 15
@@ -57,10 +65,8 @@ def test_time_limits_are_in_motion_time():
 def test_what_can_be_set_is_what_results_are_told_apart_by():
     """Cells of a benchmark are found again by these keys and values."""
     told = config.to_mapping(PhysicsSettings(head_start=3.0))
-    apart = ("slow_down", "head_start", "patience", "yields", "objects")
-    assert {key: told[key] for key in apart} == {
-        "slow_down": 1.0, "head_start": 3.0, "patience": 8.0, "yields": False, "objects": True
-    }  # fmt: skip
+    apart = ("slow_down", "head_start", "patience", "yields", "clearance", "objects")
+    assert [told[key] for key in apart] == [1.0, 3.0, 8.0, False, 0.0, True]
     rest = {"dt", "max_failures", "max_seconds", "adapters", "ik", "physics"}
     assert set(told) == rest | set(apart)
 
@@ -99,11 +105,11 @@ def test_the_summary_tells_the_pace_that_adapters_have_made(trial, policy):
     adapters = (
         AdapterSpec("head_start", {"seconds": 3.0}), AdapterSpec("slow_down", {"factor": 2.0})
     )  # fmt: skip
-    settings = replace(trial.settings, slow_down=2.0, yields=True, max_seconds=0.1)
+    settings = replace(trial.settings, slow_down=2.0, yields=True, clearance=0.05, max_seconds=0.1)
     slower = replace(trial, episodes=1, settings=replace(settings, adapters=adapters))
     summary = evaluate_physics(slower, policy)
-    told = summary["slow_down"], summary["head_start"], summary["yields"]
-    assert told == (4.0, 3.0, True)
+    told = [summary[key] for key in ("slow_down", "head_start", "yields", "clearance")]
+    assert told == [4.0, 3.0, True, 0.05]
 
 
 def test_a_room_is_there_or_not(trial, policy):

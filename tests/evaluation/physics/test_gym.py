@@ -71,8 +71,12 @@ def test_commands_are_carried_out_as_they_are_given():
     env = PhysicsMotionEnv("tiago")
     assert not env.world.loop.pace.yields
     env.close()
-    env = PhysicsMotionEnv("tiago", world=PhysicsSettings(yields=True))
+    env = PhysicsMotionEnv("pr2")
+    assert not env.world.loop.pace.clearance
+    env.close()
+    env = PhysicsMotionEnv("tiago", world=PhysicsSettings(yields=True, clearance=0.1))
     assert env.world.loop.pace.yields
+    assert env.world.loop.pace.clearance == 0.1
     env.close()
 
 
