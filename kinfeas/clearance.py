@@ -77,12 +77,11 @@ class Clearance:
     """
 
     def __init__(self, base: Base, backend: Backend, metres: float, dt: float) -> None:
-        *_, innermost = chain(backend)
-        self._name = type(innermost).__name__
+        *_, self._innermost = chain(backend)
         if not isinstance(backend, Seeing):
             raise KinfeasError(
                 f"clearance={metres:g} needs a backend that knows what stands around the base, and "
-                f"{self._name} does not: only 0 is allowed"
+                f"{type(self._innermost).__name__} does not: only 0 is allowed"
             )
         self._backend, self._metres, self._dt = backend, metres, dt
         self._full = _full_velocity(base)
@@ -91,8 +90,8 @@ class Clearance:
         # Whatever is further away may be approached as fast as the base can.
         self._look = metres + max(fastest**2 / self._brakes, 2.0 * dt * fastest)
 
-    def limits(self) -> Limits:
-        """Return how fast the bases may approach what is near them now.
+    def limits(self, n: int) -> Limits:
+        """Return how fast n bases may approach what is near them now.
 
         So fast that half of the braking that the base is capable of suffices, and at most half of
         the way that is left in a control period.
@@ -100,17 +99,20 @@ class Clearance:
         Raises:
             KinfeasError: If a backend from outside fails, or says nothing of the kind.
         """
-        with blaming(self._backend, "near"):
+        with blaming(self._innermost, "near"):
             near: Any = self._backend.near(self._look)
+        name = type(self._innermost).__name__
         if not isinstance(near, Nearby):
             got = type(near).__name__
-            raise KinfeasError(f"backend {self._name} must return a Nearby from near, not {got}")
+            raise KinfeasError(f"backend {name} must return a Nearby from near, not {got}")
+        if len(near.distance) != n:
+            got = str(len(near.distance))
+            raise KinfeasError(f"backend {name} must say what is near to {n} robots, not to {got}")
         way = np.maximum(near.distance - self._metres, 0.0)
         most = np.minimum(np.sqrt(self._brakes * way), way / (2.0 * self._dt))
         toward = _toward(near, len(self._full))
-        n, _, a = toward.shape
         # Nor does a base turn faster than it can: its way gives in then.
-        turns = np.zeros((n, 2, a))
+        turns = np.zeros((n, 2, len(self._full)))
         turns[:, :, -1] = [1.0, -1.0]
         fastest = np.full((n, 2), self._full[-1])
         return Limits(

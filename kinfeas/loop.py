@@ -155,7 +155,7 @@ class Loop:
         before, base_pose = self.sent, self.state.base_pose
         limits = None
         if self._clearance is not None:
-            limits = self._clearance.limits()
+            limits = self._clearance.limits(len(action))
             action = limits.hold(action[:, np.newaxis])[:, 0]
         wanted = (action, base_pose, course.desired, before)
         if self._yielding is None:

@@ -131,7 +131,7 @@ def test_a_base_turns_aside_before_it_leaves_its_way():
     """Its corner is in the way of a pillar: it turns the corner away, and drives on."""
     hsr = registry.load_robot("hsr")
     corner = Nearby(np.array([[[0.3, 0.3]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]]))
-    limits = Clearance(hsr.base, Blind(lambda: corner), KEPT, DT).limits()
+    limits = Clearance(hsr.base, Blind(lambda: corner), KEPT, DT).limits(1)
     held = limits.hold(np.array([[[0.5, 0.0, 0.0]]]))[0, 0]
     assert held[0] == pytest.approx(0.5, rel=0.05)
     way = held[0] * hsr.base.max_velocity - 0.3 * held[2] * hsr.base.max_rotation
@@ -141,7 +141,7 @@ def test_a_base_turns_aside_before_it_leaves_its_way():
 def test_where_it_cannot_turn_fast_enough_it_leaves_its_way():
     hsr = registry.load_robot("hsr")
     corner = Nearby(np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]]))
-    limits = Clearance(hsr.base, Blind(lambda: corner), KEPT, DT).limits()
+    limits = Clearance(hsr.base, Blind(lambda: corner), KEPT, DT).limits(1)
     held = limits.hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
     assert held[2] == pytest.approx(1.0)
     assert held[0] * hsr.base.max_velocity == pytest.approx(0.05 * hsr.base.max_rotation, rel=1e-3)
@@ -155,7 +155,7 @@ def test_a_base_that_yields_keeps_clear_as_well(solver):
     desired = spatial.compose(base, forward(solver.chain, joints))
     backend = Pillars([RADIUS + KEPT, 0.0], [0.0, RADIUS + KEPT])
     backend.reset(base, joints)
-    limits = Clearance(robot.base, backend, KEPT, 0.5).limits()
+    limits = Clearance(robot.base, backend, KEPT, 0.5).limits(n)
     action = rng.uniform(-1.0, 1.0, (n, action_size(robot.base)))
     action = limits.hold(action[:, np.newaxis])[:, 0]
     following = Following(solver, 0.5)
@@ -176,7 +176,7 @@ def test_no_row_depends_on_the_others(robot):
     backend, rng = Pillars([0.4, 0.0], [0.0, 0.45]), np.random.default_rng(3)
     base, joints = start_of(robot, 16)
     backend.reset(base, joints)
-    limits = Clearance(robot.base, backend, KEPT, DT).limits()
+    limits = Clearance(robot.base, backend, KEPT, DT).limits(16)
     action = rng.uniform(-1.0, 1.0, (16, 2, action_size(robot.base)))
     together = limits.hold(action)
     assert (together != action).any()
@@ -188,7 +188,7 @@ def test_held_commands_are_carried_out_as_they_are(robot):
     backend, rng = Pillars([0.4, 0.0], [0.0, 0.45]), np.random.default_rng(4)
     base, joints = start_of(robot, 64)
     backend.reset(base, joints)
-    limits = Clearance(robot.base, backend, KEPT, DT).limits()
+    limits = Clearance(robot.base, backend, KEPT, DT).limits(64)
     held = limits.hold(rng.uniform(-2.0, 2.0, (64, 1, action_size(robot.base))))[:, 0]
     speed = np.linalg.norm(base_twist(robot.base, base, held, DT)[:, :2], axis=1)
     assert speed.max() <= robot.base.max_velocity * (1.0 + 1e-12)
@@ -234,6 +234,10 @@ class Blind(Pillars):
         (lambda: None, r"^backend Blind must return a Nearby from near, not NoneType$"),
         (lambda: 1 / 0, r"^backend Blind fails in near: ZeroDivisionError: "),
         (
+            lambda: Nearby(np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), np.zeros((2, 1))),
+            r"^backend Blind must say what is near to 1 robots, not to 2$",
+        ),
+        (
             lambda: Nearby(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1)),
             r"fails in near: ValueError: place, toward and distance must be of the shapes \(n, k, "
             r"2\), \(n, k, 2\) and \(n, k\), not \(1, 2\), \(1, 2\) and \(1,\) ",
@@ -249,9 +253,11 @@ class Blind(Pillars):
     ],
 )
 def test_what_is_no_answer_is_said_in_one_sentence(answer, sentence):
-    loop = loop_among(registry.load_robot("hsr"), Blind(answer), 1)
-    with pytest.raises(KinfeasError, match=sentence):
-        loop.step(np.zeros((1, 3)))
+    hsr = registry.load_robot("hsr")
+    for backend in (Blind(answer), Passing(Blind(answer))):
+        clearance = Clearance(hsr.base, backend, KEPT, DT)
+        with pytest.raises(KinfeasError, match=sentence):
+            clearance.limits(1)
 
 
 def test_the_scan_of_the_documentation_keeps_a_round_base_clear():
@@ -262,6 +268,6 @@ def test_the_scan_of_the_documentation_keeps_a_round_base_clear():
     wall = 0.5 / np.cos(angles[:, np.newaxis]) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     near = space["near_to_disc"](wall, RADIUS, 1.0)
     assert near.distance.min() == pytest.approx(0.5 - RADIUS)
-    limits = Clearance(hsr.base, Blind(lambda: near), 0.5 - RADIUS, DT).limits()
+    limits = Clearance(hsr.base, Blind(lambda: near), 0.5 - RADIUS, DT).limits(1)
     held = limits.hold(np.array([[[0.5, 0.5, 0.0]]]))[0, 0]
     np.testing.assert_allclose(held, [0.0, 0.5, 0.0], atol=0.03)

@@ -67,8 +67,9 @@ def test_what_is_handled_is_not_seen(world, begin):
 
 def test_what_lies_beneath_is_not_in_the_way(world, begin):
     begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
-    near = world.near(0.3)
-    assert (np.linalg.norm(near.toward, axis=2) >= 0.5).all()
+    bar = world.furniture.bodies["bar"]
+    assert world.physics.client.getClosestPoints(world.body.body, bar, 0.3)
+    assert world.near(0.3).distance.size == 0
 
 
 def test_a_floor_and_nothing_else():
