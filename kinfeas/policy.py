@@ -88,6 +88,11 @@ class Network:
             values = out
         return np.tanh(values).astype(np.float64)
 
+    def equals(self, other: "Network") -> bool:
+        """Return whether all numbers of both networks are equal."""
+        pairs = zip((*self.weights, *self.biases), (*other.weights, *other.biases), strict=True)
+        return all(np.array_equal(one, another) for one, another in pairs)
+
 
 def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
     """Write a network as `policy.safetensors` and `policy.json` into `folder`.

@@ -27,7 +27,7 @@ Minutes = Annotated[
     float | None,
     typer.Option(
         "--minutes",
-        help="Wall-clock minutes in all, more than 0, evaluations included; " + _RECIPE.format(3),
+        help="Minutes of training, without evaluations, more than 0; " + _RECIPE.format(3),
     ),
 ]
 OutFolder = Annotated[
@@ -98,8 +98,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
             "--processes",
             min=1,
             max=MOST_PROCESSES,
-            help="pybullet: worlds side by side, each in a process of its own; by default the "
-            "recipe's.",
+            help="pybullet: processes that share the environments; by default the recipe's.",
         ),
     ] = None,
     out: OutFolder = None,
@@ -114,9 +113,9 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 ) -> None:
     """Train a base policy; Ctrl-C leaves a checkpoint that --resume goes on from.
 
-    The recipe is train/ROBOT where there is one, else train/default; with [bold]--world
-    pybullet[/] it is train_physics/ROBOT or train_physics/default; [bold]--sim2real[/] takes the
-    place of its adapters.
+    The recipe is train/ROBOT where there is one, else train/default. With [bold]--world
+    pybullet[/] it comes from the folder train_physics, with [bold]--init[/] as well from
+    finetune_physics. [bold]--sim2real[/] takes the place of its adapters.
 
     Settings: every key of the recipe, such as [bold]learner.batch_size=256[/] or
     [bold]environments=64[/].
@@ -225,7 +224,7 @@ def _show(progress: "Progress", folder: Path) -> None:
     rows = [
         ["steps", f"{progress.steps:,}"],
         ["time", f"{progress.seconds / 60.0:.1f} min"],
-        ["steps per second, evaluations included", f"{progress.steps / progress.seconds:,.0f}"],
+        ["steps per second of training", f"{progress.steps / progress.seconds:,.0f}"],
         [
             f"best checkpoint's success, {figures['episodes']} episodes",
             share(*(float(figures[key]) for key in ("success", "success_low", "success_high"))),

@@ -51,7 +51,7 @@ class Wishes:
             "seed": self.seed,
             "learner.algorithm": self.algorithm,
             "init": self.init,
-            "environments": self.processes,
+            "processes": self.processes,
         }
         said = {key: value for key, value in said.items() if value is not None}
         if self.minutes is not None or self.steps is not None:
@@ -74,7 +74,9 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.origin import fitted
 
-    folder = "train_physics" if wishes.pybullet else "train"
+    folder = "train"
+    if wishes.pybullet:
+        folder = "train_physics" if wishes.init is None else "finetune_physics"
     if recipe is None and wishes.robot is None and wishes.init is not None:
         wishes = replace(wishes, robot=robot_of(wishes.init))
     if recipe is None:

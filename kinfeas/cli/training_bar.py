@@ -39,9 +39,11 @@ def describe(progress: "Progress") -> str:
     # NaN and -1 stand for nothing known yet.
     recent = f"{progress.success:.0%}" if progress.success >= 0.0 else "-"
     best = f"{progress.best:.1%}" if progress.best >= 0.0 else "-"
+    if progress.evaluating:
+        return f"{progress.steps:,} steps, evaluating (not counted as training time)"
     return (
         f"{progress.steps:,} steps, {progress.steps / max(progress.seconds, 1e-9):,.0f}/s, "
-        f"success {recent}, best evaluation {best}, {minutes(left)} left"
+        f"success {recent}, best score {best}, {minutes(left)} left"
     )
 
 
@@ -53,7 +55,7 @@ class _Lines:
 
     def __call__(self, progress: "Progress") -> None:
         now = time.monotonic()
-        if now - self.last >= LINE_SECONDS or progress.share >= 1.0:
+        if now - self.last >= LINE_SECONDS or progress.share >= 1.0 or progress.evaluating:
             self.last = now
             sys.stderr.write(f"{progress.share:4.0%}  {describe(progress)}\n")
             sys.stderr.flush()

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from kinfeas.loop import Step
+from kinfeas.metrics import WITHIN
 from kinfeas.quantities import NotNegative, PositiveShare
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
@@ -25,6 +26,8 @@ class RewardConfig:
         jump_penalty: Cost of a step in which an arm joint has to move faster than it can.
         limit_penalty: Cost of a joint at its limit, falling linearly to 0 at `limit_margin`.
         limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
+        deviation_penalty: Cost of a step with the EE 5 cm or more from its desired position; less,
+            with the square of the distance, where it is nearer.
     """
 
     failure: Literal["indicator", "graded"] = "graded"
@@ -32,6 +35,7 @@ class RewardConfig:
     jump_penalty: NotNegative = 0.1
     limit_penalty: NotNegative = 0.02
     limit_margin: PositiveShare = 0.2
+    deviation_penalty: NotNegative = 0.0
 
 
 def reward(
@@ -49,6 +53,9 @@ def reward(
     earned = np.where(step.feasible, 0.0, -_failure_cost(config, step))
     earned -= config.action_penalty * np.sum(np.square(action), axis=1)
     earned -= config.jump_penalty * step.jumped
+    if config.deviation_penalty > 0.0:
+        share = np.minimum(step.deviation / WITHIN, 1.0)
+        earned -= config.deviation_penalty * np.square(share)
     if config.limit_penalty > 0.0:
         short = config.limit_margin - limit_distance(robot, joint_positions)
         # A joint that is measured beyond its limit costs no more than one at it.

@@ -21,7 +21,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.checks import check_start
-from kinfeas.tasks.task import Task, build_legs
+from kinfeas.tasks.task import StagedTask, Task, build_legs
 
 __all__ = ["AdapterSpec", "Transition", "World", "WorldConfig"]
 
@@ -140,7 +140,8 @@ class World:
             KinfeasError: If the task samples anything of another form.
         """
         rngs = [self._rng(episode) for episode in episodes]
-        starts = [self.task.sample(self.solver, rng) for rng in rngs]
+        places = range(len(episodes)) if rows is None else rows.tolist()
+        starts = [self._sample(rng, row) for rng, row in zip(rngs, places, strict=True)]
         legs, joints = len(self.task.legs), len(self.robot.arm)
         for start in starts:
             check_start(start, f"task {self.task.name!r}", legs, joints)
@@ -190,6 +191,11 @@ class World:
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation
+
+    def _sample(self, rng: np.random.Generator, row: int) -> Start:
+        if isinstance(self.task, StagedTask):
+            return self.task.sample_in(row, self.solver, rng)
+        return self.task.sample(self.solver, rng)
 
     def _rng(self, episode: int) -> np.random.Generator:
         sequence = np.random.SeedSequence((self.seed, episode), spawn_key=self.stream)

@@ -17,13 +17,14 @@ Watch = Callable[[World, Transition, Rows, Rows], None]
 """Called after each step with the world, what happened, the live rows and their episodes."""
 
 
-def run_episodes(
+def run_episodes(  # noqa: PLR0913, PLR0917 - callbacks and sizes by keyword
     world: World,
     policy: Policy,
     episodes: int,
     on_done: Callable[[int], None] | None = None,
     watch: Watch | None = None,
     first: int = 0,
+    batch: int = BATCH,
 ) -> EpisodeRecords:
     """Return what happened in episodes `first` to `first + episodes - 1` of the world's seed.
 
@@ -34,10 +35,11 @@ def run_episodes(
         on_done: Called with the number of episodes that have just ended.
         watch: Called after each step, for pictures and statistics.
         first: Number of the first one.
+        batch: Episodes side by side, at most; no figure depends on it.
     """
     tally = _Tally(first, episodes, len(world.task.legs))
     beyond = first + episodes
-    running = np.arange(first, first + min(BATCH, episodes))
+    running = np.arange(first, first + min(batch, episodes))
     world.start(running.tolist())
     if isinstance(policy, LookAhead):
         policy.watch(world.loop)

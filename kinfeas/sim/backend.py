@@ -1,4 +1,7 @@
-"""The PyBullet world as a backend of the loop: one robot, with inertia, motors and contacts."""
+"""The PyBullet world as a backend of the loop: robots with inertia, motors and contacts."""
+
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,29 +10,20 @@ from kinfeas.backend import Grip, Nearby, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
-from kinfeas.sim.arm_drive import ArmDrive
-from kinfeas.sim.base_drive import BaseDrive
-from kinfeas.sim.contacts import Contacts, Touched, contacts, touched
-from kinfeas.sim.furniture import Furniture
-from kinfeas.sim.grasp import Grasp
-from kinfeas.sim.gripper import GripperDrive
-from kinfeas.sim.nearby import Surroundings
-from kinfeas.sim.physics import Physics, PhysicsConfig
-from kinfeas.sim.robot_body import RobotBody
+from kinfeas.sim.physics import PhysicsConfig
+from kinfeas.sim.robot_body import robot_state
+from kinfeas.sim.simulation import Simulation
 from kinfeas.spatial import Array
 
 _FLAT = 1e-6
 
 
 class PyBulletBackend:
-    """One robot in a room. After a reset, nothing moves but by forces.
+    """n robots, each in a PyBullet world of its own.
 
     Attributes:
-        physics: The world.
-        body: The robot in it.
-        furniture: What stands there; None without a scene.
-        gripper: The robot's gripper; None if its YAML file has none.
-        grasp: What the gripper holds; None without a gripper.
+        robot: Robot that is simulated.
+        sims: The worlds, at least one; `reset` adds those that are missing.
     """
 
     def __init__(
@@ -40,30 +34,34 @@ class PyBulletBackend:
         gui: bool = False,
         physics: PhysicsConfig | None = None,
     ) -> None:
-        """Build the world; the first `reset` puts the robot where it begins.
+        """Build the first world; the first `reset` puts the robots where they begin.
 
         Args:
             robot: Robot to simulate.
             scene: Room and furniture; without one there is a floor and nothing else.
-            gui: Whether to show the world in a window.
+            gui: Whether to show the first world in a window.
             physics: Gravity, rate, friction and other numbers of the world.
 
         Raises:
             KinfeasError: If PyBullet is not installed.
         """
-        self.physics = Physics(physics or PhysicsConfig(), gui=gui)
-        self.furniture = Furniture(self.physics, scene) if scene else None
-        self.body = RobotBody(self.physics, robot)
-        self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
-        self._surroundings = Surroundings(self.body)
-        self.gripper = GripperDrive(self.body) if robot.gripper else None
-        self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
-        self._handled: tuple[int, int] | None = None
-        self._rigid, self._reaches = True, False
-        self.physics.keep()
+        self.robot = robot
+        self._build = partial(Simulation, robot, scene, physics=physics)
+        self.sims = [self._build(gui=gui)]
+        self._handled: tuple[str, str, bool] | None = None
+        self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
+
+    def simulation(self, row: int) -> Simulation:
+        """Return the world of a robot; missing ones are built."""
+        while len(self.sims) <= row:
+            self.sims.append(self._build())
+            if self._handled is not None:
+                name, link, rigid = self._handled
+                self.sims[-1].handle(name, link, rigid=rigid)
+        return self.sims[row]
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set what the gripper takes hold of when it closes; it is open at each reset from now on.
+        """Set what the grippers take hold of when they close; they are open after each reset.
 
         Args:
             name: Name of an object of the scene.
@@ -73,135 +71,76 @@ class PyBulletBackend:
         Raises:
             KinfeasError: If there is no scene, object, link or gripper.
         """
-        if self.furniture is None or self.gripper is None:
-            raise KinfeasError("nothing can be handled without a scene and a gripper")
-        self._handled, self._rigid = self.furniture.link(name, link), rigid
+        for one in self.sims:
+            one.handle(name, link, rigid=rigid)
+        self._handled = name, link, rigid
 
     def reset(
         self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Put robot and furniture at rest where they begin; shapes as in `Backend`.
-
-        Nothing is left of what was before: equal episodes are equal to the bit.
+        """Put robots and furniture at rest where they begin; shapes as in `Backend`.
 
         Raises:
-            KinfeasError: If there is not exactly one robot, its base stands not on the floor, or
-                the world is gone.
-        """
-        self._check_one(base_pose, joint_positions)
-        tilt = np.abs(base_pose[0, 2:5])
-        if not np.all(tilt <= _FLAT):
-            raise KinfeasError("the base must stand upright on the floor, at height 0")
-        with self.physics.connected():
-            self._begin(base_pose[0], joint_positions[0])
-            return self.body.state()
-
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
-        """Begin to close or open the gripper; closing, it holds what both of its fingers touch.
-
-        Only what `handle` has set is held.
-        """
-        if self.gripper is None or self.grasp is None or not rows.size:
-            return
-        self._reaches = grip == "close"
-        if self._reaches:
-            self.gripper.close()
-        else:
-            self.grasp.release()
-            self.gripper.open()
-
-    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Drive base, arm and gripper for `dt` seconds; shapes as in `Backend`.
-
-        Raises:
-            KinfeasError: If there is not exactly one robot, `dt` is not above 0, or the world is
+            KinfeasError: If a base is not level on the floor, a number is not finite, or a world is
                 gone.
         """
-        self._check_one(base_twist, joint_targets)
-        with self.physics.connected():
-            steps = self._divide(dt)
-            self._base.aim(base_twist[0], dt)
-            self._arm.aim(joint_targets[0], steps)
-            for step in range(steps):
-                self._drive(step)
-            self._hold()
-            return self.body.state()
+        numbers: Sequence[int] = range(len(base_pose)) if rows is None else rows.tolist()
+        self._check(base_pose, joint_positions, len(numbers))
+        if not np.all(np.abs(base_pose[:, 2:5]) <= _FLAT):
+            raise KinfeasError("the base must stand upright on the floor, at height 0")
+        if rows is None:
+            self._positions = np.zeros((len(numbers), 3 + len(self.robot.arm)))
+            self._velocities = np.zeros_like(self._positions)
+        for row, pose, joints in zip(numbers, base_pose, joint_positions, strict=True):
+            self.simulation(row).reset(pose, joints)
+        return self._measure(numbers)
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Begin to close or open grippers; closing, they hold what both of their fingers touch."""
+        for row in rows.tolist():
+            self.sims[row].grip(grip)
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
+
+        Raises:
+            KinfeasError: If the shapes do not fit, a number is not finite, `dt` is not above 0, or
+                a world is gone.
+        """
+        self._check(base_twist, joint_targets, len(self._positions))
+        for row, (twist, joints) in enumerate(zip(base_twist, joint_targets, strict=True)):
+            self.sims[row].step(twist, joints, dt)
+        return self._measure(range(len(self._positions)))
 
     def near(self, within: float) -> Nearby:
-        """Return what is nearer than `within` metres to the base, but for what it handles."""
-        bodies = self.furniture.bodies.values() if self.furniture else ()
-        with self.physics.connected():
-            return self._surroundings.near(bodies, within, self._spared())
-
-    def contacts(self) -> Contacts:
-        """Return what the robot touches now, but for the link that it handles."""
-        return contacts(self.body, self._spared())
-
-    def touched(self) -> Touched:
-        """Return the bodies that the robot touches now, but for the link that it handles."""
-        return touched(self.body, self._spared())
-
-    def free(self) -> bool:
-        """Return whether the robot touches nothing where it is."""
-        self.physics.client.performCollisionDetection()
-        return self.contacts() == Contacts(base=0, arm=0)
+        """Return what is nearer than `within` metres to the bases, but for what they handle."""
+        found = [one.near(within) for one in self.sims[: len(self._positions)]]
+        width = max(one.distance.shape[1] for one in found)
+        place, toward = np.zeros((2, len(found), width, 2))
+        distance = np.full((len(found), width), np.inf)
+        for row, one in enumerate(found):
+            count = one.distance.shape[1]
+            place[row, :count], toward[row, :count] = one.place[0], one.toward[0]
+            distance[row, :count] = one.distance[0]
+        return Nearby(place, toward, distance)
 
     def close(self) -> None:
-        """End the world; it may be called twice."""
-        self.physics.close()
+        """End the worlds; it may be called twice."""
+        for one in self.sims:
+            one.close()
 
-    def _begin(self, base_pose: Array, joint_positions: Array) -> None:
-        if self.grasp is not None:
-            self.grasp.release()
-        self.physics.rewind()
-        if self.furniture is not None:
-            self.furniture.place()
-        self.body.reset(base_pose, joint_positions)
-        self.physics.look_at(base_pose)
-        self._base.reset()
-        self._arm.reset(joint_positions)
-        self._reaches = False
-        if self.gripper is not None:
-            self.gripper.reset()
-            if self._handled is not None:
-                self.gripper.open()
+    def _measure(self, rows: Sequence[int]) -> RobotState:
+        """Return the state of all robots, of which `rows` are measured anew."""
+        # Others may hold the arrays of before.
+        self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
+        for row in rows:
+            self._positions[row], self._velocities[row] = self.sims[row].measure()
+        return robot_state(self.robot, self._positions, self._velocities)
 
-    def _drive(self, step: int) -> None:
-        """Let physics step number `step` of a control period pass."""
-        self._base.drive()
-        self._arm.drive(step)
-        if self.gripper is not None:
-            self.gripper.drive()
-        if self.grasp is not None:
-            self.grasp.drive()
-        self.physics.advance()
-
-    def _hold(self) -> None:
-        """Take hold of what the fingers have closed on, and let slip what is pulled too hard."""
-        if self.grasp is None:
-            return
-        self.grasp.update()
-        if self._reaches and self._handled is not None and self.grasp.held is None:
-            # Once held, what slips out is lost.
-            self._reaches = not self.grasp.hold(*self._handled, rigid=self._rigid)
-
-    def _spared(self) -> tuple[tuple[int, int], ...]:
-        return () if self._handled is None else (self._handled,)
-
-    def _divide(self, dt: float) -> int:
-        """Return how many physics steps a control period has, and tell those whom it concerns."""
-        before = self.physics.step_time
-        steps = self.physics.divide(dt)
-        if self.physics.step_time != before:
-            for part in (self.furniture, self.gripper):
-                if part is not None:
-                    part.retime()
-        return steps
-
-    def _check_one(self, planar: Array, joints: Array) -> None:
-        if len(planar) != 1 or joints.shape != (1, len(self.body.arm)):
+    def _check(self, planar: Array, joints: Array, count: int) -> None:
+        if len(planar) != count or joints.shape != (count, len(self.robot.arm)):
             raise KinfeasError(
-                f"the PyBullet world holds one robot of {len(self.body.arm)} arm joints, "
+                f"the PyBullet world holds {count} robots of {len(self.robot.arm)} arm joints, "
                 f"not {len(planar)} with joint positions of shape {joints.shape}"
             )
         if not (np.isfinite(planar).all() and np.isfinite(joints).all()):

@@ -75,20 +75,15 @@ class RobotBody:
         x, y, heading = self.physics.client.getJointStates(self.body, self.base)
         return x[0], y[0], heading[0]
 
-    def state(self) -> RobotState:
-        """Return what was measured, as a batch of one; continuous joints are in (-pi, pi]."""
+    def measure(self) -> tuple[list[float], list[float]]:
+        """Return positions and velocities of x, y, yaw and the arm's joints."""
         states = self.physics.client.getJointStates(self.body, [*self.base, *self.arm])
-        position = np.array([[state[0] for state in states]])
-        velocity = np.array([[state[1] for state in states]])
-        twist = np.zeros((1, 6))
-        twist[:, [0, 1, 5]] = velocity[:, :3]
-        joints = position[:, 3:]
-        return RobotState(
-            base_pose=planar_pose(*position[:, :3].T),
-            joint_positions=np.where(self.robot.continuous, wrap(joints), joints),
-            base_twist=twist,
-            joint_velocities=velocity[:, 3:],
-        )
+        return [state[0] for state in states], [state[1] for state in states]
+
+    def state(self) -> RobotState:
+        """Return what was measured, as a batch of one."""
+        positions, velocities = self.measure()
+        return robot_state(self.robot, np.array([positions]), np.array([velocities]))
 
     def _pass_through_the_floor(self) -> None:
         """Leave contacts of the base with the floor out: planar joints bear it already."""
@@ -97,3 +92,22 @@ class RobotBody:
                 self.physics.client.setCollisionFilterPair(
                     self.body, self.physics.floor, link, -1, 0
                 )
+
+
+def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState:
+    """Return the state of n robots; continuous joints are in (-pi, pi].
+
+    Args:
+        robot: Robot that was measured.
+        positions: x, y, yaw and arm joints, shape (n, 3 + j), metres and radians.
+        velocities: Of the same, per second.
+    """
+    twist = np.zeros((len(positions), 6))
+    twist[:, [0, 1, 5]] = velocities[:, :3]
+    joints = positions[:, 3:]
+    return RobotState(
+        base_pose=planar_pose(*positions[:, :3].T),
+        joint_positions=np.where(robot.continuous, wrap(joints), joints),
+        base_twist=twist,
+        joint_velocities=velocities[:, 3:],
+    )

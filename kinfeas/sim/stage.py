@@ -35,11 +35,12 @@ class Stage:
                 without a gripper.
         """
         self.task, self.backend = task, backend
-        self.scene = backend.furniture.scene if backend.furniture else None
+        furniture = backend.sims[0].furniture
+        self.scene = furniture.scene if furniture else None
         self._chain = _chain(task)
         self._known = self._chain.scene if self._chain and self.scene else None
         if self._known and self.scene:
-            check_task(self.name, self._known, self.scene, backend.body.robot)
+            check_task(self.name, self._known, self.scene, backend.robot)
             if handled := self._known.handled:
                 backend.handle(handled.object, handled.link, rigid=not handled.turns)
 
@@ -54,18 +55,22 @@ class Stage:
         return self.task.legs
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode, and put robot and furniture where it begins.
+        """Return one random episode, and put the first robot and its furniture where it begins."""
+        return self.sample_in(0, solver, rng)
+
+    def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode, and put robot and furniture of a row where it begins.
 
         Raises:
             KinfeasError: If no draw is free of collisions, or objects are drawn into each other.
         """
-        first = self.task.sample(solver, rng)
-        if self.scene is not None and self.backend.furniture is not None:
-            self.backend.furniture.furnish(self._moved(self.scene, first))
+        first, simulation = self.task.sample(solver, rng), self.backend.simulation(row)
+        if self.scene is not None and simulation.furniture is not None:
+            simulation.furniture.furnish(self._moved(self.scene, first))
         for number in range(_DRAWS):
             start = self._again(first, solver, rng) if number else first
-            self.backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
-            if self.backend.free():
+            simulation.reset(start.base_pose, start.joint_positions)
+            if simulation.free():
                 return start
         raise KinfeasError(
             f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
@@ -76,9 +81,13 @@ class Stage:
         """Whether the task wants anything of objects that are there."""
         return self._known is not None
 
-    def done(self) -> bool | None:
-        """Return whether the objects are now as the task wants them; None if it wants nothing."""
-        furniture = self.backend.furniture
+    def done(self, row: int = 0) -> bool | None:
+        """Return whether the objects of a row are now as the task wants them.
+
+        None if it wants nothing.
+        """
+        simulation = self.backend.sims[row]
+        furniture, grasp = simulation.furniture, simulation.grasp
         if self._known is None or furniture is None:
             return None
         done = self._known.done
@@ -86,13 +95,10 @@ class Stage:
             position = furniture.joint_position(done.object, done.joint)
             return position < done.beyond if done.beyond < 0.0 else position > done.beyond
         # What the hand has not let go of has not been put down.
-        return not self._held(done.object) and furniture.stands(done.object, str(done.on))
-
-    def _held(self, name: str) -> bool:
-        backend = self.backend
-        if backend.grasp is None or backend.grasp.held is None or backend.furniture is None:
+        held = grasp.held if grasp else None
+        if held is not None and held[0] == furniture.bodies[done.object]:
             return False
-        return backend.grasp.held[0] == backend.furniture.bodies[name]
+        return furniture.stands(done.object, str(done.on))
 
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return another start; a task that moves furniture leads to where `first` does."""

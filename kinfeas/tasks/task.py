@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -69,6 +69,15 @@ class Task(Protocol):
             solver: The robot's kinematics.
             rng: The only source of randomness, so that an episode is a function of its seed.
         """
+        ...
+
+
+@runtime_checkable
+class StagedTask(Protocol):
+    """A task that also places objects in the backend when it draws an episode."""
+
+    def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode, as `Task.sample` does, and prepare the robot's row for it."""
         ...
 
 

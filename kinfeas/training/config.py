@@ -75,8 +75,8 @@ class ScheduleConfig:
 
     Attributes:
         steps: Environment steps in all; null for any number.
-        minutes: Wall-clock time in all, evaluations included; null for any time. At least one of
-            the two is set, and the run ends at whichever comes first.
+        minutes: Wall-clock time of training, evaluations not included; null for any time. At least
+            one of the two is set, and the run ends at whichever comes first.
         evaluations: Evaluations, spread evenly over the run; the last one ends it.
         evaluation_episodes: Episodes of each evaluation.
         checkpoint_seconds: Time between checkpoints to resume from.
@@ -104,12 +104,12 @@ class TrainConfig:
         task_parameters: Keyword parameters of the task.
         seed: Of everything random.
         environments: Episodes side by side.
+        processes: With physics, processes that share the environments; the analytic world has one.
         hold: Control periods for which an action holds while learning: chance that lasts finds more
             of what a base can do, and the learner looks as many times farther ahead. In an
             evaluation and on a robot each period has an action of its own.
         world: Where they happen.
-        physics: Null for the analytic world; else what is different in the PyBullet world, where
-            each of the `environments` has a process of its own.
+        physics: Null for the analytic world; else what is different in the PyBullet world.
         init: Policy to go on from: a run, a checkpoint or `pretrained`; null for none. It says
             what `learner.hidden` is.
         learner: What learns from them.
@@ -121,6 +121,7 @@ class TrainConfig:
     task_parameters: dict[str, object] = field(default_factory=dict)
     seed: Annotated[int, Interval(low=0)] = 0
     environments: Annotated[int, Interval(low=1, high=65_536)] = 256
+    processes: Annotated[int, Interval(low=1, high=MOST_PROCESSES)] = 1
     hold: Annotated[int, Interval(low=1, high=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
     physics: PhysicsChanges | None = None
@@ -129,11 +130,11 @@ class TrainConfig:
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 
     def __post_init__(self) -> None:
-        """Check the seed, and that no more worlds have physics than a machine has processes."""
+        """Check the seed, and that each process has an environment."""
         if self.seed > LAST_SEED:
             raise ValueError(f"'seed' must be at most {LAST_SEED}, not {self.seed}")
-        if self.physics is not None and self.environments > MOST_PROCESSES:
+        if self.processes > self.environments:
             raise ValueError(
-                f"'environments' must be a whole number in [1, {MOST_PROCESSES}] with physics, "
-                f"where each is a process, not {self.environments}"
+                f"'processes' must be at most 'environments', {self.environments}, "
+                f"not {self.processes}"
             )

@@ -1,4 +1,4 @@
-"""Episodes with physics, each in a process of its own that holds a PyBullet world."""
+"""Episodes with physics: processes that hold some PyBullet worlds each."""
 
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +23,7 @@ _CLOSE_SECONDS = 5.0
 
 
 class ProcessVecEnv(EpisodesVecEnv):
-    """n processes, each with one robot in one PyBullet world and the whole loop around it.
+    """Processes with some robots each, in PyBullet worlds, and one batched loop around them.
 
     Process i runs episodes `SHARE * i`, `SHARE * i + 1` and so on, however fast the others are: a
     training run is the same to the bit whatever else the machine does.
@@ -40,10 +40,12 @@ class ProcessVecEnv(EpisodesVecEnv):
         self._pipes: list[Connection] = []
         self._processes = []
         self._under_way = False
-        self._next = np.arange(config.environments) * SHARE
-        for _ in range(config.environments):
+        self._next = np.arange(config.processes) * SHARE
+        parts = np.array_split(np.arange(config.environments), config.processes)
+        self._rows = [slice(part[0], part[-1] + 1) for part in parts]
+        for part in parts:
             pipe, end = context.Pipe()
-            process = context.Process(target=serve, args=(end, config), daemon=True)
+            process = context.Process(target=serve, args=(end, config, len(part)), daemon=True)
             process.start()
             end.close()
             self._pipes.append(pipe)
@@ -60,7 +62,8 @@ class ProcessVecEnv(EpisodesVecEnv):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Begin a step with the actions, shape (n, a)."""
-        self._ask([("step", np.array(row, dtype=np.float64)[np.newaxis]) for row in actions])
+        actions = np.asarray(actions, dtype=np.float64)
+        self._ask([("step", actions[rows]) for rows in self._rows])
         self._under_way = True
 
     def step_wait(self) -> StepResult:
@@ -72,7 +75,7 @@ class ProcessVecEnv(EpisodesVecEnv):
         steps = [step for step, _ in answers]
         self._next = np.array([number for _, number in answers])
         seen, rewards, dones = (np.concatenate([one[i] for one in steps]) for i in range(3))
-        return seen, rewards, dones, [one[3][0] for one in steps]
+        return seen, rewards, dones, [info for one in steps for info in one[3]]
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return which episodes come next: physics itself cannot be put into arrays."""
@@ -83,8 +86,8 @@ class ProcessVecEnv(EpisodesVecEnv):
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Begin the episodes after those of `snapshot`; return the observations, shape (n, d)."""
         numbers = snapshot["next_episode"]
-        if len(numbers) != self.num_envs:
-            raise ValueError(f"a snapshot of {len(numbers)}, not {self.num_envs} processes")
+        if len(numbers) != len(self._rows):
+            raise ValueError(f"a snapshot of {len(numbers)}, not {len(self._rows)} processes")
         if numbers.min() < 0:
             raise ValueError(f"a snapshot whose next episodes are {numbers.tolist()}")
         return self._begin(numbers)
@@ -109,12 +112,12 @@ class ProcessVecEnv(EpisodesVecEnv):
         return np.concatenate([seen for seen, _ in answers])
 
     def _ask(self, questions: Sequence[tuple[str, Any]]) -> None:
-        with _alive(self.num_envs):
+        with _alive(len(self._rows)):
             for pipe, question in zip(self._pipes, questions, strict=True):
                 pipe.send(question)
 
     def _answers(self) -> list[Any]:
-        with _alive(self.num_envs):
+        with _alive(len(self._rows)):
             answers = [pipe.recv() for pipe in self._pipes]
         for answer in answers:
             if isinstance(answer, KinfeasError):

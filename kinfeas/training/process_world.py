@@ -1,4 +1,4 @@
-"""What runs in each process of a training with physics: a world, without any learning library."""
+"""What runs in each process of a training with physics: a batch, without any learning library."""
 
 import signal
 from multiprocessing.connection import Connection
@@ -9,12 +9,12 @@ from kinfeas.training.config import TrainConfig
 from kinfeas.training.worlds import physics_world
 
 
-def serve(pipe: Connection, config: TrainConfig) -> None:
-    """Answer until nobody asks any more; each answer to a question tells what comes next, too."""
+def serve(pipe: Connection, config: TrainConfig, rows: int) -> None:
+    """Step a batch of `rows` episodes as asked; each answer has the number of the next episode."""
     # Ctrl-C is for the process that asks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        batch = Batch(physics_world(config), 1, config.hold)
+        batch = Batch(physics_world(config), rows, config.hold)
         pipe.send(None)
         while True:
             kind, what = pipe.recv()

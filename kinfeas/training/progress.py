@@ -24,9 +24,11 @@ class Progress:
         seconds: Wall-clock time so far, over all parts of the run.
         share: Share of the run that is done, 0-1.
         success: Share of recent training episodes without a failure, with exploration and noise.
-        best: Success of the best checkpoint in its evaluation, 0-1; -1 before the first one.
+        best: Score of the best checkpoint, the mean of success and of the share of episodes in
+            which the EE was never more than 5 cm off, 0-1; -1 before the first one.
         evaluations: How many evaluations there have been.
         recent: Of the last training episodes, whether each was without a failure.
+        evaluating: Whether an evaluation begins now.
     """
 
     steps: int = 0
@@ -36,10 +38,13 @@ class Progress:
     best: float = -1.0
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))
+    evaluating: bool = False
 
     def saved(self) -> dict[str, object]:
         """Return what a checkpoint keeps."""
-        return {**vars(self), "recent": list(self.recent)}
+        kept = {**vars(self), "recent": list(self.recent)}
+        del kept["evaluating"]
+        return kept
 
     def add(self, steps: int, successes: Iterable[bool]) -> None:
         """Count `steps` more, and the successes among the episodes that ended in them."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -145,10 +146,13 @@ class _Run:
         while True:
             # First, so that a run that was interrupted while it was being judged is judged again.
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
+                if report is not None:
+                    report(replace(self.progress, evaluating=True))
                 self._evaluate(judge, logs)
-                self.progress.seconds = time.monotonic() - begun
                 self._save()
-                self.progress.seconds = saved = time.monotonic() - begun
+                # Evaluations are no time of training.
+                begun = time.monotonic() - self.progress.seconds
+                saved = self.progress.seconds
             if self.progress.share >= 1.0:
                 break
             with uninterrupted():
@@ -181,8 +185,10 @@ class _Run:
         # The world moves in its own thread while the learner works on what came before.
         self.env.step_async(action)
         if not filling:
-            patient = progress.steps < config.random_steps + config.critic_steps
-            learner.actor.requires_grad_(not patient)
+            frozen = self.config.init is not None and (
+                progress.steps < config.random_steps + config.critic_steps
+            )
+            learner.actor.requires_grad_(not frozen)
             learner._current_progress_remaining = 1.0 - progress.share
             learn(learner, config)
         seen, rewards, dones, infos = self.env.step_wait()
@@ -199,12 +205,17 @@ class _Run:
         """Judge the policy on fixed episodes; keep it if none was better."""
         self._losses()
         network = network_of(self.learner, self.env.scale)
+        if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
+            # The best one still: nothing has been learned since it was judged.
+            self.progress.evaluations = evaluations_due(self.config, self.progress)
+            return
         records = judge(network, self.config.schedule.evaluation_episodes)
         figures: Mapping[str, Any] = summarize(records)
         with uninterrupted():
             self.progress.evaluations = evaluations_due(self.config, self.progress)
-            if figures["success"] >= self.progress.best:
-                self.progress.best = float(figures["success"])
+            score = (figures["success"] + figures["within_5cm"]) / 2.0
+            if score >= self.progress.best:
+                self.progress.best = float(score)
                 about = {
                     "config": configuration.to_mapping(self.config),
                     "steps": self.progress.steps,

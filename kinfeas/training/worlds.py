@@ -45,7 +45,7 @@ def analytic_world(config: TrainConfig) -> World:
 
 
 def physics_world(config: TrainConfig) -> World:
-    """Return a PyBullet world that a run learns in, which holds one robot.
+    """Return a PyBullet world that a run learns in.
 
     Raises:
         KinfeasError: If PyBullet is not installed, or the task's scene is broken.
@@ -90,6 +90,6 @@ def physics_judge(config: TrainConfig) -> Judge:
     trial = PhysicsTrial(robot, task, 1, config.seed + EVALUATION_SEED, settings)
 
     def judge(network: Network, episodes: int) -> EpisodeRecords:
-        return run_physics(replace(trial, episodes=episodes), network, config.environments)
+        return run_physics(replace(trial, episodes=episodes), network, config.processes)
 
     return judge

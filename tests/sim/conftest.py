@@ -68,8 +68,8 @@ def begin(world, scene):
     """A function that resets the world to the home configuration, at the origin by default."""
 
     def reset(x=0.0, y=0.0, yaw=0.0, joints=None, **poses):
-        world.furniture.furnish(scene.with_poses(poses))
-        home = world.body.robot.home["home"] if joints is None else joints
+        world.sims[0].furniture.furnish(scene.with_poses(poses))
+        home = world.sims[0].body.robot.home["home"] if joints is None else joints
         return world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), home[np.newaxis])
 
     return reset
@@ -88,6 +88,6 @@ def twist(x=0.0, y=0.0, turn=0.0):
 
 def stay(world, ticks, base_twist=None, dt=0.02):
     """Let some control periods pass with the arm where it is sent at home."""
-    home = world.body.robot.home["home"][np.newaxis]
+    home = world.sims[0].body.robot.home["home"][np.newaxis]
     command = twist() if base_twist is None else base_twist
     return [world.step(command, home, dt) for _ in range(ticks)]

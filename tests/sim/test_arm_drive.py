@@ -34,7 +34,7 @@ def test_a_cubic_stays_below_the_speed_it_was_made_for(start, share):
 
 
 def test_a_target_is_reached_in_a_tenth_of_a_second(world, begin):
-    robot = world.body.robot
+    robot = world.sims[0].body.robot
     target = robot.home["home"] + 0.005 * robot.max_joint_velocity
     begin()
     state = world.step(twist(), target[np.newaxis], 0.1)
@@ -42,7 +42,7 @@ def test_a_target_is_reached_in_a_tenth_of_a_second(world, begin):
 
 
 def test_joints_keep_their_speed_limits(world, begin):
-    robot = world.body.robot
+    robot = world.sims[0].body.robot
     rng = np.random.default_rng(0)
     lower = np.array([max(joint.lower, -1.5) for joint in robot.arm])
     upper = np.array([min(joint.upper, 1.5) for joint in robot.arm])
@@ -56,7 +56,7 @@ def test_joints_keep_their_speed_limits(world, begin):
 
 def test_no_joint_runs_ahead_of_the_slowest(world, begin):
     """All are at any moment the same share of the way to a target far away, but for their lag."""
-    robot = world.body.robot
+    robot = world.sims[0].body.robot
     home = robot.home["home"]
     # A second's way of the first joint, a tenth of that of each other one.
     away = np.where(np.arange(len(home)) == 0, 1.0, 0.1) * robot.max_joint_velocity
@@ -72,7 +72,7 @@ def test_no_joint_runs_ahead_of_the_slowest(world, begin):
 
 
 def test_no_joint_is_faster_than_its_limit(world, begin):
-    robot = world.body.robot
+    robot = world.sims[0].body.robot
     begin()
     lower, upper = robot.finite_joint_limits
     far = np.clip(robot.home["home"] + 1.5, lower, upper)
@@ -104,8 +104,10 @@ def test_without_its_springs_the_pr2_could_not_carry_its_arm():
     world = PyBulletBackend(robot)
     joints = np.array([[0.0, 0.0, 0.0, -0.2, 0.0, -0.2, 0.0]])
     world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), joints)
-    body, zeros = world.body, [0.0] * len(world.body.joints)
-    load = world.physics.client.calculateInverseDynamics(body.body, body.positions(), zeros, zeros)
+    body, zeros = world.sims[0].body, [0.0] * len(world.sims[0].body.joints)
+    load = world.sims[0].physics.client.calculateInverseDynamics(
+        body.body, body.positions(), zeros, zeros
+    )
     shoulder = list(body.joints).index("r_shoulder_lift_joint")
     assert abs(load[shoulder]) > robot.urdf.joints["r_shoulder_lift_joint"].effort
     for _ in range(50):

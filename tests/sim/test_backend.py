@@ -33,7 +33,7 @@ def test_reset_measures_what_it_was_told(world, begin):
     np.testing.assert_allclose(
         state.base_pose, spatial.planar_pose(*np.array([[1.0], [-0.5], [2.0]])), atol=1e-12
     )
-    np.testing.assert_array_equal(state.joint_positions[0], world.body.robot.home["home"])
+    np.testing.assert_array_equal(state.joint_positions[0], world.sims[0].body.robot.home["home"])
     assert np.all(state.base_twist == 0.0)
     assert np.all(state.joint_velocities == 0.0)
 
@@ -43,8 +43,8 @@ def test_the_hand_is_where_our_kinematics_say(world, begin, solver):
     for _ in range(20):
         begin(*rng.uniform(-1.5, 1.5, 3), joints=random_joints(solver, rng))
         (state,) = stay(world, 1, twist(0.2, 0.1, 0.3))
-        link = world.body.links[solver.robot.ee_frame]
-        measured = world.physics.link_pose(world.body.body, link)[np.newaxis]
+        link = world.sims[0].body.links[solver.robot.ee_frame]
+        measured = world.sims[0].physics.link_pose(world.sims[0].body.body, link)[np.newaxis]
         metres, radians = spatial.distance(ee_pose(solver, state), measured)
         assert metres[0] <= 1e-6
         assert radians[0] <= 1e-6
@@ -57,7 +57,7 @@ def test_the_arm_stands_firm_against_gravity(world, begin, solver):
         before = ee_pose(solver, begin(joints=joints))
         for _ in range(25):
             state = world.step(twist(), joints[np.newaxis], DT)
-        if world.contacts().arm == 0:
+        if world.sims[0].contacts().arm == 0:
             assert spatial.distance(before, ee_pose(solver, state))[0][0] <= 1e-3
 
 
@@ -79,7 +79,7 @@ def test_the_hand_keeps_up_with_a_motion(world, begin, exact_solver):
 
 
 def test_joints_that_turn_on_and_on_are_measured_within_a_turn(world, begin):
-    state, continuous = begin(), world.body.robot.continuous
+    state, continuous = begin(), world.sims[0].body.robot.continuous
     for _ in range(150):
         targets = state.joint_positions + 0.05 * continuous
         state = world.step(twist(), targets, DT)
@@ -88,7 +88,7 @@ def test_joints_that_turn_on_and_on_are_measured_within_a_turn(world, begin):
 
 
 def test_nothing_is_teleported(world, begin):
-    robot, before, step = world.body.robot, begin(), 1 / 240
+    robot, before, step = world.sims[0].body.robot, begin(), 1 / 240
     rng = np.random.default_rng(2)
     lower = np.array([max(joint.lower, -1.5) for joint in robot.arm])
     upper = np.array([min(joint.upper, 1.5) for joint in robot.arm])
@@ -106,16 +106,16 @@ def test_nothing_is_teleported(world, begin):
 def play(world, begin, seed):
     """Return all that is measured of an episode in which the robot pushes a bar about."""
     rng = np.random.default_rng(seed)
-    robot = world.body.robot
+    robot = world.sims[0].body.robot
     begin(bar=np.array([0.6, *rng.uniform(-0.1, 0.1, 1), 0.05, 0.0, 0.0, 0.0, 1.0]))
     home, seen, touched = robot.home["home"][np.newaxis], [], 0
-    world.gripper.close()
+    world.sims[0].gripper.close()
     for _ in range(150):
         state = world.step(twist(0.2, 0.0, rng.uniform(-0.2, 0.2)), home, DT)
         measured = (state.base_pose, state.joint_positions, state.joint_velocities)
-        bar = world.furniture.link_pose("bar", "bar")
+        bar = world.sims[0].furniture.link_pose("bar", "bar")
         seen.append(np.concatenate([bar, *(one.ravel() for one in measured)]))
-        touched += world.contacts().base
+        touched += world.sims[0].contacts().base
     assert touched > 0
     return np.array(seen)
 
@@ -128,24 +128,38 @@ def test_equal_episodes_are_equal_to_the_bit_whatever_was_before(
         begin(*rng.uniform(-1.5, 1.5, 3), joints=random_joints(solver, rng))
         stay(world, 1, twist(0.2, 0.1, 0.3))
     begin(bar=between_fingers)
-    world.gripper.close()
+    world.sims[0].gripper.close()
     for _ in range(40):
         stay(world, 1)
-        if world.grasp.held is None:
-            world.grasp.hold(*world.furniture.link("bar", "bar"))
+        if world.sims[0].grasp.held is None:
+            world.sims[0].grasp.hold(*world.sims[0].furniture.link("bar", "bar"))
     play(world, begin, 5)
     stay(world, 2, dt=0.1)
     later = play(world, begin, 7)
     fresh = PyBulletBackend(robot, scene)
 
     def reset(**poses):
-        fresh.furniture.furnish(scene.with_poses(poses))
+        fresh.sims[0].furniture.furnish(scene.with_poses(poses))
         home = robot.home["home"][np.newaxis]
         fresh.reset(spatial.planar_pose(*np.zeros((3, 1))), home)
 
     first = play(fresh, reset, 7)
     fresh.close()
     np.testing.assert_array_equal(later, first)
+
+
+def test_a_row_begins_anew_while_the_others_go_on(robot, scene):
+    world, home = PyBulletBackend(robot, scene), robot.home["home"]
+    places = spatial.planar_pose(np.arange(3.0), np.zeros(3), np.zeros(3))
+    homes = np.stack([home] * 3)
+    world.reset(places, homes)
+    for _ in range(5):
+        before = world.step(np.repeat(twist(0.2), 3, axis=0), homes, DT)
+    after = world.reset(places[1:2], homes[1:2], np.array([1]))
+    world.close()
+    np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
+    np.testing.assert_allclose(after.base_pose[1], places[1], atol=1e-12)
+    assert np.all(before.base_pose[:, 0] > places[:, 0])
 
 
 def test_worlds_do_not_know_of_each_other(robot, world, begin):
@@ -189,11 +203,11 @@ def test_is_found_by_its_name(robot):
 
 def test_refuses_what_it_cannot_do(world, begin):
     begin()
-    home = world.body.robot.home["home"]
+    home = world.sims[0].body.robot.home["home"]
     base = spatial.planar_pose(*np.zeros((3, 2)))
-    with pytest.raises(KinfeasError, match="the PyBullet world holds one robot"):
-        world.reset(base, np.stack([home, home]))
-    with pytest.raises(KinfeasError, match="the PyBullet world holds one robot"):
+    with pytest.raises(KinfeasError, match="arm joints"):
+        world.reset(base, home[np.newaxis])
+    with pytest.raises(KinfeasError, match="arm joints"):
         world.step(twist(), home[np.newaxis, :-1], DT)
     with pytest.raises(KinfeasError, match="must be finite numbers"):
         world.step(twist(np.nan), home[np.newaxis], DT)

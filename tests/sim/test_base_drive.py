@@ -14,7 +14,7 @@ def planar_speeds(states):
 @pytest.mark.parametrize("command", [twist(0.2), twist(0.2, 0.1, -0.4), twist(turn=0.4)])
 def test_accelerates_no_faster_than_the_vendor_says(world, begin, command):
     begin()
-    base = world.body.robot.base
+    base = world.sims[0].body.robot.base
     states = stay(world, 120, command, STEP) + stay(world, 120, twist(), STEP)
     change = np.diff(planar_speeds(states), axis=0, prepend=0.0) / STEP
     assert np.hypot(change[:, 0], change[:, 1]).max() <= base.max_acceleration * 1.01
@@ -33,7 +33,7 @@ def test_reaches_the_velocity_and_stands_still_again(world, begin):
 
 
 def test_a_differential_drive_never_slides_sideways(world, begin):
-    if world.body.robot.base.drive != "differential":
+    if world.sims[0].body.robot.base.drive != "differential":
         pytest.skip("omnidirectional")
     begin(yaw=0.7)
     rng = np.random.default_rng(0)
@@ -49,7 +49,7 @@ def test_a_differential_drive_takes_the_part_along_its_heading(world, begin):
     begin()
     end = stay(world, 50, twist(0.1, 0.1))[-1]
     y = end.base_pose[0, 1]
-    if world.body.robot.base.drive == "differential":
+    if world.sims[0].body.robot.base.drive == "differential":
         assert abs(y) <= 1e-6
     else:
         assert y == pytest.approx(end.base_pose[0, 0], rel=1e-3)
@@ -58,20 +58,22 @@ def test_a_differential_drive_takes_the_part_along_its_heading(world, begin):
 def test_a_wall_stops_the_base_and_is_pushed_no_harder_than_the_motors_can(world, begin):
     begin(x=-2.3, yaw=np.pi)
     stay(world, 150, twist(-0.2))
-    body = world.body
+    body = world.sims[0].body
     before = body.state().base_pose
     after = stay(world, 25, twist(-0.2))[-1].base_pose
     assert np.linalg.norm(after[0, :2] - before[0, :2]) <= 0.005
-    wall = world.furniture.bodies["wall"]
-    points = world.physics.client.getContactPoints(bodyA=body.body, bodyB=wall)
+    wall = world.sims[0].furniture.bodies["wall"]
+    points = world.sims[0].physics.client.getContactPoints(bodyA=body.body, bodyB=wall)
     force = sum(point[9] for point in points)
-    strongest = world.physics.config.drive_reserve * body.mass * body.robot.base.max_acceleration
+    strongest = (
+        world.sims[0].physics.config.drive_reserve * body.mass * body.robot.base.max_acceleration
+    )
     assert 0.0 < force <= 1.5 * strongest
 
 
 def test_a_pull_at_the_hand_does_not_turn_a_standing_base(world, begin):
     begin()
-    client, body = world.physics.client, world.body
+    client, body = world.sims[0].physics.client, world.sims[0].body
     hand = body.links[body.robot.ee_frame]
     for _ in range(120):
         at = client.getLinkState(body.body, hand)[4]

@@ -10,19 +10,19 @@ from tests.sim.conftest import stay
 
 def push(world, force, ticks):
     """Push the drawer with a force in N, step by step, and return how far it is open."""
-    body, link = world.furniture.link("chest", "drawer")
-    home = world.body.robot.home["home"][np.newaxis]
-    frame = world.physics.client.LINK_FRAME
+    body, link = world.sims[0].furniture.link("chest", "drawer")
+    home = world.sims[0].body.robot.home["home"][np.newaxis]
+    frame = world.sims[0].physics.client.LINK_FRAME
     for _ in range(ticks):
-        world.physics.client.applyExternalForce(body, link, [force, 0, 0], [0, 0, 0], frame)
+        world.sims[0].physics.client.applyExternalForce(body, link, [force, 0, 0], [0, 0, 0], frame)
         world.step(np.zeros((1, 6)), home, 1 / 240)
-    return world.furniture.joint_position("chest", "slide")
+    return world.sims[0].furniture.joint_position("chest", "slide")
 
 
 def test_everything_stands_where_the_scene_says(world, begin, scene):
     begin()
     for name, one in scene.objects.items():
-        pose = world.furniture.link_pose(name, one.urdf.root)
+        pose = world.sims[0].furniture.link_pose(name, one.urdf.root)
         np.testing.assert_allclose(pose, one.pose, atol=1e-9)
 
 
@@ -33,29 +33,29 @@ def test_a_drawer_moves_when_it_is_pulled_harder_than_its_friction(world, begin)
 
 
 def test_a_drawer_may_be_open_from_the_beginning(world, begin, scene):
-    world.furniture.furnish(scene.with_joints({"chest": {"slide": 0.3}}))
-    home = world.body.robot.home["home"][np.newaxis]
+    world.sims[0].furniture.furnish(scene.with_joints({"chest": {"slide": 0.3}}))
+    home = world.sims[0].body.robot.home["home"][np.newaxis]
     world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
     stay(world, 5)
-    assert world.furniture.joint_position("chest", "slide") == pytest.approx(0.3, abs=1e-4)
+    assert world.sims[0].furniture.joint_position("chest", "slide") == pytest.approx(0.3, abs=1e-4)
 
 
 def test_what_is_loose_falls(world, begin):
     begin(bar=np.array([3.0, 3.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
     stay(world, 40)
-    assert 0.015 <= world.furniture.link_pose("bar", "bar")[2] <= 0.06
+    assert 0.015 <= world.sims[0].furniture.link_pose("bar", "bar")[2] <= 0.06
 
 
 def test_names_what_there_is(world, begin):
     begin()
     with pytest.raises(KinfeasError, match="there is no object 'tabel'"):
-        world.furniture.link("tabel", "top")
+        world.sims[0].furniture.link("tabel", "top")
     with pytest.raises(KinfeasError, match="object 'bar' has no link 'handle'"):
-        world.furniture.link("bar", "handle")
+        world.sims[0].furniture.link("bar", "handle")
     with pytest.raises(KinfeasError, match="object 'chest' has no joint 'hinge'"):
-        world.furniture.joint_position("chest", "hinge")
+        world.sims[0].furniture.joint_position("chest", "hinge")
     with pytest.raises(KinfeasError, match="the scene must hold the world's objects"):
-        world.furniture.furnish(read_scene("room"))
+        world.sims[0].furniture.furnish(read_scene("room"))
 
 
 def test_the_shipped_room_stands_still(robot):
@@ -64,7 +64,7 @@ def test_the_shipped_room_stands_still(robot):
     home = robot.home["home"][np.newaxis]
     world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
     stay(world, 25)
-    box = world.furniture.link_pose("box", room.objects["box"].urdf.root)
+    box = world.sims[0].furniture.link_pose("box", room.objects["box"].urdf.root)
     world.close()
     np.testing.assert_allclose(box, room.objects["box"].pose, atol=2e-3)
 
@@ -89,13 +89,14 @@ def room_world():
     ],
 )
 def test_what_stands_rests_upright_on_something(room_world, pose, stands):
-    room_world.furniture.furnish(read_scene("room"))
-    home = room_world.body.robot.home["home"][np.newaxis]
+    sim = room_world.sims[0]
+    sim.furniture.furnish(read_scene("room"))
+    home = sim.body.robot.home["home"][np.newaxis]
     room_world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
-    box = room_world.furniture.bodies["box"]
-    room_world.physics.place(box, np.array(pose) / [1, 1, 1, *[np.linalg.norm(pose[3:])] * 4])
+    box = sim.furniture.bodies["box"]
+    sim.physics.place(box, np.array(pose) / [1, 1, 1, *[np.linalg.norm(pose[3:])] * 4])
     stay(room_world, 5 if pose[2] == 0.90 else 100)
-    client = room_world.physics.client
+    client = sim.physics.client
     if pose[0] == 0.6295:  # it is a case of touching at all
-        assert client.getContactPoints(bodyA=box, bodyB=room_world.furniture.bodies["place_table"])
-    assert room_world.furniture.stands("box", "place_table") is stands
+        assert client.getContactPoints(bodyA=box, bodyB=sim.furniture.bodies["place_table"])
+    assert sim.furniture.stands("box", "place_table") is stands

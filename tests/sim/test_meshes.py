@@ -42,8 +42,8 @@ def own_robot(rover, mesh, kind):
 @pytest.mark.parametrize("mesh", ["../meshes/part.stl", "package://rover/meshes/part.stl"])
 def test_a_robot_with_meshes_stands_in_the_world(rover, mesh, kind, capfd):
     backend = PyBulletBackend(own_robot(rover, mesh, kind))
-    client, body = backend.physics.client, backend.body.body
-    mast = backend.body.links["mast_link"]
+    client, body = backend.sims[0].physics.client, backend.sims[0].body.body
+    mast = backend.sims[0].body.links["mast_link"]
     shapes = {
         "visual": [one[4] for one in client.getVisualShapeData(body) if one[1] == mast],
         "collision": [one[4] for one in client.getCollisionShapeData(body, mast)],

@@ -39,9 +39,9 @@ def test_nothing_is_touched_before_the_distance_is_used_up(world, begin):
     begin(x=-2.3)
     distance = world.near(1.0).distance.min()
     begin(x=-2.3 - distance + 2e-3)
-    assert world.free()
+    assert world.sims[0].free()
     begin(x=-2.3 - distance - 2e-3)
-    assert not world.free()
+    assert not world.sims[0].free()
     assert world.near(1.0).distance.min() < 0.0
 
 
@@ -59,16 +59,19 @@ def test_a_wall_that_only_the_arm_is_near_is_not_seen(world, begin, between_fing
 
 def test_what_is_handled_is_not_seen(world, begin):
     begin(x=-2.3)
-    bodies, wall = world.furniture.bodies.values(), world.furniture.link("wall", "wall")
-    around = Surroundings(world.body)
+    bodies, wall = (
+        world.sims[0].furniture.bodies.values(),
+        world.sims[0].furniture.link("wall", "wall"),
+    )
+    around = Surroundings(world.sims[0].body)
     assert around.near(bodies, 1.0).distance.size > 0
     assert around.near(bodies, 1.0, [wall]).distance.size == 0
 
 
 def test_what_lies_beneath_is_not_in_the_way(world, begin):
     begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
-    bar = world.furniture.bodies["bar"]
-    assert world.physics.client.getClosestPoints(world.body.body, bar, 0.3)
+    bar = world.sims[0].furniture.bodies["bar"]
+    assert world.sims[0].physics.client.getClosestPoints(world.sims[0].body.body, bar, 0.3)
     assert world.near(0.3).distance.size == 0
 
 
@@ -76,7 +79,7 @@ def test_a_floor_and_nothing_else():
     backend = PyBulletBackend(registry.load_robot("hsr"))
     try:
         assert isinstance(backend, Seeing)
-        home = backend.body.robot.home["home"]
+        home = backend.sims[0].body.robot.home["home"]
         backend.reset(spatial.IDENTITY[np.newaxis], home[np.newaxis])
         assert backend.near(1.0).distance.shape == (1, 0)
     finally:
@@ -97,7 +100,7 @@ def test_a_base_that_keeps_clear_stops_before_the_wall(world, begin, solver, kep
     begin(x=-2.2, yaw=0.3)
     robot = solver.robot
     loop = Loop(solver, [LegMotion(Linear())], world, 0.02, Pace(clearance=kept))
-    base, joints = world.body.state().base_pose, robot.home["home"][np.newaxis]
+    base, joints = world.sims[0].body.state().base_pose, robot.home["home"][np.newaxis]
     ee = spatial.compose(base, forward(solver.chain, joints))
     loop.start(Start(base, joints, ee[:, np.newaxis]), [np.random.default_rng(0)])
     back = np.zeros((1, loop.action_size))

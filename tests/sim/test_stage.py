@@ -47,16 +47,16 @@ def test_takes_the_place_of_its_task(stage):
 def test_episodes_begin_free_of_collisions_with_nothing_done(stage, solver):
     for seed in range(5):
         start = begin(stage, solver, seed)
-        there = SceneCollision(stage.backend.furniture.scene)
+        there = SceneCollision(stage.backend.sims[0].furniture.scene)
         assert not robot_touches(there, solver.robot, start.base_pose, start.joint_positions)
-        assert stage.backend.free()
+        assert stage.backend.sims[0].free()
         assert stage.done() is False
 
 
 def test_a_start_in_the_way_moves_the_robot_and_not_the_furniture(stage, solver, monkeypatch):
     first = stage.task.sample(solver, np.random.default_rng(7))
     answers = iter([False, False, True])
-    monkeypatch.setattr(stage.backend, "free", lambda: next(answers))
+    monkeypatch.setattr(stage.backend.sims[0], "free", lambda: next(answers))
     start = stage.sample(solver, np.random.default_rng(7))
     np.testing.assert_array_equal(start.target_poses, first.target_poses)
     assert not np.array_equal(start.base_pose, first.base_pose)
@@ -66,10 +66,10 @@ def test_a_start_in_the_way_moves_the_robot_and_not_the_furniture(stage, solver,
 def test_a_start_in_the_way_is_drawn_anew_as_the_task_allows(stage, solver, monkeypatch):
     allowed = stage.task.start
     rng = np.random.default_rng(0)
-    monkeypatch.setattr(stage.backend, "reset", lambda *_: None)
+    monkeypatch.setattr(stage.backend.sims[0], "reset", lambda *_: None)
     for _ in range(300):
         answers = iter([False, True])
-        monkeypatch.setattr(stage.backend, "free", lambda answers=answers: next(answers))
+        monkeypatch.setattr(stage.backend.sims[0], "free", lambda answers=answers: next(answers))
         start = stage.sample(solver, rng)
         x, y = start.base_pose[:2]
         assert max(abs(x), abs(y)) <= allowed.square / 2.0
@@ -89,7 +89,7 @@ def test_moves_what_the_episode_moves(stage, solver):
     start = begin(stage, solver, 4)
     for name, pose in stage.task.object_poses(start.target_poses).items():
         link = stage.scene.objects[name].urdf.root
-        measured = stage.backend.furniture.link_pose(name, link)
+        measured = stage.backend.sims[0].furniture.link_pose(name, link)
         assert spatial.distance(measured, pose)[0] <= 1e-6
 
 
@@ -97,15 +97,17 @@ def test_the_task_is_done_when_the_world_says_so(stage, solver):
     begin(stage, solver, 5)
     done, backend = stage.task.scene.done, stage.backend
     if done.joint is None:
-        table = backend.furniture.link_pose("place_table", "table")
+        table = backend.sims[0].furniture.link_pose("place_table", "table")
         on_top = spatial.compose(table, np.array([0.0, 0.0, 0.64, 0.0, 0.0, 0.0, 1.0]))
-        backend.physics.place(backend.furniture.bodies["box"], on_top)
+        backend.sims[0].physics.place(backend.sims[0].furniture.bodies["box"], on_top)
     else:
-        number = backend.physics.joints(backend.furniture.bodies[done.object])[done.joint]
-        backend.physics.client.resetJointState(
-            backend.furniture.bodies[done.object], number, 1.1 * done.beyond
+        number = backend.sims[0].physics.joints(backend.sims[0].furniture.bodies[done.object])[
+            done.joint
+        ]
+        backend.sims[0].physics.client.resetJointState(
+            backend.sims[0].furniture.bodies[done.object], number, 1.1 * done.beyond
         )
-    home = backend.body.state().joint_positions
+    home = backend.sims[0].body.state().joint_positions
     for _ in range(50):
         backend.step(np.zeros((1, 6)), home, 0.02)
     assert stage.done() is True
@@ -116,29 +118,29 @@ def test_what_the_hand_holds_is_not_put_down(stage, solver, monkeypatch):
     done, backend = stage.task.scene.done, stage.backend
     if done.joint is not None:
         pytest.skip("a door may be held open")
-    monkeypatch.setattr(backend.furniture, "stands", lambda *_: True)
+    monkeypatch.setattr(backend.sims[0].furniture, "stands", lambda *_: True)
     assert stage.done() is True
-    backend.grasp.held = backend.furniture.link("box", "box")
+    backend.sims[0].grasp.held = backend.sims[0].furniture.link("box", "box")
     try:
         assert stage.done() is False
     finally:
-        backend.grasp.release()
+        backend.sims[0].grasp.release()
 
 
 def test_a_hand_in_the_air_holds_nothing(stage, solver):
     begin(stage, solver, 6)
     stage.backend.grip("close", np.array([0]))
-    home = stage.backend.body.state().joint_positions
+    home = stage.backend.sims[0].body.state().joint_positions
     for _ in range(10):
         stage.backend.step(np.zeros((1, 6)), home, 0.02)
-    assert stage.backend.grasp.held is None
+    assert stage.backend.sims[0].grasp.held is None
 
 
 def test_the_arm_does_not_begin_within_the_floor(solver):
     stage = Stage(load_task("ggr"), PyBulletBackend(solver.robot))
     for seed in range(20):
         start = begin(stage, solver, seed)
-        before = stage.backend.body.state().joint_positions
+        before = stage.backend.sims[0].body.state().joint_positions
         for _ in range(10):
             after = stage.backend.step(np.zeros((1, 6)), start.joint_positions[np.newaxis], 0.02)
         np.testing.assert_allclose(after.joint_positions, before, atol=5e-3)
@@ -184,9 +186,12 @@ def test_a_joint_may_open_to_either_side(solver, scene, beyond, open_at, tmp_pat
     place = {"here": Place((1.0, 0.0, 0.8))}
     task = ChainTask("pull", (ChainLeg(place="here"),), place, scene=wanted)
     stage = Stage(task, PyBulletBackend(solver.robot, task_scene(task)))
-    furniture, client = stage.backend.furniture, stage.backend.physics.client
+    furniture, client = (
+        stage.backend.sims[0].furniture,
+        stage.backend.sims[0].physics.client,
+    )
     begin(stage, solver, 0)
-    number = stage.backend.physics.joints(furniture.bodies["chest"])["slide"]
+    number = stage.backend.sims[0].physics.joints(furniture.bodies["chest"])["slide"]
     for position, done in ((0.0, False), (-open_at, False), (open_at, True)):
         client.resetJointState(furniture.bodies["chest"], number, position)
         assert stage.done() is done

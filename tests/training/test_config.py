@@ -65,10 +65,9 @@ def test_sturdy_noise_differs_from_the_default_in_the_noise_alone():
     assert sturdy.world.reward == default.world.reward
 
 
-def test_a_world_with_physics_is_a_process(tiny):
-    with pytest.raises(KinfeasError, match=r"'environments' .* in \[1, 256\] with physics, .* 257"):
-        tiny("physics={}", "environments=257")
-    assert tiny("physics={}", "environments=256").environments == 256
+def test_each_process_has_an_environment(tiny):
+    with pytest.raises(KinfeasError, match="'processes' must be at most 'environments', 8, not 9"):
+        tiny("physics={}", "environments=8", "processes=9")
 
 
 def test_a_run_without_an_end_is_refused(tiny):

@@ -14,7 +14,8 @@ from kinfeas.training.process_env import SHARE, ProcessVecEnv
 
 PHYSICAL = {
     "robot": "hsr",
-    "environments": 2,
+    "environments": 3,
+    "processes": 2,
     "hold": 5,
     "world": {"dt": 0.02, "max_seconds": 1.2},
     "physics": {},
@@ -36,21 +37,21 @@ def env():
 
 def run(env, steps):
     rng = np.random.default_rng(0)
-    return [env.step(rng.uniform(-1, 1, (2, 3)).astype(np.float32)) for _ in range(steps)]
+    return [env.step(rng.uniform(-1, 1, (3, 3)).astype(np.float32)) for _ in range(steps)]
 
 
 def test_episodes_end_and_begin_as_learners_want_it(env):
     seen = env.restore({"next_episode": np.arange(2) * SHARE})
-    assert seen.shape == (2, env.observation_space.shape[0])
-    assert not np.array_equal(seen[0], seen[1])
+    assert seen.shape == (3, env.observation_space.shape[0])
+    assert len(np.unique(seen, axis=0)) == 3
     first = run(env, 13)
     after, rewards, dones, infos = first[11]  # 60 periods, 5 in an action
     assert dones.all()
     assert all(info["TimeLimit.truncated"] for info in infos)
     assert not np.array_equal(infos[0]["terminal_observation"], after[0])
     assert rewards.dtype == np.float32
-    # One is under way, so that the one after it comes next.
-    np.testing.assert_array_equal(env.snapshot()["next_episode"], np.arange(2) * SHARE + 2)
+    # The processes hold two rows and one, which have begun two episodes each.
+    np.testing.assert_array_equal(env.snapshot()["next_episode"], np.arange(2) * SHARE + [4, 2])
 
     again = env.restore({"next_episode": np.arange(2) * SHARE})
     np.testing.assert_array_equal(again, seen)
@@ -75,10 +76,10 @@ def test_a_snapshot_of_others_and_a_dead_process_are_clear_errors(env):
 @pytest.mark.slow
 def test_a_policy_is_tuned_judged_and_taken_up_again(tmp_path):
     out = tmp_path / "run"
-    progress = train(settings("init=pretrained", "environments=1"), out)
-    assert progress.steps == 200
+    progress = train(settings("init=pretrained"), out)
+    assert progress.steps == 210
     assert progress.evaluations == 2  # what it went on from was judged, too
     text = (out / "config.yaml").read_text()
     assert "init: pretrained" in text
     (out / "config.yaml").write_text(text.replace("steps: 200", "steps: 220"))
-    assert resume(out).steps == 220
+    assert resume(out).steps == 225

@@ -20,6 +20,7 @@ from kinfeas.storage.folders import alone
 from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.learner import network_of
 from kinfeas.training.train import resume, train
 
 LEARNERS = {
@@ -34,6 +35,7 @@ import sys, time
 from pathlib import Path
 from kinfeas import config
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.learner import network_of
 from kinfeas.training.train import _Run, train
 step = _Run._step
 _Run._step = lambda run: (time.sleep(0.02), step(run))
@@ -322,26 +324,31 @@ def test_minutes_end_a_run_and_count_over_its_parts(tiny, tmp_path):
     assert resume(tmp_path / "run").steps == progress.steps
 
 
-def test_the_time_of_an_evaluation_is_kept(tiny, tmp_path, monkeypatch):
-    run_episodes = worlds.run_episodes
+def test_evaluations_take_no_time_of_training(tiny, tmp_path, monkeypatch):
+    run_episodes, clock, real = worlds.run_episodes, {"now": 0.0}, time.monotonic
 
     def slow(*arguments):
-        time.sleep(0.5)
+        clock["now"] += 1000.0
         return run_episodes(*arguments)
 
     monkeypatch.setattr(worlds, "run_episodes", slow)
-    out = tmp_path / "run"
-    train(tiny("schedule.steps=80", "schedule.evaluations=1"), out)
-    judged = [float(row["seconds"]) for row in rows(out) if row["evaluation/success"]]
-    assert state(out)["progress"]["seconds"] >= judged[-1] + 0.5
+    monkeypatch.setattr(time, "monotonic", lambda: real() + clock["now"])
+    seen = []
+    progress = train(tiny("schedule.steps=80"), tmp_path / "run", seen.append)
+    assert progress.evaluations == 2
+    assert progress.seconds < 1000.0
+    assert [one.steps for one in seen if one.evaluating] == [40, 80]
 
 
 def test_the_best_policy_is_kept(tiny, tmp_path, monkeypatch):
     successes = iter([0.5, 0.25, 0.5, 0.4])
     original = training.summarize
-    monkeypatch.setattr(
-        training, "summarize", lambda records: {**original(records), "success": next(successes)}
-    )
+
+    def scored(records):
+        success = next(successes)
+        return {**original(records), "success": success, "within_5cm": success}
+
+    monkeypatch.setattr(training, "summarize", scored)
     train(tiny("schedule.evaluations=4", "schedule.steps=800"), tmp_path / "run")
     about = json.loads((tmp_path / "run/checkpoints/best/policy.json").read_text())
     assert about["evaluation"]["success"] == 0.5
@@ -615,6 +622,18 @@ def test_a_run_goes_on_from_a_policy_whose_shape_it_takes(finished, tiny, tmp_pa
         np.testing.assert_array_equal(weights(out)[name], values)
     critics = [row["train/critic_loss"] for row in rows(out) if row["train/critic_loss"]]
     assert critics
+    # The policy that never changed is evaluated once.
+    judged = [row for row in rows(out) if row["evaluation/success"]]
+    assert [row["steps"] for row in judged] == ["0"]
+
+
+def test_without_a_policy_to_go_on_from_the_actor_learns_at_once(tiny, tmp_path):
+    settings = tiny("learner.critic_steps=9999", "schedule.steps=400", "learner.random_steps=100")
+    train(settings, tmp_path / "run")
+    run = training._Run(settings, tmp_path / "no")
+    run.env.close()
+    fresh = network_of(run.learner, run.env.scale)
+    assert not np.array_equal(weights(tmp_path / "run")["weight.0"], fresh.weights[0])
 
 
 def test_the_actor_learns_after_the_critics(finished, tiny, tmp_path):

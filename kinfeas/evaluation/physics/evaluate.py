@@ -143,12 +143,11 @@ def run_part(
     gui: bool = False,
 ) -> PhysicsRecords:
     """Return what happened in some episodes of a trial; other arguments as in `run_physics`."""
-    world, parts = PhysicsWorld(trial, gui=gui), []
+    world = PhysicsWorld(trial, gui=gui)
     try:
-        for episode in episodes:
-            parts.append(world.run(policy, episode))
-            if on_done is not None:
-                on_done(1)
+        # A window shows one robot.
+        step = 1 if gui else len(episodes)
+        parts = (episodes[at : at + step] for at in range(0, len(episodes), step))
+        return join([world.run(policy, part, on_done) for part in parts])
     finally:
         world.close()
-    return join(parts)

@@ -90,13 +90,13 @@ def check_film_path(path: Path) -> None:
 
 def make_film(world: PhysicsWorld, trial: PhysicsTrial, recording: PhysicsRecording) -> Film:
     """Return the film of an episode that `recording.record` has just kept."""
-    backend = world.stage.backend
+    simulation = world.stage.backend.sims[0]
     scene = world.stage.scene
     room = None if scene is None else np.array(scene.size) / 2.0 - _OFF_THE_WALLS
-    framing = frame(recording, backend.body, SIZE, room)
+    framing = frame(recording, simulation.body, SIZE, room)
     robot = trial.robot.name
     title = f"{TITLES.get(robot, robot)}, {trial.task.name}"
-    return Film(recording, backend.physics, framing, title)
+    return Film(recording, simulation.physics, framing, title)
 
 
 def write_film(film: Film, path: Path, on_done: OnDone | None = None) -> None:

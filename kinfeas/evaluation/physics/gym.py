@@ -104,7 +104,7 @@ class PhysicsMotionEnv(BaseMotionEnv):
             ResetNeeded: If no episode was begun.
         """
         seen, earned, terminated, truncated, info = super().step(action)
-        touched: Contacts = self.stage.backend.contacts()
+        touched: Contacts = self.stage.backend.sims[0].contacts()
         info |= {"base_contacts": touched.base, "arm_contacts": touched.arm}
         return seen, earned, terminated, truncated, info
 
@@ -126,4 +126,6 @@ class PhysicsMotionEnv(BaseMotionEnv):
         # From beside the way, a bit behind the robot.
         eye = (base + goal) / 2.0 + away * (across - _BESIDE * way / apart)
         eye[2] += _UP * away
-        return take_picture(self.stage.backend.physics, eye, (base + goal) / 2.0, _SIZE).colour
+        return take_picture(
+            self.stage.backend.sims[0].physics, eye, (base + goal) / 2.0, _SIZE
+        ).colour

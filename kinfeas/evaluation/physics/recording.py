@@ -75,7 +75,7 @@ def record(
         episode: Its number.
     """
     kept = _Kept(world, max(1, round(1.0 / (_RATE * trial.settings.dt))))
-    records = world.run(policy, episode, watch=kept)
+    records = world.run(policy, range(episode, episode + 1), watch=kept)
     base, ee, desired, goal = (np.array(rows) for rows in zip(*kept.places, strict=True))
     return PhysicsRecording(
         episode,
@@ -109,7 +109,7 @@ class _Kept:
         if self.steps % self.every == 0 or transition.done[0]:
             loop = world.loop
             self.times.append((self.steps + 1) * loop.dt)
-            self.moments.append(keep_moment(self.world.stage.backend.physics))
+            self.moments.append(keep_moment(self.world.stage.backend.sims[0].physics))
             seen = (*loop.truth, loop.desired, loop.goal)
             self.places.append(tuple(pose[0, :3].copy() for pose in seen))
             self.failures.append(self.failed)

@@ -44,7 +44,7 @@ class SimulatedRobot:
         """
         self.base_commands = self.joint_commands = self.timeouts = 0
         self._backend, self._role, self._state = backend, role, state
-        self._robot = backend.body.robot
+        self._robot, self._simulation = backend.robot, backend.sims[0]
         self._arm = [joint.name for joint in self._robot.arm]
         arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
         self._setpoints = JointSetpoints(arm)
@@ -65,7 +65,7 @@ class SimulatedRobot:
                 self._velocity = np.zeros(3)
             velocity, grip, self._grip = self._velocity, self._grip, None
             # The motors lead to a target in that time: as the way's end for one of 0.1 s.
-            ahead = now + self._backend.physics.config.arm_horizon
+            ahead = now + self._simulation.physics.config.arm_horizon
             targets = self._setpoints.at(ahead)
         if grip is not None:
             self._backend.grip(grip, np.array([0]))
@@ -80,7 +80,7 @@ class SimulatedRobot:
         Raises:
             KinfeasError: If the world is gone.
         """
-        with self._backend.physics.connected():
+        with self._simulation.physics.connected():
             return self._readings()
 
     def _drive(self, velocity: Array) -> None:
@@ -98,7 +98,7 @@ class SimulatedRobot:
             self._grip = grip
 
     def _readings(self) -> tuple[BaseReading, JointReading]:
-        body, stamp = self._backend.body, time.time()
+        body, stamp = self._simulation.body, time.time()
         x, y, yaw = body.planar()
         twist = self._state.base_twist
         assert twist is not None

@@ -41,7 +41,7 @@ def set_stage(
     if task is None:
         origin = planar_pose(*np.zeros((3, 1)))
         state = backend.reset(origin, robot.home["home"][np.newaxis])
-        if around is not None and not backend.free():
+        if around is not None and not backend.sims[0].free():
             touched = _in_the_way(backend, around)
             backend.close()
             raise KinfeasError(touched)
@@ -52,11 +52,12 @@ def set_stage(
 
 def _in_the_way(backend: PyBulletBackend, scene: Scene) -> str:
     """Return the sentence that names what a robot at the origin touches."""
-    touched = backend.touched()
-    things = backend.furniture.bodies if backend.furniture else {}
+    simulation = backend.sims[0]
+    touched = simulation.touched()
+    things = simulation.furniture.bodies if simulation.furniture else {}
     bodies = {number: repr(name) for name, number in things.items()}
     names = sorted(bodies.get(one, "the floor") for one in touched.base | touched.arm)
     return (
-        f"scene {scene.name}: robot {backend.body.robot.name!r} begins at the origin and would "
+        f"scene {scene.name}: robot {backend.robot.name!r} begins at the origin and would "
         f"touch {', '.join(names)} there"
     )

@@ -1,6 +1,6 @@
 """One policy in the PyBullet world: settings, episodes and what is recorded of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -26,6 +26,9 @@ from kinfeas.sim.physics import PhysicsConfig
 from kinfeas.sim.stage import Stage, task_scene
 from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.task import Task
+
+ROWS = 8
+"""PyBullet worlds in a process; no figure depends on it."""
 
 _AFTERWARDS = 2.0  # s, in which what was put down comes to rest
 
@@ -114,7 +117,7 @@ class PhysicsRecords(EpisodeRecords):
 
 
 class PhysicsWorld:
-    """A task in the PyBullet world, one episode after the other.
+    """A task in PyBullet worlds, some episodes side by side.
 
     Attributes:
         stage: The task and what stands around.
@@ -133,45 +136,61 @@ class PhysicsWorld:
             trial.robot, self.stage, settings.world, settings.pace, trial.seed
         )
 
-    def run(self, policy: Policy, episode: int, watch: Watch | None = None) -> PhysicsRecords:
-        """Return what happens in one episode; `watch` sees each step, as in `run_episodes`."""
-        meter = _Meter(self.stage.backend, self.world.loop.dt, watch)
-        records = run_episodes(self.world, policy, 1, watch=meter, first=episode)
-        if self.stage.judges:
-            self._wait()
-        done = self.stage.done()
+    def run(
+        self,
+        policy: Policy,
+        episodes: range,
+        on_done: Callable[[int], None] | None = None,
+        watch: Watch | None = None,
+    ) -> PhysicsRecords:
+        """Return what happens in the episodes of a range; other arguments as in `run_episodes`."""
+        metrics = _TaskMetrics(self.stage, self.world.loop.dt, episodes, watch)
+        records = run_episodes(
+            self.world, policy, len(episodes), on_done, metrics, episodes.start, ROWS
+        )
+        done = metrics.done if self.stage.judges else records.reached
         return PhysicsRecords(
             **vars(records),
-            done=records.reached if done is None else np.array([done]),
-            base_collisions=np.array([meter.base.count]),
-            arm_collisions=np.array([meter.arm.count]),
+            done=done,
+            base_collisions=metrics.base_collisions,
+            arm_collisions=metrics.arm_collisions,
         )
 
     def close(self) -> None:
         """End the world; it may be called twice."""
         self.stage.backend.close()
 
-    def _wait(self) -> None:
-        """Stand still, while what was put down comes to rest."""
-        loop = self.world.loop
-        joints = (loop.state.truth or loop.state).joint_positions
-        for _ in range(round(_AFTERWARDS / loop.dt)):
-            self.stage.backend.step(np.zeros((1, 6)), joints, loop.dt)
 
+class _TaskMetrics:
+    """Counts what base and arm run into, and checks the task's objects as each episode ends."""
 
-class _Meter:
-    """Counts what base and arm run into."""
-
-    def __init__(self, backend: PyBulletBackend, dt: float, watch: Watch | None) -> None:
-        self.base, self.arm = Encounters(dt), Encounters(dt)
-        self._backend, self._watch = backend, watch
+    def __init__(self, stage: Stage, dt: float, episodes: range, watch: Watch | None) -> None:
+        self._stage, self._dt, self._first, self._watch = stage, dt, episodes.start, watch
+        self._encounters: dict[int, tuple[Encounters, Encounters]] = {}
+        self.done = np.zeros(len(episodes), dtype=np.bool_)
+        self.base_collisions, self.arm_collisions = np.zeros((2, len(episodes)), dtype=np.intp)
 
     def __call__(self, world: World, transition: Transition, rows: Rows, episodes: Rows) -> None:
         if self._watch is not None:
             self._watch(world, transition, rows, episodes)
-        now = self._backend.touched()
-        self.base.add(now.base)
-        self.arm.add(now.arm)
+        for row, episode in zip(rows.tolist(), (episodes - self._first).tolist(), strict=True):
+            if episode not in self._encounters:
+                self._encounters[episode] = Encounters(self._dt), Encounters(self._dt)
+            base, arm = self._encounters[episode]
+            now = self._stage.backend.sims[row].touched()
+            base.add(now.base)
+            arm.add(now.arm)
+            if transition.done[row]:
+                self.base_collisions[episode], self.arm_collisions[episode] = base.count, arm.count
+                if self._stage.judges:
+                    self._rest(world, row)
+                    self.done[episode] = self._stage.done(row)
+
+    def _rest(self, world: World, row: int) -> None:
+        """Let a row stand still, while what was put down comes to rest."""
+        state = world.loop.state.truth or world.loop.state
+        for _ in range(round(_AFTERWARDS / self._dt)):
+            self._stage.backend.sims[row].step(np.zeros(6), state.joint_positions[row], self._dt)
 
 
 def make_stage(robot: Robot, task: Task, settings: PhysicsChanges, *, gui: bool = False) -> Stage:
@@ -187,7 +206,7 @@ def make_stage(robot: Robot, task: Task, settings: PhysicsChanges, *, gui: bool 
 def make_physics_world(
     robot: Robot, stage: Stage, config: WorldConfig, pace: Pace, seed: int
 ) -> World:
-    """Return the loop and its ends of episodes on a stage, one episode at a time."""
+    """Return the loop and its ends of episodes on a stage."""
     return World(robot, stage, config, seed, stage.backend, pace)
 
 

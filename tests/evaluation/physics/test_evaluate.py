@@ -14,7 +14,12 @@ from kinfeas.tasks.loading import load_task
 pytest.importorskip("pybullet")
 
 from kinfeas.evaluation.physics.evaluate import evaluate_physics, run_physics
-from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial, physics_config
+from kinfeas.evaluation.physics.world import (
+    PhysicsSettings,
+    PhysicsTrial,
+    PhysicsWorld,
+    physics_config,
+)
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +131,17 @@ def test_refuses_what_it_does_not_know(trial):
         physics_config(trial.robot, ["world.slow_down=0.5"])
     with pytest.raises(KinfeasError, match=r"unknown key 'world.hold'"):
         physics_config(trial.robot, ["world.hold=3"])
+
+
+@pytest.mark.parametrize("name", ["drawer", "pick_place"])
+def test_an_episode_is_the_same_to_the_bit_in_any_row(name):
+    robot = registry.load_robot("hsr")
+    settings = physics_config(robot, ["world.max_seconds=3"]).world
+    policy, parts = load_policy("pretrained", robot), []
+    for episodes in (range(3), range(2, 3)):
+        trial = PhysicsTrial(robot, load_task(name), settings=settings)
+        world = PhysicsWorld(trial)
+        parts.append(world.run(policy, episodes))
+        world.close()
+    for key, values in vars(parts[0]).items():
+        np.testing.assert_array_equal(values[2:], vars(parts[1])[key], err_msg=key)

@@ -64,7 +64,7 @@ def test_paths_are_the_true_ones_whatever_sensors_say():
     trial = PhysicsTrial(robot, load_task("ggr"), 1, 1, settings)
     world = PhysicsWorld(trial)
     recording = record(world, trial, load_policy("follow_ee", robot), 0)
-    body = world.stage.backend.body
+    body = world.stage.backend.sims[0].body
     for moment, base, ee in zip(recording.moments, recording.base, recording.ee, strict=True):
         show_moment(body.physics, moment)
         seen = link_poses(body.physics, [(body.body, body.links[robot.ee_frame])])

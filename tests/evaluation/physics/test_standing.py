@@ -14,7 +14,7 @@ def test_begins_as_an_episode_of_a_task_does():
     places = []
     for number in (0, 0, 1):
         backend, state = set_stage(robot, task, numbers=(1, number))
-        assert backend.furniture is not None
+        assert backend.sims[0].furniture is not None
         places.append(state.base_pose[0, 0])
         backend.close()
     assert places[0] == places[1] != places[2]
