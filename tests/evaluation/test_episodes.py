@@ -3,7 +3,6 @@ import pytest
 
 from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
-from kinfeas.evaluation import episodes as module
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
@@ -39,9 +38,8 @@ def replay(world, policy, episode):
 
 
 @pytest.mark.parametrize("batch", [1, 3, 64])
-def test_no_figure_depends_on_the_batch(world, policy, records, monkeypatch, batch):
-    monkeypatch.setattr(module, "BATCH", batch)
-    found = run_episodes(world, policy, 24)
+def test_no_figure_depends_on_the_batch(world, policy, records, batch):
+    found = run_episodes(world, policy, 24, batch=batch)
     for key, values in vars(records).items():
         np.testing.assert_array_equal(getattr(found, key), values, err_msg=key)
 
@@ -74,8 +72,7 @@ def test_episodes_end_as_the_world_says(records):
     assert len(set(records.steps.tolist())) > 1
 
 
-def test_progress_and_what_is_watched(world, policy, records, monkeypatch):
-    monkeypatch.setattr(module, "BATCH", 5)
+def test_progress_and_what_is_watched(world, policy, records):
     ended, steps = [], np.zeros(24, dtype=int)
 
     def watch(seen, transition, rows, episodes):
@@ -84,7 +81,7 @@ def test_progress_and_what_is_watched(world, policy, records, monkeypatch):
         assert transition.reward.shape == (5,)
         steps[episodes] += 1
 
-    run_episodes(world, policy, 24, ended.append, watch)
+    run_episodes(world, policy, 24, ended.append, watch, batch=5)
     assert sum(ended) == 24
     assert min(ended) > 0
     np.testing.assert_array_equal(steps, records.steps)

@@ -17,7 +17,7 @@ PHYSICAL = {
     "environments": 3,
     "processes": 2,
     "hold": 5,
-    "world": {"dt": 0.02, "max_seconds": 1.2},
+    "world": {"dt": 0.02, "max_seconds": 1.2, "max_failures": 99},
     "physics": {},
     "learner": {"batch_size": 16, "random_steps": 40, "critic_steps": 40, "buffer_size": 500},
     "schedule": {"steps": 200, "minutes": None, "evaluations": 1, "evaluation_episodes": 1},
