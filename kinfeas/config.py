@@ -14,7 +14,16 @@ from kinfeas.errors import KinfeasError
 from kinfeas.schema import Interval, Place, convert_dataclass, default, init_fields, no_such
 from kinfeas.storage import strict_yaml
 
-__all__ = ["Interval", "blaming", "dump", "from_mapping", "load", "no_such", "to_mapping"]
+__all__ = [
+    "Interval",
+    "blaming",
+    "dump",
+    "from_mapping",
+    "index_in",
+    "load",
+    "no_such",
+    "to_mapping",
+]
 
 T = TypeVar("T")
 
@@ -28,7 +37,8 @@ def load(cls: type[T], path: Path, overrides: Sequence[str] = ()) -> T:
     Args:
         cls: Frozen dataclass to build.
         path: YAML file with a mapping.
-        overrides: Assignments `a.b=c` that win over the file; `c` is YAML.
+        overrides: Assignments `a.b=c` that win over the file; `c` is YAML, and `a.0=c` changes the
+            first entry of a list.
 
     Raises:
         KinfeasError: If the file is not readable YAML or an entry is not what `cls` allows.
@@ -109,13 +119,56 @@ def _plain(value: object) -> object:
     return float(value) if isinstance(value, float) else value
 
 
+def index_in(entries: Sequence[object], key: object, place: Place) -> int:
+    """Return which of the entries of a list at `place` a key of digits names.
+
+    Raises:
+        KinfeasError: If there is no such entry.
+    """
+    if str(key).isdecimal() and int(str(key)) < len(entries):
+        return int(str(key))
+    known = f"0 to {len(entries) - 1}" if entries else "none"
+    raise place.error(f"unknown key {place.inner(key).key!r}; known are {known}")
+
+
 def _override(data: object, cls: Any, text: str) -> str:
-    """Carry out an assignment in the nested mapping `data` and return its key."""
+    """Carry out an assignment in the nested mappings and lists `data` and return its key."""
     key, value = _parse_override(text)
-    if not _assign(data, cls, key.split("."), value):
-        above = key.rpartition(".")[0]
-        raise KinfeasError(f"{_OPTION} {text}: unknown key {key!r}, for {above!r} has no keys")
+    *above, last = key.split(".")
+    place = Place(f"{_OPTION} {text}")
+    for name in above:
+        data, cls = _inner(data, cls, name, place)
+        place = place.inner(name)
+    if isinstance(data, list):
+        data[index_in(data, last, place)] = value
+    elif isinstance(data, dict):
+        data[last] = value
+    else:
+        raise _no_keys(place, last)
     return key
+
+
+def _inner(data: object, cls: Any, key: str, place: Place) -> tuple[object, Any]:
+    """Return the entry `key` of `data` and its dataclass, if any; absent blocks begin at defaults.
+
+    Args:
+        data: Mapping or list, changed in place.
+        cls: Dataclass of `data`, or of the entries of a list, or None.
+        key: Of a mapping, or an index.
+        place: Of `data`.
+    """
+    if isinstance(data, list):
+        return data[index_in(data, key, place)], cls
+    if not isinstance(data, dict):
+        raise _no_keys(place, key)
+    if data.get(key) is None:
+        block = _default_block(cls, key)
+        data[key] = {} if block is None else block
+    return data[key], _dataclass_in(cls, key)
+
+
+def _no_keys(place: Place, key: str) -> KinfeasError:
+    return place.error(f"unknown key {place.inner(key).key!r}, for {place.key!r} has no keys")
 
 
 def _parse_override(text: str) -> tuple[str, object]:
@@ -123,24 +176,6 @@ def _parse_override(text: str) -> tuple[str, object]:
     if not equals or not all(key.strip().split(".")):
         raise KinfeasError(f"{_OPTION} {text}: must be of the form key=value or key.inner=value")
     return key.strip(), strict_yaml.parse(value, f"{_OPTION} {text}")
-
-
-def _assign(data: object, cls: Any, keys: Sequence[str], value: object) -> bool:
-    """Set one entry of the nested mapping `data` in place, beginning absent blocks at defaults.
-
-    Returns:
-        Whether every key but the last leads to a mapping.
-    """
-    key, *inner = keys
-    if not isinstance(data, dict):
-        return False
-    if not inner:
-        data[key] = value
-        return True
-    if data.get(key) is None:
-        block = _default_block(cls, key)
-        data[key] = {} if block is None else block
-    return _assign(data[key], _dataclass_in(cls, key), inner, value)
 
 
 def _default_block(cls: Any, key: str) -> object:

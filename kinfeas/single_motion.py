@@ -52,6 +52,7 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
             def goal_pose(self, state): ...  # -> (7,)
             def twist(self, state, ee_pose, dt): ...  # -> (6,), dict
 
+    Optional: `base_pose(self, state)`, where the base was demonstrated to be, (7,); else NaN.
     The class gets its own copy of every array and may write into it. Numbers in the state come
     back as float64. It costs a Python call a row: write large batches with arrays instead.
     """
@@ -65,6 +66,8 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
 
     members = {name: getattr(single, name) for name in ("__doc__", "__module__", "__qualname__")}
     members |= {"__init__": __init__, "__signature__": inspect.signature(single)}
+    if callable(getattr(single, "base_pose", None)):
+        members["base_pose"] = _base_pose
     made = type(single.__name__, (RowByRow,), members)
     return cast("Callable[Parameters, MotionGenerator]", made)
 
@@ -88,9 +91,7 @@ class RowByRow:
 
     def goal_pose(self, state: State) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        n = len(next(iter(state.values()), ()))
-        goals = [self.single.goal_pose(_row(state, i)) for i in range(n)]
-        return np.stack(goals) if goals else np.zeros((0, 7))
+        return _poses(self.single.goal_pose, state)
 
     def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
         """Return the world twist, shape (n, 6), and the next state."""
@@ -132,6 +133,18 @@ class RowByRow:
                     "every motion must have the same"
                 )
         return {k: np.stack([row[k] for row in rows]) for k in shapes}
+
+
+def _base_pose(self: RowByRow, state: State) -> Array:
+    """Return the world poses at which the base was demonstrated to be now, shape (n, 7)."""
+    return _poses(cast("Any", self.single).base_pose, state)
+
+
+def _poses(ask: Callable[[dict[str, Any]], Array], state: State) -> Array:
+    """Return what `ask` answers for the state of each motion, shape (n, 7)."""
+    n = len(next(iter(state.values()), ()))
+    poses = [ask(_row(state, i)) for i in range(n)]
+    return np.stack(poses) if poses else np.zeros((0, 7))
 
 
 def _row(state: State, i: int) -> dict[str, Any]:

@@ -1,6 +1,9 @@
 """Where episodes begin."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from kinfeas.spatial import Array
 
@@ -18,3 +21,14 @@ class Start:
     base_pose: Array
     joint_positions: Array
     target_poses: Array
+
+
+def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:
+    """Return the source of all randomness of an episode, from its beginning.
+
+    Args:
+        seed: Of all episodes.
+        episode: Number of this one.
+        stream: Tells the episodes of a seed apart from those of other streams.
+    """
+    return np.random.default_rng(np.random.SeedSequence((seed, episode), spawn_key=tuple(stream)))

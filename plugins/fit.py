@@ -183,15 +183,11 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
-    # What is wide is rounded coarsely when written, and must stay positive definite.
-    floor = _REGULARIZATION * max(1.0, float(features.var(axis=0).max()))
-    search = GaussianMixture(components, reg_covar=floor, max_iter=500, random_state=seed)
+    search = GaussianMixture(components, reg_covar=_REGULARIZATION, max_iter=500, random_state=seed)
     with threadpool_limits(1):  # threads would sum in another order each time
         found = search.fit(features)
-    # Sums in either triangle round differently.
-    covariances = 0.5 * (found.covariances_ + found.covariances_.transpose(0, 2, 1))
     return tuple(
-        Component(_plain(found.weights_[i]), _plain(found.means_[i]), _plain(covariances[i]))
+        Component(_plain(found.weights_[i]), _plain(found.means_[i]), _plain(found.covariances_[i]))
         for i in np.argsort(found.means_[:, 0])
     )
 

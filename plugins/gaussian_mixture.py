@@ -19,7 +19,7 @@ class GaussianMixture(PathMotion):
     and the beginning of what was demonstrated is lost (`imitation` keeps it).
 
     Args:
-        model: Name of a shipped model, or path of a file that `kinfeas fit` wrote.
+        model: Path of a file that `kinfeas fit --kind gaussian_mixture` wrote.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
 

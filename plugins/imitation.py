@@ -15,7 +15,8 @@ class Imitation(PathMotion):
     any start, and ends at the learned end exactly; `PhaseControl` says how.
 
     Args:
-        model: Name of a shipped model, or path of a file that `kinfeas fit` wrote.
+        model: Name of a shipped model (door_grasp, door_open, drawer_grasp or drawer_open), or path
+            of a file that `kinfeas fit` wrote.
         gain: Rate at which errors decay, 1/s.
         position_scale: The length a: the error at which the phase slows down by e, in metres.
         rotation_scale: The same angle b in radians.

@@ -26,6 +26,7 @@ from kinfeas.sim2real.preview import preview
 from kinfeas.sim2real.signals import Signals
 from kinfeas.sim2real.watchdog import StopCall, Watchdog, Watched
 from kinfeas.spatial import IDENTITY, Array
+from kinfeas.start import episode_rng
 from kinfeas.tasks.task import build_legs
 
 __all__ = ["Code", "Outcome", "Setup", "deploy"]
@@ -90,7 +91,7 @@ class _Run:
 
     def start(self) -> None:
         """Put the robot where the run begins, or begin it where it stands."""
-        rng = np.random.default_rng((self.setup.seed, 0))
+        rng = episode_rng(self.setup.seed, 0)
         start = begin(self.setup.task, self.setup.solver, rng, self.guarded.look())
         if warning := preview(self.loop, start, rng, self.setup.guards):
             sys.stderr.write(f"{warning}\n")

@@ -35,6 +35,7 @@ class Recipe:
     motion: Motion = Motion()
     noise: Noise = Noise(base=0.5, lag=3)
     extra: Noise | None = None
+    stages: tuple[Noise, ...] = ()
 
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -109,6 +110,8 @@ def test_load_names_the_file(tmp_path):
         ("steps = 5", {"steps": 5}),
         ("rate=1e-5", {"rate": 1e-5}),
         ("layers=[8, 8]", {"layers": (8, 8)}),
+        ("layers.1=8", {"layers": (256, 8)}),
+        ("window.0=-1", {"window": (-1.0, 1.0)}),
         ("window=null", {"window": None}),
         ("out=a=b", {"out": Path("a=b")}),
         # A block that the file leaves out keeps its other defaults.
@@ -140,6 +143,12 @@ def test_override_keeps_the_rest_of_the_files_block(tmp_path):
     assert load(Recipe, path, ["noise.base=1"]).noise == Noise(base=1.0, lag=9)
 
 
+def test_override_changes_one_entry_of_the_files_list(tmp_path):
+    path = write(tmp_path, "robot: pr2\nstages: [{lag: 1, base: 1}, {lag: 2}]\n")
+    found = load(Recipe, path, ["stages.0.lag=5", "stages.1={base: 0.5}"]).stages
+    assert found == (Noise(base=1.0, lag=5), Noise(base=0.5))
+
+
 def test_last_override_wins_and_data_stays_as_it_was():
     data = {"robot": "pr2", "noise": {"lag": 1}}
     recipe = from_mapping(Recipe, data, "x", ["noise.lag=2", "noise.lag=3", "noise.base=1"])
@@ -155,7 +164,11 @@ def test_last_override_wins_and_data_stays_as_it_was():
         ("noise.base=2", "'noise.base' must be a number in [0, 1], not 2"),
         ("noise=2", "'noise' must be a mapping of keys to values, not 2"),
         ("rate.x=2", "unknown key 'rate.x', for 'rate' has no keys"),
-        ("layers.0=2", "unknown key 'layers.0', for 'layers' has no keys"),
+        ("layers.2=2", "unknown key 'layers.2'; known are 0 to 1"),
+        ("layers.x=2", "unknown key 'layers.x'; known are 0 to 1"),
+        ("stages.0.lag=2", "unknown key 'stages.0'; known are none"),
+        ("layers.0.x=2", "unknown key 'layers.0.x', for 'layers.0' has no keys"),
+        ("layers.0=x", "'layers.0' must be a whole number, not 'x'"),
         ("algorithm=dqn", "'algorithm' must be one of 'sac', 'td3', not 'dqn'"),
         ("steps=[1", "broken YAML in line 1"),
         ("steps", "must be of the form key=value"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kinfeas.errors import KinfeasError
+from kinfeas.motion import Demonstrated
 from kinfeas.single_motion import batched
 from kinfeas.spatial import IDENTITY, Array, make_pose, relative, rotation, twist_between
 from kinfeas.testing import ConformanceError, check_motion_generator
@@ -66,6 +67,21 @@ def test_each_row_is_the_single_motion(n):
         assert np.array_equal(twist[i], single.twist(alone, start[i], 0.1)[0])
     assert np.array_equal(state["steps"], np.zeros(n))
     assert np.array_equal(after["steps"], np.ones(n))
+
+
+class Shown(Approach):
+    def base_pose(self, state):
+        return state["goal"] + state["steps"]
+
+
+def test_a_demonstrated_base_is_passed_on():
+    generator, start, target = batched(Shown)(), poses(3, 0), poses(3, 1)
+    assert isinstance(generator, Demonstrated)
+    assert not isinstance(Batched(), Demonstrated)
+    _, state = generator.twist(generator.start(start, target, rngs(3)), start, 0.1)
+    assert np.array_equal(generator.base_pose(state), state["goal"] + 1.0)
+    assert generator.base_pose({}).shape == (0, 7)
+    check_motion_generator(generator)
 
 
 def test_no_motions_are_motions_too():

@@ -2,7 +2,8 @@
 
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -108,7 +109,11 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     ] = None,
     overrides: options.Overrides = None,
     resume: Annotated[
-        Path | None, typer.Option("--resume", help="Go on with the run in this folder.")
+        Path | None,
+        typer.Option(
+            "--resume",
+            help="Go on with the run in this folder; more --minutes or --steps take it further.",
+        ),
     ] = None,
 ) -> None:
     """Train a base policy; Ctrl-C leaves a checkpoint that --resume goes on from.
@@ -119,6 +124,9 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 
     Settings: every key of the recipe, such as [bold]learner.batch_size=256[/] or
     [bold]environments=64[/].
+
+    With [bold]--resume[/] only [bold]--minutes[/] and [bold]--steps[/] may be given: how long the
+    run lasts in all, with what it has done.
 
     A resumed run in the analytic world equals one that was never stopped. With physics, learner,
     replay buffer and counters go on, but the episodes that were under way are given up for new
@@ -134,10 +142,15 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
         robot, task, seed, minutes, steps, algorithm, sim2real, pybullet, init, processes
     )
     if resume is not None:
-        if any(value is not None for value in (*vars(wishes).values(), out, config, overrides)):
-            raise KinfeasError("--resume goes on with the run's own settings: leave out all others")
+        others = replace(wishes, minutes=None, steps=None)
+        if any(value is not None for value in (*vars(others).values(), out, config, overrides)):
+            raise KinfeasError(
+                "--resume goes on with the run's own settings: leave out all others but --minutes "
+                "and --steps"
+            )
         check_begun(resume)
-        folder, progress = resume, _finished(resume) or resume_run(resume)
+        longer = wishes.overrides()
+        folder, progress = resume, _finished(resume, longer) or resume_run(resume, longer)
     else:
         if out is not None:
             check_new(out)
@@ -148,18 +161,14 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     _show(progress, folder)
 
 
-def _finished(folder: Path) -> "Progress | None":
+def _finished(folder: Path, overrides: Sequence[str]) -> "Progress | None":
     """Return how far a run came that has nothing left to do, and say so; None for any other."""
-    from kinfeas.training.run_folder import SETTINGS
     from kinfeas.training.standing import finished
 
-    progress = finished(folder)
+    progress = finished(folder, overrides)
     if progress is not None:
         write_json(best_figures(folder), folder / "evaluation.json")
-        sys.stderr.write(
-            f"{folder}: finished; a higher schedule.steps or schedule.minutes in its {SETTINGS} "
-            "takes it further\n"
-        )
+        sys.stderr.write(f"{folder}: finished; more --steps or --minutes in all take it further\n")
     return progress
 
 
@@ -170,11 +179,11 @@ def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
     return _run(folder, lambda report: run(settings, folder, report))
 
 
-def resume_run(folder: Path) -> "Progress":
-    """Go on with a run, with a bar, and return how far it came."""
+def resume_run(folder: Path, overrides: Sequence[str] = ()) -> "Progress":
+    """Go on with a run, its settings changed by `overrides`, and return how far it came."""
     from kinfeas.training.train import resume as run
 
-    return _run(folder, lambda report: run(folder, report))
+    return _run(folder, lambda report: run(folder, report, overrides))
 
 
 def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":

@@ -19,7 +19,7 @@ from kinfeas.loop import Loop, Rows, Step
 from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
-from kinfeas.start import Start
+from kinfeas.start import Start, episode_rng
 from kinfeas.tasks.checks import check_start
 from kinfeas.tasks.task import StagedTask, Task, build_legs
 
@@ -129,6 +129,10 @@ class World:
         """How many numbers command the base."""
         return action_size(self.robot.base)
 
+    def rng(self, episode: int) -> np.random.Generator:
+        """Return the source of all randomness of an episode, from its beginning."""
+        return episode_rng(self.seed, episode, self.stream)
+
     def start(self, episodes: Sequence[int], rows: Rows | None = None) -> Array:
         """Begin episodes and return the observation of all n, shape (n, 21 + j).
 
@@ -139,7 +143,7 @@ class World:
         Raises:
             KinfeasError: If the task samples anything of another form.
         """
-        rngs = [self._rng(episode) for episode in episodes]
+        rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
         starts = [self._sample(rng, row) for rng, row in zip(rngs, places, strict=True)]
         legs, joints = len(self.task.legs), len(self.robot.arm)
@@ -196,10 +200,6 @@ class World:
         if isinstance(self.task, StagedTask):
             return self.task.sample_in(row, self.solver, rng)
         return self.task.sample(self.solver, rng)
-
-    def _rng(self, episode: int) -> np.random.Generator:
-        sequence = np.random.SeedSequence((self.seed, episode), spawn_key=self.stream)
-        return np.random.default_rng(sequence)
 
 
 def _backend(config: WorldConfig, robot: Robot, backend: Backend | None) -> Backend:

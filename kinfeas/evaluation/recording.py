@@ -63,7 +63,7 @@ class _Kept:
 
     def __init__(self, world: World, episode: int) -> None:
         self.episode, self.dt = episode, world.config.dt
-        start = world.task.sample(world.solver, np.random.default_rng((world.seed, episode)))
+        start = world.task.sample(world.solver, world.rng(episode))
         ee = spatial.compose(start.base_pose, forward(world.solver.chain, start.joint_positions))
         self.moments = [(start.base_pose, start.joint_positions, ee, ee, True)]
         self.goals: dict[int, Array] = {}

@@ -13,6 +13,7 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.observation import HORIZON
 from kinfeas.spatial import Array
+from kinfeas.start import episode_rng
 from kinfeas.tasks.task import Task, build_legs
 
 A_LEG = 16
@@ -59,7 +60,7 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
 
 def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> Course:
     """Return the motions of the episodes at their start, without waits."""
-    rngs = [np.random.default_rng((seed, episode)) for episode in range(episodes)]
+    rngs = [episode_rng(seed, episode) for episode in range(episodes)]
     starts = [task.sample(solver, rng) for rng in rngs]
     base = np.stack([start.base_pose for start in starts])
     joints = np.stack([start.joint_positions for start in starts])

@@ -4,12 +4,12 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas import config
+from kinfeas import config, schema
 from kinfeas.config import Interval, no_such
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
@@ -154,7 +154,8 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
 
     Args:
         path: File with the fields of `ChainTask`.
-        changes: What to take instead of the file's entries; a mapping changes its own keys only.
+        changes: What to take instead of the file's entries; a mapping changes its own keys only,
+            in place of a list the entries that it names by index.
 
     Raises:
         KinfeasError: If the file is broken, an entry or a change is not what `ChainTask` allows, or
@@ -167,7 +168,7 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
         return task
     # The file is in order: what is wrong from here on is not its fault.
     source = "the task's parameters"
-    changed = config.from_mapping(ChainTask, _changed(data, changes), source)
+    changed = config.from_mapping(ChainTask, _changed(data, changes, schema.Place(source)), source)
     # Other legs may leave out some of the file's places, but not of those that are given.
     given = changes.get("places")
     _check_reached(changed, given if isinstance(given, Mapping) else (), source)
@@ -202,15 +203,22 @@ def _check_reached(task: ChainTask, given: Iterable[str], source: str) -> None:
             raise KinfeasError(f"{source}: 'places.{name}': no leg leads to {name!r}{known}")
 
 
-def _changed(data: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:
-    """Return `data` with `changes`, mapping within mapping."""
-    changed = dict(data)
-    for key, value in changes.items():
-        old = data.get(key)
-        if isinstance(old, Mapping) and isinstance(value, Mapping):
-            value = _changed(old, value)
-        changed[key] = value
-    return changed
+def _changed(old: object, change: object, place: schema.Place) -> Any:
+    """Return `old` with a `change`: mapping within mapping, and of a list the entries named."""
+    if not isinstance(change, Mapping):
+        return change
+    if isinstance(old, list):
+        new = list(old)
+        for key, value in change.items():
+            i = config.index_in(old, key, place)
+            new[i] = _changed(old[i], value, place.inner(i))
+        return new
+    if not isinstance(old, Mapping):
+        return change
+    if change.get("generator", old.get("generator")) != old.get("generator"):
+        return change  # parameters belong to the generator that they were written for
+    changes = {key: _changed(old.get(key), one, place.inner(key)) for key, one in change.items()}
+    return {**old, **changes}
 
 
 def _located(entry: object, folder: Path) -> object:

@@ -21,7 +21,7 @@ class Batch:
     """n episodes in one world; observations are scaled to about unit range.
 
     An action holds for a few control periods, and earns their mean. An episode that ends within
-    them is over with the action; the one after it begins at once.
+    them earns the mean of those until its end; the next one begins after the last period.
 
     Attributes:
         world: Where they happen.
@@ -49,19 +49,23 @@ class Batch:
         Args:
             actions: Base commands in [-1, 1], shape (n, a).
         """
-        earned = np.zeros(self.size)
+        earned, periods = np.zeros(self.size), np.zeros(self.size)
         over = np.zeros(self.size, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.size)]
         for _ in range(self.hold):
+            # Rows whose episode is over are stepped along with the others, and not looked at.
             transition = self.world.step(actions)
             earned += np.where(over, 0.0, transition.reward)
+            periods += ~over
             self._note_ends(infos, transition, np.flatnonzero(transition.done & ~over))
             over |= transition.done
-            ended = np.flatnonzero(transition.done)
-            if ended.size:
-                self.world.start(self._fresh(ended.size), ended)
+            if over.all():
+                break
+        ended = np.flatnonzero(over)
+        if ended.size:
+            self.world.start(self._fresh(ended.size), ended)
         seen = self._scaled(self.world.loop.observation)
-        return seen, (earned / self.hold).astype(np.float32), over, infos
+        return seen, (earned / periods).astype(np.float32), over, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that the episodes go on from, by name."""

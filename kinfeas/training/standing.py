@@ -1,5 +1,6 @@
 """Where a training run stands: its settings and its last checkpoint, read without torch."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from kinfeas import config as configuration
@@ -11,23 +12,27 @@ from kinfeas.training.run_folder import SETTINGS, check_begun
 from kinfeas.training.state import loading, read_state
 
 
-def read_settings(out: Path) -> TrainConfig:
-    """Return the settings of the run in a folder.
+def read_settings(out: Path, overrides: Sequence[str] = ()) -> TrainConfig:
+    """Return the settings of the run in a folder, with assignments `a.b=c` that win over them.
 
     Raises:
         KinfeasError: If there is no run, or its settings are broken.
     """
     check_begun(out)
-    return configuration.load(TrainConfig, out / SETTINGS)
+    return configuration.load(TrainConfig, out / SETTINGS, overrides)
 
 
-def finished(out: Path) -> Progress | None:
+def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
     """Return how far a run has come that has nothing left to do, None for any other.
+
+    Args:
+        out: Folder of the run.
+        overrides: Assignments `a.b=c` that win over its settings.
 
     Raises:
         KinfeasError: If the folder is no run, or its settings or its checkpoint are broken.
     """
-    config, last = read_settings(out), find_folder(out / "checkpoints" / "last")
+    config, last = read_settings(out, overrides), find_folder(out / "checkpoints" / "last")
     if not last.is_dir():
         return None
     progress = read_standing(config, last)

@@ -1,7 +1,7 @@
 """A training run: collect, learn, evaluate, save; and go on after any interruption."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,8 +73,13 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
         return run.go(report)
 
 
-def resume(out: Path, report: Report | None = None) -> Progress:
+def resume(out: Path, report: Report | None = None, overrides: Sequence[str] = ()) -> Progress:
     """Go on with a run from its last checkpoint and return how far it came.
+
+    Args:
+        out: Folder of the run.
+        report: Called every few seconds.
+        overrides: Assignments such as `schedule.steps=9000`, which its settings keep.
 
     Raises:
         KinfeasError: If the folder is no run, its checkpoint is broken, its robot has got other
@@ -82,8 +87,10 @@ def resume(out: Path, report: Report | None = None) -> Progress:
     """
     check_begun(out)
     with alone(out):
-        run = _Run(read_settings(out), out)
+        run = _Run(read_settings(out, overrides), out)
         run.load()
+        if overrides:
+            configuration.dump(run.config, out / SETTINGS)
         return run.go(report)
 
 

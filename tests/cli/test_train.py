@@ -62,10 +62,7 @@ def test_resume_of_a_finished_run_shows_it_and_does_no_harm(kinfeas, run_folder)
     before = {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()}
     outcome = kinfeas("train", "--resume", "run")
     assert outcome.code == 0
-    assert outcome.err == (
-        "run: finished; a higher schedule.steps or schedule.minutes in its config.yaml takes it "
-        "further\n"
-    )
+    assert outcome.err == ("run: finished; more --steps or --minutes in all take it further\n")
     assert "kinfeas evaluate --robot pr2 --task ggr --policy run" in outcome.out
     assert json.loads((run_folder / "evaluation.json").read_text())["steps"] == 64
     (run_folder / "evaluation.json").unlink()
@@ -96,12 +93,15 @@ def test_a_finished_run_that_lost_its_best_policy_is_one_line(kinfeas, run_folde
 
 
 def test_a_longer_schedule_takes_a_finished_run_further(kinfeas, run_folder):
-    settings = run_folder / "config.yaml"
-    settings.write_text(settings.read_text().replace("steps: 64", "steps: 128"))
-    outcome = kinfeas("train", "--resume", "run")
+    before = (run_folder / "config.yaml").read_text()
+    # No less than it has done.
+    assert "finished" in kinfeas("train", "--resume", "run", "--steps", "32").err
+    assert (run_folder / "config.yaml").read_text() == before
+    outcome = kinfeas("train", "--resume", "run", "--steps", "128")
     assert outcome.code == 0, outcome.err
     assert "128" in outcome.out
     assert "finished" not in outcome.err
+    assert (run_folder / "config.yaml").read_text() == before.replace("steps: 64", "steps: 128")
 
 
 def test_interruption_says_how_to_go_on(kinfeas, monkeypatch):

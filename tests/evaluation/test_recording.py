@@ -58,3 +58,12 @@ def test_the_goals_are_those_of_the_legs_begun():
     assert one.reached
     np.testing.assert_allclose(one.goals, draw_goals(place.solver, place.task, 1, 1)[0], atol=1e-9)
     np.testing.assert_array_equal(one.goal, one.goals[-1])
+
+
+def test_a_recorded_episode_is_that_of_the_worlds_stream():
+    place = world(max_seconds=0.2)
+    place.stream = (1,)
+    (one,) = record_episodes(place, FollowEe(place.robot.base), 1, first=5)
+    place.start([5])
+    np.testing.assert_array_equal(one.base_pose[0], place.loop.state.base_pose[0])
+    np.testing.assert_array_equal(one.joint_positions[0], place.loop.state.joint_positions[0])

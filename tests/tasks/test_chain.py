@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -7,7 +9,8 @@ from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.spatial import rotation, wrap, yaw
-from kinfeas.tasks.chain import read_chain
+from kinfeas.tasks.chain import door, read_chain
+from kinfeas.tasks.task import MotionSpec
 
 SHIPPED = ("pick_place", "door", "drawer")
 
@@ -101,6 +104,20 @@ def test_parameters_change_their_own_entries_only():
     assert task.start.heading == plain.start.heading
     assert task.places["object"] == plain.places["object"]
     assert task.places["table"].position == plain.places["table"].position
+
+
+def test_parameters_change_one_leg():
+    grasp, pull = door().legs
+    motion = {"generator": "minimum_jerk", "parameters": {"max_velocity": 0.05}}
+    changed = door(legs={"0": {"motion": motion}}).legs
+    assert changed == (replace(grasp, motion=MotionSpec(**motion)), pull)
+    slower = door(legs={"1": {"wait": 3.0, "motion": {"parameters": {"gain": 0.5}}}}).legs
+    parameters = {"model": "door_open", "gain": 0.5}
+    assert slower == (grasp, replace(pull, wait=3.0, motion=MotionSpec("imitation", parameters)))
+    other = door(legs={"0": {"motion": {"generator": "linear"}}}).legs[0].motion
+    assert other == MotionSpec("linear")
+    with pytest.raises(KinfeasError, match=r"'legs\.2'; known are 0 to 1"):
+        door(legs={"2": {"wait": 1.0}})
 
 
 def test_least_that_a_file_needs(exact_solver, tmp_path):

@@ -153,33 +153,39 @@ def test_the_environments_are_one(robot):
         env.env_method("reset")
 
 
-def test_an_action_holds_and_earns_the_mean(robot):
-    """As many steps of the world with the same action, until an episode ends within them."""
-    n, hold = 4, 3
+def test_an_action_holds_and_earns_the_mean_until_its_episode_ends(robot):
+    """As many steps of the world with the same action; what ends begins anew after the last."""
+    n, hold = 4, 5
     env = WorldVecEnv(World(robot, registry.build("kinfeas.tasks", "ggr", {}), NOISY, 4), n, hold)
     beside = make(robot, n).world
     env.reset()
     beside.start(range(n))
-    rng, ended, following = np.random.default_rng(0), 0, n
+    rng, early, following = np.random.default_rng(0), 0, n
     for _ in range(20):
         action = actions(env, rng)
         seen, rewards, dones, infos = env.step(action)
-        earned, over = np.zeros(n), np.zeros(n, dtype=bool)
+        earned, lasts = [[] for _ in range(n)], [None] * n
         for _ in range(hold):
             expected = beside.step(action.astype(np.float64))
-            earned += np.where(over, 0.0, expected.reward)
-            for row in np.flatnonzero(expected.done):
-                assert over[row] or np.array_equal(
-                    infos[row]["terminal_observation"], scaled(expected.observation[row], env.scale)
-                )
-                beside.start([following], np.array([row]))
-                following += 1
-            over |= expected.done
-        np.testing.assert_array_equal(dones, over)
-        np.testing.assert_array_equal(rewards, (earned / hold).astype(np.float32))
+            for row in range(n):
+                if lasts[row] is None:
+                    earned[row].append(expected.reward[row])
+                if lasts[row] is None and expected.done[row]:
+                    lasts[row] = expected.observation[row]
+                    assert infos[row]["TimeLimit.truncated"] == expected.truncated[row]
+                    assert infos[row]["failures"] == beside.failures[row]
+                    early += len(earned[row]) < hold
+        ended = [row for row in range(n) if lasts[row] is not None]
+        if ended:
+            beside.start(range(following, following + len(ended)), np.array(ended))
+            following += len(ended)
+        np.testing.assert_array_equal(np.flatnonzero(dones), ended)
+        np.testing.assert_allclose(rewards, [np.mean(row) for row in earned], rtol=1e-6)
         np.testing.assert_array_equal(seen, scaled(beside.loop.observation, env.scale))
-        ended += int(over.sum())
-    assert ended > 0
+        for row in ended:
+            last = scaled(lasts[row], env.scale)
+            np.testing.assert_array_equal(infos[row]["terminal_observation"], last)
+    assert early > 0
 
 
 def test_actions_that_are_none_are_refused(robot):

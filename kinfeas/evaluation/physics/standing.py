@@ -11,6 +11,7 @@ from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.stage import Stage, task_scene
 from kinfeas.spatial import planar_pose
+from kinfeas.start import episode_rng
 from kinfeas.tasks.task import Task
 
 
@@ -46,7 +47,7 @@ def set_stage(
             backend.close()
             raise KinfeasError(touched)
         return backend, state
-    start = Stage(task, backend).sample(IkSolver(robot), np.random.default_rng(numbers))
+    start = Stage(task, backend).sample(IkSolver(robot), episode_rng(*numbers))
     return backend, backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
 
 
