@@ -49,6 +49,8 @@ JUMPS = {
     "{}, arm jumps an episode, ours": "sac",
     "{}, arm jumps an episode, {aid}": "",
 }
+ANY_START = "any start"
+"""The variant of `ggr_restricted` that begins where the paper's program does."""
 PHYSICS = {
     ("head_start", "pretrained"): "{}, 3 s head start",
     ("", "pretrained"): "{}",
@@ -126,6 +128,9 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
             for head, policy in rows.items():
                 values = [entry(cells, robot, task, policy or aided) for task in TASKS]
                 page = _fill(page, head.format(name, aid=aid), values)
+        began = of_variant(record, ANY_START)
+        values = [_share(began, robot, task, "pretrained") for task in TASKS]
+        page = _fill(page, f"**{name}**, ours, {ANY_START}", values)
         for head, values in _physics_rows(physics, robot):
             page = _fill(page, head, values)
     return page

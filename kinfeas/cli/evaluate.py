@@ -127,7 +127,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     patience=8 s, slow_down=1 (2 for pr2), head_start=0 s, and objects=true.
 
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
-    each of them costs alone.
+    each of them costs alone, and what the others cost without it.
 
     [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
     achieved one green, steps without an IK solution red.

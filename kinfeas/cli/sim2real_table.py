@@ -58,18 +58,21 @@ def weigh(
 
 
 def _show(name: str, costs: "list[Cost]") -> None:
-    before = costs[0].figures["success"]
     rows = []
     for cost in costs:
-        found = cost.figures
+        found, beside = cost.figures, costs[-1 if cost.left_out else 0].figures
         rows.append(
             [
-                cost.adapter,
+                cost.label,
                 share(found["success"], found["success_low"], found["success_high"]),
-                f"{100.0 * (found['success'] - before):+.1f}" if cost is not costs[0] else "",
+                f"{100.0 * (found['success'] - beside['success']):+.1f}"
+                if found is not beside
+                else "",
                 share(found["reached"]),
                 f"{1000.0 * found['mean_deviation_m']:.1f} mm",
             ]
         )
     columns = ["adapter", " success", " points", " reached", " deviation"]
-    print_table(f"what the adapters of {name} cost, each alone", columns, rows)
+    print_table(
+        f"what the adapters of {name} cost: points to none or, left out, to all", columns, rows
+    )

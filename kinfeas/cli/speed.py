@@ -29,7 +29,8 @@ def speed(
 ) -> None:
     """Time inverse kinematics beside Pinocchio and PyBullet, environments, policy and training.
 
-    One core each, the best of several repeats; training takes all cores, half a minute long.
+    One core each, the best of several repeats; training, by the robot's own recipe, takes all
+    cores, half a minute long. Steps are control periods, also where an action holds for several.
     """
     options.check_robot(robot)
     if policy is not None:

@@ -20,11 +20,18 @@ class Cost:
 
     Attributes:
         adapter: Its name, `none` or `all`.
-        figures: Of the policy within it.
+        figures: Of the policy within it, or within all others.
+        left_out: Whether it is the only one that is left out.
     """
 
     adapter: str
     figures: Summary
+    left_out: bool = False
+
+    @property
+    def label(self) -> str:
+        """What its row is called."""
+        return f"no {self.adapter}" if self.left_out else self.adapter
 
 
 @dataclass(frozen=True)
@@ -66,9 +73,17 @@ AXES = (
 
 
 def measure_costs(run: Evaluation, adapters: Specs) -> list[Cost]:
-    """Return the figures without adapters, within each one alone, and within all."""
+    """Return the figures without adapters, within each one alone, all but it, and all.
+
+    Of two adapters, what is left when one is left out is the other one alone.
+    """
     alone = [Cost(adapter.name, run((adapter,))) for adapter in adapters]
-    return [Cost(NONE, run(())), *alone, Cost(ALL, run(adapters))]
+    others = [
+        Cost(adapter.name, run(adapters[:i] + adapters[i + 1 :]), left_out=True)
+        for i, adapter in enumerate(adapters)
+        if len(adapters) > 2
+    ]
+    return [Cost(NONE, run(())), *alone, *others, Cost(ALL, run(adapters))]
 
 
 def measure_sweeps(run: Evaluation, adapters: Specs, axes: Sequence[Axis] = AXES) -> list[Sweep]:
@@ -81,7 +96,8 @@ def measure_sweeps(run: Evaluation, adapters: Specs, axes: Sequence[Axis] = AXES
 
 def evaluations(adapters: Specs, axes: Sequence[Axis]) -> int:
     """Return how often costs and sweeps together call `run`."""
-    return len(adapters) + 2 + sum(len(axis.values) for axis in axes)
+    count = len(adapters)
+    return count + count * (count > 2) + 2 + sum(len(axis.values) for axis in axes)
 
 
 def with_value(adapters: Specs, axis: Axis, value: float) -> Specs:
@@ -104,7 +120,9 @@ def with_value(adapters: Specs, axis: Axis, value: float) -> Specs:
 def to_json(costs: Sequence[Cost], sweeps: Sequence[Sweep]) -> dict[str, object]:
     """Return all figures as plain data."""
     return {
-        "costs": [{"adapter": cost.adapter, **cost.figures} for cost in costs],
+        "costs": [
+            {"adapter": cost.adapter, "left_out": cost.left_out, **cost.figures} for cost in costs
+        ],
         "sweeps": [
             {
                 "adapter": sweep.axis.adapter,

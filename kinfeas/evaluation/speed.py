@@ -151,14 +151,18 @@ def measure_action(robot: Robot, network: Network, effort: Effort) -> Iterator[F
 
 
 def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
-    """Yield the steps a second of a short training run, its evaluation and checkpoints included."""
+    """Yield the steps a second of a short training run by the robot's own recipe.
+
+    A step is a control period of one environment: an action that holds for two counts twice. The
+    evaluation at the end and checkpoints are included.
+    """
     # Not at the top, for they load torch.
-    from kinfeas.training.config import ScheduleConfig, TrainConfig
+    from kinfeas.evaluation.benchmark.study import Training
+    from kinfeas.evaluation.benchmark.trainings import settings_of
     from kinfeas.training.train import train
 
-    config = TrainConfig(
-        robot=robot, schedule=ScheduleConfig(minutes=effort.train_minutes, evaluations=1)
-    )
+    recipe = Training(robot, minutes=effort.train_minutes, settings=("schedule.evaluations=1",))
+    config = settings_of(recipe, seed=0)
     with tempfile.TemporaryDirectory() as folder:
         progress = train(config, Path(folder) / "run")
     rate = progress.steps / progress.seconds

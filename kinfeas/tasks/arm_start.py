@@ -26,15 +26,20 @@ def random_arm(
     solver: IkSolver,
     rng: np.random.Generator,
     accept: Callable[[Array], NDArray[np.bool_]] | None = None,
+    *,
+    either: bool = False,
 ) -> Array:
     """Return arm joints drawn uniformly within the limits, shape (j,).
 
-    The robot does not touch itself there and its tool tip is above the floor.
+    The robot does not touch itself there, unless `either` says so, and its tool tip is above the
+    floor.
 
     Args:
         solver: The robot's kinematics.
         rng: Source of randomness.
         accept: Which EE poses in the base frame, shape (n, 7), may be taken; all by default.
+        either: Whether it is enough that `accept` takes the pose or that the robot does not touch
+            itself; both are needed by default.
 
     Raises:
         KinfeasError: If 1,600 draws hold no such configuration.
@@ -46,10 +51,9 @@ def random_arm(
         joints = rng.uniform(lower, upper, (_DRAWS, len(lower)))
         ee = forward(solver.chain, joints)
         good = spatial.compose(ee, np.broadcast_to(tip, ee.shape))[:, 2] > 0.0
-        if accept is not None:
-            good &= accept(ee)
-        for row in np.flatnonzero(good):
-            if not self_collides(solver.collision, joints[row]):
+        wanted = np.ones(_DRAWS, dtype=np.bool_) if accept is None else accept(ee)
+        for row in np.flatnonzero(good if either else good & wanted):
+            if (either and wanted[row]) or not self_collides(solver.collision, joints[row]):
                 return joints[row]
     raise KinfeasError(
         f"robot {robot.name!r}: no arm configuration free of self-collision with the EE where the "

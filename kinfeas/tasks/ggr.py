@@ -29,6 +29,9 @@ class GoalReaching:
         distance: Least and greatest planar distance of the goal from the base, metres.
         heights: Least and greatest height of the goal, metres; the robot's own by default.
         restrict_start: Whether the start height keeps within the goal heights, too.
+        start: `free` draws arm configurations in which the robot does not touch itself; `any` also
+            takes those at the goal heights where it does and, even with `restrict_start`, those at
+            other heights where it does not, as the paper's program does for `ggr_restricted`.
         orientation: `rpy` draws roll, pitch and yaw uniformly, `so3` uniform rotations.
     """
 
@@ -37,6 +40,7 @@ class GoalReaching:
     distance: tuple[Distance, Distance] = (1.0, 5.0)
     heights: tuple[Metres, Metres] | None = None
     restrict_start: bool = False
+    start: Literal["free", "any"] = "free"
     orientation: Literal["rpy", "so3"] = "rpy"
 
     def __post_init__(self) -> None:
@@ -62,7 +66,9 @@ class GoalReaching:
         def within(ee: Array) -> np.ndarray:
             return (ee[:, 2] >= low) & (ee[:, 2] <= high)
 
-        joints = random_arm(solver, rng, within if self.restrict_start else None)
+        either = self.start == "any"
+        accept = within if self.restrict_start or either else None
+        joints = random_arm(solver, rng, accept, either=either)
         zero = np.array(0.0)
         return Start(planar_pose(zero, zero, np.array(heading)), joints, target[np.newaxis])
 

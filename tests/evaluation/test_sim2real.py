@@ -42,6 +42,21 @@ def test_costs_are_none_each_alone_and_all():
     assert [cost.figures["success"] for cost in costs] == pytest.approx([0.9, 0.8, 0.8, 0.7])
 
 
+def test_of_three_adapters_each_is_left_out_once():
+    three = (*ADAPTERS, AdapterSpec("head_start", {}))
+    costs = measure_costs(runs := Runs(), three)
+    assert len(runs.asked) == evaluations(three, ()) == len(costs)
+    assert costs[-1].adapter == ALL
+    others = [cost for cost in costs if cost.left_out]
+    assert [cost.adapter for cost in others] == [adapter.name for adapter in three]
+    assert others[0].label == "no base_noise"
+    pairs = [asked for asked in runs.asked if len(asked) == 2]
+    assert pairs == [(three[1], three[2]), (three[0], three[2]), (three[0], three[1])]
+    assert [cost["left_out"] for cost in to_json(costs, [])["costs"]] == [
+        cost.left_out for cost in costs
+    ]
+
+
 def test_a_sweep_changes_one_number_and_leaves_the_rest():
     latency = AXES[0]
     changed = with_value(ADAPTERS, latency, 0.25)

@@ -7,7 +7,15 @@ from kinfeas import drive, observation, registry
 from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation import speed
-from kinfeas.evaluation.speed import Effort, Figure, environment_rate, measure_speed, random_network
+from kinfeas.evaluation.speed import (
+    Effort,
+    Figure,
+    environment_rate,
+    measure_speed,
+    measure_training,
+    random_network,
+)
+from kinfeas.training.progress import Progress
 
 KEYS = {
     "ik_warm_us", "ik_cold_us", "ik_cold_solved", "pinocchio_warm_us", "pinocchio_cold_us",
@@ -40,6 +48,21 @@ def test_a_missing_peer_has_no_figure(quick, monkeypatch):
     figures = {figure.key: figure.value for figure in measure_speed("pr2", effort=SMALL)}
     missing = {key for key, value in figures.items() if value is None and key}
     assert missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
+
+
+def test_training_is_timed_by_the_robot_s_own_recipe(monkeypatch):
+    configs = []
+
+    def train(config, out):
+        configs.append(config)
+        return Progress(steps=600, seconds=2.0)
+
+    monkeypatch.setattr("kinfeas.training.train.train", train)
+    (figure,) = measure_training("tiago", SMALL)
+    assert figure.value == 300.0
+    (config,) = configs
+    assert (config.environments, config.hold, config.learner.discount) == (64, 4, 0.995)
+    assert (config.schedule.minutes, config.schedule.evaluations) == (SMALL.train_minutes, 1)
 
 
 def test_ended_episodes_are_followed_by_others(monkeypatch):

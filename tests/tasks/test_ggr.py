@@ -48,6 +48,18 @@ def test_starts_and_goals(solver, name):
     assert within.all() == (name == "ggr_restricted")
 
 
+def test_any_start_is_free_or_at_the_goal_heights(exact_solver):
+    low, high = exact_solver.robot.goal_heights["ggr_restricted"]
+    free, found = (sample(build("ggr_restricted", start=s), exact_solver) for s in ("free", "any"))
+    np.testing.assert_array_equal(found.target_poses, free.target_poses)
+    touching = self_collides(exact_solver.collision, found.joint_positions)
+    height = forward(exact_solver.chain, found.joint_positions)[:, 2]
+    outside = (height < low) | (height > high)
+    assert touching.any()
+    assert outside.any()
+    assert not (touching & outside).any()
+
+
 def test_roll_pitch_and_yaw_are_uniform(exact_solver):
     """Then the height of the approach axis follows the arcsine law, not the uniform one."""
     quaternion = sample(build("ggr"), exact_solver).target_poses[:, 0, 3:]
@@ -93,6 +105,7 @@ def test_parameters_as_yaml_gives_them(exact_solver):
         ({"orientation": "rpm"}, "orientation"),
         ({"motion": "linear"}, "motion"),
         ({"restrict_start": 3}, "restrict_start"),
+        ({"start": "all"}, "start"),
     ],
 )
 @pytest.mark.parametrize("name", ["ggr", "ggr_restricted"])

@@ -69,7 +69,9 @@ def _draw_panel(axes: Axes, own: dict[Row, Cell], rows: dict[Row, str], first: b
     axes.grid(axis="y", visible=False)
     axes.spines["left"].set_visible(False)
     if not own:
-        axes.set_axis_off()
+        # The names of the rows stay.
+        axes.xaxis.set_visible(False)
+        axes.spines["bottom"].set_visible(False)
         return
     ceiling = 100.0 * next(iter(own.values())).ceiling
     axes.axvspan(ceiling, 100.0, color=_BEYOND, lw=0.0, zorder=0.5)
@@ -102,7 +104,7 @@ def _draw_row(axes: Axes, place: int, cell: Cell) -> None:
 
 def _label_lowest(panels: Sequence[Axes]) -> None:
     """Write the axis below the lowest panel of a column that shows anything."""
-    shown = [axes for axes in panels if axes.axison]
+    shown = [axes for axes in panels if axes.xaxis.get_visible()]
     for axes in shown[:-1]:
         axes.tick_params(axis="x", labelbottom=False)
     shown[-1].set_xlabel("% of episodes without a failure", fontsize=9)

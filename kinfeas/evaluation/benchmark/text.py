@@ -24,7 +24,9 @@ brackets the share in which the end-effector never strays more than 5 cm and end
 `±` is the standard deviation over training seeds. The *ceiling* is the share of goals that the \
 end-effector reaches from some base pose, with its 95 % interval: no policy can beat it. Rows in \
 italics are the paper's own, from its own program; its row "follow / demonstrated" stands below \
-the baseline that it means."""
+the baseline that it means. Its `ggr_restricted` begins harder than ours: its program also takes \
+arm configurations that touch the robot itself at these heights, and all others beyond them. So do \
+tables of "any start"."""
 
 
 _CAPTIONS = {

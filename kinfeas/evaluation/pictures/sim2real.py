@@ -12,7 +12,7 @@ from kinfeas.evaluation.sim2real import ALL, NONE, Cost, Sweep
 
 
 def sim2real_figure(title: str, costs: Sequence[Cost], sweeps: Sequence[Sweep]) -> Figure:
-    """Return the picture: on the left each adapter alone, then success along each axis.
+    """Return the picture: on the left each adapter alone and left out, then success along axes.
 
     Args:
         title: A line above it.
@@ -44,13 +44,14 @@ def _draw_costs(axes: Axes, costs: Sequence[Cost]) -> None:
         axes.plot([low, high], [place, place], color=colour, lw=4.5, alpha=0.3,
                   solid_capstyle="butt")  # fmt: skip
         axes.plot([share], [place], "o", color=colour, ms=6.0, mec="white", mew=0.8)
-    axes.axvline(costs[0].figures["success"], color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-    axes.set_yticks(range(len(costs)), [cost.adapter for cost in costs])
+    for end in (costs[0], costs[-1]):
+        axes.axvline(end.figures["success"], color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+    axes.set_yticks(range(len(costs)), [cost.label for cost in costs])
     axes.set_ylim(len(costs) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_xlabel("each adapter alone, and all")
+    axes.set_xlabel("each adapter alone, each left out, and all")
 
 
 def _draw_sweep(axes: Axes, sweep: Sweep) -> None:
