@@ -26,7 +26,12 @@ def main() -> None:
     config = load(TrainConfig, default_recipe("train", "pr2"))
     few = replace(config.learner, random_steps=min(3000, given.steps // 2))
     schedule = replace(
-        config.schedule, steps=given.steps, minutes=None, evaluations=1, evaluation_episodes=4
+        config.schedule,
+        steps=given.steps,
+        minutes=None,
+        evaluations=1,
+        evaluation_episodes=4,
+        final_episodes=4,
     )
     config = replace(config, environments=64, learner=few, schedule=schedule)
     with tempfile.TemporaryDirectory() as folder:

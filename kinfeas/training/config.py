@@ -79,6 +79,7 @@ class ScheduleConfig:
             one of the two is set, and the run ends at whichever comes first.
         evaluations: Evaluations, spread evenly over the run; the last one ends it.
         evaluation_episodes: Episodes of each evaluation.
+        final_episodes: Fresh episodes on which the best policy is evaluated at the end.
         checkpoint_seconds: Time between checkpoints to resume from.
     """
 
@@ -86,6 +87,7 @@ class ScheduleConfig:
     minutes: Positive | None = 3.0
     evaluations: Annotated[int, Interval(low=1, high=10_000)] = 3
     evaluation_episodes: Episodes = 256
+    final_episodes: Episodes = 256
     checkpoint_seconds: Positive = 30.0
 
     def __post_init__(self) -> None:

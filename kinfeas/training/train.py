@@ -248,7 +248,7 @@ class _Run:
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
             return
-        records = self._judge(FRESH_SEED)(network, self.config.schedule.evaluation_episodes)
+        records = self._judge(FRESH_SEED)(network, self.config.schedule.final_episodes)
         judged = replace(trained, fresh_evaluation=dict(summarize(records)))
 
         def fill(folder: Path) -> None:

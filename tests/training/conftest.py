@@ -23,6 +23,7 @@ TINY = {
         "minutes": None,
         "evaluations": 2,
         "evaluation_episodes": 4,
+        "final_episodes": 4,
         "checkpoint_seconds": 0.2,
     },
 }

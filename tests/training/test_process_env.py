@@ -20,7 +20,13 @@ PHYSICAL = {
     "world": {"dt": 0.02, "max_seconds": 1.2, "max_failures": 99},
     "physics": {},
     "learner": {"batch_size": 16, "random_steps": 40, "critic_steps": 40, "buffer_size": 500},
-    "schedule": {"steps": 200, "minutes": None, "evaluations": 1, "evaluation_episodes": 1},
+    "schedule": {
+        "steps": 200,
+        "minutes": None,
+        "evaluations": 1,
+        "evaluation_episodes": 1,
+        "final_episodes": 1,
+    },
 }
 
 
