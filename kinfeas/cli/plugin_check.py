@@ -76,9 +76,15 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["Finding"]:
     from kinfeas import registry
+    from kinfeas.conformance.parameters import MissingParameterError
     from kinfeas.testing import examine
 
-    generator = registry.build(_GROUP, name, parameters)
+    try:
+        generator = registry.build(_GROUP, name, parameters)
+    except KinfeasError as error:
+        if not isinstance(missing := error.__cause__, MissingParameterError):
+            raise
+        raise KinfeasError(f"{error}: --set {missing.parameter}=VALUE") from error
     with progress(f"checking {name}", trial.steps) as advance:
         return examine(generator, trial, name, lambda: advance(1.0))
 

@@ -9,6 +9,18 @@ from kinfeas.errors import KinfeasError
 from kinfeas.schema import Place, convert, no_such
 
 
+class MissingParameterError(KinfeasError):
+    """A plugin was not given a parameter that it needs.
+
+    Attributes:
+        parameter: Its name.
+    """
+
+    def __init__(self, parameter: str, message: str) -> None:
+        super().__init__(message)
+        self.parameter = parameter
+
+
 def signature_of(factory: Any) -> inspect.Signature:
     """Return the signature of a class or function, with its annotations as types where it can."""
     try:
@@ -32,8 +44,8 @@ def check_names(signature: inspect.Signature, given: Mapping[str, object]) -> No
             raise KinfeasError(f"unknown parameter {name!r}{no_such(name, taken)}")
     for name, parameter in taken.items():
         if parameter.default is parameter.empty and name not in given:
-            raise KinfeasError(
-                f"the parameter {name!r} is missing; known are {', '.join(sorted(taken))}"
+            raise MissingParameterError(
+                name, f"the parameter {name!r} is missing; known are {', '.join(sorted(taken))}"
             )
 
 

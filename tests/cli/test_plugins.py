@@ -238,3 +238,9 @@ def test_new_writes_a_distribution_here(kinfeas, tmp_path):
 def test_new_quotes_what_is_to_be_typed(kinfeas):
     outcome = kinfeas("plugins", "new", "my_motion", "--out", "my motions")
     assert "pip install -e 'my motions'\ntest it: pytest 'my motions'\n" in outcome.out
+
+
+def test_a_missing_parameter_is_asked_for_by_its_set_line(kinfeas):
+    outcome = kinfeas("plugins", "check", "replay")
+    assert outcome.code == 2
+    assert outcome.err.endswith("--set file=VALUE\n")
