@@ -235,7 +235,7 @@ def _show(progress: "Progress", folder: Path) -> None:
         ["time", f"{progress.seconds / 60.0:.1f} min"],
         ["steps per second of training", f"{progress.steps / progress.seconds:,.0f}"],
         [
-            f"best checkpoint's success, {figures['episodes']} fresh episodes",
+            f"best checkpoint, {figures['episodes']} fresh episodes",
             share(*(float(figures[key]) for key in ("success", "success_low", "success_high"))),
         ],
         ["it came after steps", f"{figures['steps']:,}"],

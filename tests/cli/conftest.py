@@ -10,7 +10,8 @@ from kinfeas.cli import main
 TINY = (
     "--set", "environments=8", "--set", "learner.batch_size=16", "--set", "learner.hidden=[8]",
     "--set", "learner.buffer_size=1000", "--set", "learner.random_steps=16",
-    "--set", "schedule.evaluations=1", "--set", "schedule.evaluation_episodes=2", "--set", "schedule.final_episodes=2",
+    "--set", "schedule.evaluations=1", "--set", "schedule.evaluation_episodes=2",
+    "--set", "schedule.final_episodes=2",
     "--set", "learner.gradient_steps=1",
 )  # fmt: skip
 """Settings of a run that takes a second."""
