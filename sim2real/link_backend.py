@@ -161,7 +161,7 @@ class LinkBackend:
             return
         try:
             self.link.drive(np.zeros(3))
-        except BaseException:
+        except BLAMED:
             with suppress(*BLAMED):
                 self._hold()
             raise
