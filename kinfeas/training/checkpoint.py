@@ -125,7 +125,7 @@ def load_learner(
 
 
 def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
-    """Return the tensors of a checkpoint, the buffer whole, but for optimizers and random states."""
+    """Return a checkpoint's tensors, the buffer whole, but for optimizers and random states."""
     tensors = _world_tensors(world)
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
     if (entropy := _learned_entropy(learner)) is not None:
