@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 from kinfeas import config, registry
-from kinfeas.backend import Backend
+from kinfeas.backend import Backend, BackendWrapper
 from kinfeas.conformance.adapter import CheckedAdapter
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import Blaming, is_own, package_of
@@ -57,13 +57,6 @@ class Sim2Real:
 
 
 @runtime_checkable
-class Wrapping(Protocol):
-    """A backend around a backend."""
-
-    backend: Backend
-
-
-@runtime_checkable
 class Hooked(Protocol):
     """An adapter that can look at what its own hooks return."""
 
@@ -101,19 +94,24 @@ def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Bac
     """
     for adapter in adapters:
         given = {"backend": backend, "robot": robot, **adapter.parameters}
-        backend = registry.build("kinfeas.adapters", adapter.name, given)
+        made = registry.build("kinfeas.adapters", adapter.name, given)
         subject = f"adapter {adapter.name!r}"
-        if isinstance(backend, Hooked):
-            backend.look_at_hooks(subject)
-        elif not is_own(backend):
-            backend = CheckedAdapter(backend, subject)
+        if isinstance(made, Hooked):
+            made.look_at_hooks(subject)
+        backend = (
+            made
+            if is_own(made) or isinstance(made, Hooked)
+            else (CheckedAdapter(made, subject, backend))
+        )
     return backend
 
 
 def chain(backend: Backend) -> Iterator[Backend]:
     """Yield `backend` and all that it is wrapped around, the outermost first."""
     yield backend
-    while isinstance(backend, Wrapping):
+    while isinstance(backend, BackendWrapper):
+        if isinstance(backend, CheckedAdapter):
+            yield backend.adapter
         backend = backend.backend
         yield backend
 

@@ -67,6 +67,16 @@ class Backend(Protocol):
         ...
 
 
+class BackendWrapper:
+    """A backend around another one: the base class of adapters and guards.
+
+    Attributes:
+        backend: What is wrapped.
+    """
+
+    backend: Backend
+
+
 @runtime_checkable
 class Stochastic(Protocol):
     """A backend or adapter that draws random numbers.

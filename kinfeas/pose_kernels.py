@@ -8,10 +8,9 @@ depend on what else is in the batch.
 import fcntl
 import math
 import os
-import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,9 @@ from numba import guvectorize, njit
 from kinfeas import kernel_cache
 
 kernel_cache.settle()  # before the first kernel
+
+_AGAIN, _END = 0.02, time.monotonic() + 60.0
+"""Seconds between two looks at the lock, and when an import waits no longer: who has it hangs."""
 
 # What is not said here, the first caller of a process would decide, and with it the last bits.
 inlined = njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
@@ -34,24 +36,36 @@ def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., 
     """
 
     def compile_alone(function: Callable[..., None]) -> Any:
-        with _alone():
-            made = guvectorize(signatures, layout, nopython=True, cache=True)(function)
+        with _alone() as alone:
+            made = guvectorize(signatures, layout, nopython=True, cache=alone)(function)
         return made.ufunc  # what numba puts around it takes as long as a pose
 
     return compile_alone
 
 
 @contextmanager
-def _alone() -> Iterator[None]:
-    """Wait until no other process of this user is within such a block."""
-    try:
-        lock = (Path(tempfile.gettempdir()) / f"kinfeas-{os.getuid()}.lock").open("a")
-    except OSError:
-        yield  # nowhere to write: then there is no cache to fill either
+def _alone() -> Iterator[bool]:
+    """Wait for the user's other processes to leave such a block; yield whether they have."""
+    lock = kernel_cache.open_lock()
+    if lock is None:
+        yield True  # nowhere to write: then there is no cache to fill either
         return
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+    try:
+        while not (taken := _taken(lock)) and time.monotonic() < _END:
+            time.sleep(_AGAIN)
+        yield taken
+    finally:
+        os.close(lock)
+
+
+def _taken(lock: int) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # there are no locks here
+    return True
 
 
 @inlined

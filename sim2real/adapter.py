@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.adapters import chain
-from kinfeas.backend import Backend, Gripping, Live, Resumable, RobotState, Seeing, Stochastic
+from kinfeas.backend import (
+    Backend,
+    BackendWrapper,
+    Gripping,
+    Live,
+    Resumable,
+    RobotState,
+    Seeing,
+    Stochastic,
+)
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import is_own
@@ -25,7 +34,7 @@ Memory = dict[str, NDArray[Any]]
 _MOST = 10_000.0  # of seconds, metres or radians: far more than any robot has use for
 
 
-class Adapter:
+class Adapter(BackendWrapper):
     """A backend around a backend. A subclass overrides what it changes, of these four.
 
     `begin` says what is remembered from the start of an episode on, `command` changes what is

@@ -2,12 +2,14 @@
 
 import math
 import time
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backend import Grip, RobotState
 from kinfeas.errors import KinfeasError
+from kinfeas.foreign import BLAMED
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.drive_limits import to_drive
 from kinfeas.sim2real.fault import Fault, beyond
@@ -151,12 +153,19 @@ class LinkBackend:
             raise Fault(f"the command comes {shown} s after the measurement that it is made of")
 
     def stop(self) -> None:
-        """Command the base to zero and the arm to stay where it was last measured."""
+        """Command the base to zero and the arm to stay where it was last measured.
+
+        The arm is commanded even if commanding the base raises, which is raised afterwards.
+        """
         if not self._opened:
             return
-        self.link.drive(np.zeros(3))
-        if not any(self._inbox.lacks()):
-            self._send(self._inbox.raw())
+        try:
+            self.link.drive(np.zeros(3))
+        except BLAMED:
+            with suppress(*BLAMED):
+                self._hold()
+            raise
+        self._hold()
 
     def limit_arm(self, velocity: Array) -> None:
         """Let no joint go faster from now on, nor than it can; shape (j,), rad/s or m/s."""
@@ -175,6 +184,11 @@ class LinkBackend:
             finally:
                 self.link.close()
                 self._opened = False
+
+    def _hold(self) -> None:
+        """Command the arm to stay where it was last measured, if it was."""
+        if not any(self._inbox.lacks()):
+            self._send(self._inbox.raw())
 
     def _send(self, targets: Array) -> None:
         """Send the arm to joint positions, shape (j,)."""

@@ -28,17 +28,28 @@ class LookAheadThread(LookAhead):
         super().__init__(policy, foresight)
         # Policies need not bear to be asked by two threads at a time.
         self.rehearsed = deepcopy(policy)
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="look_ahead")
+        self._worker: ThreadPoolExecutor | None = None
         self._coming: Future[Array] | None = None
+        self._interval = _TURN
 
     def watch(self, loop: Loop) -> None:
-        """Look ahead of the motion of `loop`, of one robot, from now on."""
-        if self._coming is not None:
-            self._coming.result()
-            self._coming = None
+        """Look ahead of the motion of `loop`, of one robot, from now on until `close`."""
+        self.close()
         super().watch(loop)
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="look_ahead")
+        self._interval = sys.getswitchinterval()
         # Python gives a thread 5 ms before it is another one's turn, a quarter of a period.
         sys.setswitchinterval(_TURN)
+
+    def close(self) -> None:
+        """End the thread after the look under way; it may be called twice.
+
+        The interpreter's switch interval becomes again what it was before `watch`.
+        """
+        if self._worker is not None:
+            self._worker.shutdown()
+            self._worker = self._coming = None
+            sys.setswitchinterval(self._interval)
 
     def act(self, situation: Situation) -> Array:
         """Return base commands in [-1, 1], shape (1, 3) or (1, 2)."""
@@ -48,6 +59,7 @@ class LookAheadThread(LookAhead):
 
     def look(self, now: State, due: Rows) -> None:
         """Begin to look for a new deviation."""
+        assert self._worker is not None
         if self._coming is None:
             self._coming = self._worker.submit(self.plan, now, due)
         else:

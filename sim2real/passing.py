@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Grip, Gripping, Seeing, Stochastic
+from kinfeas.backend import Backend, BackendWrapper, Grip, Gripping, Seeing, Stochastic
 
 
-class Passing:
+class Passing(BackendWrapper):
     """Passes on to a backend what it can beside its steps."""
 
     def __init__(self, backend: Backend) -> None:

@@ -21,6 +21,7 @@ from kinfeas.sim2real.deployment import Code, Outcome, Setup
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.goal_task import begin
 from kinfeas.sim2real.guards import Guarded, check_action
+from kinfeas.sim2real.look_ahead_thread import LookAheadThread
 from kinfeas.sim2real.metronome import Metronome
 from kinfeas.sim2real.preview import preview
 from kinfeas.sim2real.signals import Signals
@@ -39,7 +40,12 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
         KinfeasError: If it cannot begin.
     """
     run = _Run(setup, recorder)
-    with Signals() as signals, closing(run.guarded):
+    beside = isinstance(setup.policy, LookAheadThread)
+    with (
+        closing(setup.policy) if beside else nullcontext(),
+        Signals() as signals,
+        closing(run.guarded),
+    ):
         run.connect()
         with run.watch() as watchdog:
             run.start()
@@ -135,7 +141,7 @@ class _Run:
             if signals.caught is not None:
                 return _ended_by(signals.caught)
             if watchdog is not None and not watchdog.beat():
-                raise Fault("the watchdog has stopped the base, or has died")
+                raise Fault("the watchdog has stopped the base, or has died or stalled")
             goal = loop.goal[0]
             step = loop.step(check_action(setup.policy.act(loop.situation), size))
             if not self.waits:

@@ -1,8 +1,8 @@
 """A second process that stops the base once the run no longer says that it is alive.
 
 It is told so by heartbeats through a pipe. They cease when the run stalls, and the pipe closes when
-it dies, however that happens. The process imports next to nothing but what the
-backend names to stop its robot.
+it dies, however that happens. Each is answered, so that the run notices a watchdog that stalls or
+dies. The process imports next to nothing but what the backend names to stop its robot.
 """
 
 import json
@@ -11,6 +11,7 @@ import select
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -28,6 +29,7 @@ LAST_TRY = 5.0
 """Seconds after a death for which a stop that fails is tried again."""
 
 _BEAT, _END, _READY, _FIRED = b".", b"q", b"r", b"f"
+_MANY = 4096  # bytes, more than there are at a time
 _PATIENCE, _FAREWELL = 20.0, LAST_TRY + 2.0  # s, for the process to connect, and to end
 
 
@@ -70,7 +72,8 @@ class Watchdog:
 
         Args:
             stop: What it calls.
-            seconds: Without a heartbeat, after which the base is stopped.
+            seconds: Without a heartbeat, after which the base is stopped; without an answer to one,
+                after which `beat` tells of it.
 
         Raises:
             KinfeasError: If the process does not become ready.
@@ -87,6 +90,8 @@ class Watchdog:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout
+        self._seconds, self._unanswered = seconds, deque[float]()
+        self._fired = self._stalled = False
         os.set_blocking(self._in.fileno(), False)
         if not select.select([self._out], [], [], _PATIENCE)[0] or self._out.read(1) != _READY:
             self._process.kill()
@@ -104,14 +109,22 @@ class Watchdog:
         self.close()
 
     def beat(self) -> bool:
-        """Say that the run is alive; return whether the watchdog lives and has not stopped it."""
+        """Say that the run is alive; return whether the watchdog is, and has not stopped it."""
         if self._in.closed:
             return False
         try:
             self._in.write(_BEAT)
         except OSError:
             return False
-        return not select.select([self._out], [], [], 0.0)[0]
+        now = time.monotonic()
+        self._unanswered.append(now)
+        if select.select([self._out], [], [], 0.0)[0]:
+            answers = self._out.read(_MANY)
+            self._fired |= _FIRED in answers or not answers
+            for _ in answers[: len(self._unanswered)]:
+                self._unanswered.popleft()
+        self._stalled = bool(self._unanswered) and now - self._unanswered[0] > self._seconds
+        return not (self._fired or self._stalled)
 
     def abandon(self) -> None:
         """Die, as far as the process can tell: it stops the base, several times, and ends."""
@@ -124,6 +137,8 @@ class Watchdog:
         if not self._in.closed:
             with suppress(OSError):
                 self._in.write(_END)
+            if self._stalled:  # or else it would be waited for in vain
+                self._process.kill()
         try:
             self._process.wait(_FAREWELL)
         except subprocess.TimeoutExpired:
@@ -193,13 +208,16 @@ def _watch(stop: _Stopping, seconds: float, answers: int) -> bool:
             continue
         if not fired:
             patience = seconds
-        heard = os.read(0, 4096)
+        heard = os.read(0, _MANY)
         if _END in heard:
             return False
         if not heard:
             return True
         if fired:
             stop(stalled)
+            continue
+        with suppress(OSError):
+            os.write(answers, heard)
 
 
 def _outlive(stop: _Stopping) -> None:

@@ -1,6 +1,7 @@
 """Fixtures and settings that all tests share."""
 
 import os
+import signal
 import sys
 import tomllib
 from functools import cache
@@ -20,6 +21,21 @@ from kinfeas.kinematics.ik import IkOptions, IkSolver
 # Numba compiles within the first example, and a busy machine takes long over any.
 settings.register_profile("kinfeas", deadline=None, derandomize=True)
 settings.load_profile("kinfeas")
+
+
+@pytest.fixture(autouse=True)
+def in_the_foreground():
+    """Let signals come through that nohup, and a shell in the background, have processes ignore.
+
+    Processes that a test starts do not inherit that then, either.
+    """
+    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: lambda *_: None}
+    ignored = [one for one in wanted if signal.getsignal(one) is signal.SIG_IGN]
+    for one in ignored:
+        signal.signal(one, wanted[one])
+    yield
+    for one in ignored:
+        signal.signal(one, signal.SIG_IGN)
 
 
 @pytest.fixture(scope="session", params=["pr2", "tiago", "hsr"])

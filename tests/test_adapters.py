@@ -166,6 +166,25 @@ def test_the_first_one_is_innermost_and_a_backend_alone_has_its_pace(pr2):
     assert paced(AnalyticBackend(), Pace(slow_down=2.0)) == Pace(slow_down=2.0)
 
 
+class Named(AnalyticBackend):
+    """A backend that calls something of its own `backend`."""
+
+    backend = "CUDA"
+
+
+def test_a_backend_is_no_wrapper_for_an_attribute_of_that_name(pr2, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    monkeypatch.setattr(Pacer, "answer", staticmethod(lambda pace: replace(pace, head_start=1.0)))
+    registry.register("kinfeas.adapters", "pacer", Pacer)
+    innermost = Named()
+    assert list(chain(innermost)) == [innermost]
+    assert paced(innermost, Pace()) == Pace()
+    backend = wrap(innermost, [AdapterSpec("pacer"), AdapterSpec("base_noise")], pr2)
+    kinds = [type(link).__name__ for link in chain(backend)]
+    assert kinds == ["BaseNoise", "CheckedAdapter", "Pacer", "Named"]
+    assert paced(backend, Pace()) == Pace(head_start=1.0)
+
+
 class Sway:
     """Drives to and fro, by what it sees."""
 

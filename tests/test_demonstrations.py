@@ -1,3 +1,4 @@
+import os
 import re
 import resource
 from dataclasses import replace
@@ -270,3 +271,13 @@ def test_the_documented_code_writes_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(code, str(DOCUMENT), "exec"), {})
     assert len(read_demonstration(tmp_path / "take.csv").time) == 100
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_a_pipe_or_a_device_is_no_file(tmp_path, suffix):
+    pipe, device = tmp_path / f"pipe{suffix}", tmp_path / f"device{suffix}"
+    os.mkfifo(pipe)
+    device.symlink_to("/dev/zero")
+    for path in (pipe, device):
+        with pytest.raises(KinfeasError, match="cannot be read: it is not a regular file"):
+            read_demonstration(path)

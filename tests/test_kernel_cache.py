@@ -34,11 +34,12 @@ def nowhere(monkeypatch, tmp_path):
     monkeypatch.setattr(numba, "njit", refuse)
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
     return tmp_path
 
 
 def test_kernels_are_kept_in_the_temporary_folder_where_they_can_be_nowhere_else(tmp_path):
-    environment = {**os.environ, **NOWHERE, "TMPDIR": str(tmp_path)}
+    environment = {**os.environ, **NOWHERE, "TMPDIR": str(tmp_path), "XDG_CACHE_HOME": os.devnull}
     done = subprocess.run(
         [sys.executable, "-c", USE], env=environment, check=True, capture_output=True, text=True
     )
@@ -71,3 +72,23 @@ def test_a_file_in_the_way_is_a_clear_error(nowhere):
     (nowhere / f"kinfeas-{os.getuid()}").write_text("")
     with pytest.raises(KinfeasError, match=r"no folder for compiled kernels \(File exists\)"):
         kernel_cache.settle()
+
+
+def test_the_users_own_folder_for_caches_comes_first(nowhere, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(nowhere / "caches"))
+    kernel_cache.settle()
+    assert Path(numba.config.CACHE_DIR) == nowhere / "caches" / "kinfeas"
+    assert (nowhere / "caches" / "kinfeas").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_lock_is_no_link_to_another_file(nowhere, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(nowhere))
+    (nowhere / "kinfeas").mkdir(mode=0o700)
+    (nowhere / "kinfeas" / "lock").symlink_to(nowhere / "theirs")
+    assert kernel_cache.open_lock() is None
+    assert not (nowhere / "theirs").exists()
+
+
+def test_without_a_folder_there_is_no_lock(nowhere):
+    (nowhere / f"kinfeas-{os.getuid()}").symlink_to(nowhere)
+    assert kernel_cache.open_lock() is None

@@ -270,7 +270,7 @@ def test_backends_that_draw_get_a_seed_for_each_episode(solver):
 
 
 def test_a_backend_that_cannot_be_saved_is_named(solver):
-    for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'")):
+    for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'", Recorder())):
         loop = Loop(solver, [LegMotion(Linear())], backend)
         with pytest.raises(KinfeasError, match=r"^Recorder cannot be saved in the midst of a run$"):
             loop.snapshot()

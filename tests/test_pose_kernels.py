@@ -3,6 +3,8 @@ import subprocess
 import sys
 import time
 
+from kinfeas import pose_kernels
+
 USE = """
 import numpy as np
 from kinfeas import spatial
@@ -21,3 +23,11 @@ def test_processes_may_compile_at_once(tmp_path):
         processes.append(subprocess.Popen([sys.executable, "-c", USE], env=environment))
     assert [process.wait(timeout=120) for process in processes] == [0, 0, 0]
     subprocess.run([sys.executable, "-c", USE], env=environment, check=True, timeout=120)
+
+
+def test_an_import_does_not_wait_for_a_lock_without_end(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(pose_kernels, "_END", time.monotonic())
+    with pose_kernels._alone() as first, pose_kernels._alone() as second:
+        assert (first, second) == (True, False)
+        assert (tmp_path / "kinfeas" / "lock").exists()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, Resumable, RobotState
+from kinfeas.backend import Backend, BackendWrapper, Resumable, RobotState
 from kinfeas.conformance.answers import Answers
 from kinfeas.foreign import Blaming, package_of
 from kinfeas.spatial import Array
@@ -17,7 +17,7 @@ _PASSED_ON = ("seed", "grip", "near", "read", "stop", "snapshot")
 """What some backends can beside that, whose answers are not looked at."""
 
 
-class CheckedAdapter:
+class CheckedAdapter(BackendWrapper):
     """An adapter that passes on another one's answers if they have the right form.
 
     It is for a class from outside that is a backend around a backend by itself, and can what that
@@ -27,16 +27,18 @@ class CheckedAdapter:
     Args:
         adapter: Who answers.
         subject: What to call it in errors, as the sentence begins.
+        backend: What the adapter is wrapped around.
 
     Attributes:
-        backend: The adapter.
+        adapter: Who answers.
+        backend: What the adapter is wrapped around.
 
     Raises:
         KinfeasError: From every method, if the adapter fails or its answer is malformed.
     """
 
-    def __init__(self, adapter: Backend, subject: str) -> None:
-        self.backend = adapter
+    def __init__(self, adapter: Backend, subject: str, backend: Backend) -> None:
+        self.adapter, self.backend = adapter, backend
         self._answers, package = Answers(subject), package_of(adapter)
         self._blaming = {
             method: Blaming(f"{subject} fails in {method}:", package)
@@ -80,9 +82,9 @@ class CheckedAdapter:
 
     def _ask(self, method: str, *arguments: Any) -> Any:
         with self._blaming[method]:
-            return getattr(self.backend, method)(*arguments)
+            return getattr(self.adapter, method)(*arguments)
 
 
 def unchecked(backend: Backend) -> Backend:
     """Return the adapter or backend itself, to be asked of what class it is."""
-    return backend.backend if isinstance(backend, CheckedAdapter) else backend
+    return backend.adapter if isinstance(backend, CheckedAdapter) else backend

@@ -58,31 +58,15 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
-    group = rigid_with(urdf, hand)
+    group = urdf.rigid[hand]
     fingers = tuple(
         joint
         for joint in urdf.joints.values()
         if joint.moves
         and joint.parent in group
         and any(urdf.links[link].shapes for link in urdf.below(joint.name))
-        and joint not in urdf.path_to(hand)
     )
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
-
-
-def rigid_with(urdf: Urdf, link: str) -> frozenset[str]:
-    """Return the links that cannot move against `link`, itself included."""
-    beside: dict[str, list[str]] = {}
-    for joint in urdf.joints.values():
-        if not joint.moves:
-            beside.setdefault(joint.parent, []).append(joint.child)
-            beside.setdefault(joint.child, []).append(joint.parent)
-    group, todo = {link}, [link]
-    while todo:
-        more = set(beside.get(todo.pop(), ())) - group
-        group |= more
-        todo += more
-    return frozenset(group)
 
 
 def bare_stand(urdf: Urdf, arm: Arm) -> str:
@@ -93,8 +77,8 @@ def bare_stand(urdf: Urdf, arm: Arm) -> str:
     The name is empty if something does.
     """
     first = arm.joints[0]
-    group = rigid_with(urdf, first.parent)
-    moving = [joint for joint in urdf.joints.values() if joint.moves and joint.parent in group]
+    group = urdf.rigid[first.parent]
+    moving = [joint for link in group for joint in urdf.on[link] if joint.moves]
     bodies = [link for link in group if urdf.links[link].shapes]
     bare = len(moving) == len(bodies) == 1 and first.kind != "prismatic"
     return bodies[0] if bare else ""
@@ -105,9 +89,13 @@ def _find_hand(urdf: Urdf, source: str) -> str:
     longest = max(map(len, ways.values()))
     if longest < _LEAST:
         raise KinfeasError(f"{source}: no link has {_LEAST} moving joints above it: no arm")
-    hands = list(
-        dict.fromkeys(_hand_of(urdf, link) for link, way in ways.items() if len(way) == longest)
-    )
+    on_body: dict[frozenset[str], list[str]] = {}
+    for joint in urdf.joints.values():
+        if joint.moves:
+            on_body.setdefault(urdf.rigid[joint.parent], []).append(joint.parent)
+    forks = {body: _shared(urdf, links) for body, links in on_body.items() if len(links) > 1}
+    arms = {way[-1].name: way for way in ways.values() if len(way) == longest}
+    hands = list(dict.fromkeys(_hand_of(urdf, way, forks) for way in arms.values()))
     if len(hands) > 1:
         raise KinfeasError(
             f"{source}: there are several arms: choose the link that IK is to place, such as "
@@ -116,14 +104,17 @@ def _find_hand(urdf: Urdf, source: str) -> str:
     return hands[0]
 
 
-def _hand_of(urdf: Urdf, tip: str) -> str:
-    """Return the hand to which the link `tip`, the end of a finger or of an arm, belongs."""
-    moving = [joint for joint in urdf.path_to(tip) if joint.moves]
+def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) -> str:
+    """Return the hand to which the end of a finger or of an arm belongs.
+
+    Args:
+        urdf: The robot.
+        moving: Joints that lead to the end.
+        forks: Of rigid links on which several joints are, the last one on the way to all of these.
+    """
     for joint in reversed(moving[_LEAST:]):
-        group = rigid_with(urdf, joint.parent)
-        branches = [one for one in urdf.joints.values() if one.moves and one.parent in group]
-        if len(branches) > 1:
-            return _shared(urdf, [one.parent for one in branches])
+        if hand := forks.get(urdf.rigid[joint.parent]):
+            return hand
     if len(moving) > _LEAST and _is_jaw(urdf, moving[-1]):
         return moving[-1].parent
     return _end(urdf, moving[-1].child)
@@ -156,7 +147,7 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
     if not away.any():
         return False
     direction = away / np.linalg.norm(away)
-    sides = urdf.below(joint.name), rigid_with(urdf, joint.parent)
+    sides = urdf.below(joint.name), urdf.rigid[joint.parent]
     jaw, beside = (
         max((one.reach(direction) for one in place(urdf, sorted(side), joint.child, {})), default=0)
         for side in sides
@@ -166,8 +157,6 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
 
 def _end(urdf: Urdf, link: str) -> str:
     """Return the last link of those that hang on `link` rigidly, one after the other."""
-    while True:
-        on = [joint.child for joint in urdf.joints.values() if joint.parent == link]
-        if len(on) != 1:
-            return link
-        (link,) = on
+    while len(urdf.on[link]) == 1:
+        link = urdf.on[link][0].child
+    return link

@@ -6,7 +6,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 from kinfeas.config import no_such
-from kinfeas.draft.arm import rigid_with
 from kinfeas.draft.meshes import read_triangles
 from kinfeas.draft.placed import link_pose
 from kinfeas.draft.primitives import MARGIN, fit_primitives
@@ -52,11 +51,11 @@ def boxed_urdf(
     urdf = urdf_of(robot)
     links = {link.text("name"): link for link in robot.children("link")}
     kept = carried(urdf, _first_body(urdf, links) if base is None else base, str(path))
+    colliding = {name for name, link in links.items() if link.child("collision")}
     out = ElementTree.Element("robot", name=urdf.name)
     for name in filter(kept.__contains__, links):
         link = Element(links[name].xml, f"{path}: link {name!r}")
-        rigid = [links[one] for one in rigid_with(urdf, name)]
-        kind = "collision" if any(one.child("collision") for one in rigid) else "visual"
+        kind = "collision" if urdf.rigid[name] & colliding else "visual"
         shapes = _shapes(link, kind, path.absolute().parent)
         turned = sum(joint.moves for joint in urdf.path_to(name))
         out.append(_link(name, link.xml.find("inertial"), shapes, _COLOURS[turned % 2]))
@@ -85,9 +84,9 @@ def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:
     """Return the root, or the link to which joints lead from it that stand for a floor."""
     link, slides = urdf.root, False
     while True:
-        group = rigid_with(urdf, link)
+        group = urdf.rigid[link]
         bare = not any(links[name].child(kind) for name in group for kind in _SHAPES)
-        moving = [joint for joint in urdf.joints.values() if joint.moves and joint.parent in group]
+        moving = [joint for name in group for joint in urdf.on[name] if joint.moves]
         if not bare or len(moving) != 1 or not _on_a_floor(urdf, moving[0]):
             return link if slides else urdf.root
         link, slides = moving[0].child, slides or moving[0].kind == "prismatic"
@@ -107,8 +106,7 @@ def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
     """
     if link not in urdf.links:
         raise KinfeasError(f"{source}: there is no link {link!r}{no_such(link, urdf.links)}")
-    above = [joint.name for joint in urdf.joints.values() if joint.parent == link]
-    return frozenset({link}).union(*(urdf.below(name) for name in above))
+    return frozenset({link}).union(*(urdf.below(joint.name) for joint in urdf.on[link]))
 
 
 def _shapes(link: Element, kind: str, folder: Path) -> Iterable[Shape]:

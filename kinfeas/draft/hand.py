@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.draft.arm import Arm, aside, rigid_with
+from kinfeas.draft.arm import Arm, aside
 from kinfeas.draft.placed import Placed, link_pose, place
 from kinfeas.robots.spec import Gripper
 from kinfeas.robots.urdf import Joint, Urdf
@@ -100,7 +100,7 @@ def _middle(urdf: Urdf, arm: Arm, finger: Joint, positions: dict[str, float]) ->
 
 def _hand_shapes(urdf: Urdf, arm: Arm) -> list[Placed]:
     """Return the shapes of the hand and its fingers in the hand's frame."""
-    links = rigid_with(urdf, arm.hand)
+    links = urdf.rigid[arm.hand]
     for finger in arm.fingers:
         links |= urdf.below(finger.name)
     return place(urdf, sorted(links), arm.hand, {})
@@ -115,8 +115,8 @@ def _ahead(urdf: Urdf, arm: Arm, reach: Array) -> Array:
     if last.kind == "prismatic" or aside(urdf, last).any():
         return reach
     axis = rotation(link_pose(urdf, last.child, {})).apply(last.axis)
-    carrier = place(urdf, sorted(rigid_with(urdf, last.parent)), arm.hand, {})
-    own = place(urdf, sorted(rigid_with(urdf, arm.hand)), arm.hand, {})
+    carrier = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, {})
+    own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, {})
     axis = rotation(link_pose(urdf, arm.hand, {})).inv().apply(axis)
     way = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
     way -= sum(float(one.pose[:3] @ axis) / len(carrier) for one in carrier)

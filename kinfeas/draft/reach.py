@@ -34,6 +34,9 @@ _STAGES = (4, 16, 64, 256)
 _SEARCH = IkOptions(restarts=6, candidates=1)
 """Of IK, from base poses that are many: whether it finds something is enough."""
 
+_OF_SHAPES = "body", "kind", "size", "radius", "rotation", "offset"
+"""Attributes of a `CollisionModel` with a row for each shape."""
+
 _SEED = 0
 _STIFF = 1e-3
 """Metres or radians that the hand moves for one of a joint, which is none."""
@@ -74,12 +77,15 @@ def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
     """
     model, joints = build_collision_model(robot), spread_configurations(robot, _CONFIGURATIONS)
     named = [link.name for link in robot.urdf.links.values() for _ in link.shapes]
-    shapes = [tuple(sorted((named[a], named[b]))) for a, b in model.pairs]
+    shapes: dict[tuple[str, str], list[int]] = {pair: [] for pair in checked_links(robot)}
+    for row, (a, b) in enumerate(model.pairs):
+        shapes[min(named[a], named[b]), max(named[a], named[b])].append(row)
     found = {}
-    for pair in checked_links(robot):
-        rows = [row for row, of_links in enumerate(shapes) if of_links == pair]
-        alone = model._replace(pairs=np.ascontiguousarray(model.pairs[rows]))
-        share = float(self_collides(alone, joints).mean()) if rows else 0.0
+    for pair, rows in shapes.items():
+        used, places = np.unique(model.pairs[rows], return_inverse=True)
+        of_shapes = {key: getattr(model, key)[used] for key in _OF_SHAPES}
+        alone = model._replace(**of_shapes, pairs=places.reshape(-1, 2).astype(np.intp))
+        share = float(self_collides(alone, joints).mean())
         if share > _allowed(robot, *pair):
             found[pair] = share
     return found

@@ -1,6 +1,6 @@
 """Does the arm touch the robot? Exact primitives, batched, never optimistic."""
 
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -68,12 +68,14 @@ def build_collision_model(robot: Robot) -> CollisionModel:
     placed = [_mount_shape(mounts[link], shape) for link, shape in named]
     size = np.array([_half_extents(shape) for _, shape in named]).reshape(-1, 3)
     body = np.array([mount.joint for mount in placed], dtype=np.intp)
-    checked = _checked_links(robot, mounts)
-    pairs = [
-        (i, k)
-        for i, k in combinations(range(len(named)), 2)
-        if frozenset((named[i][0], named[k][0])) in checked
-    ]
+    shapes: dict[str, list[int]] = {}
+    for i, (link, _) in enumerate(named):
+        shapes.setdefault(link, []).append(i)
+    pairs = sorted(
+        (min(i, k), max(i, k))
+        for one, other in _checked_links(robot, mounts)
+        for i, k in product(shapes[one], shapes[other])
+    )
     return CollisionModel(
         tree=tree,
         body=body,
@@ -88,7 +90,10 @@ def build_collision_model(robot: Robot) -> CollisionModel:
 
 
 def checked_links(robot: Robot) -> list[tuple[str, str]]:
-    """Return the pairs of links that the self-collision test looks at, sorted by name."""
+    """Return the pairs of links that the self-collision test looks at, sorted by name.
+
+    Links without shapes are not among them.
+    """
     _, mounts = build_tree(robot)
     return sorted((min(pair), max(pair)) for pair in _checked_links(robot, mounts))
 
@@ -238,15 +243,19 @@ def _radius(shape: Shape) -> float:
 def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]]:
     """Return the pairs of links whose shapes may touch."""
     rigid = _rigid_groups(robot)
+    bodies: dict[int, list[str]] = {}
+    for link, mount in mounts.items():
+        if robot.urdf.links[link].shapes:
+            bodies.setdefault(mount.joint, []).append(link)
     joined = {
         frozenset((rigid[joint.parent], rigid[joint.child])) for joint in robot.urdf.joints.values()
     }
     return {
         frozenset((a, b))
-        for a, b in combinations(mounts, 2)
+        for one, other in combinations(bodies.values(), 2)
+        for a, b in product(one, other)
         if rigid[a] != rigid[b]
         and frozenset((rigid[a], rigid[b])) not in joined
-        and mounts[a].joint != mounts[b].joint
         and frozenset((a, b)) not in robot.ignored_collisions
     }
 

@@ -18,6 +18,9 @@ from kinfeas.storage.files import read_file
 MAX_BYTES = 10_000_000
 """More than any URDF; it keeps a wrong path from filling the memory."""
 
+MAX_DEPTH = 100
+"""How deep elements may be nested, which ElementTree writes by recursion; a URDF needs about 5."""
+
 LARGEST = 1e16
 """What some URDFs write for no limit; the squares and sums of such numbers are still finite."""
 
@@ -123,7 +126,7 @@ def read_xml(path: Path, tag: str) -> Element:
 
     Raises:
         KinfeasError: If `path` is not a readable file of at most `MAX_BYTES`, is not XML, declares
-            a document type, or begins with another element.
+            a document type, begins with another element, or nests them deeper than `MAX_DEPTH`.
     """
     return parse_xml(read_file(path, MAX_BYTES), tag, str(path))
 
@@ -138,4 +141,9 @@ def parse_xml(content: bytes | str, tag: str, source: str) -> Element:
         raise KinfeasError(f"{source}: not XML: {error}") from error
     if xml.tag != tag:
         raise KinfeasError(f"{source}: the first element must be <{tag}>, not <{xml.tag}>")
+    depth, level = 0, [xml]
+    while level := [child for element in level for child in element]:
+        depth += 1
+    if depth > MAX_DEPTH:
+        raise KinfeasError(f"{source}: elements lie in {depth} others, at most in {MAX_DEPTH}")
     return Element(xml, source)

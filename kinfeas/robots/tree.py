@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -9,6 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.errors import KinfeasError
 from kinfeas.spatial import Array, compose, make_pose
+
+MAX_DEPTH = 200
+"""Joints between the root and a link, or that follow one another: more than any robot has."""
 
 ShapeKind = Literal["box", "cylinder", "sphere"]
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
@@ -126,19 +130,43 @@ class Urdf:
     joints: dict[str, Joint]
     root: str
 
+    @cached_property
+    def on(self) -> dict[str, list[Joint]]:
+        """The joints right on each link, in the file's order."""
+        found: dict[str, list[Joint]] = {link: [] for link in self.links}
+        for joint in self.joints.values():
+            found[joint.parent].append(joint)
+        return found
+
+    @cached_property
+    def rigid(self) -> dict[str, frozenset[str]]:
+        """The links that cannot move against each link, itself included."""
+        found: dict[str, frozenset[str]] = {}
+        for base in (self.root, *(joint.child for joint in self.joints.values() if joint.moves)):
+            group = [base]
+            for link in group:
+                group += [joint.child for joint in self.on[link] if not joint.moves]
+            found |= dict.fromkeys(group, frozenset(group))
+        return found
+
+    @cached_property
+    def _above(self) -> dict[str, Joint]:
+        return {joint.child: joint for joint in self.joints.values()}
+
     def path_to(self, link: str) -> tuple[Joint, ...]:
         """Return the joints, fixed ones too, that lead from the root to `link`."""
-        above = {joint.child: joint for joint in self.joints.values()}
         path = []
         while link != self.root:
-            path.append(above[link])
-            link = above[link].parent
+            path.append(self._above[link])
+            link = path[-1].parent
         return tuple(reversed(path))
 
     def below(self, joint: str) -> frozenset[str]:
         """Return the links that the joint of this name carries."""
-        parents = {one.child: one.parent for one in self.joints.values()}
-        return frozenset(_below([self.joints[joint].child], parents))
+        found = [self.joints[joint].child]
+        for link in found:
+            found += [one.child for one in self.on[link]]
+        return frozenset(found)
 
     def followed(self, joint: Joint) -> tuple[Joint, float, float]:
         """Return the joint that `joint` follows in the end, or itself, with scale and offset.
@@ -162,8 +190,8 @@ def find_root(links: Collection[str], joints: Iterable[Joint], source: str) -> s
         source: File name for the error.
 
     Raises:
-        KinfeasError: If a joint names an unknown link, a link hangs on two joints, or links and
-            joints do not form one tree.
+        KinfeasError: If a joint names an unknown link, a link hangs on two joints, links and
+            joints do not form one tree, or it is deeper than `MAX_DEPTH`.
     """
     parents: dict[str, str] = {}
     for joint in joints:
@@ -177,24 +205,31 @@ def find_root(links: Collection[str], joints: Iterable[Joint], source: str) -> s
     roots = [link for link in links if link not in parents]
     if len(roots) > 1:
         raise KinfeasError(f"{source}: one root link is allowed, not {', '.join(roots)}")
-    lost = set(links) - _below(roots, parents)
-    if lost:
+    depth = _depths(roots, parents)
+    if lost := set(links) - depth.keys():
         raise KinfeasError(f"{source}: link {min(lost)!r} hangs on a closed loop of joints")
     if not roots:
         raise KinfeasError(f"{source}: there is no <link>")
+    deepest = max(depth, key=depth.__getitem__)
+    if depth[deepest] > MAX_DEPTH:
+        raise KinfeasError(
+            f"{source}: link {deepest!r} is {depth[deepest]} joints away from the root, at most "
+            f"{MAX_DEPTH} are allowed"
+        )
     return roots[0]
 
 
-def _below(roots: Iterable[str], parents: Mapping[str, str]) -> set[str]:
-    """Return `roots` and all links below them."""
+def _depths(roots: Iterable[str], parents: Mapping[str, str]) -> dict[str, int]:
+    """Return how many joints `roots` and all links below them are away from the roots."""
     children: dict[str, list[str]] = {}
     for child, parent in parents.items():
         children.setdefault(parent, []).append(child)
-    found, todo = set[str](), list(roots)
-    while todo:
-        link = todo.pop()
-        found.add(link)
-        todo += children.get(link, [])
+    found = dict.fromkeys(roots, 0)
+    todo = list(found)
+    for link in todo:
+        below = children.get(link, [])
+        found |= dict.fromkeys(below, found[link] + 1)
+        todo += below
     return found
 
 
@@ -202,7 +237,8 @@ def check_mimics(joints: Mapping[str, Joint], source: str) -> None:
     """Check that every joint that follows another one ends up at one that moves by itself.
 
     Raises:
-        KinfeasError: If a joint follows an unknown or a fixed joint, or in the end itself.
+        KinfeasError: If a joint follows an unknown or a fixed joint, in the end itself, or over
+            more than `MAX_DEPTH` others.
     """
     for name, joint in joints.items():
         where, seen, mimic = f"{source}: joint {name!r}, <mimic>", {name}, joint.mimic
@@ -211,5 +247,7 @@ def check_mimics(joints: Mapping[str, Joint], source: str) -> None:
                 raise KinfeasError(f"{where}: there is no moving joint {mimic.joint!r}")
             if mimic.joint in seen:
                 raise KinfeasError(f"{where}: the joint follows itself")
+            if len(seen) > MAX_DEPTH:
+                raise KinfeasError(f"{where}: at most {MAX_DEPTH} joints may follow one another")
             seen.add(mimic.joint)
             mimic = joints[mimic.joint].mimic

@@ -26,9 +26,17 @@ def is_standard_output(path: Path) -> bool:
     return _stream(path) == 1
 
 
-def reading(path: Path) -> AbstractContextManager[None]:
-    """Turn a failure to read into a `KinfeasError` that names `path`."""
-    return _naming(path, "read")
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn a failure to read into a `KinfeasError` that names `path`.
+
+    A device or a pipe is one: it could be waited for, or read, without end.
+    """
+    with _naming(path, "read"):
+        mode = _mode(path)
+        if mode and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise OSError("it is not a regular file")
+        yield
 
 
 def writing(path: Path) -> AbstractContextManager[None]:

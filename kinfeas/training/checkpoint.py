@@ -20,6 +20,8 @@ _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "
 _WORLD = ("world.base_pose", "world.joint_positions", "world.sent", "world.desired")
 _FINITE = ("policy.", "buffer.", "log_ent_coef", *_WORLD)
 """What the names of tensors begin with in which every number is finite."""
+_STATES = "world.states."
+"""What the names of motions' states begin with."""
 _UNSIGNED = ".unsigned"
 
 Tensors = dict[str, torch.Tensor]
@@ -63,10 +65,8 @@ def save_learner(
         world: Snapshot of the environments.
         state: Counters and whatever else fits into JSON.
     """
-    tensors = _world_tensors(world)
-    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
-    if (entropy := _learned_entropy(learner)) is not None:
-        tensors["log_ent_coef"] = entropy
+    random, random_tensors = _random_state()
+    tensors = _tensors(learner, world) | random_tensors
     optimizers: dict[str, Any] = {}
     for name, optimizer in _optimizers(learner).items():
         saved = optimizer.state_dict()
@@ -77,9 +77,7 @@ def save_learner(
     assert buffer is not None
     filled = buffer.buffer_size if buffer.full else buffer.pos
     for name in _BUFFER:
-        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[:filled])
-    random, random_tensors = _random_state()
-    tensors |= random_tensors
+        tensors[f"buffer.{name}"] = tensors[f"buffer.{name}"][:filled]
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     about = {
         "optimizers": optimizers,
@@ -91,10 +89,17 @@ def save_learner(
     write_state(folder, about)
 
 
-def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
+def load_learner(
+    folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
     """Bring a fresh learner to where a checkpoint left off; return the environments' snapshot.
 
     The global random numbers of torch and NumPy, which SB3 draws from, go on from there, too.
+
+    Args:
+        folder: Where to read.
+        learner: Networks, optimizers, replay buffer.
+        world: A fresh snapshot of the environments, which the saved one has to be like.
 
     Raises:
         KinfeasError: If the checkpoint is missing, truncated, or of another configuration.
@@ -104,6 +109,7 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
         entries = {key: about[key] for key in ("updates", "buffer", "random")}
         numbers = checked(_Numbers, entries)
         tensors = load_file(folder / _TENSORS)
+        _check_layout(tensors, learner, world)
         _check_finite(tensors)
         learner.policy.load_state_dict(_below("policy.", tensors))
         if (entropy := _learned_entropy(learner)) is not None:
@@ -116,6 +122,52 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
         learner._n_updates = numbers.updates
         _load_random_state(numbers.random, tensors)
         return _world_arrays(tensors)
+
+
+def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
+    """Return a checkpoint's tensors, the buffer whole, but for optimizers and random states."""
+    tensors = _world_tensors(world)
+    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
+    if (entropy := _learned_entropy(learner)) is not None:
+        tensors["log_ent_coef"] = entropy
+    for name in _BUFFER:
+        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(learner.replay_buffer, name))
+    return tensors
+
+
+def _check_layout(tensors: Tensors, learner: Learner, world: Mapping[str, NDArray[Any]]) -> None:
+    """Raise unless names, shapes and types are those that the learner would save.
+
+    Motions that have not begun have no state yet, and adapters begin with one slot and add more.
+    """
+    wanted = _tensors(learner, world) | _random_state()[1]
+    for name, optimizer in _optimizers(learner).items():
+        for index, values in enumerate(optimizer.param_groups[0]["params"]):
+            slots = {"step": torch.zeros(()), "exp_avg": values, "exp_avg_sq": values}
+            slots = {f"optimizer.{name}.{index}.{slot}": like for slot, like in slots.items()}
+            # Those of a network that has not learned yet are not there.
+            wanted |= slots if slots.keys() & tensors.keys() else {}
+    rows = {len(values) for key, values in wanted.items() if key.startswith(_STATES)}
+    grown: dict[str, int] = {}
+    for key in sorted(wanted.keys() | tensors.keys()):
+        found, like = tensors.get(key), wanted.get(key)
+        if found is None:
+            raise ValueError(f"{key} is missing")
+        shape = tuple(found.shape)
+        if like is None:
+            if not key.startswith(_STATES) or shape[:1] != (*rows,):
+                raise ValueError(f"{key} is unknown")
+            continue
+        expected = [*like.shape]
+        if key.startswith("buffer."):
+            expected[0] = len(found)
+        elif key.startswith("world.") and expected[1:2] == [1] and len(shape) > 1:
+            expected[1] = grown.setdefault(key.rpartition(".")[0], shape[1])
+        if shape != tuple(expected) or found.dtype != like.dtype:
+            raise ValueError(
+                f"{key} holds {found.dtype} of shape {shape}, not {like.dtype} of shape "
+                f"{tuple(expected)}"
+            )
 
 
 def _check_finite(tensors: Tensors) -> None:

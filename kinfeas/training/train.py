@@ -136,7 +136,9 @@ class _Run:
         self.progress = read_standing(self.config, last)
         with loading(last):
             read_network(last, self.env.robot)
-            self.observation = self.env.restore(load_learner(last, self.learner))
+            self.env.reset()
+            saved = load_learner(last, self.learner, self.env.snapshot())
+            self.observation = self.env.restore(saved)
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""

@@ -71,7 +71,8 @@ class Able(Around):
 
 
 def checked(kind=Around, **answers):
-    return CheckedAdapter(kind(AnalyticBackend(), None, answers), "adapter 'mine'")
+    backend = AnalyticBackend()
+    return CheckedAdapter(kind(backend, None, answers), "adapter 'mine'", backend)
 
 
 def run(adapter):

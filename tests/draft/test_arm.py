@@ -1,7 +1,7 @@
 import pytest
 
 from kinfeas import registry
-from kinfeas.draft.arm import bare_stand, find_arm, rigid_with
+from kinfeas.draft.arm import bare_stand, find_arm
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.urdf import parse_urdf
 
@@ -11,7 +11,7 @@ def test_finds_the_arms_of_shipped_robots(name):
     robot = registry.load_robot(name)
     arm = find_arm(robot.urdf, None, name)
     assert [joint.name for joint in arm.joints] == [joint.name for joint in robot.arm]
-    assert arm.hand in rigid_with(robot.urdf, robot.ee_frame)
+    assert arm.hand in robot.urdf.rigid[robot.ee_frame]
     assert {finger.name for finger in arm.fingers} == set(robot.gripper.fingers)
 
 
@@ -63,7 +63,7 @@ def test_joints_whose_limits_leave_no_room_are_told_apart(changed):
 
 
 def test_links_on_fixed_joints_cannot_move_against_each_other(dolly):
-    assert rigid_with(parse_urdf(dolly), "tool") == {"wrist", "palm", "tool"}
+    assert parse_urdf(dolly).rigid["tool"] == {"wrist", "palm", "tool"}
 
 
 def test_a_jaw_that_closes_on_a_fixed_one_is_no_joint_of_the_arm(changed):

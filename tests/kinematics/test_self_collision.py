@@ -116,7 +116,9 @@ def test_what_is_checked(robot, judge, draw):
     expected = [
         (a, b)
         for a, b in combinations(sorted(robot.urdf.links), 2)
-        if not rigid(a, b)
+        if robot.urdf.links[a].shapes
+        and robot.urdf.links[b].shapes
+        and not rigid(a, b)
         and frozenset((_rigid_root(robot, a), _rigid_root(robot, b))) not in joined
         and frozenset((a, b)) not in robot.ignored_collisions
     ]

@@ -320,3 +320,23 @@ def test_refuses_what_it_cannot_do(pr2):
     with pytest.raises(KinfeasError, match="has not been measured yet"):
         LinkBackend(pr2, link).read()
     assert LinkBackend(pr2, link).stop() is None
+
+
+@pytest.mark.parametrize("arm_fails", [False, True])
+def test_an_arm_is_told_to_hold_even_if_the_base_cannot_be_stopped(pr2, monkeypatch, arm_fails):
+    backend, link = connected(pr2)
+    move = link.move
+
+    def lost(velocity):
+        raise Fault("the base is lost")
+
+    def moved(positions, seconds):
+        move(positions, seconds)
+        if arm_fails:
+            raise KeyError("arm")
+
+    monkeypatch.setattr(link, "drive", lost)
+    monkeypatch.setattr(link, "move", moved)
+    with pytest.raises(Fault, match="the base is lost"):
+        backend.stop()
+    assert len(link.moved) == 1

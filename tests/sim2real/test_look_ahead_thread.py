@@ -1,3 +1,4 @@
+import sys
 import threading
 from copy import copy
 
@@ -13,6 +14,24 @@ from kinfeas.sim2real.look_ahead_thread import LookAheadThread
 from kinfeas.tasks.loading import load_task
 
 FAR = Foresight(seconds=10.0, every=0.5, tries=8)
+
+
+@pytest.fixture(autouse=True)
+def closed(monkeypatch):
+    """Close what a test has begun, and check that it leaves the interpreter as it was."""
+    begun, watch = [], LookAheadThread.watch
+    before = sys.getswitchinterval()
+
+    def note(ahead, loop):
+        begun.append(ahead)
+        watch(ahead, loop)
+
+    monkeypatch.setattr(LookAheadThread, "watch", note)
+    yield
+    for ahead in reversed(begun):
+        ahead.close()
+    assert sys.getswitchinterval() == before
+    assert not any(thread.name.startswith("look_ahead") for thread in threading.enumerate())
 
 
 @pytest.fixture
@@ -130,3 +149,13 @@ def test_begins_anew_with_another_loop(world):
     ahead.watch(other.loop)
     assert ahead._coming is None
     assert ahead.act(other.loop.situation).shape == (1, 3)
+
+
+def test_a_loop_may_be_watched_again_after_close(world):
+    ahead = LookAheadThread(Leave(), FAR)
+    for _ in range(2):
+        ahead.watch(world.loop)
+        ahead.act(world.loop.situation)
+        settle(ahead)
+        ahead.close()
+        ahead.close()

@@ -1,6 +1,8 @@
 import os
 import re
 import signal
+import sys
+import threading
 import time
 from dataclasses import replace
 
@@ -16,10 +18,11 @@ from kinfeas.record import REACHED, About, Recorder, read_record
 from kinfeas.sim2real.goal_task import make_goal_task
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.guards import Clocks
+from kinfeas.sim2real.look_ahead_thread import LookAheadThread
 from kinfeas.sim2real.metronome import Metronome
 from kinfeas.sim2real.runtime import Code, Setup, deploy
 from kinfeas.sim2real.warm_up import warm_up
-from kinfeas.sim2real.watchdog import StopCall
+from kinfeas.sim2real.watchdog import StopCall, Watchdog
 from kinfeas.tasks.chain import read_chain
 from kinfeas.tasks.task import MotionSpec
 
@@ -240,6 +243,37 @@ def test_a_stall_is_ended_by_the_watchdog_and_then_by_the_guards(run, tmp_path, 
     last_command = [at for at, twist in robot.commands if twist.any()][-1]
     assert first - last_command < 0.3
     assert record.event[-1] == outcome.reason
+
+
+def test_a_watchdog_that_stalls_ends_the_run(run, tmp_path, monkeypatch):
+    (tmp_path / "stand_in.py").write_text(STAND_IN)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    robot, stalled = WatchedRobot(registry.load_robot("pr2")), []
+    robot.path = str(tmp_path / "stops")
+    begin = Watchdog.__enter__
+
+    def stall():
+        stalled.append(time.monotonic())
+        os.kill(watchdogs[0]._process.pid, signal.SIGSTOP)
+
+    watchdogs = []
+    monkeypatch.setattr(Watchdog, "__enter__", lambda one: watchdogs.append(one) or begin(one))
+    outcome, _ = run(robot, Drive(at=10, do=stall))
+    assert (outcome.code, outcome.reason) == (
+        Code.FAULT,
+        "the watchdog has stopped the base, or has died or stalled",
+    )
+    last_command = [at for at, twist in robot.commands if twist.any()][-1]
+    assert last_command - stalled[0] < 0.3
+    assert robot.stopped_after(last_command) < 0.2
+    assert watchdogs[0]._process.returncode is not None
+
+
+def test_looking_ahead_ends_with_the_run(run, trained):
+    before = sys.getswitchinterval()
+    run(AnalyticBackend(), LookAheadThread(trained), seconds=0.2, real_time=False)
+    assert sys.getswitchinterval() == before
+    assert not any(thread.name.startswith("look_ahead") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize(("guards", "warns"), [

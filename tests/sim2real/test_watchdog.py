@@ -1,3 +1,5 @@
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -94,6 +96,17 @@ def test_a_stall_stops_the_base_for_good(stops, capfd):
     assert (
         "no sign of life from the run for 0.2 s: base commanded to zero" in capfd.readouterr().err
     )
+
+
+def test_a_watchdog_that_stalls_is_noticed(stops):
+    with Watchdog(StopCall("stand_in:connect", {"path": str(stops)}), 0.5) as watchdog:
+        assert beats(watchdog, 0.1)
+        os.kill(watchdog._process.pid, signal.SIGSTOP)
+        began = time.monotonic()
+        assert not beats(watchdog, 5.0)
+        assert 0.4 < time.monotonic() - began < 0.7
+    assert time.monotonic() - began < 2.0  # nor is it waited for
+    assert stopped_at(stops) == []
 
 
 def test_counts_from_the_first_sign_of_life(stops):

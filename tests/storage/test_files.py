@@ -58,7 +58,7 @@ def test_what_cannot_be_read_is_named(tmp_path):
     for wrong, why in (("none", "No such file"), (".", "Is a directory")):
         with pytest.raises(KinfeasError, match=f"cannot be read: {why}"):
             read_file(tmp_path / wrong, 9)
-    with pytest.raises(KinfeasError, match="odd: not a text file in UTF-8"), reading("odd"):
+    with pytest.raises(KinfeasError, match="odd: not a text file in UTF-8"), reading(Path("odd")):
         b"\xff".decode()
 
 
@@ -160,3 +160,10 @@ def test_what_is_write_protected_stays(tmp_path, monkeypatch):
     with pytest.raises(KinfeasError, match="file: cannot be written: Permission denied"):
         write_file(path, b"2")
     assert path.read_bytes() == b"1"
+
+
+def test_a_pipe_or_a_device_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null")):
+        with pytest.raises(KinfeasError, match="cannot be read: it is not a regular file"):
+            read_file(path, 10)

@@ -55,3 +55,10 @@ def test_a_folder_that_one_may_not_write_into(tmp_path):
 def test_a_folder_that_is_no_run(tmp_path, name):
     with pytest.raises(KinfeasError, match=r"not a training run: there is no config\.yaml in it"):
         check_begun(tmp_path / name)
+
+
+@pytest.mark.parametrize("check", [check_new, check_begun])
+def test_a_name_that_is_no_text_is_refused(tmp_path, check):
+    """As `r\xc3\xbcn` is read in the locale C."""
+    with pytest.raises(KinfeasError, match="PYTHONUTF8"):
+        check(tmp_path / os.fsdecode(b"r\xc3\xbcn").encode().decode("ascii", "surrogateescape"))

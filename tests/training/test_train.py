@@ -248,15 +248,6 @@ def interrupt_at(monkeypatch, owner, name, call):
     monkeypatch.setattr(owner, name, interrupted)
 
 
-@pytest.fixture
-def in_the_foreground():
-    """Ctrl-C as a terminal's foreground has it; a shell's background processes ignore it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("in_the_foreground")
 @pytest.mark.parametrize(
     ("owner", "name", "call"),
     [
