@@ -1,0 +1,193 @@
+"""The figures that are pinned: the only module of these tests that uses the package.
+
+Each function of `FIGURES` returns arrays by name. The names are those of the stored files: if the
+package renames something, only this module changes.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import onnxruntime
+
+from kinfeas import config, pretrained, registry
+from kinfeas.backend import Nearby
+from kinfeas.clearance import Clearance
+from kinfeas.drive import action_size
+from kinfeas.envs.world import World
+from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, run_trial
+from kinfeas.evaluation.physics.evaluate import run_physics
+from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
+from kinfeas.evaluation.policies import load_driver
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.policy import read_network
+from kinfeas.sim2real.export import export
+from kinfeas.storage.recipes import default_recipe
+from kinfeas.tasks.loading import load_task
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.train import train
+
+ROBOTS = ("pr2", "tiago", "hsr")
+TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
+FEASIBILITY_FILTER = "world.yields=true"
+ROLLOUT_PLANNER = "look_ahead:"
+SEED = 1
+
+
+def episodes(robot, task, count, *settings, planner=""):
+    """Return the records of episodes of the pretrained policy in the analytic world."""
+    known = registry.load_robot(robot)
+    chosen = config.from_mapping(EvaluationConfig, {}, "settings", settings)
+    policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.look_ahead)
+    trial = Trial(known, load_task(task, {}), count, SEED, chosen.world)
+    return _records(run_trial(trial, policy))
+
+
+def physics(robot, task, count, *settings):
+    """Return the records of episodes of the pretrained policy in PyBullet."""
+    known = registry.load_robot(robot)
+    chosen = physics_config(known, settings)
+    policy = load_driver(pretrained.NAME, known, chosen.look_ahead)
+    trial = PhysicsTrial(known, load_task(task, {}), count, SEED, chosen.world)
+    records = run_physics(trial, policy)
+    return {
+        **_records(records),
+        "task_done": records.done,
+        "base_collisions": records.base_collisions,
+        "arm_collisions": records.arm_collisions,
+    }
+
+
+def obstacle_filter(robot, count=300, obstacles=3):
+    """Return commands, and what the obstacle filter makes of them among random obstacles."""
+    base, rng = registry.load_robot(robot).base, np.random.default_rng(SEED)
+    angles = rng.uniform(-np.pi, np.pi, (count, obstacles))
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    distances = rng.uniform(-0.02, 0.4, (count, obstacles))
+    commands = rng.uniform(-1.0, 1.0, (count, 4, action_size(base)))
+
+    class Around:
+        def near(self, within):
+            found = np.where(distances < within, distances, np.inf)
+            return Nearby(0.3 * directions, directions, found)
+
+    limits = Clearance(base, Around(), 0.03, 0.1).limits(count)
+    return {"commands": commands, "filtered": limits.hold(commands)}
+
+
+def ik(robot, count=1000):
+    """Return IK solutions from unrelated joint positions (cold) and from near the target (warm)."""
+    known = registry.load_robot(robot)
+    solver, rng = IkSolver(known), np.random.default_rng(SEED)
+    lower, upper = known.finite_joint_limits
+    goal, cold = (rng.uniform(lower, upper, (count, len(lower))) for _ in range(2))
+    reachable_in_time = known.max_joint_velocity * 0.1
+    warm = np.clip(goal + rng.uniform(-1.0, 1.0, goal.shape) * reachable_in_time, lower, upper)
+    # Rounded, so that the targets stay fixed if forward kinematics change in the last bits.
+    targets = forward(solver.chain, goal).astype(np.float32)
+    found = {
+        "cold": solver.solve(targets.astype(np.float64), cold),
+        "warm": solver.solve(targets.astype(np.float64), warm, reachable_in_time),
+    }
+    figure = {"targets": targets}
+    for start, solution in found.items():
+        figure |= {
+            f"{start}_joint_positions": solution.joint_positions,
+            f"{start}_feasible": solution.feasible,
+            f"{start}_position_error": solution.position_error,
+            f"{start}_rotation_error": solution.rotation_error,
+        }
+    return figure
+
+
+def policy(robot, count=8, steps=5):
+    """Return observations at the start and after some steps of each task, and the actions there.
+
+    The actions are those of the network and those of its ONNX export in onnxruntime.
+    """
+    known = registry.load_robot(robot)
+    folder = pretrained.find(robot)
+    network, observations = read_network(folder, known), []
+    for task in TASKS:
+        world = World(known, load_task(task, {}), EvaluationConfig().world, SEED)
+        observations.append(world.start(range(count)).copy())
+        for _ in range(steps):
+            world.step(network.act(world.loop.situation))
+        observations.append(world.loop.observation.copy())
+    seen = np.concatenate(observations)
+    with TemporaryDirectory() as temporary:
+        file = Path(temporary) / "policy.onnx"
+        export(folder, known, file)
+        exported = _run_onnx(file, seen)
+    return {"observations": seen, "network_actions": network(seen), "onnx_actions": exported}
+
+
+def training(robot, steps=20_000):
+    """Return the progress of a training run in the analytic world and its final weights."""
+    settings = [
+        f"robot={robot}",
+        f"seed={SEED}",
+        f"schedule.steps={steps}",
+        "schedule.minutes=null",
+        "schedule.evaluations=1",
+        "schedule.evaluation_episodes=20",
+    ]
+    chosen = config.load(TrainConfig, default_recipe("train", robot), settings)
+    with TemporaryDirectory() as temporary:
+        out = Path(temporary) / "run"
+        progress = train(chosen, out)
+        network = read_network(out / "checkpoints" / "last", registry.load_robot(robot))
+    # The other layers follow by their sums: any change of them changes the first layer as well.
+    layers = zip(network.weights, network.biases, strict=True)
+    return {
+        "first_layer": network.weights[0],
+        "layer_sums": np.array([(weight.sum(), bias.sum()) for weight, bias in layers]),
+        "steps": np.array(progress.steps),
+        "training_episodes": np.array(progress.recent),
+        "best_success": np.array(progress.best),
+    }
+
+
+def _records(records):
+    return {
+        "success": records.success,
+        "reached": records.reached,
+        "failures": records.failures,
+        "max_deviation": records.max_deviation,
+        "mean_deviation": records.mean_deviation,
+        "final_distance": records.final_distance,
+        "jumps": records.jumps,
+        "steps": records.steps,
+    }
+
+
+def _run_onnx(file, seen):
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    name = session.get_inputs()[0].name
+    rows = seen.astype(np.float32)[:, np.newaxis]
+    return np.concatenate([session.run(None, {name: row})[0] for row in rows])
+
+
+FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
+    **{f"plain-{r}-{t}": partial(episodes, r, t, 20) for r in ROBOTS for t in TASKS},
+    **{
+        f"feasibility_filter-{r}-{t}": partial(episodes, r, t, 10, FEASIBILITY_FILTER)
+        for r in ROBOTS
+        for t in TASKS
+    },
+    **{
+        f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, planner=ROLLOUT_PLANNER)
+        for r in ROBOTS
+    },
+    **{f"physics-{r}": partial(physics, r, "drawer", 2) for r in ROBOTS},
+    **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
+    **{f"ik-{r}": partial(ik, r) for r in ROBOTS},
+    **{f"policy-{r}": partial(policy, r) for r in ROBOTS},
+    "training-pr2": partial(training, "pr2"),
+}
+"""Functions that return a figure, by its name; the part before the first dash is its kind."""
