@@ -132,6 +132,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
     achieved one green, steps without an IK solution red.
     """
+    from kinfeas.evaluation.policies import LOOK_AHEAD
+
     options.check_robot(robot)
     check_policy(policy)
     if picture is not None and sim2real is None:
@@ -144,9 +146,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if robot is None:
         robot = robot_of(policy)
         check_outputs(outputs, {"--policy": inputs.named(robot)})
+    look_ahead |= policy.startswith(LOOK_AHEAD)
+    options.check_look_ahead(overrides, wanted=look_ahead)
     if look_ahead:
-        policy = f"look_ahead:{policy}"
-    options.check_look_ahead(overrides, wanted=policy.startswith("look_ahead:"))
+        policy = LOOK_AHEAD + policy.removeprefix(LOOK_AHEAD)
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
     said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
