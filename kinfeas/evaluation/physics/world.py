@@ -27,8 +27,6 @@ from kinfeas.sim.stage import Stage, task_scene
 from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.task import Task
 
-_AFTERWARDS = 2.0  # s, in which what was put down comes to rest
-
 
 @dataclass(frozen=True)
 class PhysicsChanges(PaceSettings):
@@ -137,8 +135,8 @@ class PhysicsWorld:
         """Return what happens in one episode; `watch` sees each step, as in `run_episodes`."""
         meter = _Meter(self.stage.backend, self.world.loop.dt, watch)
         records = run_episodes(self.world, policy, 1, watch=meter, first=episode)
-        if self.stage.judges:
-            self._wait()
+        loop = self.world.loop
+        self.stage.settle((loop.state.truth or loop.state).joint_positions, loop.dt)
         done = self.stage.done()
         return PhysicsRecords(
             **vars(records),
@@ -150,13 +148,6 @@ class PhysicsWorld:
     def close(self) -> None:
         """End the world; it may be called twice."""
         self.stage.backend.close()
-
-    def _wait(self) -> None:
-        """Stand still, while what was put down comes to rest."""
-        loop = self.world.loop
-        joints = (loop.state.truth or loop.state).joint_positions
-        for _ in range(round(_AFTERWARDS / loop.dt)):
-            self.stage.backend.step(np.zeros((1, 6)), joints, loop.dt)
 
 
 class _Meter:
