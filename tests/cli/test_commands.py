@@ -209,7 +209,6 @@ def test_a_window_needs_a_screen(monkeypatch):
         ["--slow-down", "2"],
         ["--without-objects"],
         ["--gui"],
-        ["--episode", "3"],
     ],
 )
 def test_the_analytic_world_has_no_such_options(option):
