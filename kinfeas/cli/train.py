@@ -4,14 +4,20 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinfeas.cli import completion, options
 from kinfeas.cli.evaluate import WorldName
-from kinfeas.cli.output import print_table, share, write_json
-from kinfeas.cli.train_settings import Wishes, default_folder, read_settings
+from kinfeas.cli.output import print_table, share
+from kinfeas.cli.train_settings import (
+    Wishes,
+    best_figures,
+    default_folder,
+    read_settings,
+    write_evaluation,
+)
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import LAST_SEED, MOST_PROCESSES
@@ -156,7 +162,7 @@ def _finished(folder: Path) -> "Progress | None":
 
     progress = finished(folder)
     if progress is not None:
-        write_json(best_figures(folder), folder / "evaluation.json")
+        write_evaluation(folder)
         sys.stderr.write(
             f"{folder}: finished; a higher schedule.steps or schedule.minutes in its {SETTINGS} "
             "takes it further\n"
@@ -193,31 +199,8 @@ def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
             else "interrupted before the run began: nothing was kept\n"
         )
         raise typer.Exit(130) from None
-    write_json(best_figures(folder), folder / "evaluation.json")
+    write_evaluation(folder)
     return progress
-
-
-def best_figures(folder: Path) -> dict[str, Any]:
-    """Return what the evaluation of a run's best checkpoint found.
-
-    Raises:
-        KinfeasError: If the run has none, or it cannot be read.
-    """
-    from kinfeas.config import from_mapping
-    from kinfeas.trained import read_best
-    from kinfeas.training.config import TrainConfig
-
-    best = read_best(folder)
-    settings = from_mapping(TrainConfig, best.config, str(folder))
-    return {
-        "robot": best.robot,
-        "trained_with": settings.robot,
-        "task": settings.task,
-        "world": WorldName.ANALYTIC if settings.physics is None else WorldName.PYBULLET,
-        "policy": str(folder),
-        "steps": best.steps,
-        **best.evaluation,
-    }
 
 
 def _show(progress: "Progress", folder: Path) -> None:
