@@ -60,7 +60,15 @@ def test_figures_are_those_of_the_command(tmp_path, monkeypatch):
 
     path = tmp_path / "figures.json"
     names = ["--policy", "follow_ee", "--robot", "tiago", "--sim2real", "ideal"]
-    options = ["--episodes", "2", "--set", "world.dt=0.2", "--look-ahead", "--json", str(path)]
+    options = [
+        "--episodes",
+        "2",
+        "--set",
+        "world.max_seconds=1",
+        "--look-ahead",
+        "--json",
+        str(path),
+    ]
     CliRunner().invoke(app, ["evaluate", *names, *options], catch_exceptions=False)
     figures = kinfeas.evaluate(
         "follow_ee",
@@ -68,7 +76,7 @@ def test_figures_are_those_of_the_command(tmp_path, monkeypatch):
         sim2real="ideal",
         episodes=2,
         look_ahead=True,
-        settings={"world.dt": 0.2},
+        settings={"world.max_seconds": 1},
     )
     told = json.loads(path.read_text())
     assert figures == {key: told[key] for key in figures}
