@@ -92,9 +92,12 @@ def show_episode(
     """
     from kinfeas.evaluation.physics.world import PhysicsTrial
 
-    if any(outputs.values()):
-        show = _show_physics if isinstance(trial, PhysicsTrial) else _show_analytic
-        show(trial, policy, episode, outputs)
+    if not any(outputs.values()):
+        return
+    if isinstance(trial, PhysicsTrial):
+        _show_physics(trial, policy, episode, outputs)
+    else:
+        _show_analytic(trial, policy, episode, outputs)
 
 
 def _show_physics(

@@ -293,7 +293,7 @@ def test_an_episode_can_be_looked_at():
     assert first.dtype == np.uint8
     assert (first != last).any()
     with pytest.raises(KinfeasError):
-        gymnasium.make("kinfeas/BaseMotion-v0", render_mode="human", **options)
+        gymnasium.make("kinfeas/BaseMotion-v0", render_mode="ansi", **options)
     bare = gymnasium.make("kinfeas/BaseMotion-v0", **options)
     bare.reset()
     assert bare.unwrapped.render() is None

@@ -1,6 +1,7 @@
 """One moment of an episode in the analytic world as an image, for films and environments."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -85,7 +86,7 @@ def moment_image(
     base, ee, desired = (view.flat(path) for path in paths)
     with rc_context(STYLE):
         figure = Figure(figsize=(SIZE[0] / _DPI, SIZE[1] / _DPI), dpi=_DPI)
-        canvas = FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)  # whose methods have no types
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         draw_floor(axes, view, np.concatenate((goals, *paths)))
         draw_solids(axes, view, faces)
