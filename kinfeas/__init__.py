@@ -1,3 +1,14 @@
 """Learned base motions that keep any end-effector motion kinematically feasible."""
 
 __version__ = "0.1.0"
+
+_API = ("Run", "evaluate", "export", "load_policy", "train")
+
+
+def __getattr__(name: str) -> object:
+    """Return what `kinfeas.api` has of this name; it is imported when first asked for."""
+    if name not in _API:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module("kinfeas.api"), name)

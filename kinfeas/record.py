@@ -4,7 +4,7 @@ import csv
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import TextIO
@@ -19,7 +19,10 @@ from kinfeas.spatial import Array
 from kinfeas.storage.files import reading, writing
 
 REACHED = "goal reached"
-"""The event that a run ends with if it did what it should."""
+"""The event that a run ends with if it did what it should; `TASK_DONE` may follow."""
+
+TASK_DONE = {True: ", task done", False: ", task not done", None: ""}
+"""How a run's last event ends; None for a task that moves no objects."""
 
 _FORMAT = "kinfeas record 1"
 _NOT_UNIT = 0.1  # how far the norm of a quaternion may be from 1: what was measured is written down
@@ -39,6 +42,8 @@ class About:
         dt: Control period in seconds.
         joints: Names of the arm joints.
         started: Date and time of the start, with the time zone.
+        scene: Scene of the task by name or absolute path; empty for a floor and nothing else.
+        objects: World poses of the objects that the episode moved at its start, by name.
     """
 
     robot: str
@@ -48,6 +53,8 @@ class About:
     dt: Positive
     joints: tuple[str, ...]
     started: str
+    scene: str = ""
+    objects: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

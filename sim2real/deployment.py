@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from signal import SIGHUP, SIGINT, SIGQUIT, SIGTERM
+from typing import Protocol, runtime_checkable
 
 from kinfeas.adapters import AdapterSpec
 from kinfeas.backend import Backend, Live
@@ -13,6 +14,7 @@ from kinfeas.policy import Policy
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.guards import Clocks
 from kinfeas.sim2real.metronome import Timing
+from kinfeas.spatial import Array
 from kinfeas.tasks.task import Task
 
 
@@ -43,6 +45,7 @@ class Outcome:
         failures: Control periods without an IK solution.
         timing: How regular they were.
         unclosed: Why the backend could not be closed, or nothing.
+        task_done: Whether the objects ended as the task wants them; None if that is not known.
     """
 
     code: Code
@@ -52,6 +55,24 @@ class Outcome:
     failures: int
     timing: Timing
     unclosed: str = ""
+    task_done: bool | None = None
+
+
+@runtime_checkable
+class TaskWithObjects(Task, Protocol):
+    """A task that moves objects of a simulated world."""
+
+    def drawn(self) -> tuple[str, dict[str, Array]]:
+        """Return the scene and the world poses of the objects that the last episode moved."""
+        ...
+
+    def settle(self, joint_positions: Array, dt: float) -> None:
+        """Let the robot stand still while what was put down comes to rest."""
+        ...
+
+    def done(self) -> bool | None:
+        """Return whether the objects are now as the task wants them; None if it wants nothing."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from kinfeas.errors import KinfeasError
 from kinfeas.foreign import BLAMED
 from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
-from kinfeas.record import REACHED, Moment, Recorder
-from kinfeas.sim2real.deployment import Code, Outcome, Setup
+from kinfeas.record import REACHED, TASK_DONE, Moment, Recorder
+from kinfeas.sim2real.deployment import Code, Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.goal_task import begin
 from kinfeas.sim2real.guards import Guarded, check_action
@@ -107,9 +107,13 @@ class _Run:
 
     def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
         """Go on until something ends it, and command the base to zero."""
-        reason = "stopped by an error"
+        reason, done = "stopped by an error", None
         try:
             code, reason = self.go(watchdog, signals)
+            if isinstance(self.setup.task, TaskWithObjects):
+                state = self.guarded.state.truth or self.guarded.state
+                self.setup.task.settle(state.joint_positions, self.setup.dt)
+                done = self.setup.task.done()
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
         except BLAMED as error:
@@ -123,7 +127,8 @@ class _Run:
                 watchdog.abandon()
             raised = sys.exception()
             with suppress(KinfeasError):
-                self.note(reason if raised is None else f"{type(raised).__name__}: {raised}")
+                end = reason if raised is None else f"{type(raised).__name__}: {raised}"
+                self.note(end + TASK_DONE[done])
         return Outcome(
             code,
             " ".join(reason.split()),
@@ -131,6 +136,7 @@ class _Run:
             self.lasted(),
             self.failures,
             self.metronome.timing(),
+            task_done=done,
         )
 
     def go(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:

@@ -66,7 +66,7 @@ LAYERS = (
     ({"loop", "look_ahead"}, {"plugins"}, {"scenes"}, {"tasks"}, {"baselines"}, {"draft"}),
     ({"envs"}, {"sim"}, {"sim2real"}),
     ({"training", "evaluation"},),
-    ({"cli", "__main__"},),
+    ({"api", "cli", "__main__"},),
 )
 PLUGINS_MAY_REACH = 1
 

@@ -3,7 +3,7 @@
 import re
 import sys
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import completion, inputs, options
-from kinfeas.cli.deploy_setup import Four, Goal, Three, Wishes, make_setup, make_task, read_settings
+from kinfeas.cli.deploy_setup import (
+    Four,
+    Goal,
+    Three,
+    Wishes,
+    drawn_scene,
+    make_setup,
+    make_task,
+    read_settings,
+)
 from kinfeas.cli.output import check_outputs, print_table, status, write_json
 from kinfeas.cli.policy_robot import robot_of
 from kinfeas.errors import KinfeasError
@@ -166,7 +175,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         known = options.read_robot(robot)
         config = read_settings(known, guards, overrides or [])
         setup = make_setup(wishes, known, config, make_task(goal_wishes, config))
-        about = _about(wishes, setup)
+        about = replace(_about(wishes, setup), **drawn_scene(setup))
         recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
@@ -241,10 +250,11 @@ def _work_rows(timing: "Timing") -> list[list[str]]:
 
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
     from kinfeas.evaluation.timing import peak_memory_mb
+    from kinfeas.record import TASK_DONE
 
     timing = outcome.timing
     rows = [
-        ["ended", outcome.reason],
+        ["ended", outcome.reason + TASK_DONE[outcome.task_done]],
         ["duration", f"{outcome.seconds:.1f} s"],
         ["control periods without an IK solution", f"{outcome.failures}"],
         ["control period, median", f"{1000.0 * timing.p50:.1f} ms"],

@@ -1,7 +1,7 @@
 """What `kinfeas deploy` is told, made into a run."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kinfeas.cli import options
 from kinfeas.errors import KinfeasError
@@ -124,3 +124,18 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         guards=config.guards,
         real_time=wishes.real_time,
     )
+
+
+def drawn_scene(setup: "Setup") -> dict[str, Any]:
+    """Return what a record says of the furniture: the run's episode is drawn beforehand."""
+    import numpy as np
+
+    from kinfeas.registry import from_anywhere
+    from kinfeas.sim2real.deployment import TaskWithObjects
+
+    if not isinstance(setup.task, TaskWithObjects):
+        return {}
+    setup.task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
+    scene, poses = setup.task.drawn()
+    objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
+    return {"scene": from_anywhere(scene), "objects": objects}

@@ -1,7 +1,6 @@
 """`kinfeas evaluate`: how well a policy does."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,16 +26,9 @@ from kinfeas.quantities import MOST_EPISODES
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.evaluation.physics.world import PhysicsTrial
     from kinfeas.evaluation.sim2real import Specs
-    from kinfeas.policy import Policy
-    from kinfeas.robots.robot import Robot
 
     OnDone = Callable[[int], None]
-    WatchedEvaluation = Callable[[Specs, OnDone | None], Summary]
-    """Evaluates within adapters; the second argument takes the numbers of ended episodes."""
-
-_EPISODES = {"analytic": 500, "pybullet": 50}
 
 
 class WorldName(StrEnum):
@@ -101,8 +93,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         Path | None,
         typer.Option(
             "--picture",
-            help="Draw what --sim2real costs, and success against latency, noise and head start, "
-            "into this PNG; takes fifteen evaluations more.",
+            help="Draw an episode into this PNG; with --sim2real what that costs, and success "
+            "against latency, noise and head start, which takes fifteen evaluations more.",
             callback=check_file_path,
         ),
     ] = None,
@@ -129,13 +121,21 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
     each of them costs alone, and what the others cost without it.
 
-    [bold]--video[/] and [bold]--replay[/] show one episode: the desired path of the EE dashed, the
-    achieved one green, steps without an IK solution red.
+    [bold]--video[/], [bold]--replay[/] and [bold]--picture[/] show one episode: the desired path
+    of the EE dashed, the achieved one green, steps without an IK solution red.
     """
+    from kinfeas.evaluation.policies import LOOK_AHEAD
+
     options.check_robot(robot)
     check_policy(policy)
-    if picture is not None and sim2real is None:
-        raise KinfeasError("--picture needs --sim2real")
+    from kinfeas.evaluation.by_name import (
+        EPISODES,
+        ceiling_of,
+        make_trial,
+        run_evaluation,
+        within,
+    )
+
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
     read = {"--robot": robot, "--task": task, "--sim2real": sim2real}
     sources = {option: inputs.named(name) for option, name in read.items()}
@@ -144,24 +144,30 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if robot is None:
         robot = robot_of(policy)
         check_outputs(outputs, {"--policy": inputs.named(robot)})
+    look_ahead |= policy.startswith(LOOK_AHEAD)
+    options.check_look_ahead(overrides, wanted=look_ahead)
     if look_ahead:
-        policy = f"look_ahead:{policy}"
-    options.check_look_ahead(overrides, wanted=policy.startswith("look_ahead:"))
+        policy = LOOK_AHEAD + policy.removeprefix(LOOK_AHEAD)
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
     said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
     said |= {"--without-objects": without_objects or None, "--gui": gui or None}
-    said |= {"--video": video, "--replay": replay, "--episode": episode}
     given = [name for name, value in said.items() if value is not None]
-    count = episodes or _EPISODES[world]
-    if world is WorldName.ANALYTIC:
-        if given:
-            raise KinfeasError(f"{given[0]} needs --world pybullet")
-        run = _analytic((policy, robot, task), count, seed, processes, overrides)
-    else:
-        number = shown_episode(episode, count, shown=bool(video or replay))
-        assignments = physics_assignments(head_start, slow_down, without_objects, overrides or [])
-        trial, driver = _put_to((policy, robot, task), count, seed, assignments)
-        run = _physics(policy, trial, driver, processes, gui=gui)
+    count = episodes or EPISODES[world]
+    if world is WorldName.ANALYTIC and given:
+        raise KinfeasError(f"{given[0]} needs --world pybullet")
+    shown = {**outputs, "--picture": picture if sim2real is None else None, "--json": None}
+    number = shown_episode(episode, count, shown=any(shown.values()))
+    assignments = overrides or []
+    if world is WorldName.PYBULLET:
+        assignments = physics_assignments(head_start, slow_down, without_objects, assignments)
+    trial, driver = make_trial((policy, robot, task), world, count, seed, assignments)
+    with progress("ceiling") as advance:
+        ceiling = ceiling_of(trial, advance)
+
+    def run(some: "Specs", on_done: "OnDone | None") -> "Summary":
+        put = within(trial, some)
+        return run_evaluation(put, driver, policy, ceiling, processes, on_done, gui=gui)
+
     if sim2real is None:
         with progress(f"{count} episodes", count) as advance:
             summary = run((), advance)
@@ -175,87 +181,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         _show(summary)
         show()
         say_written(picture)
-    if video is not None or replay is not None:
-        settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
-        show_episode(replace(trial, settings=settings), driver, number, video, replay)
+    show_episode(within(trial, adapters), driver, number, shown)
 
 
 def _adapters(sim2real: str, robot: str) -> "Specs":
     """Return the adapters of a list, after a check that they can be built."""
+    from kinfeas.evaluation.by_name import check_adapters
+
     adapters = options.read_adapters(sim2real)
-    _check_adapters(adapters, options.read_robot(robot))
+    check_adapters(adapters, options.read_robot(robot))
     return adapters
-
-
-def _check_adapters(adapters: "Specs", robot: "Robot") -> None:
-    """Raise if adapters cannot be built, before all that takes long."""
-    from kinfeas.adapters import wrap
-    from kinfeas.registry import build
-
-    wrap(build("kinfeas.backends", "analytic", {}), adapters, robot)
-
-
-def _analytic(
-    names: tuple[str, str, str],
-    episodes: int,
-    seed: int,
-    processes: int,
-    overrides: list[str] | None,
-) -> "WatchedEvaluation":
-    from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, trial_ceiling
-    from kinfeas.evaluation.evaluate import evaluate as judge
-    from kinfeas.evaluation.policies import load_driver
-
-    policy, robot, task = names
-    config = options.read_overrides(EvaluationConfig, overrides)
-    known = options.read_robot(robot)
-    _check_adapters(config.world.adapters, known)
-    trial = Trial(known, options.read_task(task, config.task), episodes, seed, config.world)
-    driver = load_driver(policy, known, config.look_ahead)
-    with progress("ceiling") as advance:
-        ceiling = trial_ceiling(trial, advance)
-
-    def run(adapters: "Specs", on_done: "OnDone | None") -> "Summary":
-        world = replace(trial.world, adapters=(*trial.world.adapters, *adapters))
-        within = replace(trial, world=world)
-        return judge(within, driver, policy, ceiling, processes, on_done)
-
-    return run
-
-
-def _put_to(
-    names: tuple[str, str, str], episodes: int, seed: int, overrides: list[str]
-) -> "tuple[PhysicsTrial, Policy]":
-    """Return what a policy is put to with physics, and the policy."""
-    from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
-    from kinfeas.evaluation.policies import load_driver
-
-    policy, robot, task = names
-    known = options.read_robot(robot)
-    config = physics_config(known, overrides)
-    _check_adapters(config.world.adapters, known)
-    read = options.read_task(task, config.task)
-    driver = load_driver(policy, known, config.look_ahead)
-    return PhysicsTrial(known, read, episodes, seed, config.world), driver
-
-
-def _physics(
-    policy: str, trial: "PhysicsTrial", driver: "Policy", processes: int, *, gui: bool
-) -> "WatchedEvaluation":
-    from kinfeas.evaluation.evaluate import Trial, trial_ceiling
-    from kinfeas.evaluation.physics.evaluate import evaluate_physics
-
-    with progress("ceiling") as advance:
-        world = trial.settings.world
-        drawn = Trial(trial.robot, trial.task, trial.episodes, trial.seed, world)
-        ceiling = trial_ceiling(drawn, advance)
-
-    def run(adapters: "Specs", on_done: "OnDone | None") -> "Summary":
-        settings = replace(trial.settings, adapters=(*trial.settings.adapters, *adapters))
-        within = replace(trial, settings=settings)
-        return evaluate_physics(within, driver, policy, ceiling, processes, on_done, gui=gui)
-
-    return run
 
 
 def _show(summary: "Summary") -> None:

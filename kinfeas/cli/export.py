@@ -80,12 +80,17 @@ def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
     check_place(path)
     found = read_policy_file(path, robot)
     if json is not None:
-        write_json(_facts(found, path), json)
+        write_json(facts(found, path), json)
     compared = f"those of {robot.name} here" if robot else "not compared, for want of --robot"
     _show(f"policy file {path}: in order", found, [["its kinematics", compared]])
 
 
-def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> None:
+def export_policy(policy: str, robot: str | None, out: Path) -> tuple["PolicyFile", float]:
+    """Write a policy into an ONNX file; return it, and how far it is off the training policy.
+
+    Raises:
+        KinfeasError: If it is no trained policy, not for the robot, or cannot be written.
+    """
     from kinfeas import pretrained
     from kinfeas.evaluation.policies import BASELINES
 
@@ -100,15 +105,20 @@ def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> Non
 
     if policy == pretrained.NAME:
         folder = pretrained.find(known.name)
+    return run(folder, known, out)
+
+
+def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> None:
     with status("exporting"):
-        found, off = run(folder, known, out)
+        found, off = export_policy(policy, robot, out)
     if json is not None:
-        write_json({**_facts(found, out), "parity": off}, json)
+        write_json({**facts(found, out), "parity": off}, json)
     size = ["size", f"{out.stat().st_size:,} bytes"]
     _show(f"exported: {out}", found, [size, ["off the training policy, at most", f"{off:.1e}"]])
 
 
-def _facts(policy: "PolicyFile", path: Path) -> dict[str, object]:
+def facts(policy: "PolicyFile", path: Path) -> dict[str, object]:
+    """Return what a policy file at `path` tells of itself."""
     from kinfeas.config import to_mapping
 
     return {"file": path.name, "bytes": path.stat().st_size, **to_mapping(policy.about)}

@@ -1,15 +1,17 @@
 """What `kinfeas evaluate --video` and `--replay` show: one episode, once more."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli.output import check_file_path, progress, status
+from kinfeas.cli.output import check_file_path, progress, say_written, status
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.physics.film import Film
+    from kinfeas.evaluation.evaluate import Trial
+    from kinfeas.evaluation.physics.film import Filmed
     from kinfeas.evaluation.physics.world import PhysicsTrial
     from kinfeas.policy import Policy
 
@@ -32,7 +34,7 @@ Video = Annotated[
     Path | None,
     typer.Option(
         "--video",
-        help="pybullet: write an episode as a film, .gif or .mp4, or four of its moments, .png.",
+        help="Write an episode as a film, .gif or .mp4, or four of its moments, .png.",
         callback=_check_video,
     ),
 ]
@@ -40,7 +42,7 @@ Replay = Annotated[
     Path | None,
     typer.Option(
         "--replay",
-        help="pybullet: write an episode as a page to turn about in a browser, .html.",
+        help="Write an episode as a page to turn about in a browser, .html.",
         callback=_check_replay,
     ),
 ]
@@ -49,7 +51,7 @@ Episode = Annotated[
     typer.Option(
         "--episode",
         min=0,
-        help="pybullet: number of that episode, below --episodes; by default 0, the first one.",
+        help="Number of that episode, below --episodes; by default 0, the first one.",
     ),
 ]
 
@@ -68,17 +70,41 @@ def shown_episode(episode: int | None, count: int, *, shown: bool) -> int:
     if episode is None:
         return 0
     if not shown:
-        raise KinfeasError("--episode needs --video or --replay")
+        raise KinfeasError("--episode needs --video, --replay or --picture")
     if episode >= count:
         raise KinfeasError(f"--episode must be below --episodes, {count}, not {episode}")
     return episode
 
 
 def show_episode(
-    trial: "PhysicsTrial", policy: "Policy", episode: int, video: Path | None, replay: Path | None
+    trial: "Trial | PhysicsTrial",
+    policy: "Policy",
+    episode: int,
+    outputs: Mapping[str, Path | None],
 ) -> None:
-    """Run an episode once more and write it as film, page or both."""
-    from kinfeas.evaluation.physics.film import count_pictures, make_film, write_film
+    """Run an episode once more and write it as film, page or picture.
+
+    Args:
+        trial: What the policy is put to.
+        policy: Moves the base.
+        episode: Number of the episode.
+        outputs: Where to, by the option; nowhere if None.
+    """
+    from kinfeas.evaluation.physics.world import PhysicsTrial
+
+    if not any(outputs.values()):
+        return
+    if isinstance(trial, PhysicsTrial):
+        _show_physics(trial, policy, episode, outputs)
+    else:
+        _show_analytic(trial, policy, episode, outputs)
+
+
+def _show_physics(
+    trial: "PhysicsTrial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
+) -> None:
+    from kinfeas.evaluation.pages.film import film_html
+    from kinfeas.evaluation.physics.film import make_film
     from kinfeas.evaluation.physics.recording import record
     from kinfeas.evaluation.physics.world import PhysicsWorld
 
@@ -87,20 +113,46 @@ def show_episode(
         with status(f"episode {episode}"):
             recording = record(world, trial, policy, episode)
             film = make_film(world, trial, recording)
-        if video is not None:
-            with progress("drawing", count_pictures(recording, video)) as advance:
-                write_film(film, video, advance)
-            typer.echo(str(video))
-        if replay is not None:
-            _write_page(film, replay)
+        _write_film(film, outputs["--video"])
+        _write(outputs["--replay"], lambda: film_html(film).encode())
+        _write_film(film, outputs["--picture"])
     finally:
         world.close()
 
 
-def _write_page(film: "Film", path: Path) -> None:
-    from kinfeas.evaluation.pages.film import film_html
+def _show_analytic(
+    trial: "Trial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
+) -> None:
+    from kinfeas.envs.world import World
+    from kinfeas.evaluation.pages.deployed_run import replay_html
+    from kinfeas.evaluation.pictures.episodes import episodes_figure
+    from kinfeas.evaluation.pictures.film import analytic_film
+    from kinfeas.evaluation.pictures.style import png
+    from kinfeas.evaluation.recording import record_episodes
+
+    robot = trial.robot
+    with status(f"episode {episode}"):
+        world = World(robot, trial.task, trial.world, trial.seed)
+        (recording,) = record_episodes(world, policy, 1, first=episode)
+    film = analytic_film(recording, robot, f"{robot.name}, {trial.task.name}")
+    _write_film(film, outputs["--video"])
+    _write(outputs["--replay"], lambda: replay_html(recording, robot, film.times).encode())
+    _write(outputs["--picture"], lambda: png(episodes_figure(robot, [recording]), dpi=110))
+
+
+def _write_film(film: "Filmed", path: Path | None) -> None:
+    from kinfeas.evaluation.physics.film import count_pictures, write_film
+
+    if path is not None:
+        with progress("drawing", count_pictures(film, path)) as advance:
+            write_film(film, path, advance)
+        say_written(path)
+
+
+def _write(path: Path | None, content: Callable[[], bytes]) -> None:
     from kinfeas.storage.files import write_file
 
-    with status("page"):
-        write_file(path, film_html(film).encode())
-    typer.echo(str(path))
+    if path is not None:
+        with status("drawing"):
+            write_file(path, content())
+        say_written(path)

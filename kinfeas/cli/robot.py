@@ -1,6 +1,9 @@
 """`kinfeas robot`: the files of a robot, from its URDF."""
 
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -37,9 +40,9 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option("--name", help="Short name of the robot; by default that of the URDF file."),
     ] = None,
     drive: Annotated[
-        Literal["differential", "omnidirectional"],
-        typer.Option("--drive", help="How the base moves."),
-    ] = "differential",
+        Literal["differential", "omnidirectional"] | None,
+        typer.Option("--drive", help="How the base moves; by default differential, a guess."),
+    ] = None,
     ee: Annotated[
         str | None,
         typer.Option(
@@ -71,22 +74,22 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     above all.
     """
     from kinfeas.draft.draft import DraftOptions, draft_robot
-    from kinfeas.robots.reading import read_robot
 
     called = _checked_name(urdf.stem if name is None else name)
     yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))
     written = {"--json": json, "--picture": picture}
     check_outputs(written, {"FILE.urdf": [urdf], "--out": [yaml_path, urdf_path]})
-    _make_folder(out, (yaml_path, urdf_path))
-    with progress(f"looking at {urdf.name}") as advance:
-        draft = draft_robot(urdf, DraftOptions(called, ee, base, drive), advance)
-    _write(draft, yaml_path, urdf_path)
+    with _folder_for(out, (yaml_path, urdf_path)):
+        with progress(f"looking at {urdf.name}") as advance:
+            wishes = DraftOptions(called, ee, base, drive or DraftOptions.drive)
+            draft = draft_robot(urdf, wishes, advance)
+        if picture is not None:
+            with status("drawing"):
+                _draw(draft.robot, picture)
+        _write(draft, yaml_path, urdf_path)
     if json is not None:
         write_json(_figures(draft), json)
-    if picture is not None:
-        with status("drawing"):
-            _draw(read_robot(yaml_path), picture)
-    _show(draft, yaml_path)
+    _show(draft, yaml_path, drive_given=drive is not None)
     say_written(picture)
 
 
@@ -100,15 +103,24 @@ def _checked_name(name: str) -> str:
     return name
 
 
-def _make_folder(folder: Path, files: tuple[Path, ...]) -> None:
+@contextmanager
+def _folder_for(folder: Path, files: tuple[Path, ...]) -> Iterator[None]:
+    """Make a folder for files that are new there; it goes again if they do not come."""
     from kinfeas.storage.files import writing
 
+    fresh = [one for one in (folder, *folder.parents) if not one.exists()]
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    for path in files:
-        if path.exists():
-            raise KinfeasError(f"{path}: is there already, --out needs a folder without it")
-        check_file_path(path)
+    try:
+        for path in files:
+            if path.exists():
+                raise KinfeasError(f"{path}: is there already, --out needs a folder without it")
+            check_file_path(path)
+        yield
+    finally:
+        with suppress(OSError):  # of a folder that is not empty
+            for one in fresh:
+                one.rmdir()
 
 
 def _write(draft: "Draft", yaml_path: Path, urdf_path: Path) -> None:
@@ -123,6 +135,9 @@ def _figures(draft: "Draft") -> dict[str, object]:
     return {
         "robot": spec.name,
         "ee_frame": spec.ee_frame,
+        "tool_tip": list(spec.tool_tip),
+        "gripper_rotation": list(spec.gripper_rotation),
+        "base": asdict(spec.base),
         "arm": list(spec.arm),
         "home": list(spec.home["home"]),
         "goal_heights": {name: list(band) for name, band in spec.goal_heights.items()},
@@ -144,7 +159,9 @@ def _draw(robot: "Robot", path: Path) -> None:
     write_file(path, png(robot_figure(robot), dpi=130))
 
 
-def _show(draft: "Draft", path: Path) -> None:
+def _show(draft: "Draft", path: Path, *, drive_given: bool) -> None:
+    from kinfeas.draft.text import guessed
+
     spec, guesses = draft.spec, draft.guesses
     (low, high), (easy_low, easy_high) = spec.goal_heights.values()
     fingers = "none found" if spec.gripper is None else ", ".join(spec.gripper.fingers)
@@ -164,8 +181,10 @@ def _show(draft: "Draft", path: Path) -> None:
         rows.append(["base", f"is {guesses.stand} one that drives, or the arm's own first link?"])
     if guesses.stuck:
         rows.append(["stand still, for lack of room", ", ".join(guesses.stuck)])
-    if guesses.speeds:
-        rows.append(["velocities guessed", ", ".join(guesses.speeds)])
     print_table(f"{spec.name}, as its URDF has it", ["", "found"], rows)
+    found = guessed(spec, guesses)
+    if drive_given:
+        del found["base.drive"]
+    print_table("guesses, to be checked", ["key", "value"], [list(row) for row in found.items()])
     typer.echo(f"look through it: {path}")
     typer.echo(f"what it can reach: kinfeas ceiling --robot {shlex.quote(str(path))}")

@@ -5,14 +5,20 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinfeas.cli import completion, options
 from kinfeas.cli.evaluate import WorldName
-from kinfeas.cli.output import print_table, share, write_json
-from kinfeas.cli.train_settings import Wishes, default_folder, read_settings
+from kinfeas.cli.output import print_table, share
+from kinfeas.cli.train_settings import (
+    Wishes,
+    best_figures,
+    default_folder,
+    read_settings,
+    write_evaluation,
+)
 from kinfeas.cli.training_bar import training_bar
 from kinfeas.errors import KinfeasError
 from kinfeas.quantities import LAST_SEED, MOST_PROCESSES
@@ -167,7 +173,7 @@ def _finished(folder: Path, overrides: Sequence[str]) -> "Progress | None":
 
     progress = finished(folder, overrides)
     if progress is not None:
-        write_json(best_figures(folder), folder / "evaluation.json")
+        write_evaluation(folder)
         sys.stderr.write(f"{folder}: finished; more --steps or --minutes in all take it further\n")
     return progress
 
@@ -201,31 +207,8 @@ def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
             else "interrupted before the run began: nothing was kept\n"
         )
         raise typer.Exit(130) from None
-    write_json(best_figures(folder), folder / "evaluation.json")
+    write_evaluation(folder)
     return progress
-
-
-def best_figures(folder: Path) -> dict[str, Any]:
-    """Return what a finished run's best checkpoint did on fresh episodes.
-
-    Raises:
-        KinfeasError: If the run has none, or it cannot be read.
-    """
-    from kinfeas.config import from_mapping
-    from kinfeas.trained import read_best
-    from kinfeas.training.config import TrainConfig
-
-    best = read_best(folder)
-    settings = from_mapping(TrainConfig, best.config, str(folder))
-    return {
-        "robot": best.robot,
-        "trained_with": settings.robot,
-        "task": settings.task,
-        "world": WorldName.ANALYTIC if settings.physics is None else WorldName.PYBULLET,
-        "policy": str(folder),
-        "steps": best.steps,
-        **best.fresh_evaluation,
-    }
 
 
 def _show(progress: "Progress", folder: Path) -> None:

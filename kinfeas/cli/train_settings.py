@@ -3,9 +3,10 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kinfeas.cli import options
+from kinfeas.cli.output import write_json
 from kinfeas.cli.policy_robot import robot_of
 from kinfeas.errors import KinfeasError
 
@@ -102,3 +103,33 @@ def default_folder(settings: "TrainConfig") -> Path:
     robot, task = Path(settings.robot).stem, Path(settings.task).stem
     physics = "" if settings.physics is None else "-pybullet"
     return Path("runs") / f"{robot}-{task}-{settings.seed}{physics}"
+
+
+def best_figures(folder: Path) -> dict[str, Any]:
+    """Return what a finished run's best checkpoint did on fresh episodes.
+
+    Raises:
+        KinfeasError: If the run has none, or it cannot be read.
+    """
+    from kinfeas.config import from_mapping
+    from kinfeas.trained import read_best
+    from kinfeas.training.config import TrainConfig
+
+    best = read_best(folder)
+    settings = from_mapping(TrainConfig, best.config, str(folder))
+    return {
+        "robot": best.robot,
+        "trained_with": settings.robot,
+        "task": settings.task,
+        "world": "analytic" if settings.physics is None else "pybullet",
+        "policy": str(folder),
+        "steps": best.steps,
+        **best.fresh_evaluation,
+    }
+
+
+def write_evaluation(folder: Path) -> dict[str, Any]:
+    """Write what `best_figures` returns into the folder of a run that has ended; return it."""
+    figures = best_figures(folder)
+    write_json(figures, folder / "evaluation.json")
+    return figures

@@ -116,11 +116,11 @@ def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
 
 
 def _write_run_page(run: "Record", robot: "Robot", path: Path) -> None:
-    from kinfeas.evaluation.deployed_run import recording
+    from kinfeas.evaluation.deployed_run import recording, scene_of
     from kinfeas.evaluation.pages.deployed_run import replay_html
     from kinfeas.storage.files import write_file
 
-    write_file(path, replay_html(recording(run, robot), robot, run.time).encode())
+    write_file(path, replay_html(recording(run, robot), robot, run.time, scene_of(run)).encode())
 
 
 def _run_facts(run: "Record") -> dict[str, object]:

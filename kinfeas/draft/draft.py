@@ -70,6 +70,7 @@ class Draft:
         heights: Where goals can be reached.
         free: Share of configurations in which it does not touch itself, 0-1.
         guesses: What stands in the YAML file without being in the URDF.
+        robot: What the files are read as.
     """
 
     spec: RobotSpec
@@ -78,6 +79,7 @@ class Draft:
     heights: Heights
     free: float
     guesses: Guesses
+    robot: Robot
 
 
 def draft_robot(
@@ -114,7 +116,8 @@ def draft_robot(
         ignored_collisions=tuple(touching),
     )
     guesses = replace(guesses, touching=touching)
-    return Draft(spec, robot_yaml(spec, guesses), urdf, heights, free_share(robot), guesses)
+    read = _read(spec, urdf, path)
+    return Draft(spec, robot_yaml(spec, guesses), urdf, heights, free_share(robot), guesses, read)
 
 
 def bands(heights: Heights, source: str) -> tuple[Band, Band]:

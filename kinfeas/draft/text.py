@@ -60,6 +60,27 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
     return "\n".join(line for part in parts for line in part(spec, guesses)) + "\n"
 
 
+def guessed(spec: RobotSpec, guesses: Guesses) -> dict[str, str]:
+    """Return the guesses by their keys in the YAML file, with units or how they were found."""
+    tip, turned = _hand(guesses.fingers)
+    found = {
+        f"base.{key}": " ".join([_flow(value), _BASE_UNITS.get(key, "")]).strip()
+        for key, value in vars(spec.base).items()
+    }
+    found["tool_tip"] = f"{_flow(spec.tool_tip)} m: {tip}"
+    found["gripper_rotation"] = f"{_flow(spec.gripper_rotation)}: {turned}"
+    for name in guesses.limits:
+        limits = spec.arm[name].soft_limits
+        found[f"arm.{name}.soft_limits"] = f"{_flow(limits)} {guesses.unit(name)}"
+    for name in guesses.speeds:
+        found[f"arm.{name}.velocity"] = f"{_flow(spec.arm[name].velocity)} {guesses.unit(name)}/s"
+    if spec.leeway is not None:
+        found["leeway"] = f"{spec.leeway.position:g} m, {spec.leeway.rotation:g} rad"
+    if spec.ignored_collisions:
+        found["ignored_collisions"] = f"{len(spec.ignored_collisions)} pairs of links"
+    return found
+
+
 def _head(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     yield f"# {spec.name}, drafted from its URDF. What is called a guess is not in there: look"
     yield "# at it. What each key means stands in docs/own_robot.md."

@@ -18,7 +18,7 @@ def register() -> None:
     if ENVIRONMENT not in registration.registry:
         registration.register(
             ENVIRONMENT,
-            entry_point="kinfeas.envs.gym:BaseMotionEnv",
+            entry_point="kinfeas.evaluation.gym:RenderedMotionEnv",
             vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
         )
     if PHYSICS_ENVIRONMENT not in registration.registry:

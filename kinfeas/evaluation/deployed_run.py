@@ -13,6 +13,7 @@ from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.record import REACHED, Record
 from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene, read_scene
 
 _WIDTH = 50  # characters of the title's lines
 
@@ -39,20 +40,33 @@ def recording(record: Record, robot: Robot) -> Recording:
         ee_pose=spatial.compose(record.base_pose, ee),
         feasible=record.feasible,
         goals=record.goal[last],
-        reached=record.event[-1] == REACHED,
+        reached=record.event[-1].startswith(REACHED),
         dt=record.about.dt,
     )
 
 
-def replay_figure(record: Record, robot: Robot) -> Figure:
-    """Return a picture of a run, from the side and from above.
+def scene_of(record: Record) -> Scene | None:
+    """Return the furniture around a run as it stood at its start; None if there was none.
 
     Raises:
-        KinfeasError: If it is of a robot with another arm.
+        KinfeasError: If the scene or an object of it is not there.
+    """
+    if not record.about.scene:
+        return None
+    poses = {name: np.array(pose) for name, pose in record.about.objects.items()}
+    return read_scene(record.about.scene).with_poses(poses)
+
+
+def replay_figure(record: Record, robot: Robot) -> Figure:
+    """Return a picture of a run, from the side and from above, with the furniture near by.
+
+    Raises:
+        KinfeasError: If it is of a robot with another arm, or its scene is not there.
     """
     seconds = record.time[-1] - record.time[0]
     title = f"{robot.name}, {record.about.task}, {seconds:.0f} s: {ending(record)}"
-    return episodes_figure(robot, [recording(record, robot)], [fill(title, _WIDTH)])
+    episode = recording(record, robot)
+    return episodes_figure(robot, [episode], [fill(title, _WIDTH)], scene_of(record))
 
 
 def ending(record: Record) -> str:

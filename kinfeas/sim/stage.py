@@ -7,12 +7,14 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.task_check import check_task
+from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.checks import unchecked
 from kinfeas.tasks.task import Leg, Task
 
 _DRAWS = 1000
+_SETTLE_SECONDS = 2.0  # in which what was put down comes to rest
 
 
 class Stage:
@@ -75,6 +77,19 @@ class Stage:
         raise KinfeasError(
             f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
         )
+
+    def drawn(self) -> tuple[str, dict[str, Array]]:
+        """Return the name of the scene, and where the last episode put objects; or nothing."""
+        furniture = self.backend.sims[0].furniture
+        if self._known is None or furniture is None:
+            return "", {}
+        objects = furniture.scene.objects
+        return self._known.name, {name: objects[name].pose for name in self._known.moves}
+
+    def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
+        """Let the robot of a row stand still while objects come to rest; joints of all, (n, j)."""
+        for _ in range(round(_SETTLE_SECONDS / dt) if self.judges else 0):
+            self.backend.sims[row].step(np.zeros(6), joint_positions[row], dt)
 
     @property
     def judges(self) -> bool:

@@ -57,6 +57,16 @@ def test_how_far_and_widely_to_look_ahead_can_be_set(tmp_path, monkeypatch, worl
     assert seen == [Foresight(), Foresight(seconds=2.0, tries=8)]
 
 
+def test_to_look_ahead_by_option_and_by_name_is_the_same(tmp_path):
+    names = []
+    for policy in (["look_ahead:follow_ee"], ["look_ahead:follow_ee", "--look-ahead"]):
+        path = tmp_path / "out.json"
+        kinfeas("evaluate", "--policy", *policy, *SHORT, "--json", str(path))
+        names.append(json.loads(path.read_text()))
+    assert names[0] == names[1]
+    assert names[0]["policy"] == "look_ahead:follow_ee"
+
+
 def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluate_module, "trial_ceiling", lambda *_: None)
     path = tmp_path / "out.json"
@@ -199,7 +209,6 @@ def test_a_window_needs_a_screen(monkeypatch):
         ["--slow-down", "2"],
         ["--without-objects"],
         ["--gui"],
-        ["--episode", "3"],
     ],
 )
 def test_the_analytic_world_has_no_such_options(option):

@@ -13,6 +13,7 @@ from kinfeas.cli import deploy
 from kinfeas.cli.examples import EXAMPLES
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.record import REACHED, About, read_record
+from kinfeas.tasks.loading import load_task
 from tests.cli.conftest import is_one_line
 
 
@@ -52,6 +53,21 @@ def test_drives_to_a_goal_and_records_it(kinfeas, tmp_path):
     record = read_record(tmp_path / "run.csv")
     assert record.event[-1] == REACHED
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
+
+
+def test_a_task_in_the_simulated_world_is_recorded_with_its_furniture(kinfeas, tmp_path):
+    pytest.importorskip("pybullet")
+    done = kinfeas("deploy", "follow_ee", "--robot", "pr2", "--task", "pick_place",
+                   "--seconds", "0.1", "--as-fast-as-possible", "--record", "run.csv", "--json",
+                   "run.json")  # fmt: skip
+    assert done.code == 4, done.err
+    assert json.loads((tmp_path / "run.json").read_text())["task_done"] is False
+    assert "task not done" in " ".join(done.out.split())
+    about = read_record(tmp_path / "run.csv").about
+    assert about.scene == "room"
+    assert set(about.objects) == set(load_task("pick_place").scene.moves)
+    page = kinfeas("view", "--record", "run.csv", "--picture", "run.png")
+    assert page.code == 0, page.err
 
 
 def test_looking_ahead_carries_on_where_the_policy_alone_gets_stuck(kinfeas, tmp_path):

@@ -3,6 +3,7 @@ import re
 
 import pytest
 
+from kinfeas.errors import KinfeasError
 from kinfeas.robots.reading import read_robot
 from tests.cli.conftest import is_one_line
 from tests.draft.conftest import ARM, STUCK
@@ -40,6 +41,36 @@ def test_a_robot_without_shapes_is_told_of(robot, tmp_path):
     outcome = robot("--out", "new", "--ee", "palm")
     assert outcome.code == 0, outcome.err
     assert "none: what touches what is not looked at" in outcome.out
+
+
+def test_a_robot_without_shapes_is_drawn_as_a_skeleton(robot, tmp_path):
+    bare = re.sub(r"<collision>.*?</collision>", "", ARM)
+    (tmp_path / "dolly.urdf").write_text(bare)
+    outcome = robot("--out", "new", "--ee", "palm", "--picture", "dolly.png")
+    assert outcome.code == 0, outcome.err
+    assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("out", ["new/folder", "old"])
+def test_what_fails_leaves_nothing_behind(robot, tmp_path, monkeypatch, out):
+    def fail(robot):
+        raise KinfeasError("no picture")
+
+    (tmp_path / "old").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    with monkeypatch.context() as failing:
+        failing.setattr("kinfeas.evaluation.pictures.robot.robot_figure", fail)
+        assert robot("--out", out, "--picture", "dolly.png").code == 2
+    assert sorted(tmp_path.rglob("*")) == before
+    assert robot("--out", out, "--picture", "dolly.png").code == 0
+
+
+def test_shows_what_was_guessed(robot):
+    found = robot("--out", "new").out
+    assert re.search(r"base.drive +│ differential", found)
+    assert re.search(r"base.max_velocity +│ 0.2 m/s", found)
+    assert re.search(r"arm.pan.velocity +│ 1 rad/s", found)
+    assert "base.drive" not in robot("--out", "other", "--drive", "omnidirectional").out
 
 
 def test_what_stands_still_and_how_to_go_on_is_told(robot, tmp_path):

@@ -51,7 +51,6 @@ def test_settings_of_the_world_keep_their_adapters(kinfeas, tmp_path):
     ("arguments", "words"),
     [
         (("--sim2real", "hars"), "did you mean 'harsh'"),
-        (("--picture", "out.png"), "--picture needs --sim2real"),
         (("--sim2real", "paper", "--picture", "none/out.png"), "cannot be written"),
     ],
 )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RenderCollection
 from stable_baselines3.common import env_checker as sb3_checker
 
 from kinfeas import envs, registry
@@ -276,3 +277,23 @@ def test_a_step_before_the_first_reset_is_refused(kind):
 def test_refuses_what_there_is_not(arguments, message):
     with pytest.raises(KinfeasError, match=message):
         BaseMotionEnv(**arguments)
+
+
+def test_an_episode_can_be_looked_at():
+    options = {"robot": "hsr", "world": WorldConfig(dt=0.2)}
+    env = gymnasium.make("kinfeas/BaseMotion-v0", render_mode="rgb_array", **options)
+    check_env(env.unwrapped)
+    assert env.unwrapped.metadata["render_fps"] == 5
+    env = RenderCollection(env)
+    env.reset(seed=1)
+    for _ in range(5):
+        env.step(np.ones(3, dtype=np.float32))
+    first, *_, last = env.render()
+    assert first.shape == (360, 480, 3)
+    assert first.dtype == np.uint8
+    assert (first != last).any()
+    with pytest.raises(KinfeasError):
+        gymnasium.make("kinfeas/BaseMotion-v0", render_mode="ansi", **options)
+    bare = gymnasium.make("kinfeas/BaseMotion-v0", **options)
+    bare.reset()
+    assert bare.unwrapped.render() is None

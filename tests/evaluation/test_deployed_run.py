@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.deployed_run import recording, replay_figure
+from kinfeas.evaluation.deployed_run import recording, replay_figure, scene_of
 from kinfeas.evaluation.pages.deployed_run import moments, replay_html
 from kinfeas.evaluation.pictures.style import png
 from kinfeas.record import REACHED, About, Record
@@ -33,6 +33,21 @@ def test_a_record_is_an_episode():
     assert episode.goals.tolist() == [[1, 0, 0, 0, 0, 0, 1], [1, 1, 0, 0, 0, 0, 1]]
     assert episode.ee_pose.shape == (40, 7)
     assert not recording(record(event=""), PR2).reached
+
+
+def test_draws_the_furniture_near_by_where_the_episode_put_it():
+    run = record()
+    place = (0.5, 0.3, 0.115, 0.0, 0.0, 0.0, 1.0)
+    about = replace(run.about, scene="room", objects={"box": place})
+    around = replace(run, about=about)
+    assert scene_of(run) is None
+    assert scene_of(around).objects["box"].pose.tolist() == list(place)
+    bare, furnished = (replay_figure(one, PR2).axes[1].patches for one in (run, around))
+    assert len(furnished) > len(bare)
+
+
+def test_a_run_whose_task_was_done_was_reached():
+    assert recording(record(event=f"{REACHED}, task done"), PR2).reached
 
 
 @pytest.mark.parametrize("t", [1, 40])

@@ -147,6 +147,23 @@ def run(tmp_path, pr2):
     return start
 
 
+class WithObjects:
+    """A task that tells what became of its objects."""
+
+    def __init__(self, task, done):
+        self.task, self.name, self.legs, self.sample = task, task.name, task.legs, task.sample
+        self.done, self.settle, self.drawn = lambda: done, lambda joints, dt: None, dict
+
+
+@pytest.mark.parametrize(("done", "end"), [(True, "done"), (False, "not done"), (None, None)])
+def test_tells_whether_the_task_was_done(run, trained, done, end):
+    task = WithObjects(goal(0.9, 0.1, 0.8), done)
+    outcome, record = run(AnalyticBackend(), trained, task, seconds=100.0, real_time=False)
+    assert outcome.task_done is done
+    assert outcome.reason == REACHED
+    assert record.event[-1] == (REACHED if end is None else f"{REACHED}, task {end}")
+
+
 def test_drives_to_the_goal_and_stops_there(run, trained):
     outcome, record = run(
         AnalyticBackend(), trained, goal(0.9, 0.1, 0.8), seconds=100.0, real_time=False

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas import spatial
+from kinfeas.evaluation.pages.scene import draw_scene
 from kinfeas.evaluation.pages.viser_server import Paths, draw_paths, rgb, serving
 from kinfeas.evaluation.pictures.solids import bodies, parts
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene
 from kinfeas.spatial import Array
 
 _BODY, _ARM = "#c3c9d2", "#5b93cf"
@@ -19,13 +21,16 @@ _UP = np.array([0.0, 0.0, 1.0])
 _CAMERA = np.array([1.8, -2.6, 2.0])  # m, from the middle of the paths
 
 
-def replay_html(recording: Recording, robot: Robot, times: Array) -> str:
+def replay_html(
+    recording: Recording, robot: Robot, times: Array, scene: Scene | None = None
+) -> str:
     """Return the page of a run.
 
     Args:
         recording: What happened, t moments.
         robot: Who moved.
         times: Of the moments, shape (t,), seconds.
+        scene: What stands around.
 
     Raises:
         KinfeasError: If viser is not installed.
@@ -37,6 +42,8 @@ def replay_html(recording: Recording, robot: Robot, times: Array) -> str:
         middle, size = draw_paths(server, paths)
         server.initial_camera.position = middle + _CAMERA * max(1.0, size / 4.0)
         server.initial_camera.look_at = middle + 0.5 * _UP
+        if scene is not None:
+            draw_scene(server, scene)
         solids = _draw_robot(server, robot)
         return _film(server, solids, (recording, robot, times))
 

@@ -31,7 +31,12 @@ class ScenePage:
 
     def __init__(self, scene: Scene, port: int = 0) -> None:
         self._scene, self._server = scene, start_server(scene.name, port)
-        self._solids = self._draw()
+        self._server.initial_camera.position = np.array(_CAMERA) * max(scene.size) / 10.0
+        self._server.initial_camera.look_at = np.zeros(3)
+        self._server.scene.add_grid(
+            "/floor", *scene.size, cell_size=1.0, plane_color=(245, 246, 248), plane_opacity=1
+        )
+        self._solids = draw_scene(self._server, scene)
 
     @property
     def address(self) -> str:
@@ -77,28 +82,6 @@ class ScenePage:
         """Stop the server."""
         stop_server(self._server)
 
-    def _draw(self) -> list[Any]:
-        show, size = self._server.scene, self._scene.size
-        self._server.initial_camera.position = np.array(_CAMERA) * max(size) / 10.0
-        self._server.initial_camera.look_at = np.zeros(3)
-        show.add_grid("/floor", *size, cell_size=1.0, plane_color=(245, 246, 248), plane_opacity=1)
-        kinds: dict[str, tuple[Any, tuple[str, ...]]] = {
-            "box": (show.add_box, ()),
-            "cylinder": (show.add_cylinder, ("radius", "height")),
-            "sphere": (show.add_icosphere, ("radius",)),
-        }
-        solids = []
-        for number, (name, shape, colour) in enumerate(painted_shapes(self._scene)):
-            placed = {"position": shape.pose[:3], "wxyz": wxyz(shape.pose)}
-            make, measures = kinds[shape.kind]
-            sizes = (
-                dict(zip(measures, shape.size, strict=True))
-                if measures
-                else {"dimensions": shape.size}
-            )
-            solids.append(make(f"/{name}/{number}", color=rgb(colour), **sizes, **placed))
-        return solids
-
     def _joints(self) -> list[tuple[str, Joint]]:
         return [
             (name, joint)
@@ -114,6 +97,25 @@ class ScenePage:
             way = _range(joint)[1] - at
             positions.setdefault(name, {})[joint.name] = at + share * way
         return positions
+
+
+def draw_scene(server: Any, scene: Scene) -> list[Any]:
+    """Draw all shapes of a scene; return them in the order of `painted_shapes`."""
+    show = server.scene
+    kinds: dict[str, tuple[Any, tuple[str, ...]]] = {
+        "box": (show.add_box, ()),
+        "cylinder": (show.add_cylinder, ("radius", "height")),
+        "sphere": (show.add_icosphere, ("radius",)),
+    }
+    solids = []
+    for number, (name, shape, colour) in enumerate(painted_shapes(scene)):
+        placed = {"position": shape.pose[:3], "wxyz": wxyz(shape.pose)}
+        make, measures = kinds[shape.kind]
+        sizes = (
+            dict(zip(measures, shape.size, strict=True)) if measures else {"dimensions": shape.size}
+        )
+        solids.append(make(f"/{name}/{number}", color=rgb(colour), **sizes, **placed))
+    return solids
 
 
 def _range(joint: Joint) -> tuple[float, float]:

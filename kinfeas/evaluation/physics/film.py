@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.evaluation.pictures.style import DESIRED, EE, FAILURE, GOAL
 from kinfeas.sim.camera import paint_floor, show_moment, take_picture
 from kinfeas.sim.physics import Physics
+from kinfeas.spatial import Array
 from kinfeas.storage.files import replacing
 
 SUFFIXES = (".gif", ".mp4", ".png")
@@ -36,9 +37,22 @@ _TILES = ((236, 238, 241), (218, 222, 228))
 OnDone = Callable[[int], None]
 
 
+class Filmed(Protocol):
+    """An episode that can be written as a film."""
+
+    @property
+    def times(self) -> Array:
+        """Seconds of its moments since its start, shape (t,)."""
+        ...
+
+    def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
+        """Return the picture of one moment, shown `speed` times faster than it happened."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Film:
-    """An episode and how to look at it.
+    """An episode in the PyBullet world and how to look at it.
 
     Attributes:
         recording: What happened.
@@ -54,6 +68,11 @@ class Film:
     title: str
     size: tuple[int, int] = SIZE
 
+    @property
+    def times(self) -> Array:
+        """Seconds since the start of the episode, shape (t,)."""
+        return self.recording.times
+
     def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
         """Return the picture of one moment.
 
@@ -68,12 +87,12 @@ class Film:
         image = Image.fromarray(shaded(seen, self.physics, target)).convert("RGBA")
         image.alpha_composite(paths(seen, self.recording, moment))
         small = image.convert("RGB").resize(self.size, Image.Resampling.BOX)
-        write_below(small, self._caption(moment, speed), self.recording, moment)
+        kept = self.recording
+        failures = int(kept.failures[: moment + 1].sum())
+        last = moment == len(kept.moments) - 1
+        end = (kept.outcome, kept.succeeded) if last else None
+        write_below(small, self.title, (self.times[moment], speed), failures, end)
         return small
-
-    def _caption(self, moment: int, speed: float) -> str:
-        faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""
-        return f"{self.title}   {self.recording.times[moment]:.1f} s{faster}"
 
 
 def check_film_path(path: Path) -> None:
@@ -96,10 +115,12 @@ def make_film(world: PhysicsWorld, trial: PhysicsTrial, recording: PhysicsRecord
     framing = frame(recording, simulation.body, SIZE, room)
     robot = trial.robot.name
     title = f"{TITLES.get(robot, robot)}, {trial.task.name}"
+    with tempfile.TemporaryDirectory() as folder:
+        _paint(simulation.physics, Path(folder) / "floor.png")
     return Film(recording, simulation.physics, framing, title)
 
 
-def write_film(film: Film, path: Path, on_done: OnDone | None = None) -> None:
+def write_film(film: Filmed, path: Path, on_done: OnDone | None = None) -> None:
     """Write a film as GIF or MP4, or some of its moments side by side as PNG.
 
     Args:
@@ -111,35 +132,34 @@ def write_film(film: Film, path: Path, on_done: OnDone | None = None) -> None:
         KinfeasError: If the ending is another one, or the file cannot be written.
     """
     check_film_path(path)
-    moments = _moments(film.recording, path)
-    with replacing(path) as fresh, tempfile.TemporaryDirectory() as folder:
-        _paint(film.physics, Path(folder) / "floor.png")
+    moments = _moments(film.times, path)
+    with replacing(path) as fresh:
         if path.suffix.lower() == ".png":
             _write_png(list(_pictures(film, moments, 1.0, on_done)), fresh)
             return
         rate, _ = _GIF if path.suffix.lower() == ".gif" else _MP4
-        speed = max(1.0, film.recording.times[-1] * rate / len(moments))
+        speed = max(1.0, film.times[-1] * rate / len(moments))
         write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
         write(_pictures(film, moments, speed, on_done), fresh, rate)
 
 
-def count_pictures(recording: PhysicsRecording, path: Path) -> int:
+def count_pictures(film: Filmed, path: Path) -> int:
     """Return how many pictures `write_film` draws."""
-    return len(_moments(recording, path))
+    return len(_moments(film.times, path))
 
 
-def _moments(recording: PhysicsRecording, path: Path) -> NDArray[np.intp]:
-    last = len(recording.moments) - 1
+def _moments(times: Array, path: Path) -> NDArray[np.intp]:
+    last = len(times) - 1
     if path.suffix.lower() == ".png":
         count = _PANELS[0] * _PANELS[1]
     else:
         rate, most = _GIF if path.suffix.lower() == ".gif" else _MP4
-        count = min(most, int(np.ceil(recording.times[-1] * rate)))
+        count = min(most, int(np.ceil(times[-1] * rate)))
     return np.unique(np.linspace(0, last, max(2, count)).round().astype(np.intp))
 
 
 def _pictures(
-    film: Film, moments: Sequence[int] | NDArray[np.intp], speed: float, on_done: OnDone | None
+    film: Filmed, moments: Sequence[int] | NDArray[np.intp], speed: float, on_done: OnDone | None
 ) -> Iterator[Image.Image]:
     for moment in moments:
         yield film.picture(int(moment), speed=speed)

@@ -97,16 +97,27 @@ def _disc(
     )
 
 
-def write_below(image: Image.Image, text: str, recording: PhysicsRecording, moment: int) -> None:
-    """Write the caption into the lower left corner: a text, and how often IK failed until then.
+def write_below(
+    image: Image.Image,
+    title: str,
+    time: tuple[float, float],
+    failures: int,
+    end: tuple[str, bool] | None = None,
+) -> None:
+    """Write the caption into the lower left corner.
 
-    At the end, what the episode came to stands above it.
+    Args:
+        image: What it is written into.
+        title: Its first words.
+        time: Seconds since the start, and how many times faster they are shown.
+        failures: How often IK has failed until then.
+        end: What the episode came to, which stands above, and whether it succeeded; None before.
     """
-    failures = int(recording.failures[: moment + 1].sum())
-    times = failures_text(failures)
-    _write(image, 0, [(f"{text}   ", INK), (times, FAILURE if failures else EE)])
-    if moment == len(recording.moments) - 1:
-        _write(image, 1, [(recording.outcome, EE if recording.succeeded else FAILURE)])
+    faster = f"  ({time[1]:.1f}x)" if time[1] > 1.05 else ""
+    text = f"{title}   {time[0]:.1f} s{faster}   "
+    _write(image, 0, [(text, INK), (failures_text(failures), FAILURE if failures else EE)])
+    if end is not None:
+        _write(image, 1, [(end[0], EE if end[1] else FAILURE)])
 
 
 def _write(image: Image.Image, line: int, words: Sequence[tuple[str, str]]) -> None:

@@ -9,6 +9,7 @@ from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.loop import Rows
 from kinfeas.policy import Policy
+from kinfeas.record import TASK_DONE
 from kinfeas.sim.camera import Moment, keep_moment
 from kinfeas.spatial import Array
 
@@ -47,9 +48,7 @@ class PhysicsRecording:
     def outcome(self) -> str:
         """What the episode came to, in words."""
         goal = "goal reached" if self.reached else "goal not reached"
-        if self.done is None:
-            return goal
-        return f"{goal}, task done" if self.done else f"{goal}, task not done"
+        return goal + TASK_DONE[self.done]
 
     @property
     def succeeded(self) -> bool:

@@ -30,8 +30,6 @@ from kinfeas.tasks.task import Task
 ROWS = 8
 """PyBullet worlds in a process; no figure depends on it."""
 
-_AFTERWARDS = 2.0  # s, in which what was put down comes to rest
-
 
 @dataclass(frozen=True)
 class PhysicsChanges(PaceSettings):
@@ -183,14 +181,9 @@ class _TaskMetrics:
             if transition.done[row]:
                 self.base_collisions[episode], self.arm_collisions[episode] = base.count, arm.count
                 if self._stage.judges:
-                    self._rest(world, row)
+                    state = world.loop.state.truth or world.loop.state
+                    self._stage.settle(state.joint_positions, self._dt, row)
                     self.done[episode] = self._stage.done(row)
-
-    def _rest(self, world: World, row: int) -> None:
-        """Let a row stand still, while what was put down comes to rest."""
-        state = world.loop.state.truth or world.loop.state
-        for _ in range(round(_AFTERWARDS / self._dt)):
-            self._stage.backend.sims[row].step(np.zeros(6), state.joint_positions[row], self._dt)
 
 
 def make_stage(robot: Robot, task: Task, settings: PhysicsChanges, *, gui: bool = False) -> Stage:

@@ -21,6 +21,8 @@ from kinfeas.evaluation.pictures.projection import (
     look,
     show_to_scale,
 )
+from kinfeas.evaluation.pictures.raster import paint_solids
+from kinfeas.evaluation.pictures.scene import scene_faces, surrounds
 from kinfeas.evaluation.pictures.solids import robot_faces
 from kinfeas.evaluation.pictures.style import (
     ARM,
@@ -36,16 +38,22 @@ from kinfeas.evaluation.pictures.style import (
 )
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene
 from kinfeas.spatial import Array
 
 _ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
 _PALEST = 0.62
 _ARROW_METRES = 0.3
+_NEAR = 1.0  # m, of furniture from the paths' bounds
+_FURNITURE = (0.86, 0.79, 0.69, 0.6), 1.8
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
 
 
 def episodes_figure(
-    robot: Robot, recordings: Sequence[Recording], titles: Sequence[str] | None = None
+    robot: Robot,
+    recordings: Sequence[Recording],
+    titles: Sequence[str] | None = None,
+    scene: Scene | None = None,
 ) -> Figure:
     """Return a picture with a column for each episode: seen from the side, and from above.
 
@@ -53,6 +61,7 @@ def episodes_figure(
         robot: Who moves.
         recordings: At least one.
         titles: Of the columns; by default, what each episode came to.
+        scene: What stands around.
     """
     count = len(recordings)
     titles = titles or [_title(recording) for recording in recordings]
@@ -60,7 +69,10 @@ def episodes_figure(
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         rows = figure.subplots(2, count, squeeze=False, height_ratios=(0.7, 1.0))
         for recording, title, side, top in zip(recordings, titles, *rows, strict=True):
-            _draw_side(side, robot, recording)
+            furniture = [] if scene is None else _near(scene, recording)
+            _draw_side(side, robot, recording, furniture)
+            for thing in furniture:
+                _draw_outline(top, np.concatenate([face.corners for face in thing]), *_FURNITURE)
             _draw_top(top, robot, recording)
             side.set_title(title)
         columns = {1: 3, 2: 4}.get(count, 7)
@@ -90,7 +102,28 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))
 
 
-def _draw_side(axes: Axes, robot: Robot, recording: Recording) -> None:
+def _near(scene: Scene, recording: Recording) -> list[list[Painted]]:
+    """Return the faces of each object that stands near the paths."""
+    things: dict[str, list[Painted]] = {}
+    for name, face in scene_faces(scene):
+        things.setdefault(name, []).append(face)
+    paths = np.concatenate([recording.base_pose[:, :2], recording.ee_pose[:, :2]])
+    low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
+    near = {
+        name
+        for name, one in scene.objects.items()
+        if np.all((one.pose[:2] > low) & (one.pose[:2] < high))
+    }
+    return [
+        faces
+        for name, faces in things.items()
+        if name in near and not surrounds(scene, scene.objects[name])
+    ]
+
+
+def _draw_side(
+    axes: Axes, robot: Robot, recording: Recording, furniture: Sequence[list[Painted]]
+) -> None:
     drawn = moments(recording)
     view = _side_view(recording, drawn)
     faces = [
@@ -100,10 +133,12 @@ def _draw_side(axes: Axes, robot: Robot, recording: Recording) -> None:
             robot, recording.base_pose[moment], recording.joint_positions[moment]
         )
     ]
+    faces += [face for thing in furniture for face in thing]
     corners = np.concatenate([face.corners for face in faces] + [recording.desired[:, :3]])
     draw_floor(axes, view, corners)
     _draw_paths(axes, recording, view, floor=recording.base_pose[:, :3])
-    draw_solids(axes, view, faces)
+    # What stands about interlocks; robots alone are sorted well enough, and quicker.
+    (paint_solids if furniture else draw_solids)(axes, view, faces)
     for goal in recording.goals:
         _draw_goal(axes, goal, view)
     show_to_scale(axes)
@@ -143,11 +178,12 @@ def _draw_footprint(
     body = [face.corners[:, :2] for face in robot_faces(robot, pose, joints) if not face.arm]
     if not body:
         return
-    points = np.concatenate(body)
-    outline = points[ConvexHull(points).vertices]
-    axes.add_patch(
-        Polygon(outline, facecolor=(*colour, 0.55), edgecolor="#9aa2ad", lw=0.9, zorder=2)
-    )
+    _draw_outline(axes, np.concatenate(body), (*colour, 0.55), 2.0)
+
+
+def _draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: float) -> None:
+    outline = points[ConvexHull(points[:, :2]).vertices, :2]
+    axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="#9aa2ad", lw=0.9, zorder=order))
 
 
 def _draw_headings(axes: Axes, recording: Recording) -> None:

@@ -46,7 +46,7 @@ def scene_figure(scene: Scene) -> Figure:
 def _draw_room(axes: Axes, scene: Scene) -> None:
     view, half = _OVERVIEW, np.array(scene.size) / 2.0
     _draw_ground(axes, view, half)
-    faces = [face for _, face in _faces(scene) if not _hides(face, half, view)]
+    faces = [face for _, face in scene_faces(scene) if not _hides(face, half, view)]
     paint_solids(axes, view, faces, max(scene.size) / 1000.0)
     for names, top in _stacks(scene):
         _label(
@@ -69,9 +69,9 @@ def _draw_handle(axes: Axes, scene: Scene, name: str) -> None:
     near = [
         other
         for other, one in opened.objects.items()
-        if np.linalg.norm(one.pose[:2] - middle) < _NEAR and not _surrounds(opened, one)
+        if np.linalg.norm(one.pose[:2] - middle) < _NEAR and not surrounds(opened, one)
     ]
-    paint_solids(axes, view, [face for other, face in _faces(opened) if other in near], 0.0015)
+    paint_solids(axes, view, [face for other, face in scene_faces(opened) if other in near], 0.0015)
     title = name
     if handle.joint is not None:
         joint = scene.objects[handle.object].urdf.joints[handle.joint]
@@ -110,20 +110,20 @@ def painted_shapes(scene: Scene) -> Iterator[tuple[str, Shape, Colour]]:
 
     What is moved by a joint is lighter than what is not, and what has a handle's frame is dark.
     """
-    kinds = [one.urdf_path for one in scene.objects.values() if not _surrounds(scene, one)]
+    kinds = [one.urdf_path for one in scene.objects.values() if not surrounds(scene, one)]
     kinds = list(dict.fromkeys(kinds))
     held = {(handle.object, handle.link) for handle in scene.handles.values()}
     for name, one in scene.objects.items():
         body = _WALL
-        if not _surrounds(scene, one):
+        if not surrounds(scene, one):
             body = _WOODS[kinds.index(one.urdf_path) % len(_WOODS)]
         for link, shape in one.shapes():
             moved = _LEAF if moving_joint(one.urdf, link) else body
             yield name, shape, _HANDLE if (name, link) in held else moved
 
 
-def _faces(scene: Scene) -> Iterator[tuple[str, Painted]]:
-    """Yield each face with the name of its object."""
+def scene_faces(scene: Scene) -> Iterator[tuple[str, Painted]]:
+    """Yield each face in the world with the name of its object."""
     for name, shape, colour in painted_shapes(scene):
         for corners in polygons(shape):
             yield name, Painted(corners, colour)
@@ -136,7 +136,7 @@ def _hides(face: Painted, half: Array, view: View) -> bool:
     return float(outward @ view.toward[:2]) > 0.0
 
 
-def _surrounds(scene: Scene, one: SceneObject) -> bool:
+def surrounds(scene: Scene, one: SceneObject) -> bool:
     """Return whether an object, such as walls, is as large as the room."""
     low, high = _bounds(one)
     return bool(np.max(high - low) >= min(scene.size))
@@ -144,7 +144,7 @@ def _surrounds(scene: Scene, one: SceneObject) -> bool:
 
 def _stacks(scene: Scene) -> list[tuple[list[str], Array]]:
     """Return the names of what stands on one another, the highest first, and its top (4, 3)."""
-    tops = {name: _top(one) for name, one in scene.objects.items() if not _surrounds(scene, one)}
+    tops = {name: _top(one) for name, one in scene.objects.items() if not surrounds(scene, one)}
     stacks: list[tuple[list[str], Array]] = []
     for name in sorted(tops, key=lambda name: -tops[name][0, 2]):
         for names, top in stacks:

@@ -1,5 +1,6 @@
 """The robot's primitive shapes as flat faces in the world, ready to be drawn."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -9,13 +10,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas import spatial
-from kinfeas.kinematics.chain import FIXED, Tree, build_tree
+from kinfeas.kinematics.chain import FIXED, Mount, Tree, build_tree
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.tree import Shape
 from kinfeas.spatial import Array
 
 _SIDES = 20
 """Flat sides that a cylinder is drawn with."""
+
+_STICK = 0.03
+"""Metres, the width of a line that stands for links without shapes."""
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -54,7 +58,10 @@ def robot_faces(robot: Robot, base_pose: Array, joint_positions: Array) -> list[
 
 @lru_cache(maxsize=8)
 def parts(robot: Robot) -> tuple[Tree, list[tuple[int, Face]]]:
-    """Return the tree and each face with the joint that carries it, in that joint's frame."""
+    """Return the tree and each face with the joint that carries it, in that joint's frame.
+
+    Bodies without shapes are drawn as sticks to what they carry.
+    """
     tree, mounts = build_tree(robot)
     arm, faces = _arm_links(robot), []
     for link in robot.urdf.links.values():
@@ -64,7 +71,35 @@ def parts(robot: Robot) -> tuple[Tree, list[tuple[int, Face]]]:
                 placed = corners @ mount.rotation.T + mount.offset
                 moves = mount.joint != FIXED and link.name in arm
                 faces.append((mount.joint, Face(placed, moves)))
-    return tree, faces
+    shown = {joint for joint, _ in faces}
+    sticks = _sticks(robot, tree, mounts)
+    bare = [(body, link, corners) for body, link, corners in sticks if body not in shown]
+    return tree, faces + [(body, Face(corners, link in arm)) for body, link, corners in bare]
+
+
+def _sticks(robot: Robot, tree: Tree, mounts: dict[str, Mount]) -> Iterator[tuple[int, str, Array]]:
+    """Yield the faces of a stick to each link, and of rails: carrying joint, link and corners."""
+    for joint in robot.urdf.joints.values():
+        parent, child = mounts[joint.parent], mounts[joint.child]
+        carried = child.joint == parent.joint
+        end = child.offset if carried else tree.offset[child.joint]
+        sticks = [(parent.offset, end)]
+        if not carried and tree.prismatic[child.joint]:
+            along = tree.rotation[child.joint][:, 2]
+            sticks.append((end + joint.lower * along, end + joint.upper * along))
+        for first, last in sticks:
+            for corners in _stick(first, last):
+                yield parent.joint, joint.child, corners
+
+
+def _stick(first: Array, last: Array) -> list[Array]:
+    way = last - first
+    length = float(np.linalg.norm(way))
+    if not 1e-6 < length < np.inf:
+        return []
+    turn, _ = Rotation.align_vectors(way[np.newaxis], [[0.0, 0.0, 1.0]])
+    size = (_STICK, _STICK, length + _STICK)
+    return polygons(Shape("box", size, spatial.make_pose((first + last) / 2.0, turn)))
 
 
 def _arm_links(robot: Robot) -> set[str]:
