@@ -28,7 +28,8 @@ class Trained:
             was told.
         config: Settings of its training.
         steps: Environment steps that it learned from.
-        evaluation: Figures by name, of the evaluation that picked it.
+        evaluation: Figures by name, of the evaluation that picked it, which flatter it.
+        fresh_evaluation: Figures by name, of as many other episodes; once its run has ended.
         seed: Of its training, of policies that come with the package.
         version: Of kinfeas, the same.
         command: That trains it, the same.
@@ -42,6 +43,7 @@ class Trained:
     config: dict[str, object] = field(default_factory=dict)
     steps: int | None = None
     evaluation: dict[str, Episodes | float] = field(default_factory=dict)
+    fresh_evaluation: dict[str, Episodes | float] = field(default_factory=dict)
     seed: int | None = None
     version: str | None = None
     command: str | None = None

@@ -172,8 +172,11 @@ def _training(trained: Trained) -> dict[str, object]:
 
 
 def _success(trained: Trained, folder: Path) -> dict[str, object]:
-    """Return the figures of a policy by kind: those of its run's `evaluation.json`, if there is."""
-    evaluation: dict[str, object] = dict(trained.evaluation)
+    """Return the figures of a policy by kind: those of its run's `evaluation.json`, if there is.
+
+    Figures of the episodes that picked it are left out, for they flatter it.
+    """
+    evaluation: dict[str, object] = dict(trained.fresh_evaluation)
     if (path := folder / "evaluation.json").exists():
         evaluation = strict_json.read(path)
         evaluation.pop("policy", None)  # a path of the run says nothing to whoever gets the file

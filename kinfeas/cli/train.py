@@ -198,7 +198,7 @@ def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
 
 
 def best_figures(folder: Path) -> dict[str, Any]:
-    """Return what the evaluation of a run's best checkpoint found.
+    """Return what a finished run's best checkpoint did on fresh episodes.
 
     Raises:
         KinfeasError: If the run has none, or it cannot be read.
@@ -216,7 +216,7 @@ def best_figures(folder: Path) -> dict[str, Any]:
         "world": WorldName.ANALYTIC if settings.physics is None else WorldName.PYBULLET,
         "policy": str(folder),
         "steps": best.steps,
-        **best.evaluation,
+        **best.fresh_evaluation,
     }
 
 
@@ -227,7 +227,7 @@ def _show(progress: "Progress", folder: Path) -> None:
         ["time", f"{progress.seconds / 60.0:.1f} min"],
         ["steps per second, evaluations included", f"{progress.steps / progress.seconds:,.0f}"],
         [
-            f"best checkpoint's success, {figures['episodes']} episodes",
+            f"best checkpoint, {figures['episodes']} fresh episodes",
             share(*(float(figures[key]) for key in ("success", "success_low", "success_high"))),
         ],
         ["it came after steps", f"{figures['steps']:,}"],

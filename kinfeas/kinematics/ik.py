@@ -54,6 +54,15 @@ class IkOptions:
     max_iterations: Annotated[int, Interval(low=1, high=10_000)] = 40
     centering: Share = 1.0
 
+    def thorough(self) -> "IkOptions":
+        """Return options by which the same counts as a solution, searched for as by default."""
+        return IkOptions(
+            self_collision=self.self_collision,
+            leeway=self.leeway,
+            position_tolerance=self.position_tolerance,
+            rotation_tolerance=self.rotation_tolerance,
+        )
+
 
 @dataclass(frozen=True)
 class IkSolution:

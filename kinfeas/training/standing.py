@@ -5,6 +5,7 @@ from pathlib import Path
 from kinfeas import config as configuration
 from kinfeas.errors import KinfeasError
 from kinfeas.storage.folders import find_folder
+from kinfeas.trained import read_trained
 from kinfeas.training.config import ScheduleConfig, TrainConfig
 from kinfeas.training.progress import Progress, read_progress
 from kinfeas.training.run_folder import SETTINGS, check_begun
@@ -32,7 +33,7 @@ def finished(out: Path) -> Progress | None:
         return None
     progress = read_standing(config, last)
     ended = progress.share >= 1.0 and progress.evaluations >= evaluations_due(config, progress)
-    return progress if ended else None
+    return progress if ended and read_trained(out).fresh_evaluation else None
 
 
 def read_standing(config: TrainConfig, last: Path) -> Progress:

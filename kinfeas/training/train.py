@@ -1,7 +1,9 @@
 """A training run: collect, learn, evaluate, save; and go on after any interruption."""
 
+import shutil
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,10 @@ from numpy.typing import NDArray
 from kinfeas import config as configuration
 from kinfeas.errors import KinfeasError
 from kinfeas.metrics import summarize
-from kinfeas.policy import read_network, write_network
+from kinfeas.policy import WEIGHTS, read_network, write_network
 from kinfeas.storage.files import writing
 from kinfeas.storage.folders import alone, find_folder, write_folder
+from kinfeas.trained import read_trained, write_trained
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
@@ -40,7 +43,14 @@ from kinfeas.training.standing import (
 )
 from kinfeas.training.state import loading
 from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
-from kinfeas.training.worlds import Judge, analytic_judge, analytic_world, physics_judge
+from kinfeas.training.worlds import (
+    EVALUATION_SEED,
+    FRESH_SEED,
+    Judge,
+    analytic_judge,
+    analytic_world,
+    physics_judge,
+)
 
 LOG_SECONDS = 2.0
 
@@ -126,6 +136,7 @@ class _Run:
         with Logs(self.out, self.progress.steps) as logs, without_denormals():
             try:
                 self._loop(logs, report)
+                self._judge_afresh()
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -166,10 +177,10 @@ class _Run:
         if report is not None:
             report(self.progress)
 
-    def _judge(self) -> Judge:
+    def _judge(self, offset: int = EVALUATION_SEED) -> Judge:
         if self.config.physics is not None:
-            return physics_judge(self.config)
-        return analytic_judge(self.config, network_of(self.learner, self.env.scale))
+            return physics_judge(self.config, offset)
+        return analytic_judge(self.config, network_of(self.learner, self.env.scale), offset)
 
     def _step(self) -> None:
         """Step all environments once, and learn from what has been seen."""
@@ -213,6 +224,21 @@ class _Run:
                 self._write("best", lambda folder: self._write_policy(folder, about))
             judged = {f"evaluation/{key}": float(value) for key, value in figures.items()}
             logs.write(self._row() | judged)
+
+    def _judge_afresh(self) -> None:
+        """Judge the best policy on episodes that did not choose it, which flatter it."""
+        best = find_folder(self.out / "checkpoints" / "best")
+        trained, network = read_trained(best), read_network(best, self.env.robot)
+        if trained.fresh_evaluation:
+            return
+        records = self._judge(FRESH_SEED)(network, self.config.schedule.evaluation_episodes)
+        judged = replace(trained, fresh_evaluation=dict(summarize(records)))
+
+        def fill(folder: Path) -> None:
+            shutil.copyfile(best / WEIGHTS, folder / WEIGHTS)
+            write_trained(judged, folder)
+
+        self._write("best", fill)
 
     def _row(self) -> dict[str, float]:
         p = self.progress

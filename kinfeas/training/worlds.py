@@ -16,7 +16,6 @@ from kinfeas.evaluation.physics.world import (
     make_physics_world,
     make_stage,
 )
-from kinfeas.kinematics.ik import IkOptions
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Network
 from kinfeas.tasks.loading import load_task
@@ -24,6 +23,9 @@ from kinfeas.training.config import TrainConfig
 
 EVALUATION_SEED = 1_000_003
 """Offset between the seed of training and that of the episodes that pick the best checkpoint."""
+
+FRESH_SEED = 2_000_003
+"""The same for those that it is judged on in the end: they had no part in the choice."""
 
 TRAINING = (1,)
 """Stream of the episodes that are learned from: of no seed are they those that policies are judged
@@ -58,25 +60,32 @@ def physics_world(config: TrainConfig) -> World:
     return world
 
 
-def analytic_judge(config: TrainConfig, network: Network) -> Judge:
+def analytic_judge(config: TrainConfig, network: Network, offset: int = EVALUATION_SEED) -> Judge:
     """Return what judges policies in the analytic world, which is exact and patient.
+
+    IK searches as hard there as by default, for what the run counts as a solution.
 
     Args:
         config: Of the run.
         network: Any policy: kernels are compiled here, so that it is not counted as training time.
+        offset: Between the seed of training and that of the episodes.
     """
     task = load_task(config.task, config.task_parameters)
-    judged = replace(config.world, max_failures=MAX_FAILURES, adapters=(), ik=IkOptions())
+    ik = config.world.ik.thorough()
+    judged = replace(config.world, max_failures=MAX_FAILURES, adapters=(), ik=ik)
     robot = registry.load_robot(config.robot)
-    world = World(robot, task, judged, config.seed + EVALUATION_SEED)
+    world = World(robot, task, judged, config.seed + offset)
     world.start([0])
     network.act(world.loop.situation)
     world.step(np.zeros((1, world.action_size)))
     return lambda policy, episodes: run_episodes(world, policy, episodes)
 
 
-def physics_judge(config: TrainConfig) -> Judge:
-    """Return what judges policies in the PyBullet world, in as many processes as learn."""
+def physics_judge(config: TrainConfig, offset: int = EVALUATION_SEED) -> Judge:
+    """Return what judges policies in the PyBullet world, in as many processes as learn.
+
+    IK searches as in `analytic_judge`.
+    """
     physics, world = config.physics, config.world
     assert physics is not None
     changes = {one.name: getattr(physics, one.name) for one in fields(PhysicsChanges)}
@@ -85,9 +94,10 @@ def physics_judge(config: TrainConfig) -> Judge:
         dt=world.dt,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,
+        ik=world.ik.thorough(),
     )
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
-    trial = PhysicsTrial(robot, task, 1, config.seed + EVALUATION_SEED, settings)
+    trial = PhysicsTrial(robot, task, 1, config.seed + offset, settings)
 
     def judge(network: Network, episodes: int) -> EpisodeRecords:
         return run_physics(replace(trial, episodes=episodes), network, config.environments)

@@ -32,6 +32,8 @@ def test_a_run_leaves_what_it_says(kinfeas, tmp_path):
     assert figures["episodes"] == 2
     assert figures["steps"] == 64
     assert figures["success_low"] <= figures["success"] <= figures["success_high"]
+    best = json.loads((run / "checkpoints" / "best" / "policy.json").read_text())
+    assert figures.items() >= best["fresh_evaluation"].items()
     settings = yaml.safe_load((run / "config.yaml").read_text())
     assert (settings["seed"], settings["schedule"]["steps"]) == (3, 64)
     assert settings["schedule"]["minutes"] is None

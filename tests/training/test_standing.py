@@ -5,6 +5,7 @@ import pytest
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
+from kinfeas.trained import Trained, write_trained
 from kinfeas.training.progress import Progress
 from kinfeas.training.standing import (
     evaluations_due,
@@ -18,7 +19,15 @@ from kinfeas.training.state import write_state
 
 
 @pytest.fixture
-def stand(tiny, tmp_path):
+def write_best(tmp_path):
+    """Return a function that writes what is known of the best checkpoint."""
+    best = tmp_path / "checkpoints" / "best"
+    best.mkdir(parents=True)
+    return lambda fresh: write_trained(Trained(robot="pr2", layers=3, fresh_evaluation=fresh), best)
+
+
+@pytest.fixture
+def stand(tiny, tmp_path, write_best):
     """Return a function that writes a run, its settings and how far it is, and returns both."""
 
     def write(*overrides, steps=1600, seconds=9.0, evaluations=2):
@@ -28,6 +37,7 @@ def stand(tiny, tmp_path):
         last.mkdir(parents=True, exist_ok=True)
         config.dump(settings, tmp_path / "config.yaml")
         write_state(last, {"config": identity(settings), "progress": progress.saved()})
+        write_best({"success": 0.5})
         return settings, last
 
     return write
@@ -53,6 +63,14 @@ def test_what_a_run_goes_on_from_is_judged_too(tiny, init, first):
     settings = tiny(f"init={init}", "schedule.evaluations=4")
     due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
     assert due == [first, first, first + 2, first + 4]
+
+
+def test_a_run_whose_best_checkpoint_is_not_judged_afresh_is_not_finished(
+    stand, write_best, tmp_path
+):
+    stand()
+    write_best({})
+    assert finished(tmp_path) is None
 
 
 def test_a_run_with_nothing_left_to_do_is_finished(stand, tmp_path):

@@ -20,6 +20,7 @@ from kinfeas.storage.folders import alone
 from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.standing import finished as finished_run
 from kinfeas.training.train import resume, train
 
 LEARNERS = {
@@ -337,7 +338,7 @@ def test_the_time_of_an_evaluation_is_kept(tiny, tmp_path, monkeypatch):
 
 
 def test_the_best_policy_is_kept(tiny, tmp_path, monkeypatch):
-    successes = iter([0.5, 0.25, 0.5, 0.4])
+    successes = iter([0.5, 0.25, 0.5, 0.4, 0.3])
     original = training.summarize
     monkeypatch.setattr(
         training, "summarize", lambda records: {**original(records), "success": next(successes)}
@@ -345,8 +346,31 @@ def test_the_best_policy_is_kept(tiny, tmp_path, monkeypatch):
     train(tiny("schedule.evaluations=4", "schedule.steps=800"), tmp_path / "run")
     about = json.loads((tmp_path / "run/checkpoints/best/policy.json").read_text())
     assert about["evaluation"]["success"] == 0.5
+    assert about["fresh_evaluation"]["success"] == 0.3
     assert about["steps"] == 600  # of equals the later one
     assert about["config"]["robot"] == "pr2"
+
+
+def test_the_best_policy_is_judged_afresh_once(tiny, tmp_path, monkeypatch, digest):
+    out, offsets, original = tmp_path / "run", [], training.analytic_judge
+
+    def judge(config, network, offset):
+        offsets.append(offset)
+        if len(offsets) == 2:
+            raise KeyboardInterrupt
+        return original(config, network, offset)
+
+    monkeypatch.setattr(training, "analytic_judge", judge)
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny("schedule.steps=160", "schedule.evaluations=1"), out)
+    assert finished_run(out) is None
+    steps = resume(out).steps
+    assert offsets == [worlds.EVALUATION_SEED, worlds.FRESH_SEED] * 2
+    assert finished_run(out).steps == steps
+    best = digest(out / "checkpoints/best")
+    resume(out)
+    assert worlds.FRESH_SEED not in offsets[4:]
+    assert digest(out / "checkpoints/best") == best
 
 
 def test_a_folder_with_something_in_it_is_not_written_over(finished, tiny, digest):

@@ -6,10 +6,12 @@ import pytest
 from kinfeas import config, registry
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.evaluation.speed import random_network
+from kinfeas.kinematics.ik import IkOptions
 from kinfeas.tasks.loading import load_task
 from kinfeas.training import worlds
 from kinfeas.training.config import LAST_SEED, TrainConfig
-from kinfeas.training.worlds import EVALUATION_SEED, analytic_world, physics_world
+from kinfeas.training.worlds import EVALUATION_SEED, FRESH_SEED, analytic_world, physics_world
 
 EPISODES = 4
 
@@ -41,7 +43,10 @@ def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, see
     )
     np.testing.assert_array_equal(learned, again)
     assert apart(learned, judged(settings, seed))
-    assert apart(learned, judged(settings, seed + EVALUATION_SEED))
+    chosen, fresh = (judged(settings, seed + offset) for offset in (EVALUATION_SEED, FRESH_SEED))
+    assert apart(learned, chosen)
+    assert apart(learned, fresh)
+    assert apart(chosen, fresh)
 
 
 def test_nor_does_one_with_physics():
@@ -59,6 +64,27 @@ def test_evaluations_stay_what_they_have_always_been(robot):
     for episode in range(EPISODES):
         start = task.sample(world.solver, np.random.default_rng((1, episode)))
         np.testing.assert_array_equal(goal(world, episode), start.target_poses[0])
+
+
+IK = {"restarts": 2, "leeway": False, "self_collision": False, "position_tolerance": 1e-3}
+SOLVED = {"restarts": 24, "leeway": False, "self_collision": False, "position_tolerance": 1e-3}
+
+
+def test_what_counts_as_a_solution_is_the_run_s_where_it_is_judged(monkeypatch, tiny):
+    judged = []
+    monkeypatch.setattr(worlds, "run_episodes", lambda world, *_: judged.append(world.config.ik))
+    settings = tiny(f"world.ik={IK}")
+    network = random_network(registry.load_robot(settings.robot))
+    worlds.analytic_judge(settings, network)(network, 1)
+    assert judged == [IkOptions(**SOLVED)]
+
+
+def test_nor_is_it_another_with_physics(monkeypatch):
+    trials = []
+    monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: trials.append(trial))
+    told = {"robot": "hsr", "physics": {}, "world": {"ik": IK}}
+    worlds.physics_judge(config.from_mapping(TrainConfig, told, "physical"))(None, 3)
+    assert trials[0].settings.ik == IkOptions(**SOLVED)
 
 
 @pytest.mark.parametrize("asks", ["physics", "world"])
