@@ -73,6 +73,4 @@ def _show(name: str, costs: "list[Cost]") -> None:
             ]
         )
     columns = ["adapter", " success", " points", " reached", " deviation"]
-    print_table(
-        f"what the adapters of {name} cost: points to none or, left out, to all", columns, rows
-    )
+    print_table(f"adapters of {name}: points to none or, left out, to all", columns, rows)
