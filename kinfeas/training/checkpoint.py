@@ -20,7 +20,7 @@ _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "
 _WORLD = ("world.base_pose", "world.joint_positions", "world.sent", "world.desired")
 _FINITE = ("policy.", "buffer.", "log_ent_coef", *_WORLD)
 """What the names of tensors begin with in which every number is finite."""
-_STATES = "world.states."
+_STATES = "world.motion."
 """What the names of motions' states begin with."""
 _UNSIGNED = ".unsigned"
 

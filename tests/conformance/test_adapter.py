@@ -161,8 +161,8 @@ def test_sound_answers_come_through():
     adapter = checked(Able, step=changed(base_pose=BASE.astype(np.float32)))
     assert run(adapter).base_pose.dtype == np.float32
     adapter.close()
-    assert adapter.backend.closed == 1
-    assert adapter.read() is adapter.backend.backend.state
+    assert adapter.adapter.closed == 1
+    assert adapter.read() is adapter.backend.state
 
 
 def test_a_copy_asks_the_adapter_of_its_own():

@@ -110,7 +110,7 @@ def test_any_tensor_of_another_form_is_a_clear_error(tiny, tmp_path, seed):
 
 def test_a_snapshot_may_hold_motions_that_begin_later(tiny, tmp_path):
     toy = Toy(tiny())
-    saved = {**toy.env.snapshot(), "states.1.goal": np.zeros((4, 7))}
+    saved = {**toy.env.snapshot(), "motion.1.goal": np.zeros((4, 7))}
     (tmp_path / "a").mkdir()
     save_learner(tmp_path / "a", toy.learner, saved, {})
     assert load_learner(tmp_path / "a", toy.learner, toy.env.snapshot()).keys() == saved.keys()
