@@ -101,19 +101,20 @@ def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Bac
         backend = (
             made
             if is_own(made) or isinstance(made, Hooked)
-            else (CheckedAdapter(made, subject, backend))
+            else CheckedAdapter(made, subject, backend)
         )
     return backend
 
 
 def chain(backend: Backend) -> Iterator[Backend]:
     """Yield `backend` and all that it is wrapped around, the outermost first."""
-    yield backend
-    while isinstance(backend, BackendWrapper):
-        if isinstance(backend, CheckedAdapter):
-            yield backend.adapter
-        backend = backend.backend
-        yield backend
+    link: Any = backend
+    yield link
+    while isinstance(link, BackendWrapper):
+        if isinstance(link, CheckedAdapter):
+            yield link.adapter
+        link = link.backend
+        yield link
 
 
 def paced(backend: Backend, pace: Pace) -> Pace:
