@@ -232,7 +232,8 @@ class _Run:
         if trained.fresh_evaluation:
             return
         records = self._judge(FRESH_SEED)(network, self.config.schedule.evaluation_episodes)
-        judged = replace(trained, fresh_evaluation=dict(summarize(records)))
+        figures: Mapping[str, Any] = summarize(records)
+        judged = replace(trained, fresh_evaluation=dict(figures))
 
         def fill(folder: Path) -> None:
             shutil.copyfile(best / WEIGHTS, folder / WEIGHTS)
