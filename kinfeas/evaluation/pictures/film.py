@@ -31,7 +31,7 @@ class AnalyticFilm:
     @property
     def times(self) -> Array:
         """Seconds since the start of the episode, shape (t,)."""
-        return np.arange(len(self.recording.feasible)) * self.recording.dt
+        return np.arange(len(self.recording.feasible), dtype=np.float64) * self.recording.dt
 
     def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
         """Return the picture of one moment; its caption says how many times faster it is shown."""
