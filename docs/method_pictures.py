@@ -18,10 +18,10 @@ from kinfeas.evaluation.pictures.solids import robot_faces
 from kinfeas.evaluation.pictures.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
 from kinfeas.kinematics.ceiling import reachable
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.observation import FIELDS
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, compose, make_pose, planar_pose, relative
+from kinfeas.subgoals import GOAL_METRES, GOAL_RADIANS
 
 IMAGES = Path(__file__).parent / "images"
 ROBOTS = ("pr2", "tiago", "hsr")
@@ -227,9 +227,11 @@ def in_gripper_convention(robot: Robot, tip: Array) -> Array:
 
 def reached(robot: Robot) -> Array:
     """Return the share of turned goals that some base pose reaches, by height, shape (h,)."""
-    # At a goal a leeway is gone: what counts there is what success asks for.
-    goal = IkOptions(leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS)
-    solver = IkSolver(robot, IkOptions() if robot.leeway is None else goal)
+    # At a goal a pose tolerance is gone: what counts there is what success asks for.
+    goal = IkOptions(
+        pose_tolerance=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
+    )
+    solver = IkSolver(robot, IkOptions() if robot.pose_tolerance is None else goal)
     rng = np.random.default_rng(0)
     shares = []
     for height in HEIGHTS:

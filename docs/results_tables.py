@@ -33,9 +33,9 @@ TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 AIDS = {
-    "pr2": ("yielding", "yielding:pretrained"),
-    "tiago": ("looking ahead and yielding", "look_ahead:yielding:pretrained"),
-    "hsr": ("looking ahead", "look_ahead:sac"),
+    "pr2": ("feasibility_filter", "yielding:pretrained"),
+    "tiago": ("looking ahead and yielding", "rollout_planner:yielding:pretrained"),
+    "hsr": ("looking ahead", "rollout_planner:sac"),
 }
 """What helps each robot, in words, and the policy that has this help."""
 ROWS = {
@@ -54,7 +54,7 @@ ANY_START = "any start"
 PHYSICS = {
     ("head_start", "pretrained"): "{}, 3 s head start",
     ("", "pretrained"): "{}",
-    ("", "look_ahead:pretrained"): "{}, looking ahead",
+    ("", "rollout_planner:pretrained"): "{}, looking ahead",
     ("no_objects", "pretrained"): "{}, without objects",
     ("", "follow_ee"): "{}, `follow_ee`",
     ("", "follow_ee_feedback"): "{}, `follow_ee_feedback`",
@@ -63,7 +63,7 @@ PHYSICS = {
 }
 IN_PYBULLET = {
     "pr2": (("head_start", "pretrained"),),
-    "tiago": (("", "pretrained"), ("", "look_ahead:pretrained")),
+    "tiago": (("", "pretrained"), ("", "rollout_planner:pretrained")),
     "hsr": (("", "pretrained"),),
 }
 """Variants and policies of the README's rows with physics."""
@@ -189,7 +189,7 @@ def _share(cells: Cells, robot: str, task: str, policy: str) -> str:
 def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
     if (robot, task, policy) not in cells:
         return ""
-    return f"{cells[robot, task, policy]['jumps_per_episode']:.2f}"
+    return f"{cells[robot, task, policy]['joint_jumps_per_episode']:.2f}"
 
 
 def _physics_row(name: str, cell: Entry) -> str:

@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from kinfeas import registry, spatial
-from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.evaluation.ceiling import measure_reachability
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
@@ -40,7 +40,7 @@ def main() -> None:
         f"off by {1000 * metres.max():.3f} mm and {np.rad2deg(radians.max()):.3f} degrees at most"
     )
 
-    ceiling = measure_ceiling(robot, load_task("ggr"), given.goals, seed=1)
+    ceiling = measure_reachability(robot, load_task("ggr"), given.goals, seed=1)
     print(
         f"{ceiling.share.value:.2f} of {given.goals} random goals are reached from some base pose"
     )

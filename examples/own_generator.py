@@ -30,11 +30,13 @@ class Wave:
     def twist(self, state, ee_pose, dt):
         """Return the twist for the next `dt` seconds, and the next state."""
         rest = spatial.twist_between(ee_pose, state["goal"], 1.0)
-        pace = max(np.linalg.norm(rest[:3]) / self.speed, np.linalg.norm(rest[3:]) / 0.1, dt, 1.0)
+        execution = max(
+            np.linalg.norm(rest[:3]) / self.speed, np.linalg.norm(rest[3:]) / 0.1, dt, 1.0
+        )
         sideways = np.array([-rest[1], rest[0], 0.0])
         far = min(np.linalg.norm(sideways), 1.0)
         sideways *= self.sway * far / max(np.linalg.norm(sideways), 1e-9)
-        twist = rest / pace
+        twist = rest / execution
         twist[:3] += sideways * np.sin(0.5 * state["time"])
         return twist, {**state, "time": state["time"] + dt}
 

@@ -4,10 +4,10 @@ import argparse
 import math
 
 from kinfeas import registry
-from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.evaluation.ceiling import measure_reachability
 from kinfeas.evaluation.evaluate import Trial, evaluate
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.tasks.chain import BaseStart, ChainLeg, ChainTask, Place
+from kinfeas.tasks.chain import BaseStart, ChainSubgoal, ChainTask, Place
 from kinfeas.tasks.task import MotionSpec
 
 WATER_PLANTS = ChainTask(
@@ -18,11 +18,11 @@ WATER_PLANTS = ChainTask(
         "tap": Place(position=(1.2, (-0.3, 0.3), 0.9)),
         "plant": Place(position=((-0.8, -0.6), 1.2, (0.6, 0.8)), rpy=(0.0, 0.0, math.pi / 2.0)),
     },
-    legs=(
-        ChainLeg(place="tap", offset=(-0.1, 0.0, 0.0), frame="tip", wait=2.0),
+    subgoals=(
+        ChainSubgoal(place="tap", offset=(-0.1, 0.0, 0.0), frame="tip", dwell=2.0),
         # A waypoint above the plant, then slowly down to it.
-        ChainLeg(place="plant", offset=(0.0, 0.0, 0.15), frame="tip"),
-        ChainLeg(
+        ChainSubgoal(place="plant", offset=(0.0, 0.0, 0.15), frame="tip"),
+        ChainSubgoal(
             place="plant",
             frame="tip",
             motion=MotionSpec("minimum_jerk", {"max_velocity": 0.05}),
@@ -39,7 +39,7 @@ def main() -> None:
     given = parser.parse_args()
     for name in given.robots:
         robot = registry.load_robot(name)
-        ceiling = measure_ceiling(robot, WATER_PLANTS, given.episodes, seed=1).share
+        ceiling = measure_reachability(robot, WATER_PLANTS, given.episodes, seed=1).share
         trial = Trial(robot, WATER_PLANTS, given.episodes)
         figures = evaluate(trial, load_policy("pretrained", robot), "pretrained", ceiling)
         seconds = figures["mean_steps"] * trial.world.dt

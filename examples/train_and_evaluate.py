@@ -24,7 +24,7 @@ def main() -> None:
     given = parser.parse_args()
 
     config = load(TrainConfig, default_recipe("train", "pr2"))
-    few = replace(config.learner, random_steps=min(3000, given.steps // 2))
+    few = replace(config.learner, learning_starts=min(3000, given.steps // 2))
     schedule = replace(
         config.schedule,
         steps=given.steps,
@@ -33,7 +33,7 @@ def main() -> None:
         evaluation_episodes=4,
         final_episodes=4,
     )
-    config = replace(config, environments=64, learner=few, schedule=schedule)
+    config = replace(config, num_envs=64, learner=few, schedule=schedule)
     with tempfile.TemporaryDirectory() as folder:
         out = given.out or Path(folder) / "run"
         progress = train(config, out)
@@ -43,7 +43,7 @@ def main() -> None:
         trial = Trial(robot, load_task(config.task), given.episodes)
         for name in (str(out), "follow_ee", "follow_ee_feedback"):
             figures = evaluate(trial, load_policy(name, robot))
-            failures = figures["mean_failures"]
+            failures = figures["ik_failures_per_episode"]
             print(f"{name}: success {figures['success']:.2f}, {failures:.1f} failures an episode")
 
 

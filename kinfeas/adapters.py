@@ -8,11 +8,11 @@ from kinfeas import config, registry
 from kinfeas.backend import Backend, BackendWrapper
 from kinfeas.conformance.adapter import CheckedAdapter
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import Blaming, is_own, package_of
-from kinfeas.legs import Pace, Pacing
+from kinfeas.foreign import PluginErrors, is_own, package_of
 from kinfeas.robots.robot import Robot
 from kinfeas.storage import strict_yaml
 from kinfeas.storage.recipes import find_recipe
+from kinfeas.subgoals import ExecutionAdapter, ExecutionConfig
 
 FOLDER = "sim2real"
 """Where the ladder of shipped lists stands among the configurations."""
@@ -117,19 +117,19 @@ def chain(backend: Backend) -> Iterator[Backend]:
         yield link
 
 
-def paced(backend: Backend, pace: Pace) -> Pace:
-    """Return the pace that the adapters around a backend make of `pace`.
+def execution_of(backend: Backend, execution: ExecutionConfig) -> ExecutionConfig:
+    """Return the pace that the adapters around a backend make of `execution`.
 
     Raises:
         KinfeasError: If one from outside fails, or makes no pace of it.
     """
     for link in chain(backend):
-        if isinstance(link, Pacing):
+        if isinstance(link, ExecutionAdapter):
             subject = f"adapter {type(link).__name__}"
-            with Blaming(f"{subject} fails in pace:", package_of(link)):
-                answer: Any = link.pace(pace)
-            if not isinstance(answer, Pace):
+            with PluginErrors(f"{subject} fails in pace:", package_of(link)):
+                answer: Any = link.execution(execution)
+            if not isinstance(answer, ExecutionConfig):
                 got = type(answer).__name__
-                raise KinfeasError(f"{subject} must return a Pace from pace, not {got}")
-            pace = answer
-    return pace
+                raise KinfeasError(f"{subject} must return a ExecutionConfig from pace, not {got}")
+            execution = answer
+    return execution

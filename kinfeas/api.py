@@ -110,7 +110,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
     world: WorldName = "analytic",
     episodes: int | None = None,
     seed: int = 1,
-    look_ahead: bool = False,
+    rollout_planner: bool = False,
     sim2real: str | Path | None = None,
     processes: int = 1,
     settings: Mapping[str, object] | None = None,
@@ -127,7 +127,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         world: With physics, or without.
         episodes: How many; by default 500, with physics 50.
         seed: Of all episodes.
-        look_ahead: Whether the policy looks ahead.
+        rollout_planner: Whether the policy looks ahead.
         sim2real: Adapters by name or YAML file.
         processes: How many processes share the episodes.
         settings: Keys such as `world.dt` and their values, as `--set` has them.
@@ -137,12 +137,12 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         KinfeasError: If an argument or a setting is wrong.
     """
     from kinfeas.evaluation import by_name
-    from kinfeas.evaluation.policies import LOOK_AHEAD
+    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
 
     name = str(policy)
     check_policy(name)
-    if look_ahead:
-        name = LOOK_AHEAD + name.removeprefix(LOOK_AHEAD)
+    if rollout_planner:
+        name = ROLLOUT_PLANNER + name.removeprefix(ROLLOUT_PLANNER)
     names = (name, _name(robot) or robot_of(name), str(task))
     adapters = () if sim2real is None else options.read_adapters(str(sim2real))
     count = by_name.EPISODES[_world(world)] if episodes is None else episodes
@@ -187,7 +187,8 @@ def load_policy(policy: str | Path, *, robot: str | Path | None = None) -> "Poli
     Example: `act = kinfeas.load_policy("pretrained", robot="tiago").act`
 
     Args:
-        policy: Folder of a run, ONNX file, baseline or `pretrained`; `look_ahead:NAME` looks ahead.
+        policy: Folder of a run, ONNX file, baseline or `pretrained`; `rollout_planner:NAME` looks
+            ahead.
         robot: Name or YAML file; by default the one that the policy was trained for.
 
     Raises:

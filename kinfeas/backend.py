@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.foreign import Blaming, package_of
+from kinfeas.foreign import PluginErrors, package_of
 from kinfeas.spatial import Array
 
 Grip = Literal["close", "open"]
@@ -25,7 +25,7 @@ class RobotState:
         joint_velocities: Of the arm joints, shape (n, j), per second, where they are measured.
         age: Seconds since the oldest part of it was measured, shape (n,), where that is known.
         ee_in_base: EE pose in the base frame, shape (n, 7), where it is not what the joints say.
-        truth: What really is, where a sensor errs and a simulator knows.
+        true_state: What really is, where a sensor errs and a simulator knows.
     """
 
     base_pose: Array
@@ -34,7 +34,7 @@ class RobotState:
     joint_velocities: Array | None = None
     age: Array | None = None
     ee_in_base: Array | None = None
-    truth: "RobotState | None" = None
+    true_state: "RobotState | None" = None
 
 
 class Backend(Protocol):
@@ -91,7 +91,7 @@ class Stochastic(Protocol):
 
 
 @runtime_checkable
-class Gripping(Protocol):
+class SupportsGripper(Protocol):
     """A backend or adapter whose robots have grippers."""
 
     def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
@@ -105,13 +105,13 @@ class Gripping(Protocol):
 
 
 @dataclass(frozen=True)
-class Nearby:
+class ObstacleDistances:
     """What stands near the bases of n robots: k places each, of which some may be empty.
 
     Attributes:
-        place: The point of the base that is nearest to a thing, in the base frame, shape (n, k, 2),
-            metres.
-        toward: Horizontal part of the unit vector from there to the thing, in the base frame, shape
+        closest_point: The point of the base that is nearest to a thing, in the base frame, shape
+            (n, k, 2), metres.
+        normal: Horizontal part of the unit vector from there to the thing, in the base frame, shape
             (n, k, 2).
         distance: How far the thing is away, shape (n, k), metres: below 0 where both are in one
             another, inf where there is none.
@@ -120,36 +120,36 @@ class Nearby:
         ValueError: If the shapes are others, or something is no number.
     """
 
-    place: Array
-    toward: Array
+    closest_point: Array
+    normal: Array
     distance: Array
 
     def __post_init__(self) -> None:
         """Check what a backend from outside may have made."""
         shape = (*self.distance.shape, 2)
-        if len(shape) != 3 or self.place.shape != shape or self.toward.shape != shape:
-            shapes = f"{self.place.shape}, {self.toward.shape} and {self.distance.shape}"
+        if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
+            shapes = f"{self.closest_point.shape}, {self.normal.shape} and {self.distance.shape}"
             raise ValueError(
                 "place, toward and distance must be of the shapes (n, k, 2), (n, k, 2) and (n, k), "
                 f"not {shapes}"
             )
-        if not (np.isfinite(self.place).all() and np.isfinite(self.toward).all()):
+        if not (np.isfinite(self.closest_point).all() and np.isfinite(self.normal).all()):
             raise ValueError("place and toward must be finite")
         if not (self.distance > -np.inf).all():
             raise ValueError("distance must be a number, or inf where there is nothing")
 
 
 @runtime_checkable
-class Seeing(Protocol):
+class SupportsObstacleDistances(Protocol):
     """A backend or adapter that knows what stands around its robots."""
 
-    def near(self, within: float) -> Nearby:
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return what is nearer than `within` metres to the bases, but for what they handle."""
         ...
 
 
 @runtime_checkable
-class Live(Protocol):
+class RealTimeBackend(Protocol):
     """A backend whose robot moves by a clock of its own: a real one, or a process that plays one.
 
     It cannot be put anywhere: `reset` leaves the robot where it is and returns its state. `step`
@@ -187,7 +187,7 @@ class Resumable(Protocol):
         ...
 
 
-def blaming(backend: Backend, method: str) -> Blaming:
+def plugin_errors(backend: Backend, method: str) -> PluginErrors:
     """Return the context of a call of one of its methods, in which what it raises names it."""
     name = type(backend).__name__
-    return Blaming(f"backend {name} fails in {method}:", package_of(backend))
+    return PluginErrors(f"backend {name} fails in {method}:", package_of(backend))

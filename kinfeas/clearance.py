@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.adapters import chain
-from kinfeas.backend import Backend, Nearby, Seeing, blaming
+from kinfeas.backend import Backend, ObstacleDistances, SupportsObstacleDistances, plugin_errors
 from kinfeas.drive import action_size, carried_out
 from kinfeas.errors import KinfeasError
 from kinfeas.half_spaces import project
@@ -26,22 +26,22 @@ _NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
-class Limits:
+class VelocityConstraints:
     """How bases may move: velocities u of a row, in m/s, keep `toward @ u <= most`.
 
     Attributes:
         full: Velocities of full commands, shape (a,), turns at `_LEVER` from the middle.
-        toward: Share of each velocity that leads to each of k things, shape (n, k, a).
+        normal: Share of each velocity that leads to each of k things, shape (n, k, a).
         most: How fast they may be approached, shape (n, k), at least 0; inf where nothing is.
     """
 
     full: Array
-    toward: Array
+    normal: Array
     most: Array
 
-    def of(self, rows: NDArray[np.intp]) -> "Limits":
+    def of(self, rows: NDArray[np.intp]) -> "VelocityConstraints":
         """Return the limits of some rows."""
-        return Limits(self.full, self.toward[rows], self.most[rows])
+        return VelocityConstraints(self.full, self.normal[rows], self.most[rows])
 
     def hold(self, action: Array) -> Array:
         """Return the commands nearest to `action` that are within the limits.
@@ -52,14 +52,14 @@ class Limits:
             action: Base commands, shape (n, t, a): t for each row.
         """
         velocity = carried_out(action) * self.full
-        breach = project(velocity, self.toward, self.most, _NOTHING)
+        breach = project(velocity, self.normal, self.most, _NOTHING)
         held = velocity / self.full
         # Where the way round is faster than the base can be, all of the command slows down.
         speed = np.linalg.norm(held[..., :-1], axis=-1, keepdims=True)
         return np.where(breach[..., np.newaxis], held / np.maximum(speed, 1.0), action)
 
 
-class Clearance:
+class ObstacleFilter:
     """Sees to it that no base comes nearer to what stands around than it should.
 
     Each thing near it lets the base approach so fast that it can still brake, as velocity dampers
@@ -78,9 +78,9 @@ class Clearance:
 
     def __init__(self, base: Base, backend: Backend, metres: float, dt: float) -> None:
         *_, self._innermost = chain(backend)
-        if not isinstance(backend, Seeing):
+        if not isinstance(backend, SupportsObstacleDistances):
             raise KinfeasError(
-                f"clearance={metres:g} needs a backend that knows what stands around the base, and "
+                f"min_obstacle_distance={metres:g} needs a backend that knows what stands around the base, and "
                 f"{type(self._innermost).__name__} does not: only 0 is allowed"
             )
         self._backend, self._metres, self._dt = backend, metres, dt
@@ -90,7 +90,7 @@ class Clearance:
         # Whatever is further away may be approached as fast as the base can.
         self._look = metres + max(fastest**2 / self._brakes, 2.0 * dt * fastest)
 
-    def limits(self, n: int) -> Limits:
+    def limits(self, n: int) -> VelocityConstraints:
         """Return how fast n bases may approach what is near them now.
 
         So fast that half of the braking that the base is capable of suffices, and at most half of
@@ -99,25 +99,27 @@ class Clearance:
         Raises:
             KinfeasError: If a backend from outside fails, or says nothing of the kind.
         """
-        with blaming(self._innermost, "near"):
-            near: Any = self._backend.near(self._look)
+        with plugin_errors(self._innermost, "near"):
+            obstacle_distances: Any = self._backend.obstacle_distances(self._look)
         name = type(self._innermost).__name__
-        if not isinstance(near, Nearby):
-            got = type(near).__name__
-            raise KinfeasError(f"backend {name} must return a Nearby from near, not {got}")
-        if len(near.distance) != n:
-            got = str(len(near.distance))
+        if not isinstance(obstacle_distances, ObstacleDistances):
+            got = type(obstacle_distances).__name__
+            raise KinfeasError(
+                f"backend {name} must return a ObstacleDistances from near, not {got}"
+            )
+        if len(obstacle_distances.distance) != n:
+            got = str(len(obstacle_distances.distance))
             raise KinfeasError(f"backend {name} must say what is near to {n} robots, not to {got}")
-        way = np.maximum(near.distance - self._metres, 0.0)
+        way = np.maximum(obstacle_distances.distance - self._metres, 0.0)
         most = np.minimum(np.sqrt(self._brakes * way), way / (2.0 * self._dt))
-        toward = _toward(near, len(self._full))
+        normal = _toward(obstacle_distances, len(self._full))
         # Nor does a base turn faster than it can: its way gives in then.
         turns = np.zeros((n, 2, len(self._full)))
         turns[:, :, -1] = [1.0, -1.0]
         fastest = np.full((n, 2), self._full[-1])
-        return Limits(
+        return VelocityConstraints(
             self._full,
-            np.concatenate([toward, turns], axis=1),
+            np.concatenate([normal, turns], axis=1),
             np.concatenate([most, fastest], axis=1),
         )
 
@@ -128,8 +130,11 @@ def _full_velocity(base: Base) -> Array:
     return np.array([*[base.max_velocity] * ways, base.max_rotation * _LEVER])
 
 
-def _toward(near: Nearby, size: int) -> Array:
+def _toward(obstacle_distances: ObstacleDistances, size: int) -> Array:
     """Return how much of each of `size` velocities leads to each thing, shape (n, k, size)."""
-    turn = near.toward[..., 1] * near.place[..., 0] - near.toward[..., 0] * near.place[..., 1]
-    ways = near.toward[..., : size - 1]
+    turn = (
+        obstacle_distances.normal[..., 1] * obstacle_distances.closest_point[..., 0]
+        - obstacle_distances.normal[..., 0] * obstacle_distances.closest_point[..., 1]
+    )
+    ways = obstacle_distances.normal[..., : size - 1]
     return np.concatenate([ways, turn[..., np.newaxis] / _LEVER], axis=-1)

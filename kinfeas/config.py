@@ -16,12 +16,12 @@ from kinfeas.storage import strict_yaml
 
 __all__ = [
     "Interval",
-    "blaming",
     "dump",
     "from_mapping",
     "index_in",
     "load",
     "no_such",
+    "plugin_errors",
     "to_mapping",
 ]
 
@@ -82,7 +82,7 @@ def assigned(overrides: Sequence[str]) -> dict[str, object]:
 
 
 @contextmanager
-def blaming(place: str) -> Iterator[None]:
+def plugin_errors(place: str) -> Iterator[None]:
     """Let errors in assignments name the `place` where they stand, which is no command line."""
     try:
         yield

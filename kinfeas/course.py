@@ -1,4 +1,4 @@
-"""The course of n EEs: motions one after the other, each row at its own leg."""
+"""The course of n EEs: motions one after the other, each row at its own sub-goal."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,63 +9,81 @@ from numpy.typing import NDArray
 
 from kinfeas import spatial
 from kinfeas.conformance.checks import CheckedMotion
-from kinfeas.legs import LegMotion, Pace, tool_pose
 from kinfeas.motion import State
 from kinfeas.robots.robot import Robot
 from kinfeas.rows import Rows, merged, of_rows, with_rows
 from kinfeas.spatial import Array
+from kinfeas.subgoals import ExecutionConfig, SubgoalMotion, tool_pose
 
 Moves = tuple[Array, list[State]]
 """Desired EE poses, shape (n, 7), and the state of each generator there."""
 
-_STATES, _ROWS = "motion", ("desired", "leg", "waiting", "seeds", "targets")
+_STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets")
 
 
-class Course:
-    """The desired motion of n EEs through the same legs.
+class MotionSequence:
+    """The desired motion of n EEs through the same sub-goals.
 
-    No row depends on the others: a leg is begun with randomness that its row's seed and the leg's
-    number determine. Arrays are replaced, never written into, since others may hold them.
+    No row depends on the others: a sub-goal is begun with randomness that its row's seed and the
+    sub-goal's number determine. Arrays are replaced, never written into, since others may hold
+    them.
 
     Attributes:
         desired: Desired world pose of the EE, shape (n, 7).
-        leg: Number of the leg that each row is at, shape (n,).
-        waiting: Control periods until it begins the next leg, shape (n,): first those in which
+        sub-goal: Number of the sub-goal that each row is at, shape (n,).
+        waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
             the motion settles, then those in which it stands still. Below zero, periods until it
             begins the first one.
     """
 
     def __init__(
-        self, legs: Sequence[LegMotion], robot: Robot, dt: float, pace: Pace | None = None
+        self,
+        subgoals: Sequence[SubgoalMotion],
+        robot: Robot,
+        dt: float,
+        execution: ExecutionConfig | None = None,
     ) -> None:
-        """Set out the legs; `start` must follow before anything else.
+        """Set out the sub-goals; `start` must follow before anything else.
 
         Args:
-            legs: At least one.
-            robot: Whose tool tip `tip` legs move.
+            subgoals: At least one.
+            robot: Whose tool tip `tip` sub-goals move.
             dt: Control period in seconds.
-            pace: Head start and settling; none by default.
+            execution: Head start and settling; none by default.
         """
-        pace = pace or Pace()
-        distinct = {id(leg.generator): CheckedMotion(leg.generator, leg.name) for leg in legs}
+        execution = execution or ExecutionConfig()
+        distinct = {
+            id(subgoal.generator): CheckedMotion(subgoal.generator, subgoal.name)
+            for subgoal in subgoals
+        }
         order = list(distinct)
-        self.legs, self.generators = tuple(legs), list(distinct.values())
-        self._which = np.array([order.index(id(leg.generator)) for leg in legs])
-        self._dt, self._head_start, self._spread = dt, pace.head_start, pace.spread
-        settle = _periods(pace.settle * pace.slow_down, dt)
-        self._periods = np.array([_periods(leg.wait, dt) for leg in legs], dtype=np.intp)
-        self._settle = np.array([settle if leg.grip else 0 for leg in legs], dtype=np.intp)
+        self.subgoals, self.generators = tuple(subgoals), list(distinct.values())
+        self._which = np.array([order.index(id(subgoal.generator)) for subgoal in subgoals])
+        self._dt, self._head_start, self._head_start_jitter = (
+            dt,
+            execution.head_start,
+            execution.head_start_jitter,
+        )
+        grasp_settle_time = _periods(execution.grasp_settle_time * execution.slow_down, dt)
+        self._periods = np.array(
+            [_periods(subgoal.dwell, dt) for subgoal in subgoals], dtype=np.intp
+        )
+        self._grasp_settle_time = np.array(
+            [grasp_settle_time if subgoal.grip else 0 for subgoal in subgoals], dtype=np.intp
+        )
         tool = tool_pose(robot)
-        self._tips = any(leg.frame == "tip" for leg in legs)
-        self._tool = np.stack([tool if leg.frame == "tip" else spatial.IDENTITY for leg in legs])
+        self._tips = any(subgoal.frame == "tip" for subgoal in subgoals)
+        self._tool = np.stack(
+            [tool if subgoal.frame == "tip" else spatial.IDENTITY for subgoal in subgoals]
+        )
         self._ee_in_tool = spatial.relative(
-            np.broadcast_to(spatial.IDENTITY, (len(legs), 7)), self._tool
+            np.broadcast_to(spatial.IDENTITY, (len(subgoals), 7)), self._tool
         )
         self._demonstrated = any(one.demonstrated for one in self.generators)
         self.desired: Array = np.empty((0, 7))
-        self.leg = self.waiting = np.empty(0, dtype=np.intp)
+        self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
-        self._targets: Array = np.empty((0, len(legs), 7))
+        self._targets: Array = np.empty((0, len(subgoals), 7))
         self._states: list[State] = []
         self._goal: Array | None = None  # until something moves
 
@@ -76,11 +94,11 @@ class Course:
         rngs: Sequence[np.random.Generator],
         rows: Rows | None = None,
     ) -> None:
-        """Begin the first leg.
+        """Begin the first sub-goal.
 
         Args:
             ee_pose: World pose of the EE in m rows, shape (m, 7).
-            target_poses: What their legs head for, shape (m, legs, 7).
+            target_poses: What their sub-goals head for, shape (m, sub-goals, 7).
             rngs: One source of randomness for each of them.
             rows: Which of the n rows begin anew; all of them by default, which also sets n.
         """
@@ -92,13 +110,13 @@ class Course:
             self._states = [{} for _ in self.generators]
             rows = np.arange(len(rngs))
         else:
-            held = zip(self._held(), fresh, strict=True)
-            self._put(tuple(with_rows(old, rows, new) for old, new in held))
+            paused = zip(self._held(), fresh, strict=True)
+            self._put(tuple(with_rows(old, rows, new) for old, new in paused))
         self._begin(rows)
 
     @property
     def goal(self) -> Array:
-        """World pose of the EE at the end of each row's leg, shape (n, 7)."""
+        """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
         if self._goal is None:
             asked = self._ask(lambda generator, state: generator.goal_pose(state))
             self._goal = self._to_ee(asked)
@@ -106,13 +124,13 @@ class Course:
 
     @property
     def last(self) -> NDArray[np.bool_]:
-        """Whether each row is at its last leg, shape (n,)."""
-        return self.leg == len(self.legs) - 1
+        """Whether each row is at its last sub-goal, shape (n,)."""
+        return self.subgoal == len(self.subgoals) - 1
 
     @property
     def stands(self) -> NDArray[np.bool_]:
         """Whether each row's desired pose stands still now, shape (n,)."""
-        settled = self.waiting <= self._periods[self.leg]
+        settled = self.waiting <= self._periods[self.subgoal]
         stands: NDArray[np.bool_] = (self.waiting != 0) & settled
         return stands
 
@@ -120,7 +138,7 @@ class Course:
     def demonstrated_base(self) -> Array:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
         if not self._demonstrated:
-            return np.broadcast_to(np.nan, (len(self.leg), 7))
+            return np.broadcast_to(np.nan, (len(self.subgoal), 7))
         return self._ask(lambda generator, state: generator.base_pose(state))
 
     def ahead(self, dt: float) -> Moves:
@@ -138,11 +156,11 @@ class Course:
         moved = self._to_ee(spatial.integrate(frame, twist, dt))
         return np.where(stands[:, np.newaxis], self.desired, moved), states
 
-    def move(self, moves: Moves, held: NDArray[np.bool_] | None = None) -> None:
-        """Go where `ahead` looked, but for the rows that are `held`, shape (n,)."""
+    def move(self, moves: Moves, paused: NDArray[np.bool_] | None = None) -> None:
+        """Go where `ahead` looked, but for the rows that are `paused`, shape (n,)."""
         desired, states = moves
-        if held is not None and held.any():
-            rows = np.flatnonzero(held)
+        if paused is not None and paused.any():
+            rows = np.flatnonzero(paused)
             desired = with_rows(desired, rows, self.desired[rows])
             pairs = zip(states, self._states, strict=True)
             states = [
@@ -154,28 +172,29 @@ class Course:
     def advance(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
     ) -> NDArray[np.bool_]:
-        """End a control period: settle, wait, or begin the next leg.
+        """End a control period: grasp_settle_time, wait, or begin the next sub-goal.
 
         Args:
-            arrived: Whether the EE is at the end of its leg, shape (n,).
+            arrived: Whether the EE is at the end of its sub-goal, shape (n,).
             settled: Whether it is as near as a grip needs it, shape (n,); not by default.
 
         Returns:
-            Whether the motion of a leg that is not the last has just come to its end, shape (n,).
+            Whether the motion of a sub-goal that is not the last has just come to its end, shape
+            (n,).
         """
-        if len(self.legs) == 1 and not self._head_start + self._spread:
-            return np.zeros(len(self.leg), dtype=np.bool_)
+        if len(self.subgoals) == 1 and not self._head_start + self._head_start_jitter:
+            return np.zeros(len(self.subgoal), dtype=np.bool_)
         left = self.waiting - np.sign(self.waiting)
         ends = arrived & (self.waiting == 0) & ~self.last
-        stand = self._periods[self.leg]
+        stand = self._periods[self.subgoal]
         moved = ends | (self.waiting > stand)
-        left = np.where(ends, stand + self._settle[self.leg], left)
+        left = np.where(ends, stand + self._grasp_settle_time[self.subgoal], left)
         if settled is not None:
             left = np.where(settled, np.minimum(left, stand), left)
         goes_on = ((self.waiting > 0) | ends) & (left == 0)
         self.waiting = left
         if goes_on.any():
-            self.leg = self.leg + goes_on
+            self.subgoal = self.subgoal + goes_on
             self._begin(np.flatnonzero(goes_on))
         stops: NDArray[np.bool_] = moved & (left <= stand)
         return stops
@@ -200,27 +219,30 @@ class Course:
                 self._states[int(number)][key] = values.copy()
 
     def _held(self) -> tuple[NDArray[Any], ...]:
-        return self.desired, self.leg, self.waiting, self._seeds, self._targets
+        return self.desired, self.subgoal, self.waiting, self._seeds, self._targets
 
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
-        self.desired, self.leg, self.waiting, self._seeds, self._targets = arrays
+        self.desired, self.subgoal, self.waiting, self._seeds, self._targets = arrays
 
     def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
-        """Return the control periods before each row's first leg; nothing is drawn in vain."""
-        drawn = [self._spread * rng.random() if self._spread else 0.0 for rng in rngs]
+        """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
+        drawn = [
+            self._head_start_jitter * rng.random() if self._head_start_jitter else 0.0
+            for rng in rngs
+        ]
         each = [_periods(self._head_start + more, self._dt) for more in drawn]
         return np.array(each, dtype=np.intp)
 
     def _begin(self, rows: Rows) -> None:
-        """Start the motion of the leg that each of `rows` is at, from its desired pose."""
-        begins = np.zeros(len(self.leg), dtype=np.bool_)
+        """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""
+        begins = np.zeros(len(self.subgoal), dtype=np.bool_)
         begins[rows] = True
         frame = self._to_frame(self.desired)
         for number, generator, group in self._groups(begins):
-            legs = self.leg[group]
-            keys = zip(self._seeds[group].tolist(), legs.tolist(), strict=True)
+            subgoals = self.subgoal[group]
+            keys = zip(self._seeds[group].tolist(), subgoals.tolist(), strict=True)
             rngs = [np.random.default_rng(key) for key in keys]
-            state = generator.start(frame[group], self._targets[group, legs], rngs)
+            state = generator.start(frame[group], self._targets[group, subgoals], rngs)
             self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
 
@@ -228,24 +250,24 @@ class Course:
         """Return what each row's generator answers, shape (n, 7)."""
         if len(self.generators) == 1:
             return question(self.generators[0], self._states[0])
-        answers = np.empty((len(self.leg), 7))
-        for number, generator, rows in self._groups(np.ones(len(self.leg), dtype=np.bool_)):
+        answers = np.empty((len(self.subgoal), 7))
+        for number, generator, rows in self._groups(np.ones(len(self.subgoal), dtype=np.bool_)):
             answers[rows] = question(generator, of_rows(self._states[number], rows))
         return answers
 
     def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, CheckedMotion, Rows]]:
         """Return each generator with its number and those of the `chosen` rows it moves now."""
-        which = np.where(chosen, self._which[self.leg], -1)
+        which = np.where(chosen, self._which[self.subgoal], -1)
         groups = [(i, one, np.flatnonzero(which == i)) for i, one in enumerate(self.generators)]
         return [group for group in groups if group[2].size]
 
     def _to_frame(self, ee_pose: Array) -> Array:
-        """Return the pose of the frame that each row's leg moves, shape (n, 7)."""
-        return spatial.compose(ee_pose, self._tool[self.leg]) if self._tips else ee_pose
+        """Return the pose of the frame that each row's sub-goal moves, shape (n, 7)."""
+        return spatial.compose(ee_pose, self._tool[self.subgoal]) if self._tips else ee_pose
 
     def _to_ee(self, frame: Array) -> Array:
         """Return the EE poses that put the moved frames at `frame`, shape (n, 7)."""
-        return spatial.compose(frame, self._ee_in_tool[self.leg]) if self._tips else frame
+        return spatial.compose(frame, self._ee_in_tool[self.subgoal]) if self._tips else frame
 
 
 def _periods(seconds: float, dt: float) -> int:

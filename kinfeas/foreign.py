@@ -13,7 +13,7 @@ _NOBODYS = (KinfeasError, MemoryError, SystemError)
 
 BLAMED = (Exception, SystemExit)
 """What code of others may raise: somebody at the keyboard may wish to end the program, a plugin may
-not. To be caught, and given to `Blaming.blame`, where a context would cost much."""
+not. To be caught, and given to `PluginErrors.blame`, where a context would cost much."""
 
 
 def is_own(thing: object) -> bool:
@@ -26,7 +26,7 @@ def package_of(thing: object) -> str:
     return type(thing).__module__.partition(".")[0]
 
 
-class Blaming:
+class PluginErrors:
     """A context in which any `Exception`, and `SystemExit`, becomes a `KinfeasError`.
 
     It is for a single call into a plugin, whose author may raise what he likes. `KeyboardInterrupt`

@@ -25,7 +25,7 @@ def joint_way(robot: Robot, before: Array, after: Array) -> Array:
     return np.where(robot.continuous, spatial.wrap(after - before), after - before)
 
 
-def jumps(robot: Robot, before: Array, after: Array, dt: float) -> NDArray[np.bool_]:
+def joint_jumps(robot: Robot, before: Array, after: Array, dt: float) -> NDArray[np.bool_]:
     """Return whether a joint would have to move faster than it can, shape (...).
 
     Args:
@@ -35,5 +35,7 @@ def jumps(robot: Robot, before: Array, after: Array, dt: float) -> NDArray[np.bo
         dt: Seconds.
     """
     longest = robot.max_joint_velocity * dt * _ROUNDING
-    jumped: NDArray[np.bool_] = np.any(np.abs(joint_way(robot, before, after)) > longest, axis=-1)
-    return jumped
+    joint_jump: NDArray[np.bool_] = np.any(
+        np.abs(joint_way(robot, before, after)) > longest, axis=-1
+    )
+    return joint_jump

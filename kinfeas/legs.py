@@ -1,4 +1,5 @@
-"""What a course is made of: legs, how near to their ends is there, and the pace of a robot."""
+"""What a motion sequence is made of: sub-goals, how near to their ends is there, and the pace of a
+robot."""
 
 import math
 from dataclasses import dataclass
@@ -17,59 +18,61 @@ from kinfeas.spatial import Array
 Frame = Literal["ee", "tip"]
 
 GOAL_METRES, GOAL_RADIANS = 0.025, float(np.deg2rad(12.0))
-"""How near to the end of a leg, on a feasible step, is there."""
+"""How near to the end of a sub-goal, on a feasible step, is there."""
 
-SETTLED_METRES, SETTLE_SECONDS = 0.005, 5.0
-"""How near a gripper comes to the end of a leg before it acts, and how long it may take."""
+GRASP_METRES, GRASP_SETTLE_TIME = 0.005, 5.0
+"""How near a gripper comes to the end of a sub-goal before it acts, and how long it may take."""
 
-SWING_SECONDS, PATIENCE_SECONDS = 0.15, 8.0
+RECONFIGURATION_SECONDS, ARM_SETTLE_TIMEOUT = 0.15, 8.0
 """From how far away at its greatest speed an arm swings to another configuration, rather than lags
 behind a motion, and how long that may take."""
 
 
 @dataclass(frozen=True)
-class LegMotion:
-    """One leg of a course, ready to run.
+class SubgoalMotion:
+    """One sub-goal of a motion sequence, ready to run.
 
     Attributes:
-        generator: Moves the frame; legs may share one.
+        generator: Moves the frame; sub-goals may share one.
         frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
-        wait: Seconds that the EE stands still after its arrival, unless it is the last leg.
+        dwell: Seconds that the EE stands still after its arrival, unless it is the last sub-goal.
         grip: What the gripper does then.
         name: What errors call the generator; its class by default.
     """
 
     generator: MotionGenerator
     frame: Frame = "ee"
-    wait: float = 0.0
+    dwell: float = 0.0
     grip: Grip | None = None
     name: str = ""
 
 
 @dataclass(frozen=True)
-class Pace:
+class ExecutionConfig:
     """How a robot with inertia carries motions out.
 
     Attributes:
         slow_down: How many times longer than planned they last; waits do not.
         head_start: Seconds that the EE stands still at first, while the base moves already.
-        settle: Motion seconds for which a leg that ends with a grip goes on after the arrival, to
-            bring the EE within `SETTLED_METRES` of the end.
-        spread: Seconds by which the head start is longer at most, drawn for each episode.
-        patience: Seconds for which motion and base stand still at most, while the arm swings to
-            another configuration that is further away than `SWING_SECONDS`.
-        yields: Whether the base yields where the arm could not follow: see `Yielding`.
-        clearance: Metres that the base keeps from what stands around, which the backend has to know
-            then; 0 for a base that does not look.
+        grasp_settle_time: Motion seconds for which a sub-goal that ends with a grip goes on after
+            the arrival, to bring the EE within `GRASP_METRES` of the end.
+        head_start_jitter: Seconds by which the head start is longer at most, drawn for each
+            episode.
+        arm_settle_timeout: Seconds for which motion and base stand still at most, while the arm
+            swings to another configuration that is further away than `RECONFIGURATION_SECONDS`.
+        feasibility_filter: Whether the base yields where the arm could not follow: see
+            `FeasibilityFilter`.
+        min_obstacle_distance: Metres that the base keeps from what stands around, which the backend
+            has to know then; 0 for a base that does not look.
     """
 
     slow_down: SlowDown = 1.0
     head_start: Seconds = 0.0
-    settle: Seconds = 0.0
-    spread: Seconds = 0.0
-    patience: Seconds = 0.0
-    yields: bool = False
-    clearance: Distance = 0.0
+    grasp_settle_time: Seconds = 0.0
+    head_start_jitter: Seconds = 0.0
+    arm_settle_timeout: Seconds = 0.0
+    feasibility_filter: bool = False
+    min_obstacle_distance: Distance = 0.0
 
     def __post_init__(self) -> None:
         """Check what adapters may have multiplied."""
@@ -77,52 +80,52 @@ class Pace:
             raise KinfeasError(
                 f"slow_down must be a number {SLOWEST} in all, not {self.slow_down:g}"
             )
-        for name in ("head_start", "settle", "spread", "patience"):
+        for name in ("head_start", "grasp_settle_time", "head_start_jitter", "arm_settle_timeout"):
             seconds = getattr(self, name)
             if not 0.0 <= seconds < math.inf:
                 raise KinfeasError(f"{name} must be a number >= 0 in all, not {seconds:g}")
 
 
 @dataclass(frozen=True)
-class PaceSettings:
+class ExecutionSettings:
     """What can be set of the pace of a robot with inertia.
 
     Attributes:
         slow_down: How many times longer than planned the EE motions last.
         head_start: Seconds that the EE stands still at first, while the base moves already.
-        patience: Seconds for which motion and base wait at most for an arm that swings to another
-            configuration.
-        yields: Whether the base takes the nearest command that the arm can follow where it cannot
-            follow the policy's.
-        clearance: Metres that the base keeps from what the backend knows to stand around; 0 for a
-            base that does not look.
+        arm_settle_timeout: Seconds for which motion and base wait at most for an arm that swings to
+            another configuration.
+        feasibility_filter: Whether the base takes the nearest command that the arm can follow where
+            it cannot follow the policy's.
+        min_obstacle_distance: Metres that the base keeps from what the backend knows to stand
+            around; 0 for a base that does not look.
     """
 
     slow_down: SlowDown = 1.0
     head_start: Seconds = 0.0
-    patience: Seconds = PATIENCE_SECONDS
-    yields: bool = False
-    clearance: Distance = 0.0
+    arm_settle_timeout: Seconds = ARM_SETTLE_TIMEOUT
+    feasibility_filter: bool = False
+    min_obstacle_distance: Distance = 0.0
 
     @property
-    def pace(self) -> Pace:
+    def execution(self) -> ExecutionConfig:
         """How EE motions are carried out."""
-        return Pace(
+        return ExecutionConfig(
             self.slow_down,
             self.head_start,
-            SETTLE_SECONDS,
-            patience=self.patience,
-            yields=self.yields,
-            clearance=self.clearance,
+            GRASP_SETTLE_TIME,
+            arm_settle_timeout=self.arm_settle_timeout,
+            feasibility_filter=self.feasibility_filter,
+            min_obstacle_distance=self.min_obstacle_distance,
         )
 
 
 @runtime_checkable
-class Pacing(Protocol):
+class ExecutionAdapter(Protocol):
     """An adapter that leaves commands alone and changes how motions are carried out."""
 
-    def pace(self, pace: Pace) -> Pace:
-        """Return the pace that `pace` becomes."""
+    def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
+        """Return the pace that `execution` becomes."""
         ...
 
 

@@ -14,7 +14,7 @@ from kinfeas.kinematics.spread import spread
 from kinfeas.loop import Loop, Rows
 from kinfeas.metrics import WITHIN
 from kinfeas.observation import HORIZON
-from kinfeas.policy import Policy, Situation
+from kinfeas.policy import Policy, PolicyInput
 from kinfeas.quantities import LONGEST, PositiveSeconds, Share
 from kinfeas.spatial import Array
 
@@ -34,32 +34,33 @@ _LATER = 0.99
 """Worth of a failure or a jump one period of `HORIZON` later."""
 
 State = dict[str, NDArray[np.generic]]
-"""What `Loop.imagined` returns of n rows."""
+"""What `Loop.kinematic_state` returns of n rows."""
 
 
 @dataclass(frozen=True)
-class Foresight:
+class RolloutConfig:
     """How far and how widely to look.
 
     Attributes:
-        seconds: Of control that are tried out; a motion that is slowed down gets less far in them.
-        every: Seconds between looks.
-        tries: Deviations from the policy that are tried where it would fail; the first is none.
+        horizon: Of control that are tried out; a motion that is slowed down gets less far in them.
+        replan_interval: Seconds between looks.
+        num_samples: Deviations from the policy that are tried where it would fail; the first is
+            none.
         spread: Their standard deviation, in units of the action.
-        jump: What an arm jump costs, in kinematic failures.
-        stray: What a feasible step costs that leaves the EE more than 5 cm off, as leeway allows,
-            in kinematic failures.
+        jump_cost: What an arm jump costs, in kinematic failures.
+        deviation_cost: What a feasible step costs that leaves the EE more than 5 cm off, as pose
+            tolerance allows, in kinematic failures.
     """
 
-    seconds: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
-    every: PositiveSeconds = 0.5
-    tries: Annotated[int, Interval(low=1, high=1000)] = 32
+    horizon: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
+    replan_interval: PositiveSeconds = 0.5
+    num_samples: Annotated[int, Interval(low=1, high=1000)] = 32
     spread: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
-    jump: Share = 0.1
-    stray: Share = 0.1
+    jump_cost: Share = 0.1
+    deviation_cost: Share = 0.1
 
 
-class LookAhead:
+class RolloutPlanner:
     """Follows a policy, and deviates from it where it would fail and a deviation would not.
 
     Every now and then it carries the policy out in a world without dynamics or noise. Where a
@@ -73,10 +74,10 @@ class LookAhead:
         deviation: What is added to the policy's actions, shape (n, a).
     """
 
-    def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
+    def __init__(self, policy: Policy, rollout: RolloutConfig | None = None) -> None:
         """Wrap a policy; `watch` must follow before it acts."""
         self.policy = self.rehearsed = policy
-        self.foresight = foresight or Foresight()
+        self.rollout = rollout or RolloutConfig()
         self.deviation: Array = np.zeros((0, 0))
 
     def watch(self, loop: Loop) -> None:
@@ -86,16 +87,21 @@ class LookAhead:
         solver = IkSolver(loop.robot, options)
         # It need not yield: what is avoided without yielding is avoided with it. Nothing stands in
         # its way there.
-        pace = replace(loop.pace, patience=0.0, yields=False, clearance=0.0)
+        execution = replace(
+            loop.execution,
+            arm_settle_timeout=0.0,
+            feasibility_filter=False,
+            min_obstacle_distance=0.0,
+        )
         analytic = registry.build("kinfeas.backends", "analytic", {})
-        self._twin = Loop(solver, loop.course.legs, analytic, HORIZON, pace)
-        self._every = max(1, round(self.foresight.every / loop.dt))
-        self._tries = _deviations(loop.action_size, self.foresight)
+        self._twin = Loop(solver, loop.sequence.subgoals, analytic, HORIZON, execution)
+        self._every = max(1, round(self.rollout.replan_interval / loop.dt))
+        self._tries = _deviations(loop.action_size, self.rollout)
         self.deviation = np.zeros((0, loop.action_size))
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        action = self.policy.act(situation)
+        action = self.policy.act(policy_input)
         if len(action) != len(self.deviation):
             self.deviation = np.zeros_like(action)
         due = np.flatnonzero(self._loop.periods % self._every == 0)
@@ -117,21 +123,21 @@ class LookAhead:
         cost, stuck = costs[:, 0], at_once[:, 0]
         # Who fails already finds a way out nearby or, as a rule, nowhere.
         everyone = np.ones_like(stuck)
-        for tries, whom in ((self._tries[1:_FEW], everyone), (self._tries[_FEW:], ~stuck)):
+        for num_samples, whom in ((self._tries[1:_FEW], everyone), (self._tries[_FEW:], ~stuck)):
             bad = np.flatnonzero(whom & (cost > 0.0))
-            if not (bad.size and len(tries)):
+            if not (bad.size and len(num_samples)):
                 continue
-            deviations = np.broadcast_to(tries, (len(bad), *tries.shape))
+            deviations = np.broadcast_to(num_samples, (len(bad), *num_samples.shape))
             costs, _ = self._try(now, due[bad], deviations, cost[bad])
             chosen = costs.argmin(axis=1)
             least = costs[np.arange(len(bad)), chosen]
             better = least < cost[bad]
-            best[bad[better]], cost[bad[better]] = tries[chosen[better]], least[better]
+            best[bad[better]], cost[bad[better]] = num_samples[chosen[better]], least[better]
         return best
 
     def _now(self) -> State:
         """Return the state that a loop of `HORIZON` periods goes on from, as copies."""
-        loop, state = self._loop, self._loop.imagined()
+        loop, state = self._loop, self._loop.kinematic_state()
         away = state["waiting"] * loop.dt / HORIZON
         state["waiting"] = (np.sign(away) * np.ceil(np.abs(away) - _ROUNDING)).astype(np.intp)
         return {key: values.copy() for key, values in state.items()}
@@ -153,12 +159,12 @@ class LookAhead:
         going, added, limit = np.arange(m * k), deviations.reshape(m * k, size), limit.repeat(k)
         cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
         stuck = over.copy()
-        for period in range(round(self.foresight.seconds / HORIZON)):
-            action = self.rehearsed.act(twin.situation) + added[going]
+        for period in range(round(self.rollout.horizon / HORIZON)):
+            action = self.rehearsed.act(twin.policy_input) + added[going]
             step = twin.step(np.clip(action, -1.0, 1.0))
             missing = 1.0 + step.position_error + step.rotation_error
             strays = step.position_error > WITHIN
-            less = self.foresight.jump * step.jumped + self.foresight.stray * strays
+            less = self.rollout.jump_cost * step.joint_jump + self.rollout.deviation_cost * strays
             price = np.where(step.feasible, less, missing)
             cost[going] += np.where(over, 0.0, price * _LATER**period)
             if period == 0:
@@ -167,16 +173,16 @@ class LookAhead:
             if over.all():
                 break
             if over.mean() >= _IDLE:
-                going, state = going[~over], twin.imagined()
+                going, state = going[~over], twin.kinematic_state()
                 twin.restore({key: values[~over] for key, values in state.items()})
                 over = over[~over]
         return cost.reshape(m, k), stuck.reshape(m, k)
 
 
-def _deviations(size: int, foresight: Foresight) -> Array:
+def _deviations(size: int, rollout: RolloutConfig) -> Array:
     """Return normally distributed constants that fill the space evenly, shape (tries, size).
 
     The first of them is 0, the policy alone.
     """
-    deviations: Array = ndtri(spread(foresight.tries, size)) * foresight.spread
+    deviations: Array = ndtri(spread(rollout.num_samples, size)) * rollout.spread
     return deviations

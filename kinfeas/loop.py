@@ -8,30 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
-from kinfeas.backend import Backend, Gripping, Resumable, RobotState, Stochastic
-from kinfeas.clearance import Clearance
+from kinfeas.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
 from kinfeas.conformance.adapter import unchecked
-from kinfeas.course import Course
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
-from kinfeas.following import Following
-from kinfeas.joints import joint_way, jumps
+from kinfeas.feasibility_filter import FeasibilityFilter
+from kinfeas.joints import joint_jumps, joint_way
+from kinfeas.kinematic_step import KinematicStep
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import (
-    GOAL_METRES,
-    GOAL_RADIANS,
-    SETTLED_METRES,
-    SWING_SECONDS,
-    LegMotion,
-    Pace,
-)
+from kinfeas.min_obstacle_distance import ObstacleFilter
 from kinfeas.observation import HORIZON, observe
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.rows import Rows
+from kinfeas.sequence import MotionSequence
 from kinfeas.spatial import Array
 from kinfeas.start import Start
-from kinfeas.yielding import Yielding
+from kinfeas.subgoals import (
+    GOAL_METRES,
+    GOAL_RADIANS,
+    GRASP_METRES,
+    RECONFIGURATION_SECONDS,
+    ExecutionConfig,
+    SubgoalMotion,
+)
 
 __all__ = ["Loop", "Rows", "Step"]
 
@@ -46,66 +46,70 @@ class Step:
         rotation_error: The same in radians.
         deviation: Distance of the achieved EE from the desired position, metres; the true one
             where the backend knows it.
-        leg: Number of the leg that the step was a part of.
-        goal_distance: Distance of the achieved EE from the end of that leg, metres.
+        sub-goal: Number of the sub-goal that the step was a part of.
+        goal_distance: Distance of the achieved EE from the end of that sub-goal, metres.
         goal_angle: The same in radians.
-        finished: Whether the end of the last leg was reached, on this feasible step.
-        jumped: Whether an arm joint was asked to move faster than its limit.
+        finished: Whether the end of the last sub-goal was reached, on this feasible step.
+        joint_jump: Whether an arm joint was asked to move faster than its limit.
     """
 
     feasible: NDArray[np.bool_]
     position_error: Array
     rotation_error: Array
     deviation: Array
-    leg: NDArray[np.intp]
+    subgoal: NDArray[np.intp]
     goal_distance: Array
     goal_angle: Array
     finished: NDArray[np.bool_]
-    jumped: NDArray[np.bool_]
+    joint_jump: NDArray[np.bool_]
 
 
 class Loop:
     """n robots, each carrying its own EE motion.
 
     Attributes:
-        sent: Arm joints that were last commanded, shape (n, j).
+        joint_command: Arm joints that were last commanded, shape (n, j).
         periods: Control periods since each row was started, shape (n,).
     """
 
     def __init__(
         self,
         solver: IkSolver,
-        legs: Sequence[LegMotion],
+        subgoals: Sequence[SubgoalMotion],
         backend: Backend,
         dt: float = HORIZON,
-        pace: Pace | None = None,
+        execution: ExecutionConfig | None = None,
     ) -> None:
         """Connect the parts; `start` must follow before anything else.
 
         Args:
             solver: Places the arm; it also says which robot this is.
-            legs: Motions that every EE makes one after the other, at least one.
+            subgoals: Motions that every EE makes one after the other, at least one.
             backend: Moves the robots.
             dt: Control period in seconds.
-            pace: How the motions are carried out; as they are planned by default.
+            execution: How the motions are carried out; as they are planned by default.
 
         Raises:
             KinfeasError: If the bases are to keep clear of what the backend does not know.
         """
-        self.pace = pace = pace or Pace()
+        self.execution = execution = execution or ExecutionConfig()
         self.solver, self.backend, self.dt = solver, backend, dt
         self.robot = solver.robot
-        self.course = Course(legs, self.robot, dt, pace)
-        self._motion_time = dt / pace.slow_down
-        self._patience = round(pace.patience / dt)
-        self._following = Following(solver, dt)
-        self._yielding = Yielding(self._following) if pace.yields else None
-        self._clearance = (
-            Clearance(self.robot.base, backend, pace.clearance, dt) if pace.clearance else None
+        self.sequence = MotionSequence(subgoals, self.robot, dt, execution)
+        self._motion_time = dt / execution.slow_down
+        self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
+        self._kinematic_step = KinematicStep(solver, dt)
+        self._feasibility_filter = (
+            FeasibilityFilter(self._kinematic_step) if execution.feasibility_filter else None
+        )
+        self._obstacle_filter = (
+            ObstacleFilter(self.robot.base, backend, execution.min_obstacle_distance, dt)
+            if execution.min_obstacle_distance
+            else None
         )
         self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
-        self.sent: Array = np.empty((0, len(self.robot.arm)))
+        self.joint_command: Array = np.empty((0, len(self.robot.arm)))
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -117,70 +121,71 @@ class Loop:
             rngs: One source of randomness for each of them.
             rows: Which of the n robots begin anew; all of them by default, which also sets n.
         """
-        # Drawn whether or not anybody takes them: adapters do not change what the course draws.
+        # Drawn whether or not anybody takes them: adapters do not change what the motion sequence
+        # draws.
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
         if isinstance(self.backend, Stochastic):
             self.backend.seed(seeds, np.arange(len(rngs)) if rows is None else rows)
         state = self.backend.reset(start.base_pose, start.joint_positions, rows)
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
-        self.course.start(ee, start.target_poses, rngs, rows)
+        self.sequence.start(ee, start.target_poses, rngs, rows)
         self._measured(state)
         joints = state.joint_positions.copy()
         if rows is not None:
             others = np.setdiff1d(np.arange(len(joints)), rows)
-            joints[others] = self.sent[others]
-        self.sent = joints
+            joints[others] = self.joint_command[others]
+        self.joint_command = joints
         if rows is None:
             self.periods, self._stood = np.zeros((2, len(joints)), dtype=np.intp)
         else:
             self.periods[rows] = self._stood[rows] = 0
-        self._look_ahead()
+        self._plan()
 
     def step(self, action: Array) -> Step:
         """Advance all robots by one control period.
 
-        A leg ends on a feasible step that brings the EE to its end; after its wait the next leg
-        begins at the desired pose.
+        A sub-goal ends on a feasible step that brings the EE to its end; after its wait the next
+        sub-goal begins at the desired pose.
 
         Args:
             action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
         """
         # What was looked ahead for is not computed again.
-        course = self.course
+        sequence = self.sequence
         time = self._motion_time
-        held = self._hold() if self._patience else None
-        course.move(self._ahead if time == HORIZON else course.ahead(time), held)
-        if held is not None:
-            action = np.where(held[:, np.newaxis], 0.0, action)
-        before, base_pose = self.sent, self.state.base_pose
+        paused = self._paused() if self._arm_settle_timeout else None
+        sequence.move(self._ahead if time == HORIZON else sequence.ahead(time), paused)
+        if paused is not None:
+            action = np.where(paused[:, np.newaxis], 0.0, action)
+        before, base_pose = self.joint_command, self.state.base_pose
         limits = None
-        if self._clearance is not None:
-            limits = self._clearance.limits(len(action))
+        if self._obstacle_filter is not None:
+            limits = self._obstacle_filter.limits(len(action))
             action = limits.hold(action[:, np.newaxis])[:, 0]
-        wanted = (action, base_pose, course.desired, before)
-        if self._yielding is None:
-            command, arm = self._following(*wanted)
+        wanted = (action, base_pose, sequence.desired, before)
+        if self._feasibility_filter is None:
+            command, arm = self._kinematic_step(*wanted)
         else:
-            command, arm = self._yielding(*wanted, held, limits)
-        self.sent = arm.joint_positions
-        self._measured(self.backend.step(command, self.sent, self.dt))
-        goal_distance, goal_angle = spatial.distance(self.ee_pose, course.goal)
+            command, arm = self._feasibility_filter(*wanted, paused, limits)
+        self.joint_command = arm.joint_positions
+        self._measured(self.backend.step(command, self.joint_command, self.dt))
+        goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         step = Step(
             feasible=arm.feasible,
             position_error=arm.position_error,
             rotation_error=arm.rotation_error,
-            deviation=np.linalg.norm(self.truth[1][:, :3] - course.desired[:, :3], axis=1),
-            leg=course.leg,
+            deviation=np.linalg.norm(self.true_state[1][:, :3] - sequence.desired[:, :3], axis=1),
+            subgoal=sequence.subgoal,
             goal_distance=goal_distance,
             goal_angle=goal_angle,
-            finished=arrived & course.last,
-            jumped=jumps(self.robot, before, arm.joint_positions, self.dt),
+            finished=arrived & sequence.last,
+            joint_jump=joint_jumps(self.robot, before, arm.joint_positions, self.dt),
         )
-        stops = course.advance(arrived, arrived & (goal_distance <= SETTLED_METRES))
-        self._grip(step.leg, stops | step.finished)
+        stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
+        self._grip(step.subgoal, stops | step.finished)
         self.periods += 1
-        self._look_ahead()
+        self._plan()
         return step
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
@@ -192,17 +197,17 @@ class Loop:
         if not isinstance(self.backend, Resumable):
             name = type(unchecked(self.backend)).__name__
             raise KinfeasError(f"{name} cannot be saved in the midst of a run")
-        return {**self.imagined(), **self.backend.snapshot()}
+        return {**self.kinematic_state(), **self.backend.snapshot()}
 
-    def imagined(self) -> dict[str, NDArray[Any]]:
+    def kinematic_state(self) -> dict[str, NDArray[Any]]:
         """Return what a loop in the analytic world would go on from, if it were here now."""
         return {
             "base_pose": self.state.base_pose,
             "joint_positions": self.state.joint_positions,
-            "sent": self.sent,
+            "sent": self.joint_command,
             "periods": self.periods.copy(),
             "stood": self._stood.copy(),
-            **self.course.snapshot(),
+            **self.sequence.snapshot(),
         }
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
@@ -210,11 +215,11 @@ class Loop:
         if not isinstance(self.backend, Resumable):
             name = type(unchecked(self.backend)).__name__
             raise KinfeasError(f"{name} cannot go on from a saved run")
-        self.course.restore(snapshot)
+        self.sequence.restore(snapshot)
         self._measured(self.backend.restore(snapshot))
-        self.sent, self.periods = snapshot["sent"].copy(), snapshot["periods"].copy()
+        self.joint_command, self.periods = snapshot["sent"].copy(), snapshot["periods"].copy()
         self._stood = snapshot["stood"].copy()
-        self._look_ahead()
+        self._plan()
 
     @property
     def action_size(self) -> int:
@@ -224,26 +229,26 @@ class Loop:
     @property
     def desired(self) -> Array:
         """Desired world pose of the EE now, shape (n, 7)."""
-        return self.course.desired
+        return self.sequence.desired
 
     @property
-    def truth(self) -> tuple[Array, Array]:
+    def true_state(self) -> tuple[Array, Array]:
         """Where base and EE really are, as far as the backend knows, shape (n, 7) each."""
-        truth = self.state.truth
-        if truth is None:
+        true_state = self.state.true_state
+        if true_state is None:
             return self.state.base_pose, self.ee_pose
-        return truth.base_pose, spatial.compose(truth.base_pose, self._ee_of(truth))
+        return true_state.base_pose, spatial.compose(true_state.base_pose, self._ee_of(true_state))
 
     @property
-    def situation(self) -> Situation:
+    def policy_input(self) -> PolicyInput:
         """What a policy may look at now."""
-        return Situation(
+        return PolicyInput(
             observation=self.observation,
             base_pose=self.state.base_pose,
             ee_pose=self.ee_pose,
             desired=self.desired,
             planned=self.planned,
-            demonstrated_base=self.course.demonstrated_base,
+            demonstrated_base=self.sequence.demonstrated_base,
         )
 
     def _measured(self, state: RobotState) -> None:
@@ -257,20 +262,20 @@ class Loop:
             return state.ee_in_base
         return forward(self.solver.chain, state.joint_positions)
 
-    def _grip(self, leg: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
-        """Let the grippers do what the legs say that have just come to their end."""
-        if not (stops.any() and isinstance(self.backend, Gripping)):
+    def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
+        """Let the grippers do what the sub-goals say that have just come to their end."""
+        if not (stops.any() and isinstance(self.backend, SupportsGripper)):
             return
-        for number, one in enumerate(self.course.legs):
-            rows = np.flatnonzero(stops & (leg == number))
+        for number, one in enumerate(self.sequence.subgoals):
+            rows = np.flatnonzero(stops & (subgoal == number))
             if one.grip is not None and rows.size:
                 self.backend.grip(one.grip, rows)
 
-    def _look_ahead(self) -> None:
+    def _plan(self) -> None:
         """Find where the motions lead from here, and what a policy sees of that."""
-        self.goal = self.course.goal
-        self._ahead = self.course.ahead(HORIZON)
-        planned, slow_down = self._ahead[0], self.pace.slow_down
+        self.goal = self.sequence.goal
+        self._ahead = self.sequence.ahead(HORIZON)
+        planned, slow_down = self._ahead[0], self.execution.slow_down
         base, joints = self.state.base_pose, self.state.joint_positions
         self.observation = observe(base, self._ee_in_base, planned, self.goal, joints)
         if slow_down != 1.0:
@@ -278,14 +283,18 @@ class Loop:
             planned = spatial.integrate(self.desired, twist, HORIZON / slow_down)
         self.planned = planned
 
-    def _hold(self) -> NDArray[np.bool_]:
+    def _paused(self) -> NDArray[np.bool_]:
         """Return which rows stand still in this period, shape (n,): their arms swing.
 
         Policies know arms that are where they were sent. Until an arm is there, they would see the
         EE far from where it should be, and let the base run after it.
         """
-        way = np.abs(joint_way(self.robot, self.state.joint_positions, self.sent))
-        swings = np.any(way > self.robot.max_joint_velocity * SWING_SECONDS, axis=1)
-        self._stood = np.where(swings, self._stood + 1, 0)
-        held: NDArray[np.bool_] = swings & (self._stood <= self._patience)
-        return held
+        way = np.abs(joint_way(self.robot, self.state.joint_positions, self.joint_command))
+        allow_reconfiguration = np.any(
+            way > self.robot.max_joint_velocity * RECONFIGURATION_SECONDS, axis=1
+        )
+        self._stood = np.where(allow_reconfiguration, self._stood + 1, 0)
+        paused: NDArray[np.bool_] = allow_reconfiguration & (
+            self._stood <= self._arm_settle_timeout
+        )
+        return paused

@@ -18,13 +18,13 @@ class EpisodeRecords:
     """What happened in n episodes.
 
     Attributes:
-        reached: Whether the goal, the end of the last leg, was reached, shape (n,).
+        reached: Whether the goal, the end of the last sub-goal, was reached, shape (n,).
         failures: Steps without an IK solution, shape (n,).
         max_deviation: Largest distance of the EE from the desired position, metres, shape (n,).
         mean_deviation: Mean of that distance over the episode, metres, shape (n,).
         final_distance: Distance of the EE from the goal at the end, metres, shape (n,); infinite
-            where the last leg was never begun.
-        jumps: Steps in which a joint moved faster than its limit, shape (n,).
+            where the last sub-goal was never begun.
+        joint_jumps: Steps in which a joint moved faster than its limit, shape (n,).
         steps: Length of the episode, shape (n,).
     """
 
@@ -33,7 +33,7 @@ class EpisodeRecords:
     max_deviation: Array
     mean_deviation: Array
     final_distance: Array
-    jumps: NDArray[np.intp]
+    joint_jumps: NDArray[np.intp]
     steps: NDArray[np.intp]
 
     @property
@@ -89,7 +89,7 @@ def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
     return Share(share, float(low), float(high))
 
 
-class Figures(TypedDict):
+class Metrics(TypedDict):
     """What a number of episodes come to: `low` and `high` are the ends of a share's interval."""
 
     episodes: int
@@ -100,13 +100,13 @@ class Figures(TypedDict):
     within_5cm: float
     within_5cm_low: float
     within_5cm_high: float
-    mean_failures: float
+    ik_failures_per_episode: float
     mean_deviation_m: float
-    jumps_per_episode: float
+    joint_jumps_per_episode: float
     mean_steps: float
 
 
-def summarize(records: EpisodeRecords) -> Figures:
+def summarize(records: EpisodeRecords) -> Metrics:
     """Return the figures of method and README: shares in 0-1, distances in metres."""
     episodes = len(records.reached)
     success = wilson(int(records.success.sum()), episodes)
@@ -120,8 +120,8 @@ def summarize(records: EpisodeRecords) -> Figures:
         "within_5cm": within.value,
         "within_5cm_low": within.low,
         "within_5cm_high": within.high,
-        "mean_failures": float(records.failures.mean()),
+        "ik_failures_per_episode": float(records.failures.mean()),
         "mean_deviation_m": float(records.mean_deviation.mean()),
-        "jumps_per_episode": float(records.jumps.mean()),
+        "joint_jumps_per_episode": float(records.joint_jumps.mean()),
         "mean_steps": float(records.steps.mean()),
     }

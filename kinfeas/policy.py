@@ -26,7 +26,7 @@ _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeE
 
 
 @dataclass(frozen=True)
-class Situation:
+class PolicyInput:
     """All that a policy may look at, for n robots.
 
     Attributes:
@@ -52,7 +52,7 @@ class Situation:
 class Policy(Protocol):
     """Moves the base."""
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         ...
 
@@ -74,9 +74,9 @@ class Network:
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, actions)."""
-        return self(situation.observation)
+        return self(policy_input.observation)
 
     def __call__(self, seen: Array) -> Array:
         """Return the network's output for observations of shape (n, inputs)."""

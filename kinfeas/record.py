@@ -67,11 +67,11 @@ class Moment:
         base_pose: Measured world pose of the base, shape (7,).
         joint_positions: Measured arm joints, shape (j,).
         desired: Desired world pose of the EE, shape (7,).
-        goal: World pose of the EE at the end of the leg, shape (7,).
+        goal: World pose of the EE at the end of the sub-goal, shape (7,).
         base_twist: World twist that was commanded, shape (6,), m/s and rad/s.
         joint_targets: Arm joints that were commanded, shape (j,).
         feasible: Whether IK found the desired pose.
-        leg: Number of the leg.
+        sub-goal: Number of the sub-goal.
         event: What happened, if anything did.
     """
 
@@ -84,7 +84,7 @@ class Moment:
     base_twist: Array
     joint_targets: Array
     feasible: bool
-    leg: int
+    subgoal: int
     event: str = ""
 
 
@@ -102,7 +102,7 @@ class Record:
     base_twist: Array
     joint_targets: Array
     feasible: NDArray[np.bool_]
-    leg: NDArray[np.intp]
+    subgoal: NDArray[np.intp]
     event: tuple[str, ...]
 
 
@@ -156,7 +156,7 @@ class Recorder:
         numbers = [f"{value:.9g}" for column in columns for value in column.tolist()]
         age = "" if np.isnan(moment.age) else f"{moment.age:.4f}"
         event = " ".join(moment.event.split())
-        rest = [str(int(moment.feasible)), str(moment.leg), event]
+        rest = [str(int(moment.feasible)), str(moment.subgoal), event]
         with writing(self.path):
             self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
         self._begun = True
@@ -225,7 +225,7 @@ def _names(joints: Sequence[str]) -> list[str]:
     return [
         "time", "age", *group("base", _POSE), *group("joint", joints), *group("desired", _POSE),
         *group("goal", _POSE), *group("command", _TWIST), *group("target", joints),
-        "feasible", "leg", "event",
+        "feasible", "subgoal", "event",
     ]  # fmt: skip
 
 
@@ -254,13 +254,13 @@ def _row(line: str, width: int, place: str) -> tuple[list[float], str]:
     if np.nanmax(np.abs([time, age, *numbers])) > REMOTEST:
         raise KinfeasError(f"{place}: holds a number beyond {REMOTEST:,.0f}, which nothing can be")
     if numbers[-2] not in (0.0, 1.0) or numbers[-1] < 0.0 or numbers[-1] % 1.0:
-        raise KinfeasError(f"{place}: 'feasible' must be 0 or 1 and 'leg' a whole number >= 0")
+        raise KinfeasError(f"{place}: 'feasible' must be 0 or 1 and 'sub-goal' a whole number >= 0")
     return [time, age, *numbers], entries[-1]
 
 
 def _record(about: About, numbers: Array, events: Sequence[str]) -> Record:
     j = len(about.joints)
-    time, age, base, joints, desired, goal, twist, targets, feasible, leg = np.split(
+    time, age, base, joints, desired, goal, twist, targets, feasible, subgoal = np.split(
         numbers, np.cumsum([1, 1, 7, j, 7, 7, 6, j, 1]), axis=1
     )
     return Record(
@@ -274,6 +274,6 @@ def _record(about: About, numbers: Array, events: Sequence[str]) -> Record:
         twist,
         targets,
         feasible[:, 0] > 0.0,
-        leg[:, 0].astype(np.intp),
+        subgoal[:, 0].astype(np.intp),
         tuple(events),
     )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from kinfeas.conformance.parameters import check_names, in_types, signature_of
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import Blaming
+from kinfeas.foreign import PluginErrors
 from kinfeas.schema import no_such
 from kinfeas.storage.files import is_path
 
@@ -133,7 +133,7 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
     if not callable(factory):
         kind = type(factory).__name__
         raise KinfeasError(f"{subject} must be a class or a function, not {kind}")
-    with Blaming(f"{subject} fails:", _package(entry)):
+    with PluginErrors(f"{subject} fails:", _package(entry)):
         with _refusing(subject):
             signature = signature_of(factory)
             check_names(signature, parameters)
@@ -221,7 +221,7 @@ def _import(entry: EntryPoint) -> Any:
     if entry.pattern.match(entry.value) is None:
         raise KinfeasError(f"{subject} its entry point must be module:name, not {entry.value!r}")
     # Whatever an outside module does on import is its own affair.
-    with Blaming(subject, _package(entry)):
+    with PluginErrors(subject, _package(entry)):
         return entry.load()
 
 

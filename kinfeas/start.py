@@ -15,7 +15,8 @@ class Start:
     Attributes:
         base_pose: World pose of the base, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
-        target_poses: What the motion of each leg heads for, in the world, shape (n, legs, 7).
+        target_poses: What the motion of each sub-goal heads for, in the world, shape (n, sub-goals,
+            7).
     """
 
     base_pose: Array

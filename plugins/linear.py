@@ -77,8 +77,8 @@ class Linear:
         """
         way = twist_between(ee_pose, state["goal_pose"], 1.0)
         # Never past the goal: at most the whole way within dt.
-        pace = np.minimum(self._pace(way), 1.0 / dt)
-        return way * pace[:, np.newaxis], dict(state)
+        execution = np.minimum(self._pace(way), 1.0 / dt)
+        return way * execution[:, np.newaxis], dict(state)
 
     def _pace(self, way: Array) -> Array:
         """Return the share of the remaining `way`, shape (n, 6), to use up per second, (n,)."""
@@ -87,7 +87,7 @@ class Linear:
         slowest = np.where(
             metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )
-        pace = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
+        execution = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
         if self._max_angular_velocity is None:
-            return pace
-        return np.minimum(pace, self._max_angular_velocity / radians)
+            return execution
+        return np.minimum(execution, self._max_angular_velocity / radians)

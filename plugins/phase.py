@@ -1,4 +1,4 @@
-"""Following a path by its phase: the hand comes to it first, then goes along."""
+"""KinematicStep a path by its phase: the hand comes to it first, then goes along."""
 
 from dataclasses import dataclass
 

@@ -12,12 +12,12 @@ from kinfeas.adapters import chain
 from kinfeas.backend import (
     Backend,
     BackendWrapper,
-    Gripping,
-    Live,
+    RealTimeBackend,
     Resumable,
     RobotState,
-    Seeing,
     Stochastic,
+    SupportsGripper,
+    SupportsObstacleDistances,
 )
 from kinfeas.config import Interval
 from kinfeas.errors import KinfeasError
@@ -37,11 +37,11 @@ _MOST = 10_000.0  # of seconds, metres or radians: far more than any robot has u
 class Adapter(BackendWrapper):
     """A backend around a backend. A subclass overrides what it changes, of these four.
 
-    `begin` says what is remembered from the start of an episode on, `command` changes what is
-    commanded, `advance` takes note of what was measured after it, and `view` says what is seen of
-    that. `view` is a function of the state, the memory and the draws alone and may be asked twice.
-    No row may depend on others. An adapter can what its backend can: it has `grip`, `near`, `read`
-    and `stop`, `snapshot` and `restore` if that has them.
+    `on_reset` says what is remembered from the start of an episode on, `modify_command` changes
+    what is commanded, `on_step` takes note of what was measured after it, and `modify_state` says
+    what is seen of that. `modify_state` is a function of the state, the memory and the draws alone
+    and may be asked twice. No row may depend on others. An adapter can what its backend can: it has
+    `grip`, `obstacle_distances`, `read` and `stop`, `snapshot` and `restore` if that has them.
 
     What is drawn depends on the episode's seed, the step, the class and how many of the same class
     stand within: an adapter more or less in the list leaves the draws of the others alone.
@@ -87,11 +87,11 @@ class Adapter(BackendWrapper):
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._hooks: Hooks = self
-        if isinstance(backend, Gripping):
+        if isinstance(backend, SupportsGripper):
             self.grip = backend.grip
-        if isinstance(backend, Seeing):
-            self.near = backend.near
-        if isinstance(backend, Live):
+        if isinstance(backend, SupportsObstacleDistances):
+            self.obstacle_distances = backend.obstacle_distances
+        if isinstance(backend, RealTimeBackend):
             self.read, self.stop = backend.read, backend.stop
         if isinstance(backend, Resumable):
             self.snapshot, self.restore = self._snapshot, self._restore
@@ -110,18 +110,18 @@ class Adapter(BackendWrapper):
         if not is_own(self):
             self._hooks = CheckedHooks(self, subject)
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return what to remember from now on if an episode begins in each row of `state`."""
         return {}
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist, shape (n, 6), and the joint targets, (n, j), that are passed on."""
         return twist, targets
 
-    def advance(self, state: RobotState, dt: float) -> None:
+    def on_step(self, state: RobotState, dt: float) -> None:
         """Take note of what was measured after `dt` seconds."""
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return what is seen of what was measured."""
         return state
 
@@ -156,7 +156,7 @@ class Adapter(BackendWrapper):
         state = self.backend.reset(base_pose, joint_positions, rows)
         self._fit(len(state.base_pose))
         self._draw()
-        fresh = self._hooks.begin(state)
+        fresh = self._hooks.on_reset(state)
         if rows is None:
             self.memory = fresh
         else:
@@ -164,15 +164,15 @@ class Adapter(BackendWrapper):
                 key: with_rows(self.memory[key], rows, values[rows])
                 for key, values in fresh.items()
             }
-        return self._hooks.view(state)
+        return self._hooks.modify_state(state)
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Pass on a changed command and return what is seen after it; shapes as in `Backend`."""
-        twist, targets = self._hooks.command(base_twist, joint_targets, dt)
+        twist, targets = self._hooks.modify_command(base_twist, joint_targets, dt)
         state = self.backend.step(twist, targets, dt)
         self._steps = self._steps + np.uint64(1)
-        self._hooks.advance(state, dt)
-        return self._hooks.view(state)
+        self._hooks.on_step(state, dt)
+        return self._hooks.modify_state(state)
 
     def close(self) -> None:
         """Close the wrapped backend."""
@@ -196,7 +196,7 @@ class Adapter(BackendWrapper):
         self._seeds, self._steps = own.pop("seeds"), own.pop("steps")
         self.memory = own
         self._draw()
-        return self._hooks.view(self.backend.restore(snapshot))
+        return self._hooks.modify_state(self.backend.restore(snapshot))
 
     def _fit(self, n: int) -> None:
         """Make room for n rows; a row that nobody has seeded has seed 0."""
@@ -223,4 +223,4 @@ class Adapter(BackendWrapper):
 
 def seen(state: RobotState, **changes: Array) -> RobotState:
     """Return a state as a sensor shows it, with what really is beside it."""
-    return replace(state, truth=state.truth or state, **changes)
+    return replace(state, true_state=state.true_state or state, **changes)

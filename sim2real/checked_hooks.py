@@ -8,26 +8,26 @@ from numpy.typing import NDArray
 
 from kinfeas.backend import RobotState
 from kinfeas.conformance.answers import Answers
-from kinfeas.foreign import BLAMED, Blaming, package_of
+from kinfeas.foreign import BLAMED, PluginErrors, package_of
 from kinfeas.spatial import Array
 
 
 class Hooks(Protocol):
     """What a subclass of `Adapter` overrides."""
 
-    def begin(self, state: RobotState) -> dict[str, NDArray[Any]]:
+    def on_reset(self, state: RobotState) -> dict[str, NDArray[Any]]:
         """Return what to remember from now on."""
         ...
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist and the joint targets that are passed on."""
         ...
 
-    def advance(self, state: RobotState, dt: float) -> None:
+    def on_step(self, state: RobotState, dt: float) -> None:
         """Take note of what was measured."""
         ...
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return what is seen of what was measured."""
         ...
 
@@ -50,14 +50,14 @@ class CheckedHooks:
         self.hooks, self.answers = hooks, Answers(subject)
         package = package_of(hooks)
         self._begin, self._command, self._advance, self._view = (
-            Blaming(f"{subject} fails in {method}:", package)
-            for method in ("begin", "command", "advance", "view")
+            PluginErrors(f"{subject} fails in {method}:", package)
+            for method in ("begin", "command", "on_step", "view")
         )
 
-    def begin(self, state: RobotState) -> dict[str, NDArray[Any]]:
+    def on_reset(self, state: RobotState) -> dict[str, NDArray[Any]]:
         """Return what to remember from now on, arrays of leading axis n."""
         with self._begin:
-            memory = self.hooks.begin(state)
+            memory = self.hooks.on_reset(state)
         rows = len(state.base_pose)
         if not isinstance(memory, Mapping) or not all(
             isinstance(value, np.ndarray) and value.shape[:1] == (rows,)
@@ -68,10 +68,10 @@ class CheckedHooks:
             )
         return memory
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist, shape (n, 6), and the joint targets, (n, j), that are passed on."""
         try:
-            answer = self.hooks.command(twist, targets, dt)
+            answer = self.hooks.modify_command(twist, targets, dt)
         except BLAMED as error:
             self._command.blame(error)
             raise
@@ -83,18 +83,18 @@ class CheckedHooks:
         self.answers.check_array(answer[1], "joint targets", "command", targets)
         return answer[0], answer[1]
 
-    def advance(self, state: RobotState, dt: float) -> None:
+    def on_step(self, state: RobotState, dt: float) -> None:
         """Take note of what was measured after `dt` seconds."""
         try:
-            self.hooks.advance(state, dt)
+            self.hooks.on_step(state, dt)
         except BLAMED as error:
             self._advance.blame(error)
             raise
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return what is seen of what was measured."""
         try:
-            seen = self.hooks.view(state)
+            seen = self.hooks.modify_state(state)
         except BLAMED as error:
             self._view.blame(error)
             raise

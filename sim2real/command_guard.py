@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import ArmLimited, Backend, Grip, Live, RobotState, blaming
+from kinfeas.backend import ArmLimited, Backend, Grip, RealTimeBackend, RobotState, plugin_errors
 from kinfeas.conformance.backend import BackendAnswers
 from kinfeas.joints import joint_way
 from kinfeas.robots.robot import Robot
@@ -49,7 +49,7 @@ class CommandGuard(Passing):
         """
         super().__init__(backend)
         self.robot, self._guards, self._clock = robot, guards, clock
-        self._live = backend if isinstance(backend, Live) else None
+        self._real_time = backend if isinstance(backend, RealTimeBackend) else None
         self._arm_limited = backend if isinstance(backend, ArmLimited) else None
         self._answers = BackendAnswers(backend, len(robot.arm))
         self._limits = _limits(robot, guards)
@@ -68,9 +68,9 @@ class CommandGuard(Passing):
             KinfeasError: If a backend from outside fails, or returns no state.
         """
         if self._arm_limited is not None:
-            with blaming(self.backend, "limit_arm"):
+            with plugin_errors(self.backend, "limit_arm"):
                 self._arm_limited.limit_arm(self._joint_speed)
-        with blaming(self.backend, "reset"):
+        with plugin_errors(self.backend, "reset"):
             state = self.backend.reset(base_pose, joint_positions, rows)
         self._take("reset", state)
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
@@ -109,15 +109,15 @@ class CommandGuard(Passing):
         Raises:
             KinfeasError: If a backend from outside fails, or returns no state.
         """
-        if self._live is None:
+        if self._real_time is None:
             return None
-        with blaming(self.backend, "read"):
-            state = self._live.read()
+        with plugin_errors(self.backend, "read"):
+            state = self._real_time.read()
         return self._answers.state(state, "read")
 
     def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""
-        with blaming(self.backend, "seed"):
+        with plugin_errors(self.backend, "seed"):
             super().seed(seeds, rows)
 
     def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
@@ -134,8 +134,8 @@ class CommandGuard(Passing):
         """Command the base to zero, the arm to stay; it may be called at any time, and twice."""
         drove, self.stopped = not self.stopped, True
         self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
-        if self._live is not None:
-            self._live.stop()
+        if self._real_time is not None:
+            self._real_time.stop()
         elif drove and self._dt > 0.0:  # before the first step nothing moves
             self.backend.step(self.base_twist, self.joint_targets, self._dt)
 
@@ -145,7 +145,7 @@ class CommandGuard(Passing):
         Raises:
             KinfeasError: If a backend from outside fails.
         """
-        with blaming(self.backend, "close"):
+        with plugin_errors(self.backend, "close"):
             self.backend.close()
 
     def _take(self, method: str, answer: RobotState) -> RobotState:
@@ -155,7 +155,7 @@ class CommandGuard(Passing):
 
     def _check_fresh(self) -> None:
         """Raise if a robot that moves meanwhile was measured too long ago."""
-        if self._live is not None:
+        if self._real_time is not None:
             check_age(self._state, self._clock() - self._measured, self._guards.max_age)
 
     def _arm(self, targets: Array, dt: float) -> Array:
@@ -166,7 +166,9 @@ class CommandGuard(Passing):
         self.held = ""
         if np.abs(move).max() > self._guards.joint_jump:
             self.held = "the arm's target is too far away"
-        elif not lag.max() <= self._guards.joint_lag:  # which is no number where an arm is lost
+        elif (
+            not lag.max() <= self._guards.max_tracking_delay
+        ):  # which is no number where an arm is lost
             self.held = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
         if self.held:
             return before
@@ -216,5 +218,5 @@ def _limits(robot: Robot, guards: Guards) -> DriveLimits:
         most: float | None = getattr(guards, name)
         return getattr(own, name) if most is None else min(most, getattr(own, name))
 
-    names = ("speed", "rotation", "acceleration", "rotation_acceleration")
+    names = ("max_linear_velocity", "max_angular_velocity", "acceleration", "rotation_acceleration")
     return replace(own, **{name: lower(name) for name in names})

@@ -7,13 +7,13 @@ from kinfeas import registry
 from kinfeas.backend import Backend
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.legs import PaceSettings
-from kinfeas.look_ahead import Foresight
+from kinfeas.rollout_planner import RolloutConfig
 from kinfeas.sim2real.guard_config import Guards
+from kinfeas.subgoals import ExecutionSettings
 
 
 @dataclass(frozen=True)
-class DeployConfig(PaceSettings):
+class DeployConfig(ExecutionSettings):
     """What can be set of a deployment beside policy, robot, backend, goal and its pace.
 
     Attributes:
@@ -22,7 +22,7 @@ class DeployConfig(PaceSettings):
         task: Keyword parameters of the task.
         backend: Keyword parameters of the backend, beside those that every robot gives it.
         ik: How hard IK searches.
-        look_ahead: How far and how widely it looks, if it looks ahead.
+        rollout_planner: How far and how widely it looks, if it looks ahead.
     """
 
     guards: Guards = field(default_factory=Guards)
@@ -30,7 +30,7 @@ class DeployConfig(PaceSettings):
     task: dict[str, object] = field(default_factory=dict)
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
-    look_ahead: Foresight = field(default_factory=Foresight)
+    rollout_planner: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:

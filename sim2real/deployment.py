@@ -7,14 +7,14 @@ from signal import SIGHUP, SIGINT, SIGQUIT, SIGTERM
 from typing import Protocol, runtime_checkable
 
 from kinfeas.adapters import AdapterSpec
-from kinfeas.backend import Backend, Live
+from kinfeas.backend import Backend, RealTimeBackend
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import Pace
 from kinfeas.policy import Policy
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.guards import Clocks
 from kinfeas.sim2real.metronome import Timing
 from kinfeas.spatial import Array
+from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.task import Task
 
 
@@ -88,7 +88,7 @@ class Setup:
         adapters: What goes around the backend, the first one innermost.
         seconds: How long the run may last.
         seed: Of all that is drawn.
-        pace: How EE motions are carried out, before adapters change it.
+        execution: How EE motions are carried out, before adapters change it.
         guards: When the run is stopped; in a world that keeps to no clock without those that ask
             one.
         real_time: Whether a simulated world keeps to the clock on the wall.
@@ -103,7 +103,7 @@ class Setup:
     adapters: tuple[AdapterSpec, ...] = ()
     seconds: float = math.inf
     seed: int = 0
-    pace: Pace = field(default_factory=Pace)
+    execution: ExecutionConfig = field(default_factory=ExecutionConfig)
     guards: Guards = field(default_factory=Guards)
     real_time: bool = True
     clocks: Clocks = field(default_factory=Clocks)
@@ -119,6 +119,6 @@ class Setup:
         self.guards.check_rate(self.dt)
 
     @property
-    def live(self) -> Live | None:
+    def live(self) -> RealTimeBackend | None:
         """The backend, if its robot moves by a clock of its own."""
-        return self.backend if isinstance(self.backend, Live) else None
+        return self.backend if isinstance(self.backend, RealTimeBackend) else None

@@ -14,14 +14,14 @@ class DriveLimits:
     """How fast a base may be told to drive, and how fast that may change.
 
     Attributes:
-        speed: m/s.
+        max_linear_velocity: m/s.
         rotation: rad/s.
         acceleration: m/s^2.
         rotation_acceleration: rad/s^2.
         sideways: Whether it can drive in any direction.
     """
 
-    speed: float
+    max_linear_velocity: float
     rotation: float
     acceleration: float
     rotation_acceleration: float
@@ -49,7 +49,7 @@ class DriveLimits:
         wanted = velocity.copy()
         if not self.sideways:
             wanted[1] = 0.0
-        wanted[:2] = _shorten(wanted[:2], self.speed)
+        wanted[:2] = _shorten(wanted[:2], self.max_linear_velocity)
         wanted[2] = np.clip(wanted[2], -self.rotation, self.rotation)
         change = wanted - before
         change[:2] = _shorten(change[:2], self.acceleration * dt)

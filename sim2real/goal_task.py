@@ -15,7 +15,7 @@ from kinfeas.quantities import REMOTEST
 from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.checks import unchecked
-from kinfeas.tasks.task import Leg, MotionSpec, Task
+from kinfeas.tasks.task import MotionSpec, Subgoal, Task
 
 _UNIT = 1e-2  # by which the length of a given quaternion may be off
 
@@ -37,9 +37,9 @@ class GoalTask:
     name: str = "goal"
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
+    def subgoals(self) -> tuple[Subgoal, ...]:
         """The one motion, of the EE frame."""
-        return (Leg(self.motion),)
+        return (Subgoal(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return the one episode that there is, its arrays without a leading axis."""

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.adapters import AdapterSpec, wrap
-from kinfeas.backend import Backend, Live, RobotState
+from kinfeas.backend import Backend, RealTimeBackend, RobotState
 from kinfeas.foreign import BLAMED
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.command_guard import CommandGuard, check_age, check_command
 from kinfeas.sim2real.fault import Fault, beyond, reason_of
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.measurement_guard import MeasurementGuard
-from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.metronome import Rate
 from kinfeas.sim2real.passing import Passing
 from kinfeas.sim2real.timed import Timed
 from kinfeas.spatial import Array
@@ -57,7 +57,7 @@ class Guarded(Passing):
         guards: Guards | None = None,
         *,
         adapters: Sequence[AdapterSpec] = (),
-        metronome: Metronome | None = None,
+        metronome: Rate | None = None,
         clocks: Clocks | None = None,
     ) -> None:
         """Put guards around a backend.
@@ -77,7 +77,7 @@ class Guarded(Passing):
         self._commands = CommandGuard(backend, robot, self.guards, self._clocks.steady)
         wrapped = wrap(self._commands, adapters, robot)
         super().__init__(wrapped if metronome is None else Timed(wrapped, metronome))
-        needs_age = isinstance(backend, Live)
+        needs_age = isinstance(backend, RealTimeBackend)
         self._measured = MeasurementGuard(robot, self.guards, needs_age=needs_age)
         self._steady = self._wall = np.nan
         self._fails = 0
@@ -138,9 +138,9 @@ class Guarded(Passing):
         try:
             self._check_delay()
             check_command(self._commands.robot, base_twist, joint_targets)
-            sent = self._commands.steps
+            joint_command = self._commands.steps
             state = self.backend.step(base_twist, joint_targets, dt)
-            if self._commands.steps == sent:
+            if self._commands.steps == joint_command:
                 raise Fault("an adapter has not passed the command on")
             elapsed = self._check_period()
             self._measured.check(state, elapsed)
@@ -161,10 +161,12 @@ class Guarded(Passing):
         """
         held = self._commands.held
         self._fails = 0 if feasible and not held else self._fails + 1
-        if self._fails > self.guards.infeasible_steps:
+        if self._fails > self.guards.max_consecutive_ik_failures:
             self.stop()
             why = held or "IK finds no solution"
-            raise Fault(f"{why}, for more than {self.guards.infeasible_steps} steps in a row")
+            raise Fault(
+                f"{why}, for more than {self.guards.max_consecutive_ik_failures} steps in a row"
+            )
 
     def stop(self) -> None:
         """Command the base to zero, and the arm to stay; it may be called at any time, and twice.
@@ -192,7 +194,7 @@ class Guarded(Passing):
 
     def _check_period(self) -> float:
         """Return the seconds that the backend took; raise if they were too many."""
-        elapsed, most = self._elapsed(), self.guards.max_stall
+        elapsed, most = self._elapsed(), self.guards.max_period
         if elapsed > most:
             took = f"the control period took {beyond(elapsed, most)} s"
             raise Fault(f"{took}, at most {most:g} s is allowed")
@@ -205,10 +207,10 @@ class Guarded(Passing):
         self._steady, self._wall = steady, wall
         if not elapsed >= 0.0:
             raise Fault(f"the clock went backwards by {beyond(-elapsed, 0.0)} s")
-        if not abs(jump) <= self.guards.clock_jump:
+        if not abs(jump) <= self.guards.max_clock_skew:
             sign = "-" if jump < 0.0 else "+"
             raise Fault(
-                f"the system's clock was set by {sign}{beyond(abs(jump), self.guards.clock_jump)} s"
+                f"the system's clock was set by {sign}{beyond(abs(jump), self.guards.max_clock_skew)} s"
             )
         return elapsed
 

@@ -15,7 +15,7 @@ from kinfeas.sim2real.drive_limits import to_drive
 from kinfeas.sim2real.fault import Fault, beyond
 from kinfeas.sim2real.link import Link
 from kinfeas.sim2real.link_inbox import Inbox
-from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.metronome import Rate
 from kinfeas.sim2real.stamps import DRIFT
 from kinfeas.spatial import Array, wrap
 
@@ -24,7 +24,8 @@ _OFF = 0.02  # rad or m by which a joint may stand beside where the kinematics h
 
 
 class LinkBackend:
-    """One robot that moves by its own clock; it is `Live`, `Gripping` and `ArmLimited`.
+    """One robot that moves by its own clock; it is `RealTimeBackend`, `SupportsGripper` and
+    `ArmLimited`.
 
     Attributes:
         robot: Who moves.
@@ -67,7 +68,7 @@ class LinkBackend:
         if not 0.0 <= drift < 1.0:
             raise KinfeasError(f"drift must be in [0, 1), not {drift:g}")
         self.robot, self.link = robot, link
-        self.metronome: Metronome | None = None
+        self.metronome: Rate | None = None
         self._names = robot_names(robot, names or {})
         self._inbox = Inbox(robot, self._names, drift)
         self._seconds, self._patience, self._stale = seconds, patience, stale
@@ -200,9 +201,9 @@ class LinkBackend:
         names = self._names.values()
         self.link.move(dict(zip(names, (raw + way).tolist(), strict=True)), seconds)
 
-    def _pace(self, dt: float) -> Metronome:
+    def _pace(self, dt: float) -> Rate:
         if self.metronome is None or self.metronome.dt != dt:
-            self.metronome = Metronome(dt)
+            self.metronome = Rate(dt)
             self.metronome.wait()  # which sets it going
         return self.metronome
 

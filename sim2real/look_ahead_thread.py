@@ -6,9 +6,9 @@ from copy import deepcopy
 
 import numpy as np
 
-from kinfeas.look_ahead import Foresight, LookAhead, State
 from kinfeas.loop import Loop
-from kinfeas.policy import Policy, Situation
+from kinfeas.policy import Policy, PolicyInput
+from kinfeas.rollout_planner import RolloutConfig, RolloutPlanner, State
 from kinfeas.rows import Rows
 from kinfeas.spatial import Array
 
@@ -16,16 +16,16 @@ _TURN = 5e-4
 """Seconds."""
 
 
-class LookAheadThread(LookAhead):
+class RolloutPlannerThread(RolloutPlanner):
     """Looks ahead of one robot in a thread of its own.
 
     What it finds holds from when it is found. Where the next look is due before that, the policy
     acts alone until there is an answer, for by then the last one is of the past.
     """
 
-    def __init__(self, policy: Policy, foresight: Foresight | None = None) -> None:
+    def __init__(self, policy: Policy, rollout: RolloutConfig | None = None) -> None:
         """Wrap a policy; `watch` must follow before it acts."""
-        super().__init__(policy, foresight)
+        super().__init__(policy, rollout)
         # Policies need not bear to be asked by two threads at a time.
         self.rehearsed = deepcopy(policy)
         self._worker: ThreadPoolExecutor | None = None
@@ -36,7 +36,7 @@ class LookAheadThread(LookAhead):
         """Look ahead of the motion of `loop`, of one robot, from now on until `close`."""
         self.close()
         super().watch(loop)
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="look_ahead")
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="rollout_planner")
         self._interval = sys.getswitchinterval()
         # Python gives a thread 5 ms before it is another one's turn, a quarter of a period.
         sys.setswitchinterval(_TURN)
@@ -51,11 +51,11 @@ class LookAheadThread(LookAhead):
             self._worker = self._coming = None
             sys.setswitchinterval(self._interval)
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (1, 3) or (1, 2)."""
         if self._coming is not None and self._coming.done():
             self.deviation, self._coming = self._coming.result(), None
-        return super().act(situation)
+        return super().act(policy_input)
 
     def look(self, now: State, due: Rows) -> None:
         """Begin to look for a new deviation."""

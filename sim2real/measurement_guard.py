@@ -87,8 +87,8 @@ class MeasurementGuard:
             old = beyond(age, guards.max_age)
             _refuse(f"the newest measurement is {old} s old, at most {guards.max_age:g} s is")
         early = -float(np.min(state.age))
-        if early > guards.clock_jump:
-            ahead = beyond(early, guards.clock_jump)
+        if early > guards.max_clock_skew:
+            ahead = beyond(early, guards.max_clock_skew)
             _refuse(f"a measurement comes from {ahead} s in the future")
 
     def _check_pose(self, pose: Array) -> None:

@@ -36,7 +36,7 @@ class Timing:
     work_p99: float | None = None
 
 
-class Metronome:
+class Rate:
     """Ends every control period at its time.
 
     The deadlines are those of a clock that never lost a beat: a late period does not shift those

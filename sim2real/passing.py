@@ -3,7 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, BackendWrapper, Grip, Gripping, Seeing, Stochastic
+from kinfeas.backend import (
+    Backend,
+    BackendWrapper,
+    Grip,
+    Stochastic,
+    SupportsGripper,
+    SupportsObstacleDistances,
+)
 
 
 class Passing(BackendWrapper):
@@ -11,8 +18,8 @@ class Passing(BackendWrapper):
 
     def __init__(self, backend: Backend) -> None:
         self.backend = backend
-        if isinstance(backend, Seeing):
-            self.near = backend.near
+        if isinstance(backend, SupportsObstacleDistances):
+            self.obstacle_distances = backend.obstacle_distances
 
     def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""
@@ -21,5 +28,5 @@ class Passing(BackendWrapper):
 
     def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
         """Pass on to a backend that has grippers."""
-        if isinstance(self.backend, Gripping):
+        if isinstance(self.backend, SupportsGripper):
             self.backend.grip(grip, rows)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.errors import KinfeasError
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real import policy_about
 from kinfeas.sim2real.policy_about import About
@@ -41,9 +41,9 @@ class PolicyFile:
         self.about = about
         self._content, self._session = content, _start(content)
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, actions)."""
-        return self(situation.observation)
+        return self(policy_input.observation)
 
     def __call__(self, seen: Array) -> Array:
         """Return the actions, shape (n, actions), for observations of shape (n, inputs).

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from kinfeas import spatial
-from kinfeas.course import Course
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ceiling import reachable
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.loop import Loop
 from kinfeas.observation import HORIZON
+from kinfeas.sequence import MotionSequence
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.spatial import Array
 from kinfeas.start import Start
+from kinfeas.subgoals import GOAL_METRES, GOAL_RADIANS
 
 _LONGEST = 1500
-"""Periods of `HORIZON` for which the motion of a leg is followed at most."""
+"""Periods of `HORIZON` for which the motion of a sub-goal is followed at most."""
 
 _ROUNDING = 1e-6
 """By which a speed in m/s, or a quotient of two, may be off."""
@@ -37,59 +37,60 @@ def preview(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) 
         guards: What is allowed.
 
     Raises:
-        KinfeasError: If the end of a leg is out of reach, as far as a search can tell.
+        KinfeasError: If the end of a sub-goal is out of reach, as far as a search can tell.
     """
     if guards.reach:
-        _check_reach(loop.solver, leg_ends(_course(loop, start, rng)))
-    if guards.speed is None:
+        _check_reach(loop.solver, subgoal_poses(_sequence(loop, start, rng)))
+    if guards.max_linear_velocity is None:
         return ""
-    planned = top_speed(_course(loop, start, rng))
-    paced = planned / loop.pace.slow_down
-    if paced <= guards.speed + _ROUNDING:
+    planned = top_speed(_sequence(loop, start, rng))
+    execution_of = planned / loop.execution.slow_down
+    if execution_of <= guards.max_linear_velocity + _ROUNDING:
         return ""
-    share = max(planned, loop.robot.base.max_velocity) / guards.speed
+    share = max(planned, loop.robot.base.max_velocity) / guards.max_linear_velocity
     return (
-        f"guards.speed slows down the base alone, to {guards.speed:g} m/s; the hand, which is to "
-        f"move at up to {paced:.2g} m/s, may leave it behind: "
+        f"guards.max_linear_velocity slows down the base alone, to {guards.max_linear_velocity:g} m/s; the hand, which is to "
+        f"move at up to {execution_of:.2g} m/s, may leave it behind: "
         f"--set slow_down={math.ceil(share - _ROUNDING)} slows it down as much"
     )
 
 
-def leg_ends(course: Course) -> Array:
-    """Return the world poses of the EE at the ends of all legs of one robot, shape (legs, 7)."""
-    return np.concatenate([course.goal for _ in _each_leg(course)])
+def subgoal_poses(sequence: MotionSequence) -> Array:
+    """Return the world poses of the EE at the ends of all sub-goals of one robot, shape (sub-goals,
+    7)."""
+    return np.concatenate([sequence.goal for _ in _each_subgoal(sequence)])
 
 
-def top_speed(course: Course) -> float:
+def top_speed(sequence: MotionSequence) -> float:
     """Return the greatest speed in m/s at which one robot's EE is planned to move."""
-    return max(_top_speed_of_leg(course) for _ in _each_leg(course))
+    return max(_top_speed_of_subgoal(sequence) for _ in _each_subgoal(sequence))
 
 
-def _course(loop: Loop, start: Start, rng: np.random.Generator) -> Course:
-    """Return the course that a loop is going to take, without waits and a head start."""
-    legs = [replace(leg, wait=0.0) for leg in loop.course.legs]
-    course = Course(legs, loop.robot, HORIZON)
+def _sequence(loop: Loop, start: Start, rng: np.random.Generator) -> MotionSequence:
+    """Return the motion sequence that a loop is going to take, without waits and a head start."""
+    subgoals = [replace(subgoal, wait=0.0) for subgoal in loop.sequence.subgoals]
+    sequence = MotionSequence(subgoals, loop.robot, HORIZON)
     ee = spatial.compose(start.base_pose, forward(loop.solver.chain, start.joint_positions))
-    course.start(ee, start.target_poses, [deepcopy(rng)])
-    return course
+    sequence.start(ee, start.target_poses, [deepcopy(rng)])
+    return sequence
 
 
-def _each_leg(course: Course) -> Iterator[int]:
-    """Yield the number of each leg at its start, as if each one before led to its very end."""
-    for number in range(len(course.legs)):
+def _each_subgoal(sequence: MotionSequence) -> Iterator[int]:
+    """Yield the number of each sub-goal at its start, as if each one before led to its very end."""
+    for number in range(len(sequence.subgoals)):
         yield number
-        course.desired = course.goal
-        course.advance(np.ones(1, dtype=np.bool_))
+        sequence.desired = sequence.goal
+        sequence.advance(np.ones(1, dtype=np.bool_))
 
 
-def _top_speed_of_leg(course: Course) -> float:
+def _top_speed_of_subgoal(sequence: MotionSequence) -> float:
     fastest = 0.0
     for _ in range(_LONGEST):
-        before = course.desired
-        course.move(course.ahead(HORIZON))
-        moved, _ = spatial.distance(course.desired, before)
+        before = sequence.desired
+        sequence.move(sequence.ahead(HORIZON))
+        moved, _ = spatial.distance(sequence.desired, before)
         fastest = max(fastest, moved.item() / HORIZON)
-        metres, radians = spatial.distance(course.desired, course.goal)
+        metres, radians = spatial.distance(sequence.desired, sequence.goal)
         if metres.item() <= GOAL_METRES and radians.item() <= GOAL_RADIANS:
             break
     return fastest
@@ -102,7 +103,7 @@ def _check_reach(solver: IkSolver, goals: Array) -> None:
     """
     near = replace(
         solver.options,
-        leeway=False,
+        pose_tolerance=False,
         position_tolerance=max(solver.options.position_tolerance, GOAL_METRES),
         rotation_tolerance=max(solver.options.rotation_tolerance, GOAL_RADIANS),
     )
@@ -110,7 +111,7 @@ def _check_reach(solver: IkSolver, goals: Array) -> None:
     if reached.all():
         return
     first = int(np.argmin(reached))
-    what = "the goal" if len(goals) == 1 else f"the end of leg {first + 1} of {len(goals)}"
+    what = "the goal" if len(goals) == 1 else f"the end of sub-goal {first + 1} of {len(goals)}"
     raise KinfeasError(
         f"no base pose was found from which the arm reaches {what}, {_words(goals[first])}; "
         "--set guards.reach=false goes there all the same"

@@ -9,26 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.adapters import paced
-from kinfeas.backend import blaming
+from kinfeas.adapters import execution_of
+from kinfeas.backend import plugin_errors
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
 from kinfeas.foreign import BLAMED
-from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
 from kinfeas.record import REACHED, TASK_DONE, Moment, Recorder
+from kinfeas.rollout_planner import RolloutPlanner
 from kinfeas.sim2real.deployment import Code, Outcome, Setup, TaskWithObjects
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.goal_task import begin
 from kinfeas.sim2real.guards import Guarded, check_action
-from kinfeas.sim2real.look_ahead_thread import LookAheadThread
-from kinfeas.sim2real.metronome import Metronome
 from kinfeas.sim2real.preview import preview
+from kinfeas.sim2real.rate import Rate
+from kinfeas.sim2real.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.signals import Signals
 from kinfeas.sim2real.watchdog import StopCall, Watchdog, Watched
 from kinfeas.spatial import IDENTITY, Array
 from kinfeas.start import episode_rng
-from kinfeas.tasks.task import build_legs
+from kinfeas.tasks.task import build_subgoals
 
 __all__ = ["Code", "Outcome", "Setup", "deploy"]
 
@@ -40,7 +40,7 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
         KinfeasError: If it cannot begin.
     """
     run = _Run(setup, recorder)
-    beside = isinstance(setup.policy, LookAheadThread)
+    beside = isinstance(setup.policy, RolloutPlannerThread)
     with (
         closing(setup.policy) if beside else nullcontext(),
         Signals() as signals,
@@ -59,7 +59,7 @@ class _Run:
     def __init__(self, setup: Setup, recorder: Recorder) -> None:
         self.setup, self.recorder, self.live = setup, recorder, setup.live
         self.robot = setup.solver.robot
-        self.metronome = Metronome(setup.dt, now=setup.clocks.steady)
+        self.rate = Rate(setup.dt, now=setup.clocks.steady)
         self.waits = setup.real_time and self.live is None
         self.keeps_time = setup.real_time or self.live is not None
         self.guarded = Guarded(
@@ -67,12 +67,14 @@ class _Run:
             self.robot,
             setup.guards,
             adapters=setup.adapters,
-            metronome=self.metronome if self.waits else None,
+            rate=self.rate if self.waits else None,
             clocks=setup.clocks,
         )
-        pace = paced(self.guarded, setup.pace)
-        self.loop = Loop(setup.solver, build_legs(setup.task.legs), self.guarded, setup.dt, pace)
-        if isinstance(setup.policy, LookAhead):
+        execution = execution_of(self.guarded, setup.execution)
+        self.loop = Loop(
+            setup.solver, build_subgoals(setup.task.subgoals), self.guarded, setup.dt, execution
+        )
+        if isinstance(setup.policy, RolloutPlanner):
             setup.policy.watch(self.loop)
         self.steps = self.failures = 0
         self.began = 0.0
@@ -111,7 +113,7 @@ class _Run:
         try:
             code, reason = self.go(watchdog, signals)
             if isinstance(self.setup.task, TaskWithObjects):
-                state = self.guarded.state.truth or self.guarded.state
+                state = self.guarded.state.true_state or self.guarded.state
                 self.setup.task.settle(state.joint_positions, self.setup.dt)
                 done = self.setup.task.done()
         except (KinfeasError, OSError) as error:
@@ -135,7 +137,7 @@ class _Run:
             self.guarded.unstopped,
             self.lasted(),
             self.failures,
-            self.metronome.timing(),
+            self.rate.timing(),
             task_done=done,
         )
 
@@ -149,14 +151,14 @@ class _Run:
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died or stalled")
             goal = loop.goal[0]
-            step = loop.step(check_action(setup.policy.act(loop.situation), size))
+            step = loop.step(check_action(setup.policy.act(loop.policy_input), size))
             if not self.waits:
-                self.metronome.tick()
-            feasible, leg = bool(step.feasible[0]), int(step.leg[0])
+                self.rate.tick()
+            feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
-            after = int(loop.course.leg[0])
-            event = f"leg {after + 1} begins" if after > leg else ""
-            self.note(event, goal, leg, feasible=feasible)
+            after = int(loop.sequence.subgoal[0])
+            event = f"sub-goal {after + 1} begins" if after > subgoal else ""
+            self.note(event, goal, subgoal, feasible=feasible)
             self.guarded.judge(feasible=feasible)
             if step.finished[0]:
                 return Code.REACHED, REACHED
@@ -172,13 +174,13 @@ class _Run:
         self,
         event: str,
         goal: Array | None = None,
-        leg: int | None = None,
+        subgoal: int | None = None,
         *,
         feasible: bool = True,
     ) -> None:
         """Write down where the robot is and what it was commanded.
 
-        Goal and leg are those of the step that has ended, if they have changed with it.
+        Goal and sub-goal are those of the step that has ended, if they have changed with it.
         """
         loop, guarded, state = self.loop, self.guarded, self.guarded.state
         self.recorder.write(
@@ -192,7 +194,7 @@ class _Run:
                 base_twist=guarded.base_twist[0],
                 joint_targets=guarded.joint_targets[0],
                 feasible=feasible,
-                leg=int(loop.course.leg[0]) if leg is None else leg,
+                subgoal=int(loop.sequence.subgoal[0]) if subgoal is None else subgoal,
                 event=event,
             )
         )
@@ -200,7 +202,7 @@ class _Run:
 
 def _stop_call(backend: Watched) -> StopCall:
     """Return how another process stops the base, if the backend says it."""
-    with blaming(backend, "stop_call"):
+    with plugin_errors(backend, "stop_call"):
         call: Any = backend.stop_call()
     if not isinstance(call, StopCall):
         name, got = type(backend).__name__, type(call).__name__

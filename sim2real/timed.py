@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backend import Backend, RobotState
-from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.metronome import Rate
 from kinfeas.sim2real.passing import Passing
 from kinfeas.spatial import Array
 
@@ -12,7 +12,7 @@ from kinfeas.spatial import Array
 class Timed(Passing):
     """A backend whose control periods take as long as they say."""
 
-    def __init__(self, backend: Backend, metronome: Metronome) -> None:
+    def __init__(self, backend: Backend, metronome: Rate) -> None:
         """Wrap a backend that has no clock of its own."""
         super().__init__(backend)
         self.metronome = metronome

@@ -8,16 +8,18 @@ from kinfeas import registry, spatial
 from kinfeas.adapters import AdapterSpec
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
 from kinfeas.policy import Policy
+from kinfeas.rollout_planner import RolloutPlanner
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.guards import Guarded
 from kinfeas.start import Start
-from kinfeas.tasks.task import Task, build_legs
+from kinfeas.tasks.task import Task, build_subgoals
 
 _STEPS = 5
-_AWAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to what the legs lead to
+_AWAY = np.array(
+    [0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0]
+)  # m, from the EE to what the sub-goals lead to
 
 
 def warm_up(
@@ -31,12 +33,14 @@ def warm_up(
     robot, rng = solver.robot, np.random.default_rng(0)
     joints = robot.home["home"][np.newaxis]
     target = forward(solver.chain, joints) + _AWAY
-    start = Start(spatial.IDENTITY[np.newaxis], joints, np.stack([target] * len(task.legs), axis=1))
+    start = Start(
+        spatial.IDENTITY[np.newaxis], joints, np.stack([target] * len(task.subgoals), axis=1)
+    )
     analytic = registry.build("kinfeas.backends", "analytic", {})
     backend = Guarded(analytic, robot, Guards().timeless(), adapters=adapters)
-    loop = Loop(solver, build_legs(task.legs), backend, dt)
-    if isinstance(policy, LookAhead):
+    loop = Loop(solver, build_subgoals(task.subgoals), backend, dt)
+    if isinstance(policy, RolloutPlanner):
         policy.watch(loop)
     loop.start(start, [rng])
     for _ in range(_STEPS):
-        loop.step(policy.act(loop.situation))
+        loop.step(policy.act(loop.policy_input))

@@ -52,8 +52,8 @@ def solver(robot):
 
 @pytest.fixture(scope="session")
 def exact_solver(robot):
-    """Its solver without leeway."""
-    return IkSolver(robot, IkOptions(leeway=False))
+    """Its solver without pose tolerance."""
+    return IkSolver(robot, IkOptions(pose_tolerance=False))
 
 
 @cache

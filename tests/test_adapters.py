@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from kinfeas import registry
-from kinfeas.adapters import AdapterSpec, chain, paced, read_sim2real, wrap
+from kinfeas.adapters import AdapterSpec, chain, execution_of, read_sim2real, wrap
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
-from kinfeas.legs import Pace
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.storage.recipes import recipes
+from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.ggr import ggr
 
 LADDER = ("ideal", "paper", "pr2_like", "harsh")
@@ -100,7 +100,7 @@ def test_wrong_adapters_are_one_sentence(pr2):
         wrap(AnalyticBackend(), [AdapterSpec("base_nose")], pr2)
 
 
-class Pacer:
+class ExecutionChanger:
     """A backend around a backend that answers what a test says."""
 
     answer = None
@@ -108,8 +108,8 @@ class Pacer:
     def __init__(self, backend, robot):
         self.backend = backend
 
-    def pace(self, pace):
-        return self.answer(pace)
+    def execution(self, execution):
+        return self.answer(execution)
 
     def reset(self, *arguments):
         return self.backend.reset(*arguments)
@@ -121,40 +121,45 @@ class Pacer:
         self.backend.close()
 
 
-def lost(pace):
-    raise KeyError("pace")
+def lost(execution):
+    raise KeyError("execution")
 
 
 @pytest.mark.parametrize(
     ("answer", "sentence"),
     [
-        (lambda pace: None, "^adapter Pacer must return a Pace from pace, not NoneType$"),
+        (
+            lambda execution: None,
+            "^adapter Pacer must return a ExecutionConfig from pace, not NoneType$",
+        ),
         (lost, r"^adapter Pacer fails in pace: KeyError: 'pace' \(test_adapters.py, line \d+\)$"),
         (
-            lambda pace: replace(pace, head_start=np.nan),
+            lambda execution: replace(execution, head_start=np.nan),
             "^head_start must be a number >= 0 in all, n",
         ),
         (
-            lambda pace: replace(pace, patience=-1.0),
-            "^patience must be a number >= 0 in all, not -1$",
+            lambda execution: replace(execution, arm_settle_timeout=-1.0),
+            "^arm_settle_timeout must be a number >= 0 in all, not -1$",
         ),
     ],
 )
 def test_a_pace_that_is_none_is_one_sentence(pr2, monkeypatch, answer, sentence):
     monkeypatch.setattr(registry, "_REGISTERED", [])
-    monkeypatch.setattr(Pacer, "answer", staticmethod(answer))
-    registry.register("kinfeas.adapters", "pacer", Pacer)
+    monkeypatch.setattr(ExecutionChanger, "answer", staticmethod(answer))
+    registry.register("kinfeas.adapters", "pacer", ExecutionChanger)
     with pytest.raises(KinfeasError, match=sentence):
-        paced(wrap(AnalyticBackend(), [AdapterSpec("pacer")], pr2), Pace())
+        execution_of(wrap(AnalyticBackend(), [AdapterSpec("pacer")], pr2), ExecutionConfig())
 
 
 def test_the_pace_of_an_adapter_from_outside_counts_once(pr2, monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
-    twice = staticmethod(lambda pace: replace(pace, slow_down=2.0 * pace.slow_down))
-    monkeypatch.setattr(Pacer, "answer", twice)
-    registry.register("kinfeas.adapters", "pacer", Pacer)
+    twice = staticmethod(lambda execution: replace(execution, slow_down=2.0 * execution.slow_down))
+    monkeypatch.setattr(ExecutionChanger, "answer", twice)
+    registry.register("kinfeas.adapters", "pacer", ExecutionChanger)
     backend = wrap(AnalyticBackend(), [AdapterSpec("pacer"), AdapterSpec("head_start")], pr2)
-    assert paced(backend, Pace()) == Pace(slow_down=2.0, head_start=3.0)
+    assert execution_of(backend, ExecutionConfig()) == ExecutionConfig(
+        slow_down=2.0, head_start=3.0
+    )
 
 
 def test_the_first_one_is_innermost_and_a_backend_alone_has_its_pace(pr2):
@@ -162,8 +167,10 @@ def test_the_first_one_is_innermost_and_a_backend_alone_has_its_pace(pr2):
     backend = wrap(AnalyticBackend(), [AdapterSpec(name) for name in names], pr2)
     kinds = [type(link).__name__ for link in chain(backend)]
     assert kinds == ["HeadStart", "CommandLatency", "BaseNoise", "AnalyticBackend"]
-    assert paced(backend, Pace()) == Pace(head_start=3.0)
-    assert paced(AnalyticBackend(), Pace(slow_down=2.0)) == Pace(slow_down=2.0)
+    assert execution_of(backend, ExecutionConfig()) == ExecutionConfig(head_start=3.0)
+    assert execution_of(AnalyticBackend(), ExecutionConfig(slow_down=2.0)) == ExecutionConfig(
+        slow_down=2.0
+    )
 
 
 class Named(AnalyticBackend):
@@ -174,29 +181,33 @@ class Named(AnalyticBackend):
 
 def test_a_backend_is_no_wrapper_for_an_attribute_of_that_name(pr2, monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
-    monkeypatch.setattr(Pacer, "answer", staticmethod(lambda pace: replace(pace, head_start=1.0)))
-    registry.register("kinfeas.adapters", "pacer", Pacer)
+    monkeypatch.setattr(
+        ExecutionChanger,
+        "answer",
+        staticmethod(lambda execution: replace(execution, head_start=1.0)),
+    )
+    registry.register("kinfeas.adapters", "pacer", ExecutionChanger)
     innermost = Named()
     assert list(chain(innermost)) == [innermost]
-    assert paced(innermost, Pace()) == Pace()
+    assert execution_of(innermost, ExecutionConfig()) == ExecutionConfig()
     backend = wrap(innermost, [AdapterSpec("pacer"), AdapterSpec("base_noise")], pr2)
     kinds = [type(link).__name__ for link in chain(backend)]
-    assert kinds == ["BaseNoise", "CheckedAdapter", "Pacer", "Named"]
-    assert paced(backend, Pace()) == Pace(head_start=1.0)
+    assert kinds == ["BaseNoise", "CheckedAdapter", "ExecutionChanger", "Named"]
+    assert execution_of(backend, ExecutionConfig()) == ExecutionConfig(head_start=1.0)
 
 
 class Sway:
     """Drives to and fro, by what it sees."""
 
-    def act(self, situation: Situation):
-        return np.sin(40.0 * situation.observation[:, :3])
+    def act(self, policy_input: PolicyInput):
+        return np.sin(40.0 * policy_input.observation[:, :3])
 
 
 def trace(world, episodes, steps):
     world.start(episodes)
     seen = []
     for _ in range(steps):
-        transition = world.step(Sway().act(world.loop.situation))
+        transition = world.step(Sway().act(world.loop.policy_input))
         seen.append(np.column_stack([transition.observation, transition.step.deviation]))
     return np.stack(seen)
 
@@ -217,7 +228,7 @@ def test_a_run_goes_on_to_the_bit(pr2, name):
     trace(world, range(4), 30)
     other.restore(world.snapshot())
     for _ in range(30):
-        one, two = (each.step(Sway().act(each.loop.situation)) for each in (world, other))
+        one, two = (each.step(Sway().act(each.loop.policy_input)) for each in (world, other))
         np.testing.assert_array_equal(one.observation, two.observation)
         np.testing.assert_array_equal(one.step.deviation, two.step.deviation)
         np.testing.assert_array_equal(one.done, two.done)

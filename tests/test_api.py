@@ -59,13 +59,13 @@ def test_figures_are_those_of_the_command(tmp_path, monkeypatch):
     from kinfeas.cli.main import app
 
     path = tmp_path / "figures.json"
-    names = ["--policy", "follow_ee", "--robot", "tiago", "--sim2real", "ideal"]
+    names = ["--policy", "follow_ee", "--robot", "tiago", "--adapters", "ideal"]
     options = [
         "--episodes",
         "2",
         "--set",
         "world.max_seconds=1",
-        "--look-ahead",
+        "--rollout-planner",
         "--json",
         str(path),
     ]
@@ -75,7 +75,7 @@ def test_figures_are_those_of_the_command(tmp_path, monkeypatch):
         robot="tiago",
         sim2real="ideal",
         episodes=2,
-        look_ahead=True,
+        rollout_planner=True,
         settings={"world.max_seconds": 1},
     )
     told = json.loads(path.read_text())

@@ -5,22 +5,22 @@ import numpy as np
 import pytest
 
 from kinfeas import registry, spatial
-from kinfeas.backend import Nearby
-from kinfeas.clearance import Clearance
+from kinfeas.backend import ObstacleDistances
 from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
-from kinfeas.following import Following
-from kinfeas.joints import jumps
+from kinfeas.feasibility_filter import FeasibilityFilter
+from kinfeas.joints import joint_jumps
+from kinfeas.kinematic_step import KinematicStep
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import LegMotion, Pace
-from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Loop
+from kinfeas.min_obstacle_distance import ObstacleFilter
 from kinfeas.plugins.linear import Linear
+from kinfeas.rollout_planner import RolloutPlanner
 from kinfeas.sim2real.passing import Passing
 from kinfeas.start import Start
-from kinfeas.yielding import Yielding
+from kinfeas.subgoals import ExecutionConfig, SubgoalMotion
 
 KEPT, DT, RADIUS = 0.05, 0.1, 0.3
 
@@ -32,7 +32,7 @@ class Pillars(AnalyticBackend):
         super().__init__()
         self.pillars, self.asked = np.array(pillars).reshape(-1, 2), []
 
-    def near(self, within):
+    def obstacle_distances(self, within):
         self.asked.append(within)
         base = self.state.base_pose
         heading = spatial.yaw(base)[:, np.newaxis]
@@ -40,9 +40,9 @@ class Pillars(AnalyticBackend):
         cosine, sine = np.cos(heading), np.sin(heading)
         way = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=2)
         away = np.linalg.norm(way, axis=2)
-        toward = way / away[..., np.newaxis]
+        normal = way / away[..., np.newaxis]
         distance = np.where(away - RADIUS < within, away - RADIUS, np.inf)
-        return Nearby(RADIUS * toward, toward, distance)
+        return ObstacleDistances(RADIUS * normal, normal, distance)
 
     @property
     def nearest(self):
@@ -57,9 +57,15 @@ def start_of(robot, n, seed=0):
     return base, joints
 
 
-def loop_among(robot, backend, n, pace=None):
+def loop_among(robot, backend, n, execution=None):
     base, joints = start_of(robot, n)
-    loop = Loop(IkSolver(robot), [LegMotion(Linear())], backend, DT, pace or Pace(clearance=KEPT))
+    loop = Loop(
+        IkSolver(robot),
+        [SubgoalMotion(Linear())],
+        backend,
+        DT,
+        execution or ExecutionConfig(min_obstacle_distance=KEPT),
+    )
     ee = spatial.compose(base, forward(loop.solver.chain, joints))
     goal = spatial.integrate(ee, np.tile([1.0, 0, 0, 0, 0, 0], (n, 1)), 1.0)
     rngs = [np.random.default_rng(i) for i in range(n)]
@@ -86,14 +92,14 @@ def test_no_base_comes_nearer_than_it_should(robot):
 
 def test_far_from_everything_commands_stay_as_they_are(robot):
     backend, plain = Pillars([9.0, 9.0]), AnalyticBackend()
-    loops = [loop_among(robot, backend, 8), loop_among(robot, plain, 8, Pace())]
+    loops = [loop_among(robot, backend, 8), loop_among(robot, plain, 8, ExecutionConfig())]
     rng = np.random.default_rng(2)
     for _ in range(20):
         action = rng.uniform(-2.0, 2.0, (8, loops[0].action_size))
         for loop in loops:
             loop.step(action)
     np.testing.assert_array_equal(backend.state.base_pose, plain.state.base_pose)
-    np.testing.assert_array_equal(loops[0].sent, loops[1].sent)
+    np.testing.assert_array_equal(loops[0].joint_command, loops[1].joint_command)
 
 
 def test_a_base_slides_along_what_is_in_its_way():
@@ -130,8 +136,10 @@ def test_it_looks_as_far_as_the_fastest_base_takes_to_brake(robot):
 def test_a_base_turns_aside_before_it_leaves_its_way():
     """Its corner is in the way of a pillar: it turns the corner away, and drives on."""
     hsr = registry.load_robot("hsr")
-    corner = Nearby(np.array([[[0.3, 0.3]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]]))
-    limits = Clearance(hsr.base, Blind(lambda: corner), KEPT, DT).limits(1)
+    corner = ObstacleDistances(
+        np.array([[[0.3, 0.3]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]])
+    )
+    limits = ObstacleFilter(hsr.base, Blind(lambda: corner), KEPT, DT).limits(1)
     held = limits.hold(np.array([[[0.5, 0.0, 0.0]]]))[0, 0]
     assert held[0] == pytest.approx(0.5, rel=0.05)
     way = held[0] * hsr.base.max_velocity - 0.3 * held[2] * hsr.base.max_rotation
@@ -140,8 +148,10 @@ def test_a_base_turns_aside_before_it_leaves_its_way():
 
 def test_where_it_cannot_turn_fast_enough_it_leaves_its_way():
     hsr = registry.load_robot("hsr")
-    corner = Nearby(np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]]))
-    limits = Clearance(hsr.base, Blind(lambda: corner), KEPT, DT).limits(1)
+    corner = ObstacleDistances(
+        np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]])
+    )
+    limits = ObstacleFilter(hsr.base, Blind(lambda: corner), KEPT, DT).limits(1)
     held = limits.hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
     assert held[2] == pytest.approx(1.0)
     assert held[0] * hsr.base.max_velocity == pytest.approx(0.05 * hsr.base.max_rotation, rel=1e-3)
@@ -155,14 +165,14 @@ def test_a_base_that_yields_keeps_clear_as_well(solver):
     desired = spatial.compose(base, forward(solver.chain, joints))
     backend = Pillars([RADIUS + KEPT, 0.0], [0.0, RADIUS + KEPT])
     backend.reset(base, joints)
-    limits = Clearance(robot.base, backend, KEPT, 0.5).limits(n)
+    limits = ObstacleFilter(robot.base, backend, KEPT, 0.5).limits(n)
     action = rng.uniform(-1.0, 1.0, (n, action_size(robot.base)))
     action = limits.hold(action[:, np.newaxis])[:, 0]
-    following = Following(solver, 0.5)
-    as_given, _ = following(action, base, desired, joints)
-    twist, arm = Yielding(following)(action, base, desired, joints, None, limits)
+    kinematic_step = KinematicStep(solver, 0.5)
+    as_given, _ = kinematic_step(action, base, desired, joints)
+    twist, arm = FeasibilityFilter(kinematic_step)(action, base, desired, joints, None, limits)
     assert (twist != as_given).any(axis=1).sum() > 5
-    in_time = arm.feasible & ~jumps(robot, joints, arm.joint_positions, 0.5)
+    in_time = arm.feasible & ~joint_jumps(robot, joints, arm.joint_positions, 0.5)
     assert in_time.any()
     # Bases stand as near as they may, and drive neither forwards nor to the left.
     forwards, left = twist[:, 0], twist[:, 1]
@@ -176,7 +186,7 @@ def test_no_row_depends_on_the_others(robot):
     backend, rng = Pillars([0.4, 0.0], [0.0, 0.45]), np.random.default_rng(3)
     base, joints = start_of(robot, 16)
     backend.reset(base, joints)
-    limits = Clearance(robot.base, backend, KEPT, DT).limits(16)
+    limits = ObstacleFilter(robot.base, backend, KEPT, DT).limits(16)
     action = rng.uniform(-1.0, 1.0, (16, 2, action_size(robot.base)))
     together = limits.hold(action)
     assert (together != action).any()
@@ -188,7 +198,7 @@ def test_held_commands_are_carried_out_as_they_are(robot):
     backend, rng = Pillars([0.4, 0.0], [0.0, 0.45]), np.random.default_rng(4)
     base, joints = start_of(robot, 64)
     backend.reset(base, joints)
-    limits = Clearance(robot.base, backend, KEPT, DT).limits(64)
+    limits = ObstacleFilter(robot.base, backend, KEPT, DT).limits(64)
     held = limits.hold(rng.uniform(-2.0, 2.0, (64, 1, action_size(robot.base))))[:, 0]
     speed = np.linalg.norm(base_twist(robot.base, base, held, DT)[:, :2], axis=1)
     assert speed.max() <= robot.base.max_velocity * (1.0 + 1e-12)
@@ -198,18 +208,18 @@ def test_what_looks_ahead_sees_nothing_in_its_way():
     robot = registry.load_robot("hsr")
 
     class Still:
-        def act(self, situation):
+        def act(self, policy_input):
             return np.zeros((1, 3))
 
-    loop, policy = loop_among(robot, Pillars([9.0, 9.0]), 1), LookAhead(Still())
+    loop, policy = loop_among(robot, Pillars([9.0, 9.0]), 1), RolloutPlanner(Still())
     policy.watch(loop)
-    assert policy.act(loop.situation).shape == (1, 3)
+    assert policy.act(loop.policy_input).shape == (1, 3)
 
 
 def test_a_backend_that_sees_nothing_is_refused():
     robot = registry.load_robot("hsr")
     sentence = (
-        r"^clearance=0.05 needs a backend that knows what stands around the base, and "
+        r"^min_obstacle_distance=0.05 needs a backend that knows what stands around the base, and "
         r"AnalyticBackend does not: only 0 is allowed$"
     )
     for backend in (AnalyticBackend(), Passing(AnalyticBackend())):
@@ -224,30 +234,34 @@ class Blind(Pillars):
         super().__init__([9.0, 9.0])
         self.answer = answer
 
-    def near(self, within):
+    def obstacle_distances(self, within):
         return self.answer()
 
 
 @pytest.mark.parametrize(
     ("answer", "sentence"),
     [
-        (lambda: None, r"^backend Blind must return a Nearby from near, not NoneType$"),
+        (lambda: None, r"^backend Blind must return a ObstacleDistances from near, not NoneType$"),
         (lambda: 1 / 0, r"^backend Blind fails in near: ZeroDivisionError: "),
         (
-            lambda: Nearby(np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), np.zeros((2, 1))),
+            lambda: ObstacleDistances(np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), np.zeros((2, 1))),
             r"^backend Blind must say what is near to 1 robots, not to 2$",
         ),
         (
-            lambda: Nearby(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1)),
+            lambda: ObstacleDistances(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1)),
             r"fails in near: ValueError: place, toward and distance must be of the shapes \(n, k, "
             r"2\), \(n, k, 2\) and \(n, k\), not \(1, 2\), \(1, 2\) and \(1,\) ",
         ),
         (
-            lambda: Nearby(np.full((1, 1, 2), np.nan), np.zeros((1, 1, 2)), np.zeros((1, 1))),
+            lambda: ObstacleDistances(
+                np.full((1, 1, 2), np.nan), np.zeros((1, 1, 2)), np.zeros((1, 1))
+            ),
             "fails in near: ValueError: place and toward must be finite ",
         ),
         (
-            lambda: Nearby(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), np.full((1, 1), np.nan)),
+            lambda: ObstacleDistances(
+                np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), np.full((1, 1), np.nan)
+            ),
             "fails in near: ValueError: distance must be a number, or inf where there is nothing ",
         ),
     ],
@@ -255,9 +269,9 @@ class Blind(Pillars):
 def test_what_is_no_answer_is_said_in_one_sentence(answer, sentence):
     hsr = registry.load_robot("hsr")
     for backend in (Blind(answer), Passing(Blind(answer))):
-        clearance = Clearance(hsr.base, backend, KEPT, DT)
+        min_obstacle_distance = ObstacleFilter(hsr.base, backend, KEPT, DT)
         with pytest.raises(KinfeasError, match=sentence):
-            clearance.limits(1)
+            min_obstacle_distance.limits(1)
 
 
 def test_the_scan_of_the_documentation_keeps_a_round_base_clear():
@@ -266,8 +280,8 @@ def test_the_scan_of_the_documentation_keeps_a_round_base_clear():
     exec(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1], space)
     hsr, angles = registry.load_robot("hsr"), np.linspace(-1.5, 1.5, 181)
     wall = 0.5 / np.cos(angles[:, np.newaxis]) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    near = space["near_to_disc"](wall, RADIUS, 1.0)
-    assert near.distance.min() == pytest.approx(0.5 - RADIUS)
-    limits = Clearance(hsr.base, Blind(lambda: near), 0.5 - RADIUS, DT).limits(1)
+    obstacle_distances = space["near_to_disc"](wall, RADIUS, 1.0)
+    assert obstacle_distances.distance.min() == pytest.approx(0.5 - RADIUS)
+    limits = ObstacleFilter(hsr.base, Blind(lambda: obstacle_distances), 0.5 - RADIUS, DT).limits(1)
     held = limits.hold(np.array([[[0.5, 0.5, 0.0]]]))[0, 0]
     np.testing.assert_allclose(held, [0.0, 0.5, 0.0], atol=0.03)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from kinfeas import spatial
-from kinfeas.course import Course
-from kinfeas.legs import LegMotion, Pace, tool_pose
 from kinfeas.observation import HORIZON
 from kinfeas.plugins.linear import Linear
+from kinfeas.sequence import MotionSequence
+from kinfeas.subgoals import ExecutionConfig, SubgoalMotion, tool_pose
 
 
 class Wander:
@@ -44,37 +44,39 @@ def poses(n, seed=0):
 
 
 def chain():
-    """Return four legs of two generators and both frames, with and without a wait."""
+    """Return four sub-goals of two generators and both frames, with and without a wait."""
     linear = Linear()
     return [
-        LegMotion(linear, "tip"),
-        LegMotion(Wander(), "ee", wait=0.3),
-        LegMotion(linear, "ee"),
-        LegMotion(linear, "tip", wait=5.0),
+        SubgoalMotion(linear, "tip"),
+        SubgoalMotion(Wander(), "ee", dwell=0.3),
+        SubgoalMotion(linear, "ee"),
+        SubgoalMotion(linear, "tip", dwell=5.0),
     ]
 
 
-def begin(robot, n=6, legs=None, dt=HORIZON):
-    legs = chain() if legs is None else legs
-    course = Course(legs, robot, dt)
-    course.start(poses(n), poses(n * len(legs), 1).reshape(n, len(legs), 7), rngs(range(n)))
-    return course
+def begin(robot, n=6, subgoals=None, dt=HORIZON):
+    subgoals = chain() if subgoals is None else subgoals
+    sequence = MotionSequence(subgoals, robot, dt)
+    sequence.start(
+        poses(n), poses(n * len(subgoals), 1).reshape(n, len(subgoals), 7), rngs(range(n))
+    )
+    return sequence
 
 
-def follow(course, steps, arrived=None):
+def follow(sequence, steps, arrived=None):
     """Move on, arriving where a row is near or as told, and return all desired poses."""
     seen = []
     for i in range(steps):
-        course.move(course.ahead(HORIZON))
-        metres, radians = spatial.distance(course.desired, course.goal)
+        sequence.move(sequence.ahead(HORIZON))
+        metres, radians = spatial.distance(sequence.desired, sequence.goal)
         near = (metres < 0.02) & (radians < 0.2)
-        course.advance(near if arrived is None else arrived(i))
-        seen.append(course.desired)
+        sequence.advance(near if arrived is None else arrived(i))
+        seen.append(sequence.desired)
     return np.stack(seen)
 
 
-def everyone(course):
-    return np.ones(len(course.leg), dtype=bool)
+def everyone(sequence):
+    return np.ones(len(sequence.subgoal), dtype=bool)
 
 
 def test_tool_tip_is_ahead_along_the_approach_axis(robot):
@@ -86,99 +88,99 @@ def test_tool_tip_is_ahead_along_the_approach_axis(robot):
 
 
 def test_tip_legs_lead_the_tip_to_the_target(robot):
-    course = begin(robot, legs=[LegMotion(Linear(), "tip")])
+    sequence = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")])
     target = poses(6, 1)
-    tip = spatial.compose(course.goal, np.broadcast_to(tool_pose(robot), (6, 7)))
+    tip = spatial.compose(sequence.goal, np.broadcast_to(tool_pose(robot), (6, 7)))
     np.testing.assert_allclose(np.stack(spatial.distance(tip, target)), 0.0, atol=1e-7)
-    follow(course, 600)
-    assert np.all(spatial.distance(course.desired, course.goal)[0] < 0.02)
+    follow(sequence, 600)
+    assert np.all(spatial.distance(sequence.desired, sequence.goal)[0] < 0.02)
 
 
 def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
-    course, linear = begin(robot, legs=[LegMotion(Linear(), "tip")]), Linear()
+    sequence, linear = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")]), Linear()
     tool = np.broadcast_to(tool_pose(robot), (6, 7))
-    tip = spatial.compose(course.desired, tool)
+    tip = spatial.compose(sequence.desired, tool)
     state = linear.start(tip, poses(6, 1), rngs(range(6)))
     for _ in range(100):
         twist, state = linear.twist(state, tip, HORIZON)
         tip = spatial.integrate(tip, twist, HORIZON)
-        course.move(course.ahead(HORIZON))
-        error = spatial.distance(spatial.compose(course.desired, tool), tip)
+        sequence.move(sequence.ahead(HORIZON))
+        error = spatial.distance(spatial.compose(sequence.desired, tool), tip)
         np.testing.assert_allclose(np.stack(error), 0.0, atol=1e-6)
 
 
 def test_looking_ahead_moves_nothing(robot):
-    course = begin(robot)
-    follow(course, 40)
-    before = course.snapshot()
-    first, second = course.ahead(HORIZON), course.ahead(HORIZON)
+    sequence = begin(robot)
+    follow(sequence, 40)
+    before = sequence.snapshot()
+    first, second = sequence.ahead(HORIZON), sequence.ahead(HORIZON)
     np.testing.assert_array_equal(first[0], second[0])
-    for key, values in course.snapshot().items():
+    for key, values in sequence.snapshot().items():
         np.testing.assert_array_equal(values, before[key], err_msg=key)
 
 
 def test_legs_follow_each_other_from_the_desired_pose(robot):
-    course = begin(robot, 1)
-    legs, last = [0], course.desired
+    sequence = begin(robot, 1)
+    subgoals, last = [0], sequence.desired
     for _ in range(3000):
-        course.move(course.ahead(HORIZON))
-        assert np.linalg.norm(course.desired[:, :3] - last[:, :3]) < 0.1  # never a leap
-        metres, radians = spatial.distance(course.desired, course.goal)
-        course.advance((metres < 0.02) & (radians < 0.2))
-        legs.append(int(course.leg[0]))
-        last = course.desired
-    assert sorted(set(legs)) == [0, 1, 2, 3]
-    assert np.all(np.diff(legs) >= 0)
-    assert course.last.all()
+        sequence.move(sequence.ahead(HORIZON))
+        assert np.linalg.norm(sequence.desired[:, :3] - last[:, :3]) < 0.1  # never a leap
+        metres, radians = spatial.distance(sequence.desired, sequence.goal)
+        sequence.advance((metres < 0.02) & (radians < 0.2))
+        subgoals.append(int(sequence.subgoal[0]))
+        last = sequence.desired
+    assert sorted(set(subgoals)) == [0, 1, 2, 3]
+    assert np.all(np.diff(subgoals) >= 0)
+    assert sequence.last.all()
 
 
 @pytest.mark.parametrize(("dt", "periods"), [(0.1, 20), (0.02, 100), (0.3, 7)])
 def test_a_wait_stands_still_for_its_seconds(robot, dt, periods):
     linear = Linear()
-    course = begin(robot, 2, [LegMotion(linear, wait=2.0), LegMotion(linear)], dt)
-    course.move(course.ahead(dt))
-    course.advance(np.array([True, False]))
-    assert course.waiting.tolist() == [periods, 0]
-    stood = course.desired[0]
+    sequence = begin(robot, 2, [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)], dt)
+    sequence.move(sequence.ahead(dt))
+    sequence.advance(np.array([True, False]))
+    assert sequence.waiting.tolist() == [periods, 0]
+    stood = sequence.desired[0]
     for i in range(periods):
-        assert course.leg[0] == 0
-        np.testing.assert_array_equal(course.ahead(HORIZON)[0][0], stood)
-        before = course.desired
-        course.move(course.ahead(dt))
-        np.testing.assert_array_equal(course.desired[0], stood)
-        assert np.linalg.norm(course.desired[1] - before[1]) > 0.0
-        course.advance(np.array([i % 2 == 0, False]))
-    assert course.leg.tolist() == [1, 0]
-    course.move(course.ahead(dt))
-    assert np.linalg.norm(course.desired[0] - stood) > 0.0
+        assert sequence.subgoal[0] == 0
+        np.testing.assert_array_equal(sequence.ahead(HORIZON)[0][0], stood)
+        before = sequence.desired
+        sequence.move(sequence.ahead(dt))
+        np.testing.assert_array_equal(sequence.desired[0], stood)
+        assert np.linalg.norm(sequence.desired[1] - before[1]) > 0.0
+        sequence.advance(np.array([i % 2 == 0, False]))
+    assert sequence.subgoal.tolist() == [1, 0]
+    sequence.move(sequence.ahead(dt))
+    assert np.linalg.norm(sequence.desired[0] - stood) > 0.0
 
 
 def test_the_wait_of_the_last_leg_does_not_hold_it(robot):
-    course = begin(robot, 3, [LegMotion(Linear(), wait=2.0)])
-    course.advance(everyone(course))
-    assert course.last.all()
-    assert not course.waiting.any()
+    sequence = begin(robot, 3, [SubgoalMotion(Linear(), dwell=2.0)])
+    sequence.advance(everyone(sequence))
+    assert sequence.last.all()
+    assert not sequence.waiting.any()
 
 
 def test_no_row_depends_on_the_others(robot):
     together = begin(robot, 6)
     expected = follow(together, 900)
-    assert np.all(together.leg > 0)
+    assert np.all(together.subgoal > 0)
     for rows in ([4], [5, 0, 2]):
-        course = Course(chain(), robot, HORIZON)
-        course.start(poses(6)[rows], poses(24, 1).reshape(6, 4, 7)[rows], rngs(rows))
-        np.testing.assert_array_equal(follow(course, 900), expected[:, rows])
+        sequence = MotionSequence(chain(), robot, HORIZON)
+        sequence.start(poses(6)[rows], poses(24, 1).reshape(6, 4, 7)[rows], rngs(rows))
+        np.testing.assert_array_equal(follow(sequence, 900), expected[:, rows])
 
 
 def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
     whole, other = begin(robot, 6), begin(robot, 6)
     follow(whole, 300)
     follow(other, 300)
-    held = other.snapshot()
-    copies = {key: values.copy() for key, values in held.items()}
+    paused = other.snapshot()
+    copies = {key: values.copy() for key, values in paused.items()}
     rows = np.array([3, 1])
     other.start(poses(6)[[0, 5]], poses(24, 1).reshape(6, 4, 7)[[0, 5]], rngs([0, 5]), rows)
-    for key, values in held.items():
+    for key, values in paused.items():
         np.testing.assert_array_equal(values, copies[key], err_msg=key)
     kept = [0, 2, 4, 5]
     seen = follow(other, 300)
@@ -187,99 +189,111 @@ def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
 
 
 def test_randomness_differs_between_rows_and_legs(robot):
-    legs = [LegMotion(Wander()), LegMotion(Wander())]
-    course = Course(legs, robot, HORIZON)
-    course.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
-    first = course.goal
-    course.advance(everyone(course))
-    assert len(np.unique(np.concatenate([first, course.goal])[:, 0])) == 4
+    subgoals = [SubgoalMotion(Wander()), SubgoalMotion(Wander())]
+    sequence = MotionSequence(subgoals, robot, HORIZON)
+    sequence.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
+    first = sequence.goal
+    sequence.advance(everyone(sequence))
+    assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
 
 
 @pytest.mark.parametrize("steps", [1, 250, 700])
 def test_snapshot_goes_on_to_the_bit(robot, steps):
-    course, again = begin(robot), Course(chain(), robot, HORIZON)
-    follow(course, steps)
-    again.restore(course.snapshot())
-    for key in ("leg", "waiting", "goal", "demonstrated_base"):
-        np.testing.assert_array_equal(getattr(again, key), getattr(course, key))
-    np.testing.assert_array_equal(follow(again, 500), follow(course, 500))
+    sequence, again = begin(robot), MotionSequence(chain(), robot, HORIZON)
+    follow(sequence, steps)
+    again.restore(sequence.snapshot())
+    for key in ("subgoal", "waiting", "goal", "demonstrated_base"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(sequence, key))
+    np.testing.assert_array_equal(follow(again, 500), follow(sequence, 500))
 
 
 def test_the_demonstrated_base_is_known_on_its_legs_only(robot):
-    course = begin(robot, 3, [LegMotion(Wander()), LegMotion(Linear())])
-    follow(course, 5, lambda _: np.array([False, True, False]))
-    base = course.demonstrated_base
+    sequence = begin(robot, 3, [SubgoalMotion(Wander()), SubgoalMotion(Linear())])
+    follow(sequence, 5, lambda _: np.array([False, True, False]))
+    base = sequence.demonstrated_base
     np.testing.assert_array_equal(base[[0, 2], 0], 5.0)
     assert np.isnan(base[1]).all()
 
 
 def test_without_demonstrations_there_is_no_base(robot):
-    base = begin(robot, 3, [LegMotion(Linear())]).demonstrated_base
+    base = begin(robot, 3, [SubgoalMotion(Linear())]).demonstrated_base
     assert base.shape == (3, 7)
     assert np.isnan(base).all()
 
 
 def test_legs_may_share_a_generator(robot):
     linear = Linear()
-    legs = [LegMotion(linear), replace(LegMotion(linear), frame="tip")]
-    assert len(Course(legs, robot, HORIZON).generators) == 1
-    assert len(Course(chain(), robot, HORIZON).generators) == 2
+    subgoals = [SubgoalMotion(linear), replace(SubgoalMotion(linear), frame="tip")]
+    assert len(MotionSequence(subgoals, robot, HORIZON).generators) == 1
+    assert len(MotionSequence(chain(), robot, HORIZON).generators) == 2
 
 
 def test_a_head_start_delays_the_first_leg_and_no_other(robot):
-    legs = [LegMotion(Linear(), wait=0.2), LegMotion(Linear())]
-    course = Course(legs, robot, HORIZON, Pace(head_start=0.5))
+    subgoals = [SubgoalMotion(Linear(), dwell=0.2), SubgoalMotion(Linear())]
+    sequence = MotionSequence(subgoals, robot, HORIZON, ExecutionConfig(head_start=0.5))
     targets = np.repeat(poses(2, 1)[:, np.newaxis], 2, axis=1)
-    course.start(poses(2), targets, rngs(range(2)))
-    seen = follow(course, 8, lambda i: np.array([i == 6, False]))
+    sequence.start(poses(2), targets, rngs(range(2)))
+    seen = follow(sequence, 8, lambda i: np.array([i == 6, False]))
     assert np.all(seen[:5] == poses(2))
     assert np.all(np.any(seen[5] != seen[4], axis=1))
-    assert course.waiting.tolist() == [1, 0]
-    follow(course, 1, lambda _: np.array([False, False]))
-    assert course.leg.tolist() == [1, 0]
+    assert sequence.waiting.tolist() == [1, 0]
+    follow(sequence, 1, lambda _: np.array([False, False]))
+    assert sequence.subgoal.tolist() == [1, 0]
 
 
 def test_a_head_start_is_for_each_episode_alone(robot):
-    course = Course([LegMotion(Linear())], robot, HORIZON, Pace(head_start=0.3))
+    sequence = MotionSequence(
+        [SubgoalMotion(Linear())], robot, HORIZON, ExecutionConfig(head_start=0.3)
+    )
     targets = poses(2, 1)[:, np.newaxis]
-    course.start(poses(2), targets, rngs(range(2)))
-    follow(course, 3)
-    course.start(poses(2)[:1], targets[:1], rngs([0]), np.array([0]))
-    before = course.desired
-    (after,) = follow(course, 1)
+    sequence.start(poses(2), targets, rngs(range(2)))
+    follow(sequence, 3)
+    sequence.start(poses(2)[:1], targets[:1], rngs([0]), np.array([0]))
+    before = sequence.desired
+    (after,) = follow(sequence, 1)
     assert np.all(after[0] == before[0])
     assert np.any(after[1] != before[1])
 
 
 @pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
 def test_a_leg_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
-    legs = [LegMotion(Linear(), wait=0.3, grip="close"), LegMotion(Linear(), grip="open")]
-    course = Course(legs, robot, HORIZON, Pace(slow_down=2.0, settle=0.2))
-    course.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    subgoals = [
+        SubgoalMotion(Linear(), dwell=0.3, grip="close"),
+        SubgoalMotion(Linear(), grip="open"),
+    ]
+    sequence = MotionSequence(
+        subgoals, robot, HORIZON, ExecutionConfig(slow_down=2.0, grasp_settle_time=0.2)
+    )
+    sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
     stops, moves = [], []
     for i in range(7):
-        before = course.desired
-        course.move(course.ahead(HORIZON))
-        moves.append(bool(np.any(course.desired != before)))
-        stops.append(bool(course.advance(everyone(course), np.array([i >= settled_at]))[0]))
+        before = sequence.desired
+        sequence.move(sequence.ahead(HORIZON))
+        moves.append(bool(np.any(sequence.desired != before)))
+        stops.append(bool(sequence.advance(everyone(sequence), np.array([i >= settled_at]))[0]))
     assert stops == [i == stops_at for i in range(7)]
     assert moves[: stops_at + 4] == ([True] * (stops_at + 1) + [False] * 3)[: len(moves)]
 
 
 def test_a_leg_without_a_grip_does_not_settle(robot):
-    course = Course([LegMotion(Linear(), wait=0.3)] * 2, robot, HORIZON, Pace(settle=1.0))
-    course.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
-    assert course.advance(everyone(course)).all()
-    assert course.stands.all()
+    sequence = MotionSequence(
+        [SubgoalMotion(Linear(), dwell=0.3)] * 2,
+        robot,
+        HORIZON,
+        ExecutionConfig(grasp_settle_time=1.0),
+    )
+    sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    assert sequence.advance(everyone(sequence)).all()
+    assert sequence.stands.all()
 
 
 def test_rows_that_are_held_stay_where_they_are(robot):
-    course, held = begin(robot), np.array([True, False] * 3)
-    for leg in range(4):
-        before, moves = course.desired, course.ahead(HORIZON)
-        course.move(moves, held)
-        np.testing.assert_array_equal(course.desired, np.where(held[:, None], before, moves[0]))
-        np.testing.assert_array_equal(course.ahead(HORIZON)[0][held], moves[0][held])
-        course.advance(everyone(course))
-        if leg == 1:
-            follow(course, 3)
+    sequence, paused = begin(robot), np.array([True, False] * 3)
+    for subgoal in range(4):
+        before, moves = sequence.desired, sequence.ahead(HORIZON)
+        sequence.move(moves, paused)
+        np.testing.assert_array_equal(sequence.desired, np.where(paused[:, None], before, moves[0]))
+        np.testing.assert_array_equal(sequence.ahead(HORIZON)[0][paused], moves[0][paused])
+        sequence.advance(everyone(sequence))
+        if subgoal == 1:
+            follow(sequence, 3)

@@ -121,7 +121,7 @@ def test_it_is_used(installed):
 def test_it_is_deployed(installed, tmp_path):
     record = tmp_path / "run.csv"
     goal = ["--generator", "swirl", "--goal", "1.5", "0", "0.8", "--set", "generator.swirl=0.2"]
-    world = ["--backend", "analytic", "--as-fast-as-possible", "--seconds", "0.5"]
+    world = ["--backend", "analytic", "--no-real-time", "--seconds", "0.5"]
     result = kinfeas("deploy", "pretrained", *world, *goal, "--record", str(record))
     assert result.exit_code == 4, result.output  # not over yet
     assert len(record.read_text().splitlines()) > 20

@@ -3,7 +3,7 @@ import types
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import BLAMED, Blaming
+from kinfeas.foreign import BLAMED, PluginErrors
 
 
 class OwnError(Exception):
@@ -22,7 +22,7 @@ def raising(error, package="outside"):
     "error", [OwnError("oh"), KeyError("oh"), StopIteration("oh"), SystemExit(7)]
 )
 def test_any_exception_becomes_one_sentence_with_its_line(error):
-    with pytest.raises(KinfeasError) as caught, Blaming("it fails:", "outside"):
+    with pytest.raises(KinfeasError) as caught, PluginErrors("it fails:", "outside"):
         raising(error)()
     assert str(caught.value).startswith(f"it fails: {type(error).__name__}: ")
     assert str(caught.value).endswith("(outside.py, line 2)")
@@ -31,31 +31,34 @@ def test_any_exception_becomes_one_sentence_with_its_line(error):
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError(), KinfeasError("known")])
 def test_what_is_nobodys_mistake_passes(error):
-    with pytest.raises(type(error)) as caught, Blaming("it fails:", "outside"):
+    with pytest.raises(type(error)) as caught, PluginErrors("it fails:", "outside"):
         raise error
     assert caught.value is error
 
 
 def test_our_own_mistakes_keep_their_traceback_and_missing_libraries_do_not():
-    with pytest.raises(ZeroDivisionError), Blaming("it fails:", "kinfeas"):
+    with pytest.raises(ZeroDivisionError), PluginErrors("it fails:", "kinfeas"):
         raise ZeroDivisionError
-    with pytest.raises(KinfeasError, match="ModuleNotFoundError"), Blaming("it fails:", "kinfeas"):
+    with (
+        pytest.raises(KinfeasError, match="ModuleNotFoundError"),
+        PluginErrors("it fails:", "kinfeas"),
+    ):
         raise ModuleNotFoundError("no such library")
 
 
 def test_without_an_error_nothing_happens_again_and_again():
-    blaming = Blaming("it fails:")
+    plugin_errors = PluginErrors("it fails:")
     for _ in range(2):
-        with blaming:
+        with plugin_errors:
             pass
-    with pytest.raises(KinfeasError, match=r"^it fails: ValueError: no$"), blaming:
+    with pytest.raises(KinfeasError, match=r"^it fails: ValueError: no$"), plugin_errors:
         raise ValueError("no")
 
 
 @pytest.mark.parametrize("error", [MemoryError(), SystemError(), KinfeasError("known")])
 def test_what_is_caught_as_anybodys_is_blamed_on_nobody(error):
     assert isinstance(error, BLAMED)
-    assert Blaming("it fails:").blame(error) is None
+    assert PluginErrors("it fails:").blame(error) is None
 
 
 def test_nobody_at_the_keyboard_is_kept_from_ending_the_program():

@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinfeas.joints import joint_way, jumps
+from kinfeas.joints import joint_jumps, joint_way
 
 DT = 0.1
 
@@ -11,8 +11,8 @@ def test_jumps_are_moves_beyond_the_velocity_limit(robot):
     after = before.copy()
     after[1] += velocity * DT  # at the limit
     after[2, 2] += 1.01 * velocity[2] * DT
-    np.testing.assert_array_equal(jumps(robot, before, after, DT), [False, False, True])
-    assert not jumps(robot, before, after, 2.0 * DT).any()
+    np.testing.assert_array_equal(joint_jumps(robot, before, after, DT), [False, False, True])
+    assert not joint_jumps(robot, before, after, 2.0 * DT).any()
 
 
 def test_continuous_joints_go_the_short_way(robot):
@@ -20,4 +20,4 @@ def test_continuous_joints_go_the_short_way(robot):
     after = before + 0.001
     before[endless], after[endless] = np.pi - 0.001, -np.pi + 0.001
     np.testing.assert_allclose(joint_way(robot, before, after), np.where(endless, 0.002, 0.001))
-    assert not jumps(robot, before, after, DT)
+    assert not joint_jumps(robot, before, after, DT)

@@ -7,14 +7,14 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.policies import load_driver, load_policy
-from kinfeas.look_ahead import Foresight, LookAhead
+from kinfeas.feasibility_filter import FeasibilityFilter
 from kinfeas.metrics import WITHIN
 from kinfeas.registry import load_robot
+from kinfeas.rollout_planner import RolloutConfig, RolloutPlanner
 from kinfeas.tasks.loading import load_task
-from kinfeas.yielding import Yielding
 
 EPISODES = 8
-NEAR = Foresight(seconds=2.0, every=1.0, tries=8)
+NEAR = RolloutConfig(horizon=2.0, replan_interval=1.0, num_samples=8)
 
 
 class Still:
@@ -23,8 +23,8 @@ class Still:
     def __init__(self, size):
         self.size = size
 
-    def act(self, situation):
-        return np.zeros((len(situation.observation), self.size))
+    def act(self, policy_input):
+        return np.zeros((len(policy_input.observation), self.size))
 
 
 class Spy(Still):
@@ -34,9 +34,9 @@ class Spy(Still):
         super().__init__(size)
         self.asked = []
 
-    def act(self, situation):
-        self.asked.append(len(situation.observation))
-        return super().act(situation)
+    def act(self, policy_input):
+        self.asked.append(len(policy_input.observation))
+        return super().act(policy_input)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_fails_less_than_the_policy_alone(task):
     policy = load_policy("follow_ee", robot)
 
     alone = run(robot, task, policy)
-    ahead = run(robot, task, LookAhead(policy, NEAR))
+    ahead = run(robot, task, RolloutPlanner(policy, NEAR))
 
     assert ahead.failures.sum() < 0.8 * alone.failures.sum()
     assert (ahead.failures == 0).sum() > (alone.failures == 0).sum()
@@ -65,10 +65,11 @@ def test_jumps_less_where_that_costs_no_failure():
     policy = load_policy("pretrained", robot)
 
     careless, careful = (
-        run(robot, door, LookAhead(policy, replace(NEAR, jump=jump))) for jump in (0.0, 0.1)
+        run(robot, door, RolloutPlanner(policy, replace(NEAR, jump_cost=jump_cost)))
+        for jump_cost in (0.0, 0.1)
     )
 
-    assert careful.jumps.sum() < 0.8 * careless.jumps.sum()
+    assert careful.joint_jumps.sum() < 0.8 * careless.joint_jumps.sum()
     assert careful.failures.sum() <= careless.failures.sum()
 
 
@@ -77,8 +78,13 @@ def test_strays_less_where_leeway_is_not_needed(task):
     policy = load_policy("follow_ee_feedback", robot)
 
     careless, careful = (
-        run(robot, task, LookAhead(policy, replace(NEAR, stray=stray)), episodes=16)
-        for stray in (0.0, 0.1)
+        run(
+            robot,
+            task,
+            RolloutPlanner(policy, replace(NEAR, deviation_cost=deviation_cost)),
+            episodes=16,
+        )
+        for deviation_cost in (0.0, 0.1)
     )
 
     assert (careful.max_deviation > WITHIN).sum() < (careless.max_deviation > WITHIN).sum()
@@ -89,10 +95,10 @@ def test_episodes_do_not_depend_on_each_other(task):
     robot = load_robot("pr2")
     policy = load_policy("follow_ee", robot)
 
-    together = run(robot, task, LookAhead(policy, NEAR), 4)
-    alone = run(robot, task, LookAhead(policy, NEAR), 1, first=2)
+    together = run(robot, task, RolloutPlanner(policy, NEAR), 4)
+    alone = run(robot, task, RolloutPlanner(policy, NEAR), 1, first=2)
 
-    for name in ("failures", "steps", "mean_deviation", "jumps"):
+    for name in ("failures", "steps", "mean_deviation", "joint_jumps"):
         assert getattr(alone, name)[0] == getattr(together, name)[2]
 
 
@@ -101,10 +107,10 @@ def test_leaves_alone_what_will_not_fail(task):
     world = World(robot, task, evaluation_world(), seed=3)
     world.start([0])
     spy = Spy(world.action_size)
-    ahead = LookAhead(spy, Foresight(seconds=0.1, every=0.1, tries=8))
+    ahead = RolloutPlanner(spy, RolloutConfig(horizon=0.1, replan_interval=0.1, num_samples=8))
     ahead.watch(world.loop)
 
-    action = ahead.act(world.loop.situation)
+    action = ahead.act(world.loop.policy_input)
 
     np.testing.assert_array_equal(action, np.zeros((1, world.action_size)))
     assert spy.asked == [1, 1]
@@ -112,14 +118,16 @@ def test_leaves_alone_what_will_not_fail(task):
 
 def test_what_is_tried_out_does_not_yield(task, monkeypatch):
     robot = load_robot("pr2")
-    world = World(robot, task, replace(evaluation_world(), yields=True), seed=3)
+    world = World(robot, task, replace(evaluation_world(), feasibility_filter=True), seed=3)
     world.start([0])
-    ahead = LookAhead(Still(world.action_size))
+    ahead = RolloutPlanner(Still(world.action_size))
     ahead.watch(world.loop)
     asked = []
-    yields = Yielding.__call__
-    monkeypatch.setattr(Yielding, "__call__", lambda *args: asked.append(1) or yields(*args))
-    action = ahead.act(world.loop.situation)
+    feasibility_filter = FeasibilityFilter.__call__
+    monkeypatch.setattr(
+        FeasibilityFilter, "__call__", lambda *args: asked.append(1) or feasibility_filter(*args)
+    )
+    action = ahead.act(world.loop.policy_input)
     assert not asked
     world.step(action)
     assert asked == [1]
@@ -129,7 +137,7 @@ def test_looks_widely_only_where_it_may_help(task, monkeypatch):
     robot = load_robot("pr2")
     world = World(robot, task, evaluation_world(), seed=3)
     world.start(range(4))
-    ahead = LookAhead(Still(world.action_size), Foresight(tries=12))
+    ahead = RolloutPlanner(Still(world.action_size), RolloutConfig(num_samples=12))
     ahead.watch(world.loop)
     # Row 0 never fails, 1 is helped by the second deviation, 2 by the last one, 3 fails already.
     asked = []
@@ -143,7 +151,7 @@ def test_looks_widely_only_where_it_may_help(task, monkeypatch):
         return cost, (rows == 3)[:, np.newaxis].repeat(deviations.shape[1], axis=1)
 
     monkeypatch.setattr(ahead, "_try", outcome)
-    deviation = ahead.act(world.loop.situation)
+    deviation = ahead.act(world.loop.policy_input)
 
     assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 7), ([2], 4)]
     np.testing.assert_array_equal(deviation.any(axis=1), [False, True, True, False])
@@ -154,7 +162,7 @@ def test_what_is_not_carried_on_would_not_have_been_chosen(task, monkeypatch):
     robot = load_robot("tiago")
     world = World(robot, task, evaluation_world(), seed=3)
     world.start(range(EPISODES))
-    ahead = LookAhead(load_policy("follow_ee", robot), Foresight(tries=16))
+    ahead = RolloutPlanner(load_policy("follow_ee", robot), RolloutConfig(num_samples=16))
     ahead.watch(world.loop)
     short = ahead.plan(ahead._now(), np.arange(EPISODES))
     attempt = ahead._try
@@ -172,7 +180,7 @@ def test_what_is_not_carried_on_would_not_have_been_chosen(task, monkeypatch):
 def test_is_loaded_by_name():
     robot = load_robot("pr2")
 
-    assert isinstance(load_driver("look_ahead:follow_ee", robot), LookAhead)
-    assert not isinstance(load_driver("follow_ee", robot), LookAhead)
-    assert load_driver("look_ahead:follow_ee", robot).foresight == Foresight()
-    assert load_driver("look_ahead:follow_ee", robot, NEAR).foresight is NEAR
+    assert isinstance(load_driver("rollout_planner:follow_ee", robot), RolloutPlanner)
+    assert not isinstance(load_driver("follow_ee", robot), RolloutPlanner)
+    assert load_driver("rollout_planner:follow_ee", robot).rollout == RolloutConfig()
+    assert load_driver("rollout_planner:follow_ee", robot, NEAR).rollout is NEAR

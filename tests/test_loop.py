@@ -10,11 +10,11 @@ from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
-from kinfeas.legs import LegMotion, Pace
 from kinfeas.loop import Loop
 from kinfeas.observation import HORIZON, observe
 from kinfeas.plugins.linear import Linear
 from kinfeas.start import Start
+from kinfeas.subgoals import ExecutionConfig, SubgoalMotion
 
 
 class Recorder:
@@ -75,7 +75,7 @@ def starts(robot, n, seed=0):
 
 
 def make_loop(solver, n, backend=None, dt=HORIZON, seed=0):
-    loop = Loop(solver, [LegMotion(Linear())], backend or AnalyticBackend(), dt)
+    loop = Loop(solver, [SubgoalMotion(Linear())], backend or AnalyticBackend(), dt)
     loop.start(starts(solver.robot, n, seed), rngs(n))
     return loop
 
@@ -123,7 +123,7 @@ def test_planned_is_the_next_desired_pose(solver):
     loop = make_loop(solver, 4)
     for _ in range(10):
         planned = loop.planned.copy()
-        np.testing.assert_array_equal(loop.situation.planned, planned)
+        np.testing.assert_array_equal(loop.policy_input.planned, planned)
         loop.step(still(loop))
         np.testing.assert_array_equal(loop.desired, planned)
 
@@ -195,7 +195,7 @@ def test_infeasible_the_arm_holds_still_and_the_ee_rides_along(solver):
     ee = spatial.compose(recorder.base, forward(solver.chain, recorder.joints))
     np.testing.assert_array_equal(loop.ee_pose, ee)
     assert step.deviation[1] > 5.0
-    assert not step.jumped[1]
+    assert not step.joint_jump[1]
     # Later steps may recover.
     recorder.base[1, :2] -= 6.0
     loop.step(still(loop))
@@ -226,10 +226,10 @@ def test_restarting_rows_leaves_the_others_alone(solver):
 def test_restarting_rows_does_not_write_into_what_others_hold(solver):
     loop = make_loop(solver, 3)
     loop.step(still(loop))
-    held = [loop.desired, loop.observation, *loop.course.snapshot().values(), loop.planned]
-    before = [array.copy() for array in held]
+    paused = [loop.desired, loop.observation, *loop.sequence.snapshot().values(), loop.planned]
+    before = [array.copy() for array in paused]
     loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
-    for array, old in zip(held, before, strict=True):
+    for array, old in zip(paused, before, strict=True):
         np.testing.assert_array_equal(array, old)
 
 
@@ -271,7 +271,7 @@ def test_backends_that_draw_get_a_seed_for_each_episode(solver):
 
 def test_a_backend_that_cannot_be_saved_is_named(solver):
     for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'", Recorder())):
-        loop = Loop(solver, [LegMotion(Linear())], backend)
+        loop = Loop(solver, [SubgoalMotion(Linear())], backend)
         with pytest.raises(KinfeasError, match=r"^Recorder cannot be saved in the midst of a run$"):
             loop.snapshot()
         with pytest.raises(KinfeasError, match=r"^Recorder cannot go on from a saved run$"):
@@ -287,7 +287,7 @@ def test_snapshot_goes_on_to_the_bit(solver):
     for action in rest:
         loop.step(action)
     loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
-    again = Loop(solver, [LegMotion(Linear())], AnalyticBackend())
+    again = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend())
     again.restore(saved)
     expected = make_loop(solver, 4)
     rng = np.random.default_rng(3)
@@ -300,7 +300,7 @@ def test_snapshot_goes_on_to_the_bit(solver):
 
 
 def targets_at(loop, *shifts):
-    """Return targets so near to the EE that legs end at once, shape (n, legs, 7)."""
+    """Return targets so near to the EE that sub-goals end at once, shape (n, sub-goals, 7)."""
     poses = np.repeat(loop.desired[:, np.newaxis], len(shifts), axis=1)
     poses[:, :, 2] += shifts
     return poses
@@ -311,7 +311,9 @@ def chained(solver, n, waits, shifts, backend=None):
     loop = make_loop(solver, n)
     start = starts(solver.robot, n)
     start = Start(start.base_pose, start.joint_positions, targets_at(loop, *shifts))
-    loop = Loop(solver, [LegMotion(linear, "ee", wait) for wait in waits], backend or Recorder())
+    loop = Loop(
+        solver, [SubgoalMotion(linear, "ee", dwell) for dwell in waits], backend or Recorder()
+    )
     loop.start(start, rngs(n))
     return loop
 
@@ -319,7 +321,7 @@ def chained(solver, n, waits, shifts, backend=None):
 def test_legs_end_within_25_mm_and_the_last_one_finishes(solver):
     loop = chained(solver, 2, (0.0, 0.2, 0.0), (-0.01, -0.02, -0.02))
     seen = [loop.step(still(loop)) for _ in range(5)]
-    assert [int(step.leg[0]) for step in seen] == [0, 1, 1, 1, 2]
+    assert [int(step.subgoal[0]) for step in seen] == [0, 1, 1, 1, 2]
     assert [bool(step.finished[0]) for step in seen] == [False] * 4 + [True]
     goal = targets_at(loop, 0.0)[:, 0]
     for step in seen:
@@ -381,17 +383,17 @@ def test_the_base_may_move_while_the_ee_waits(solver):
     action[:, 0] = 0.3
     for _ in range(10):
         np.testing.assert_array_equal(loop.planned, stood)
-        assert loop.step(action).leg == [0]
+        assert loop.step(action).subgoal == [0]
         np.testing.assert_array_equal(loop.desired, stood)
     assert np.linalg.norm(loop.state.base_pose - base) > 0.01
-    assert loop.step(action).leg == [1]
+    assert loop.step(action).subgoal == [1]
     assert loop.desired[0, 2] < stood[0, 2]
 
 
 def test_policies_see_no_demonstrated_base_where_there_is_none(solver):
     loop = make_loop(solver, 3)
-    assert np.isnan(loop.situation.demonstrated_base).all()
-    assert loop.situation.demonstrated_base.shape == (3, 7)
+    assert np.isnan(loop.policy_input.demonstrated_base).all()
+    assert loop.policy_input.demonstrated_base.shape == (3, 7)
 
 
 class Hands(Recorder):
@@ -408,8 +410,11 @@ class Hands(Recorder):
 def test_grippers_act_where_legs_end(solver):
     hands, start = Hands(), starts(solver.robot, 2)
     targets = targets_at(make_loop(solver, 2), -0.01, -0.01)
-    legs = [LegMotion(Linear(), wait=0.2, grip="close"), LegMotion(Linear(), grip="open")]
-    loop = Loop(solver, legs, hands)
+    subgoals = [
+        SubgoalMotion(Linear(), dwell=0.2, grip="close"),
+        SubgoalMotion(Linear(), grip="open"),
+    ]
+    loop = Loop(solver, subgoals, hands)
     loop.start(Start(start.base_pose, start.joint_positions, targets), rngs(2))
     for _ in range(4):
         loop.step(still(loop))
@@ -418,8 +423,8 @@ def test_grippers_act_where_legs_end(solver):
 
 def test_slowed_down_motions_are_seen_as_they_are_planned(solver):
     loops = []
-    for pace in (Pace(), Pace(slow_down=2.0)):
-        loop = Loop(solver, [LegMotion(Linear())], AnalyticBackend(), pace=pace)
+    for execution in (ExecutionConfig(), ExecutionConfig(slow_down=2.0)):
+        loop = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend(), execution=execution)
         loop.start(starts(solver.robot, 3), rngs(3))
         loops.append(loop)
     plain, slow = loops
@@ -446,8 +451,8 @@ def test_ik_goes_on_from_where_the_arm_was_sent(solver):
         loop.step(still(loop))
         expected.step(still(expected))
         loop.state = RobotState(loop.state.base_pose, loop.state.joint_positions - 0.05)
-    sent, same = (one.backend.steps[-1][1] for one in (loop, expected))
-    np.testing.assert_array_equal(sent, same)
+    joint_command, same = (one.backend.steps[-1][1] for one in (loop, expected))
+    np.testing.assert_array_equal(joint_command, same)
 
 
 class Swinging(Recorder):
@@ -465,20 +470,25 @@ class Swinging(Recorder):
 
 def test_base_and_motion_stand_still_while_an_arm_swings(solver):
     backend = Swinging()
-    loop = Loop(solver, [LegMotion(Linear())], backend, pace=Pace(patience=0.5))
+    loop = Loop(
+        solver,
+        [SubgoalMotion(Linear())],
+        backend,
+        execution=ExecutionConfig(arm_settle_timeout=0.5),
+    )
     loop.start(starts(solver.robot, 2), rngs(2))
-    loop.sent = backend.joints.copy()
-    moves = []
+    loop.joint_command = backend.joints.copy()
+    max_joint_step = []
     for period in range(10):
         backend.there = period == 7
         before = loop.desired
         loop.step(np.ones((2, action_size(solver.robot.base))))
         twist = backend.steps[-1][0]
-        moves.append(np.any(loop.desired != before, axis=1).tolist())
-        assert np.any(twist != 0.0, axis=1).tolist() == moves[-1]
-    held, free = [False, True], [True, True]
+        max_joint_step.append(np.any(loop.desired != before, axis=1).tolist())
+        assert np.any(twist != 0.0, axis=1).tolist() == max_joint_step[-1]
+    paused, free = [False, True], [True, True]
     # For half a second, and later again, since it was there in between.
-    assert moves == [held] * 5 + [free] * 4 + [held]
+    assert max_joint_step == [paused] * 5 + [free] * 4 + [paused]
 
 
 def test_nobody_waits_for_an_arm_by_default(solver):
@@ -491,7 +501,9 @@ def test_nobody_waits_for_an_arm_by_default(solver):
 def test_a_backend_that_draws_does_not_change_what_the_course_draws(solver):
     stood = []
     for backend in (AnalyticBackend(), Noisy()):
-        loop = Loop(solver, [LegMotion(Linear())], backend, pace=Pace(spread=3.0))
+        loop = Loop(
+            solver, [SubgoalMotion(Linear())], backend, execution=ExecutionConfig(spread=3.0)
+        )
         loop.start(starts(solver.robot, 6), rngs(6))
         first, still = loop.desired.copy(), np.zeros(6, dtype=int)
         for _ in range(32):

@@ -44,7 +44,7 @@ def records():
         max_deviation=np.array([0.0, 0.05, 0.06, 0.5]),
         mean_deviation=np.array([0.0, 0.01, 0.02, 0.25]),
         final_distance=np.array([0.02, 0.02, 0.02, 0.4]),
-        jumps=np.array([0, 1, 0, 5]),
+        joint_jumps=np.array([0, 1, 0, 5]),
         steps=np.array([400, 500, 600, 100]),
     )
 
@@ -57,7 +57,7 @@ def test_success_and_within():
 def test_ending_far_off_is_not_within():
     strays = EpisodeRecords(
         reached=np.array([False]), failures=np.array([0]), max_deviation=np.array([0.0]),
-        mean_deviation=np.array([0.0]), final_distance=np.array([0.051]), jumps=np.array([0]),
+        mean_deviation=np.array([0.0]), final_distance=np.array([0.051]), joint_jumps=np.array([0]),
         steps=np.array([1500]),
     )  # fmt: skip
     assert not strays.within.any()
@@ -76,9 +76,9 @@ def test_summary_of_a_hand_example():
             "within_5cm": 0.5,
             "within_5cm_low": low,
             "within_5cm_high": high,
-            "mean_failures": 5.25,
+            "ik_failures_per_episode": 5.25,
             "mean_deviation_m": 0.07,
-            "jumps_per_episode": 1.5,
+            "joint_jumps_per_episode": 1.5,
             "mean_steps": 400.0,
         }
     )

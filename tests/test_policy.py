@@ -9,7 +9,7 @@ from safetensors.numpy import load_file, save_file
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.observation import CLIP
-from kinfeas.policy import Network, Situation, read_network, write_network
+from kinfeas.policy import Network, PolicyInput, read_network, write_network
 from kinfeas.robots.fingerprint import fingerprint
 from kinfeas.trained import read_trained, write_trained
 
@@ -76,7 +76,7 @@ def test_acts_on_the_observation_alone():
     net, observation = network(), observations(4)
     nothing = np.full((4, 7), np.nan)
     np.testing.assert_array_equal(
-        net.act(Situation(observation, nothing, nothing, nothing, nothing, nothing)),
+        net.act(PolicyInput(observation, nothing, nothing, nothing, nothing, nothing)),
         net(observation),
     )
 
@@ -140,7 +140,7 @@ def test_a_policy_is_for_the_kinematics_that_it_was_trained_with(pr2, tmp_path):
     faster = replace(pr2, base=replace(pr2.base, max_velocity=1.0))
     with pytest.raises(KinfeasError, match=f"^{tmp_path}: the kinematics of robot 'pr2' are not"):
         read_network(tmp_path, faster)
-    assert read_network(tmp_path, replace(pr2, leeway=None))
+    assert read_network(tmp_path, replace(pr2, pose_tolerance=None))
 
 
 def test_a_policy_from_before_kinematics_were_told_is_read(pr2, tmp_path):

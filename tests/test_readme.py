@@ -114,7 +114,7 @@ def test_the_task_of_the_page_on_tasks(tmp_path):
     task = load_task(str(path))
     start = task.sample(IkSolver(registry.load_robot("pr2")), np.random.default_rng(0))
     assert start.target_poses.shape == (3, 7)
-    assert [leg.wait for leg in task.legs] == [0.0, 2.0, 0.0]
+    assert [subgoal.wait for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
 
 
 def test_the_topics_of_the_page_on_ros_are_those_of_tiago(tmp_path):

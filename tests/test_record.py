@@ -22,7 +22,7 @@ def moment(seed, **changes):
         "time": 0.02 * seed, "age": 0.01, "base_pose": pose(rng),
         "joint_positions": rng.normal(size=2), "desired": pose(rng),
         "goal": pose(rng), "base_twist": rng.normal(size=6),
-        "joint_targets": rng.normal(size=2), "feasible": bool(seed % 2), "leg": seed // 2,
+        "joint_targets": rng.normal(size=2), "feasible": bool(seed % 2), "subgoal": seed // 2,
     }  # fmt: skip
     return Moment(**{**values, **changes})
 
@@ -44,7 +44,7 @@ def test_reads_back_what_was_written(path):
     record = read_record(path)
     assert record.about == ABOUT
     assert record.event == ("start", "", 'a, "b" c')
-    assert record.leg.tolist() == [0, 0, 1]
+    assert record.subgoal.tolist() == [0, 0, 1]
     assert record.feasible.tolist() == [False, True, False]
     assert np.isnan(record.age).tolist() == [False, True, False]
     for name in ("base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"):

@@ -8,13 +8,13 @@ from kinfeas.drive import action_size, base_twist
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.following import Following
-from kinfeas.joints import jumps
+from kinfeas.feasibility_filter import FeasibilityFilter
+from kinfeas.joints import joint_jumps
+from kinfeas.kinematic_step import KinematicStep
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import Pace
+from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.loading import load_task
-from kinfeas.yielding import Yielding
 
 DT, ROWS = 0.5, 64
 
@@ -38,26 +38,26 @@ def follows(solver, action, base_pose, desired, joints):
     twist = base_twist(robot.base, base_pose, action, DT)
     target = spatial.relative(desired, spatial.integrate(base_pose, twist, DT))
     arm = local.solve(target, joints, robot.max_joint_velocity * DT)
-    return arm.feasible & ~jumps(robot, joints, arm.joint_positions, DT)
+    return arm.feasible & ~joint_jumps(robot, joints, arm.joint_positions, DT)
 
 
 @pytest.fixture
-def yielding(solver):
-    return Yielding(Following(solver, DT))
+def feasibility_filter(solver):
+    return FeasibilityFilter(KinematicStep(solver, DT))
 
 
-def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene, yielding):
-    wanted, _ = yielding(*scene)
+def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene, feasibility_filter):
+    wanted, _ = feasibility_filter(*scene)
     able = follows(solver, *scene)
     assert 0 < able.sum() < ROWS
-    as_given, _ = Following(solver, DT)(*scene)
+    as_given, _ = KinematicStep(solver, DT)(*scene)
     np.testing.assert_array_equal(wanted[able], as_given[able])
 
 
-def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene, yielding):
+def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene, feasibility_filter):
     action, base_pose, *rest = scene
-    twist, arm = yielding(*scene)
-    others, helped = yielding.others, 0
+    twist, arm = feasibility_filter(*scene)
+    others, helped = feasibility_filter.others, 0
     for row in np.flatnonzero(~follows(solver, *scene)):
         alone = [np.repeat(values[[row]], len(others), axis=0) for values in (base_pose, *rest)]
         able = others[follows(solver, others, *alone)]
@@ -71,42 +71,49 @@ def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene, yie
     assert arm.feasible.sum() >= follows(solver, *scene).sum() + helped
 
 
-def test_the_arm_is_what_ik_finds_for_the_command_that_is_taken(solver, scene, yielding):
+def test_the_arm_is_what_ik_finds_for_the_command_that_is_taken(solver, scene, feasibility_filter):
     _, base_pose, desired, joints = scene
-    twist, arm = yielding(*scene)
+    twist, arm = feasibility_filter(*scene)
     target = spatial.relative(desired, spatial.integrate(base_pose, twist, DT))
     alone = solver.solve(target, joints, solver.robot.max_joint_velocity * DT)
     np.testing.assert_array_equal(arm.feasible, alone.feasible)
     np.testing.assert_array_equal(arm.joint_positions, alone.joint_positions)
 
 
-def test_no_row_depends_on_the_others(scene, yielding):
-    together, _ = yielding(*scene)
-    apart = [yielding(*(values[[i]] for values in scene))[0][0] for i in range(0, ROWS, 7)]
+def test_no_row_depends_on_the_others(scene, feasibility_filter):
+    together, _ = feasibility_filter(*scene)
+    apart = [
+        feasibility_filter(*(values[[i]] for values in scene))[0][0] for i in range(0, ROWS, 7)
+    ]
     np.testing.assert_array_equal(apart, together[::7])
 
 
-def test_rows_that_stand_still_are_left_alone(solver, scene, yielding):
-    held = np.arange(ROWS) % 2 == 0
-    twist, arm = yielding(*scene, held)
-    as_given, found = Following(solver, DT)(*scene)
-    np.testing.assert_array_equal(twist[held], as_given[held])
-    np.testing.assert_array_equal(arm.joint_positions[held], found.joint_positions[held])
-    np.testing.assert_array_equal(twist[~held], yielding(*scene)[0][~held])
+def test_rows_that_stand_still_are_left_alone(solver, scene, feasibility_filter):
+    paused = np.arange(ROWS) % 2 == 0
+    twist, arm = feasibility_filter(*scene, paused)
+    as_given, found = KinematicStep(solver, DT)(*scene)
+    np.testing.assert_array_equal(twist[paused], as_given[paused])
+    np.testing.assert_array_equal(arm.joint_positions[paused], found.joint_positions[paused])
+    np.testing.assert_array_equal(twist[~paused], feasibility_filter(*scene)[0][~paused])
 
 
 @pytest.mark.parametrize("policy", ["follow_ee_feedback", "pretrained"])
 def test_an_arm_jumps_less_if_the_base_yields(policy):
-    tiago, jumps_of = registry.load_robot("tiago"), []
-    for yields in (False, True):
-        world = World(tiago, load_task("ggr"), WorldConfig(yields=yields), seed=1)
+    tiago, joint_jumps_of = registry.load_robot("tiago"), []
+    for feasibility_filter in (False, True):
+        world = World(
+            tiago, load_task("ggr"), WorldConfig(feasibility_filter=feasibility_filter), seed=1
+        )
         records = run_episodes(world, load_policy(policy, tiago), 24)
-        jumps_of.append(records.jumps.mean())
-    assert jumps_of[1] < 0.5 * jumps_of[0]
+        joint_jumps_of.append(records.joint_jumps.mean())
+    assert joint_jumps_of[1] < 0.5 * joint_jumps_of[0]
 
 
-@pytest.mark.parametrize("asks", ["world", "pace"])
+@pytest.mark.parametrize("asks", ["world", "execution"])
 def test_a_world_yields_if_it_or_its_pace_says_so(asks):
-    config, pace = WorldConfig(yields=asks == "world"), Pace(slow_down=2.0, yields=asks == "pace")
-    world = World(registry.load_robot("tiago"), load_task("ggr"), config, 0, pace=pace)
-    assert world.loop.pace == Pace(slow_down=2.0, yields=True)
+    config, execution = (
+        WorldConfig(feasibility_filter=asks == "world"),
+        ExecutionConfig(slow_down=2.0, feasibility_filter=asks == "execution"),
+    )
+    world = World(registry.load_robot("tiago"), load_task("ggr"), config, 0, execution=execution)
+    assert world.loop.execution == ExecutionConfig(slow_down=2.0, feasibility_filter=True)

@@ -8,7 +8,7 @@ from kinfeas import config
 from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.drive import action_toward
 from kinfeas.observation import HORIZON
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.robots.robot import Base, Robot
 from kinfeas.spatial import Array, wrap, yaw
 from kinfeas.storage.recipes import default_recipe
@@ -50,21 +50,21 @@ class DemonstratedBase:
     base: Base
     forward_shift: float = 0.0
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        known = ~np.isnan(situation.demonstrated_base).any(axis=1, keepdims=True)
+        known = ~np.isnan(policy_input.demonstrated_base).any(axis=1, keepdims=True)
         # Numbers that are used nowhere take the place of those that are missing.
-        wanted = np.where(known, situation.demonstrated_base, situation.base_pose)
-        follow = FollowEe(self.base).act(situation)
-        return np.where(known, self._toward(situation, wanted), follow)
+        wanted = np.where(known, policy_input.demonstrated_base, policy_input.base_pose)
+        follow = FollowEe(self.base).act(policy_input)
+        return np.where(known, self._toward(policy_input, wanted), follow)
 
-    def _toward(self, situation: Situation, wanted: Array) -> Array:
-        base, pose, heading = self.base, situation.base_pose, yaw(wanted)
+    def _toward(self, policy_input: PolicyInput, wanted: Array) -> Array:
+        base, pose, heading = self.base, policy_input.base_pose, yaw(wanted)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1) * self.forward_shift
         way, turn = wanted[:, :2] + ahead - pose[:, :2], wrap(heading - yaw(pose))
-        pace = _length(situation.planned[:, :3] - situation.desired[:, :3])
-        pace = np.maximum(pace, _SLOWEST * HORIZON)
-        share = pace / np.maximum(np.maximum(_length(way), _LEVER * np.abs(turn)), pace)
+        execution = _length(policy_input.planned[:, :3] - policy_input.desired[:, :3])
+        execution = np.maximum(execution, _SLOWEST * HORIZON)
+        share = execution / np.maximum(np.maximum(_length(way), _LEVER * np.abs(turn)), execution)
         velocity = way * share[:, None] / HORIZON
         rotation = turn * share / HORIZON / base.max_rotation
         action = action_toward(base, pose, velocity, HORIZON)

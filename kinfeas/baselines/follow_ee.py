@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from kinfeas.drive import action_toward
 from kinfeas.observation import HORIZON
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.robots.robot import Base
 from kinfeas.spatial import Array
 
@@ -26,8 +26,8 @@ class FollowEe:
     base: Base
     feedback: bool = False
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        start = situation.ee_pose if self.feedback else situation.desired
-        velocity = (situation.planned[:, :2] - start[:, :2]) / HORIZON
-        return action_toward(self.base, situation.base_pose, velocity, HORIZON)
+        start = policy_input.ee_pose if self.feedback else policy_input.desired
+        velocity = (policy_input.planned[:, :2] - start[:, :2]) / HORIZON
+        return action_toward(self.base, policy_input.base_pose, velocity, HORIZON)

@@ -12,7 +12,7 @@ import numpy as np
 from kinfeas.baselines.reach_ellipses import ReachEllipses, approach, fit_ellipses, turned
 from kinfeas.drive import action_toward
 from kinfeas.observation import HORIZON
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, wrap, yaw
 
@@ -46,17 +46,17 @@ class GeometricModulation:
     robot: Robot
     ellipses: ReachEllipses
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        base, ee = self.robot.base, situation.ee_pose
-        offset = situation.base_pose[:, :2] - ee[:, :2]
-        velocity = (situation.planned[:, :2] - ee[:, :2]) / HORIZON
-        velocity = velocity + self._correction(ee, situation.planned, offset)
-        heading = yaw(situation.base_pose)
+        base, ee = self.robot.base, policy_input.ee_pose
+        offset = policy_input.base_pose[:, :2] - ee[:, :2]
+        velocity = (policy_input.planned[:, :2] - ee[:, :2]) / HORIZON
+        velocity = velocity + self._correction(ee, policy_input.planned, offset)
+        heading = yaw(policy_input.base_pose)
         off = wrap(np.arctan2(-offset[:, 1], -offset[:, 0]) - heading - self.ellipses.bearing)
         turn = _HEADING_GAIN * np.sign(off) * np.maximum(np.abs(off) - _CONE, 0.0)
         if base.drive == "omnidirectional":
-            action = action_toward(base, situation.base_pose, velocity, HORIZON)
+            action = action_toward(base, policy_input.base_pose, velocity, HORIZON)
             action[:, 2] = turn / base.max_rotation
         else:
             seen = turned(velocity, -heading)

@@ -16,7 +16,7 @@ from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.observation import HORIZON
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, relative
 
@@ -51,10 +51,10 @@ class WholeBodyQp:
 
     robot: Robot
 
-    def act(self, situation: Situation) -> Array:
+    def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        joints = situation.observation[:, -len(self.robot.arm) :]
-        targets = relative(situation.planned, situation.base_pose)
+        joints = policy_input.observation[:, -len(self.robot.arm) :]
+        targets = relative(policy_input.planned, policy_input.base_pose)
         actions = np.empty((len(joints), action_size(self.robot.base)))
         for row, (target, q) in enumerate(zip(targets, joints, strict=True)):
             actions[row] = self._step(target, q)

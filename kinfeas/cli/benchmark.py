@@ -19,7 +19,7 @@ from kinfeas.quantities import MOST_EPISODES, MOST_PROCESSES
 if TYPE_CHECKING:
     from kinfeas.evaluation.benchmark.findings import Findings
     from kinfeas.evaluation.benchmark.runs import Plan, Run
-    from kinfeas.evaluation.benchmark.study import StudyConfig
+    from kinfeas.evaluation.benchmark.study import BenchmarkConfig
     from kinfeas.evaluation.benchmark.table import Cell
 
 _RECIPES = {
@@ -145,27 +145,27 @@ def _read(
     policy: str | None,
     folders: Sequence[Path],
     overrides: Sequence[str],
-) -> tuple["StudyConfig", list["Run"]]:
+) -> tuple["BenchmarkConfig", list["Run"]]:
     """Return the study that the options ask for, and the runs that it is to take."""
     from kinfeas.evaluation.benchmark.runs import find_runs
-    from kinfeas.evaluation.benchmark.study import read_study, restricted
+    from kinfeas.evaluation.benchmark.study import read_benchmark, restricted
 
     if policy not in (None, "pretrained") or (policy and folders):
         raise KinfeasError("--policy can be pretrained only, and not beside --runs")
     said = ["policies=pretrained"] if policy else []
-    study = read_study(name, [*said, *overrides])
+    study = read_benchmark(name, [*said, *overrides])
     runs = find_runs(folders)
     return (restricted(study, {run.robot for run in runs}) if runs else study), runs
 
 
-def _check_world(study: "StudyConfig", name: str, world: WorldName) -> None:
+def _check_world(study: "BenchmarkConfig", name: str, world: WorldName) -> None:
     if world is WorldName.PYBULLET and study.physics is None:
         raise KinfeasError(f"{name}: has no 'physics', which --world pybullet needs")
     if world is WorldName.ANALYTIC and study.physics is not None:
         raise KinfeasError(f"{name}: has 'physics', which needs --world pybullet")
 
 
-def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
+def _plans(study: "BenchmarkConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
     """Return the training runs that are to be there, after a check of all policies' names."""
     from kinfeas import pretrained
     from kinfeas.evaluation.benchmark.trainings import to_train
@@ -179,7 +179,7 @@ def _plans(study: "StudyConfig", out: Path, taken: Sequence["Run"]) -> list["Pla
     return to_train(study, out)
 
 
-def _train(study: "StudyConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
+def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
     """Train what is missing and return all runs."""
     from kinfeas.evaluation.benchmark.cells import check_baselines
     from kinfeas.evaluation.benchmark.plan import plan_jobs
@@ -201,7 +201,7 @@ def _train(study: "StudyConfig", plans: Sequence["Plan"], cores: int) -> list["R
 
 
 def _compute(
-    study: "StudyConfig", runs: Sequence["Run"], folder: Path, processes: int
+    study: "BenchmarkConfig", runs: Sequence["Run"], folder: Path, processes: int
 ) -> "Findings":
     from kinfeas.evaluation.benchmark.cells import run_jobs
     from kinfeas.evaluation.benchmark.findings import Findings

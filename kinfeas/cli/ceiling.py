@@ -14,7 +14,7 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     episodes: options.Episodes = 500,
     seed: options.Seed = 1,
     path: Annotated[
-        bool, typer.Option("--path", help="Ask for the poses along the way as well, 16 a leg.")
+        bool, typer.Option("--path", help="Ask for the poses along the way as well, 16 a sub-goal.")
     ] = False,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
@@ -22,21 +22,25 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Show the share of goals that some base pose can reach: what no policy can beat.
 
     The goals are those that [bold]kinfeas evaluate[/] draws with the same seed; where an episode
-    has several legs, the goals of all of them count as one. Settings:
+    has several sub-goals, the goals of all of them count as one. Settings:
     [bold]ik.KEY[/], such as [bold]ik.self_collision=false[/], and [bold]task.KEY[/], the task's own
     parameters, such as [bold]task.orientation=so3[/].
     """
     options.check_robot(robot)
-    from kinfeas.evaluation.ceiling import CeilingConfig, measure_ceiling, measure_path_ceiling
+    from kinfeas.evaluation.ceiling import (
+        ReachabilityConfig,
+        measure_path_reachability,
+        measure_reachability,
+    )
     from kinfeas.kinematics.ceiling import STAGES
 
     read = {"--robot": robot, "--task": task}
     sources = {option: inputs.named(name) for option, name in read.items()}
     check_outputs({"--json": json}, {**sources, "--set": inputs.of_settings(overrides)})
-    config = options.read_overrides(CeilingConfig, overrides)
+    config = options.read_overrides(ReachabilityConfig, overrides)
     known, drawn_by = options.read_robot(robot), options.read_task(task, config.task)
     with progress(f"{episodes} goals") as advance:
-        measure = measure_path_ceiling if path else measure_ceiling
+        measure = measure_path_reachability if path else measure_reachability
         found = measure(known, drawn_by, episodes, seed, config.ik, advance)
     summary = {
         "robot": known.name,

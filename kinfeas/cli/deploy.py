@@ -106,7 +106,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     sim2real: Annotated[
         str | None,
         typer.Option(
-            "--sim2real", help="Adapters around the backend: ideal, paper, pr2_like, harsh, a file."
+            "--adapters", help="Adapters around the backend: ideal, paper, pr2_like, harsh, a file."
         ),
     ] = None,
     guards: Annotated[
@@ -115,16 +115,16 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     real_time: Annotated[
         bool,
         typer.Option(
-            "--real-time/--as-fast-as-possible",
+            "--real-time/--no-real-time",
             help="Whether a simulated world waits for the clock.",
         ),
     ] = True,
-    look_ahead: Annotated[
+    rollout_planner: Annotated[
         bool,
         typer.Option(
-            "--look-ahead",
+            "--rollout-planner",
             help="Try the next 6 s out every 0.5 s, beside the control loop, and deviate from the "
-            "policy where it would fail, the arm jump or the hand stray. Settings: look_ahead.KEY.",
+            "policy where it would fail, the arm jump or the hand stray. Settings: rollout.KEY.",
         ),
     ] = False,
     overrides: options.Overrides = None,
@@ -132,21 +132,22 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Drive a robot to a goal or through a task, behind guards, and record the run.
 
-    Settings: [bold]guards.KEY[/], slow_down=1 (2 for pr2), head_start=0 s, patience=8 s,
-    yields=false (true for pr2 and tiago; whether the base takes the nearest command that the arm
-    can follow where it cannot follow the policy's), clearance=0 m (what the base keeps from what
-    stands around, where the backend knows that), [bold]ik.KEY[/], [bold]look_ahead.KEY[/]
-    (seconds=6 s that are tried out, every=0.5 s, tries=32, spread=0.8, jump=0.1, stray=0.1), and
-    the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/], which
-    [bold]kinfeas plugins info NAME[/] lists. An unknown KEY is answered by those that there are.
+    Settings: [bold]guards.KEY[/], slow_down=1 (2 for pr2), head_start=0 s, arm_settle_timeout=8 s,
+    feasibility_filter=false (true for pr2 and tiago; whether the base takes the nearest command
+    that the arm can follow where it cannot follow the policy's), min_obstacle_distance=0 m (what
+    the base keeps from what stands around, where the backend knows that), [bold]ik.KEY[/],
+    [bold]rollout.KEY[/] (seconds=6 s that are tried out, every=0.5 s, tries=32, spread=0.8,
+    jump=0.1, stray=0.1), and the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and
+    [bold]backend.KEY[/], which [bold]kinfeas plugins info NAME[/] lists. An unknown KEY is answered
+    by those that there are.
 
     Guards: reach=true refuses a goal that no base pose is found for. The run is stopped beyond
-    max_age=0.2 s of a measurement, max_stall=0.2 s, clock_jump=0.1 s, max_distance=20 m,
+    max_age=0.2 s of a measurement, max_period=0.2 s, max_clock_skew=0.1 s, max_distance=20 m,
     max_tilt=0.15 rad, pose_jump=0.3 m, heading_jump=0.5 rad, joint_tolerance=0.1 rad or m,
-    infeasible_steps=50 in a row, and watchdog=0.2 s without a sign of life. Commands are brought
-    down to speed (m/s), rotation (rad/s), acceleration (m/s^2) and rotation_acceleration (rad/s^2),
-    all four by default the robot's own, joint_speed=1 of the arm's own, joint_jump=3.2 rad or m,
-    and joint_lag=0.5 s.
+    max_consecutive_ik_failures=50 in a row, and watchdog=0.2 s without a sign of life. Commands are
+    brought down to speed (m/s), rotation (rad/s), acceleration (m/s^2) and rotation_acceleration
+    (rad/s^2), all four by default the robot's own, joint_speed=1 of the arm's own, joint_jump=3.2
+    rad or m, and max_tracking_delay=0.5 s.
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
     4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed, 131
@@ -156,7 +157,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.record import Recorder
     from kinfeas.sim2real.runtime import deploy as run
 
-    read = {"--robot": robot, "--task": task, "--sim2real": sim2real, "--guards": guards}
+    read = {"--robot": robot, "--task": task, "--adapters": sim2real, "--guards": guards}
     sources = {option: inputs.named(name) for option, name in read.items()}
     sources |= {"POLICY": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
     outputs = {"--record": record, "--json": json}
@@ -166,9 +167,9 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         check_outputs(outputs, {"POLICY": inputs.named(robot)})
     if record is not None and record.exists():
         raise KinfeasError(f"--record: {record} exists, and a record is never written over")
-    options.check_look_ahead(overrides, wanted=look_ahead)
+    options.check_rollout_planner(overrides, wanted=rollout_planner)
     wishes = Wishes(
-        policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time, look_ahead
+        policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time, rollout_planner
     )
     goal_wishes = Goal(task, generator, goal, rpy, quaternion)
     with status("getting ready"):
@@ -197,14 +198,14 @@ def _complain(outcome: "Outcome") -> None:
 
 
 def _about(wishes: Wishes, setup: "Setup") -> "About":
-    from kinfeas.evaluation.policies import LOOK_AHEAD
+    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
     from kinfeas.record import About
     from kinfeas.registry import from_anywhere
 
     return About(
         robot=from_anywhere(wishes.robot),
         task=setup.task.name,
-        policy=LOOK_AHEAD + wishes.policy if wishes.look_ahead else wishes.policy,
+        policy=ROLLOUT_PLANNER + wishes.policy if wishes.rollout_planner else wishes.policy,
         backend=wishes.backend,
         dt=wishes.dt,
         joints=tuple(joint.name for joint in setup.solver.robot.arm),

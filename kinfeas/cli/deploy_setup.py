@@ -30,7 +30,7 @@ class Wishes(NamedTuple):
     seconds: float
     seed: int
     real_time: bool
-    look_ahead: bool
+    rollout_planner: bool
 
 
 class Goal(NamedTuple):
@@ -88,18 +88,18 @@ def make_task(wanted: Goal, config: "DeployConfig") -> "Task":
 def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
     """Return what the run is made of, once each part has computed something."""
     from kinfeas.adapters import read_sim2real
-    from kinfeas.backend import Live
+    from kinfeas.backend import RealTimeBackend
     from kinfeas.evaluation.policies import load_policy
     from kinfeas.kinematics.ik import IkSolver
-    from kinfeas.look_ahead import LookAhead
+    from kinfeas.rollout_planner import RolloutPlanner
     from kinfeas.sim2real.deploy_config import build_backend
     from kinfeas.sim2real.deployment import Setup
-    from kinfeas.sim2real.look_ahead_thread import LookAheadThread
+    from kinfeas.sim2real.rollout_planner_thread import RolloutPlannerThread
     from kinfeas.sim2real.warm_up import warm_up
 
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
-    policy = LookAhead(trained, config.look_ahead) if wishes.look_ahead else trained
+    policy = RolloutPlanner(trained, config.rollout_planner) if wishes.rollout_planner else trained
     warm_up(solver, policy, task, wishes.dt, adapters)
     if wishes.backend == _WORLD:
         from kinfeas.sim.stage import Stage, task_scene
@@ -109,8 +109,8 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
     else:
         backend = build_backend(wishes.backend, config.backend, robot=robot)
     # A world without a clock waits for a look, and so comes out the same each time.
-    if wishes.look_ahead and (wishes.real_time or isinstance(backend, Live)):
-        policy = LookAheadThread(trained, config.look_ahead)
+    if wishes.rollout_planner and (wishes.real_time or isinstance(backend, RealTimeBackend)):
+        policy = RolloutPlannerThread(trained, config.rollout_planner)
     return Setup(
         solver=solver,
         policy=policy,
@@ -120,7 +120,7 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         adapters=adapters,
         seconds=wishes.seconds,
         seed=wishes.seed,
-        pace=config.pace,
+        execution=config.execution,
         guards=config.guards,
         real_time=wishes.real_time,
     )

@@ -77,14 +77,14 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         ),
     ] = None,
     without_objects: Annotated[
-        bool, typer.Option("--without-objects", help="pybullet: an empty floor, no furniture.")
+        bool, typer.Option("--no-objects", help="pybullet: an empty floor, no furniture.")
     ] = False,
-    look_ahead: Annotated[
+    rollout_planner: Annotated[
         bool,
         typer.Option(
-            "--look-ahead",
+            "--rollout-planner",
             help="Try the next 6 s out every 0.5 s, and deviate from the policy where it would "
-            "fail, the arm jump or the hand stray; many times slower. Settings: look_ahead.KEY.",
+            "fail, the arm jump or the hand stray; many times slower. Settings: rollout.KEY.",
         ),
     ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
@@ -93,7 +93,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         Path | None,
         typer.Option(
             "--picture",
-            help="Draw an episode into this PNG; with --sim2real what that costs, and success "
+            help="Draw an episode into this PNG; with --adapters what that costs, and success "
             "against latency, noise and head start, which takes fifteen evaluations more.",
             callback=check_file_path,
         ),
@@ -108,23 +108,24 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
     Settings: [bold]world.KEY[/], [bold]task.KEY[/], the task's own parameters, such as
-    [bold]task.orientation=so3[/], and [bold]look_ahead.KEY[/] (seconds=6 s that are tried out,
+    [bold]task.orientation=so3[/], and [bold]rollout.KEY[/] (seconds=6 s that are tried out,
     every=0.5 s, tries=32, spread=0.8, jump=0.1, stray=0.1). An unknown KEY, of
     [bold]world.ik.KEY[/] and [bold]world.physics.KEY[/] too, is answered by those that there are.
 
-    The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik, yields=false
-    (whether the base yields where the arm could not follow), and reward, which changes no figure.
-    PyBullet's has dt=0.02 s, max_failures=99, max_seconds=150 s, adapters, ik, yields=false (true
-    for pr2 and tiago), clearance=0 m (0.03 for pr2; what the base keeps from furniture), physics,
-    patience=8 s, slow_down=1 (2 for pr2), head_start=0 s, and objects=true.
+    The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik,
+    feasibility_filter=false (whether the base yields where the arm could not follow), and reward,
+    which changes no figure. PyBullet's has dt=0.02 s, max_failures=99, max_seconds=150 s, adapters,
+    ik, feasibility_filter=false (true for pr2 and tiago), min_obstacle_distance=0 m (0.03 for pr2;
+    what the base keeps from furniture), physics, arm_settle_timeout=8 s, slow_down=1 (2 for pr2),
+    head_start=0 s, and objects=true.
 
-    With [bold]--sim2real[/] the figures are those within all its adapters, and a table says what
+    With [bold]--adapters[/] the figures are those within all its adapters, and a table says what
     each of them costs alone, and what the others cost without it.
 
     [bold]--video[/], [bold]--replay[/] and [bold]--picture[/] show one episode: the desired path
     of the EE dashed, the achieved one green, steps without an IK solution red.
     """
-    from kinfeas.evaluation.policies import LOOK_AHEAD
+    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
 
     options.check_robot(robot)
     check_policy(policy)
@@ -137,20 +138,20 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     )
 
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
-    read = {"--robot": robot, "--task": task, "--sim2real": sim2real}
+    read = {"--robot": robot, "--task": task, "--adapters": sim2real}
     sources = {option: inputs.named(name) for option, name in read.items()}
     sources |= {"--policy": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
     check_outputs(outputs, sources)
     if robot is None:
         robot = robot_of(policy)
         check_outputs(outputs, {"--policy": inputs.named(robot)})
-    look_ahead |= policy.startswith(LOOK_AHEAD)
-    options.check_look_ahead(overrides, wanted=look_ahead)
-    if look_ahead:
-        policy = LOOK_AHEAD + policy.removeprefix(LOOK_AHEAD)
+    rollout_planner |= policy.startswith(ROLLOUT_PLANNER)
+    options.check_rollout_planner(overrides, wanted=rollout_planner)
+    if rollout_planner:
+        policy = ROLLOUT_PLANNER + policy.removeprefix(ROLLOUT_PLANNER)
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
     said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
-    said |= {"--without-objects": without_objects or None, "--gui": gui or None}
+    said |= {"--no-objects": without_objects or None, "--gui": gui or None}
     given = [name for name, value in said.items() if value is not None]
     count = episodes or EPISODES[world]
     if world is WorldName.ANALYTIC and given:
@@ -202,9 +203,9 @@ def _show(summary: "Summary") -> None:
         ["ceiling: goals that some base pose reaches", _share(summary, "ceiling")],
         ["EE never more than 5 cm off, and at the goal", _share(summary, "within_5cm")],
         ["goal reached", share(summary["reached"])],
-        ["kinematic failures an episode", f"{summary['mean_failures']:.2f}"],
+        ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
-        ["arm jumps an episode", f"{summary['jumps_per_episode']:.2f}"],
+        ["arm jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
     if summary.get("world") == WorldName.PYBULLET:
@@ -217,7 +218,7 @@ def _physics_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     without_objects = summary["task_success"] is None
     return [
         ["task done", "no objects" if without_objects else _share(summary, "task_success")],
-        ["episodes without a collision", share(summary["free_of_collisions"])],
+        ["episodes without a collision", share(summary["collision_free_rate"])],
         ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
         ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
     ]

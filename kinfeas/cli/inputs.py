@@ -28,11 +28,11 @@ def named(name: str | Path | None) -> list[Path]:
 
 def of_policy(name: str | Path | None) -> list[Path]:
     """Return the file of a policy, or the files and folders of its training run."""
-    from kinfeas.evaluation.policies import LOOK_AHEAD
+    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
 
     if name is None:
         return []
-    path = Path(str(name).removeprefix(LOOK_AHEAD))
+    path = Path(str(name).removeprefix(ROLLOUT_PLANNER))
     return [path / part for part in _PARTS] if path.is_dir() else [path]
 
 

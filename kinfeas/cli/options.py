@@ -96,7 +96,7 @@ Overrides = Annotated[
 Sim2RealName = Annotated[
     str | None,
     typer.Option(
-        "--sim2real",
+        "--adapters",
         help="What stands between policy and robot: ideal, paper, pr2_like, harsh, or a YAML file.",
     ),
 ]
@@ -130,7 +130,7 @@ def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
     return config.from_mapping(cls, {}, "settings", overrides or ())
 
 
-def check_look_ahead(overrides: list[str] | None, *, wanted: bool) -> None:
+def check_rollout_planner(overrides: list[str] | None, *, wanted: bool) -> None:
     """Check that `--set` says nothing of looking ahead unless that is `wanted`.
 
     Raises:
@@ -138,8 +138,8 @@ def check_look_ahead(overrides: list[str] | None, *, wanted: bool) -> None:
     """
     from kinfeas.config import assigned
 
-    if not wanted and "look_ahead" in assigned(overrides or ()):
-        raise KinfeasError("--set look_ahead.KEY needs --look-ahead")
+    if not wanted and "rollout_planner" in assigned(overrides or ()):
+        raise KinfeasError("--set rollout.KEY needs --rollout-planner")
 
 
 def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
@@ -188,7 +188,7 @@ def read_robot(name: str) -> "Robot":
 
 
 def read_adapters(name: str) -> "tuple[AdapterSpec, ...]":
-    """Return the adapters that `--sim2real` names."""
+    """Return the adapters that `--adapters` names."""
     from kinfeas.adapters import read_sim2real
 
     return read_sim2real(name).adapters

@@ -31,7 +31,7 @@ def physics_assignments(
     told = {option: entry for option, entry in numbers.items() if entry[1] is not None}
     wishes: dict[str, tuple[str, object]] = dict(told)
     if without_objects:
-        wishes["--without-objects"] = ("objects", False)
+        wishes["--no-objects"] = ("objects", False)
     world = assigned(overrides).get("world")
     for option, (key, _) in wishes.items():
         if isinstance(world, Mapping) and key in world:

@@ -10,7 +10,7 @@ from typing import Any
 from kinfeas import registry
 from kinfeas.cli.docstrings import Docstring, read_docstring, unit
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import Blaming
+from kinfeas.foreign import PluginErrors
 from kinfeas.registry import GROUPS, Plugin
 from kinfeas.schema import no_such
 from kinfeas.storage import strict_yaml
@@ -46,7 +46,7 @@ def summary(plugin: Plugin) -> tuple[str, str | None]:
         if plugin.group == "kinfeas.robots":
             robot = registry.load_robot(plugin.name)
             return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
-        with _blaming(plugin):
+        with _plugin_errors(plugin):
             return read_docstring(loaded).summary, None
     except KinfeasError as error:
         return "", " ".join(str(error).split())
@@ -75,12 +75,12 @@ def facts(plugin: Plugin) -> dict[str, Any]:
         KinfeasError: If it is broken.
     """
     loaded = _load(plugin)
-    with _blaming(plugin):
+    with _plugin_errors(plugin):
         said = read_docstring(loaded)
     known: dict[str, Any] = {**vars(plugin), "kind": GROUPS[plugin.group], "text": said.text}
     if plugin.group == "kinfeas.robots":
         return known | {"robot": _robot(plugin.name)}
-    with _blaming(plugin):
+    with _plugin_errors(plugin):
         found = parameters(loaded, said, _HANDED_IN.get(plugin.group, ()))
     if plugin.group == "kinfeas.tasks" and all(one.default is not None for one in found):
         return known | _task(plugin.name, found)
@@ -95,7 +95,7 @@ def facts_of_file(path: str) -> dict[str, Any]:
     """
     registry.check_no_urdf(path)
     keys = strict_yaml.read(Path(path)).keys()
-    if "legs" in keys:
+    if "subgoals" in keys:
         from kinfeas.tasks.loading import task_name
 
         return {"kind": "task", "name": task_name(path), "file": path, **_task(path, [])}
@@ -103,7 +103,7 @@ def facts_of_file(path: str) -> dict[str, Any]:
         robot = _robot(path)
         return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
     raise KinfeasError(
-        f"{path}: describes no robot, which has the key 'urdf', and no task, which has 'legs'"
+        f"{path}: describes no robot, which has the key 'urdf', and no task, which has 'subgoals'"
     )
 
 
@@ -149,9 +149,9 @@ def _load(plugin: Plugin) -> Any:
     return loaded
 
 
-def _blaming(plugin: Plugin) -> Blaming:
+def _plugin_errors(plugin: Plugin) -> PluginErrors:
     package = plugin.target.partition(":")[0].partition(".")[0].strip()
-    return Blaming(f"{plugin} cannot be described:", package)
+    return PluginErrors(f"{plugin} cannot be described:", package)
 
 
 def _parameter(name: str, kind: Any, default: str | None, said: Docstring) -> Parameter:
@@ -186,26 +186,26 @@ def _type(kind: Any) -> str:
 
 
 def _task(name: str, found: list[Parameter]) -> dict[str, Any]:
-    """Return the parameters of a task by name or path, its fields if none were found, and legs."""
+    """Return the parameters of a task by name or path, its fields if none were found, and sub-goals."""
     from kinfeas.tasks.checks import unchecked
     from kinfeas.tasks.loading import load_task
 
     task = load_task(name)
     found = found or fields_of(unchecked(task))
     return {
-        "legs": [_leg(leg) for leg in task.legs],
+        "subgoals": [_subgoal(subgoal) for subgoal in task.subgoals],
         "parameters": [vars(one) for one in found],
     }
 
 
-def _leg(leg: Any) -> dict[str, Any]:
+def _subgoal(subgoal: Any) -> dict[str, Any]:
     return {
-        "motion": leg.motion.generator,
-        "parameters": leg.motion.parameters,
-        "frame": leg.frame,
-        "wait_s": leg.wait,
-        "grip": leg.grip,
-        "place": getattr(leg, "place", None),
+        "motion": subgoal.motion.generator,
+        "parameters": subgoal.motion.parameters,
+        "frame": subgoal.frame,
+        "wait_s": subgoal.dwell,
+        "grip": subgoal.grip,
+        "place": getattr(subgoal, "place", None),
     }
 
 
@@ -229,7 +229,7 @@ def _robot(name: str) -> dict[str, Any]:
         "ee_frame": robot.ee_frame,
         "tool_tip_m": [round(value, 4) for value in robot.tool_tip.tolist()],
         "goal_heights_m": {key: list(value) for key, value in robot.goal_heights.items()},
-        "leeway": None if robot.leeway is None else vars(robot.leeway),
+        "pose_tolerance": None if robot.pose_tolerance is None else vars(robot.pose_tolerance),
         "gripper": None if robot.gripper is None else list(robot.gripper.fingers),
         "configurations": list(robot.home),
     }

@@ -64,7 +64,7 @@ def error_or(text: str, error: str | None) -> "Text":
 
 
 def info(name: options.PluginName, json: options.JsonPath = None) -> None:
-    """Show a plugin's parameters with units and defaults, a robot's joints, or a task's legs.
+    """Show a plugin's parameters with units and defaults, a robot's joints, or a task's sub-goals.
 
     A robot and a task may also be the path of a YAML file.
     """
@@ -90,8 +90,8 @@ def _show(known: dict[str, Any]) -> None:
         _show_robot(known["robot"])
     if "parameters" in known:
         _show_parameters(known["parameters"])
-    if "legs" in known:
-        _show_legs(known["legs"])
+    if "subgoals" in known:
+        _show_subgoals(known["subgoals"])
 
 
 def _show_parameters(parameters: list[dict[str, Any]]) -> None:
@@ -111,21 +111,21 @@ def _show_parameters(parameters: list[dict[str, Any]]) -> None:
     print_table("parameters", ["name", "type", "unit", "default", "what it is"], rows)
 
 
-def _show_legs(legs: list[dict[str, Any]]) -> None:
+def _show_subgoals(subgoals: list[dict[str, Any]]) -> None:
     rows = [
         [
             str(number),
-            leg["motion"],
-            " ".join(f"{key}={value}" for key, value in leg["parameters"].items()),
-            leg["frame"],
-            leg["place"] or "drawn at random",
-            f"{leg['wait_s']:g} s",
-            leg["grip"] or "",
+            subgoal["motion"],
+            " ".join(f"{key}={value}" for key, value in subgoal["parameters"].items()),
+            subgoal["frame"],
+            subgoal["place"] or "drawn at random",
+            f"{subgoal['wait_s']:g} s",
+            subgoal["grip"] or "",
         ]
-        for number, leg in enumerate(legs, start=1)
+        for number, subgoal in enumerate(subgoals, start=1)
     ]
-    columns = [" leg", "motion", "its parameters", "frame", "leads to", " wait", "grip"]
-    print_table("legs", columns, rows)
+    columns = [" sub-goal", "motion", "its parameters", "frame", "leads to", " wait", "grip"]
+    print_table("subgoals", columns, rows)
 
 
 def _show_robot(robot: dict[str, Any]) -> None:
@@ -142,7 +142,7 @@ def _show_robot(robot: dict[str, Any]) -> None:
     print_table("arm", ["joint", " lower", " upper", "unit", " velocity"], rows)
     base = robot["base"]
     heights = (f"{name} {low:g} to {high:g} m" for name, (low, high) in _heights(robot))
-    leeway = robot["leeway"]
+    pose_tolerance = robot["pose_tolerance"]
     facts = [
         ["drive", base["drive"]],
         ["base velocity", f"{base['max_velocity']:g} m/s, {base['max_rotation']:g} rad/s"],
@@ -155,8 +155,10 @@ def _show_robot(robot: dict[str, Any]) -> None:
         ["tool tip in it", f"{', '.join(f'{value:g}' for value in robot['tool_tip_m'])} m"],
         ["goal heights", ", ".join(heights)],
         [
-            "leeway on the way",
-            "none" if leeway is None else f"{leeway['position']:g} m, {leeway['rotation']:g} rad",
+            "pose tolerance on the way",
+            "none"
+            if pose_tolerance is None
+            else f"{pose_tolerance['position']:g} m, {pose_tolerance['rotation']:g} rad",
         ],
         ["gripper", ", ".join(robot["gripper"] or ["none"])],
         ["configurations", ", ".join(robot["configurations"])],

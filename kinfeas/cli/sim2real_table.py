@@ -1,4 +1,4 @@
-"""What adapters cost, for `kinfeas evaluate --sim2real`: a table, a picture and JSON."""
+"""What adapters cost, for `kinfeas evaluate --adapters`: a table, a picture and JSON."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -126,10 +126,10 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 
     The recipe is train/ROBOT where there is one, else train/default. With [bold]--world
     pybullet[/] it comes from the folder train_physics, with [bold]--init[/] as well from
-    finetune_physics. [bold]--sim2real[/] takes the place of its adapters.
+    finetune_physics. [bold]--adapters[/] takes the place of its adapters.
 
     Settings: every key of the recipe, such as [bold]learner.batch_size=256[/] or
-    [bold]environments=64[/].
+    [bold]num_envs=64[/].
 
     With [bold]--resume[/] only [bold]--minutes[/] and [bold]--steps[/] may be given: how long the
     run lasts in all, with what it has done.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.backend import Backend, BackendWrapper, Resumable, RobotState
 from kinfeas.conformance.answers import Answers
-from kinfeas.foreign import Blaming, package_of
+from kinfeas.foreign import PluginErrors, package_of
 from kinfeas.spatial import Array
 
 _METHODS = ("reset", "step", "close", "restore")
@@ -40,8 +40,8 @@ class CheckedAdapter(BackendWrapper):
     def __init__(self, adapter: Backend, subject: str, backend: Backend) -> None:
         self.adapter, self.backend = adapter, backend
         self._answers, package = Answers(subject), package_of(adapter)
-        self._blaming = {
-            method: Blaming(f"{subject} fails in {method}:", package)
+        self._plugin_errors = {
+            method: PluginErrors(f"{subject} fails in {method}:", package)
             for method in (*_METHODS, *_PASSED_ON)
         }
         for method in _PASSED_ON:
@@ -81,7 +81,7 @@ class CheckedAdapter(BackendWrapper):
         return state
 
     def _ask(self, method: str, *arguments: Any) -> Any:
-        with self._blaming[method]:
+        with self._plugin_errors[method]:
             return getattr(self.adapter, method)(*arguments)
 
 

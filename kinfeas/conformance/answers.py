@@ -35,8 +35,8 @@ class Answers:
             joints: Their joint_positions, shape (n, j).
         """
         self._check_poses(answer, "", method, base, joints)
-        if answer.truth is not None:
-            self._check_poses(answer.truth, " as truth", method, base, joints)
+        if answer.true_state is not None:
+            self._check_poses(answer.true_state, " as truth", method, base, joints)
 
     def check_array(self, answer: Any, what: str, method: str, given: Array) -> None:
         """Do nothing if an answer is an array of the form of `given`."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinfeas.conformance.arrays import are_unit, instead, sound
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import BLAMED, Blaming, package_of
+from kinfeas.foreign import BLAMED, PluginErrors, package_of
 from kinfeas.motion import Demonstrated, MotionGenerator, State
 from kinfeas.spatial import Array
 
@@ -60,7 +60,7 @@ class CheckedMotion:
                 f"must have the methods start, goal_pose and twist; {kind} lacks {words}"
             )
         self._start, self._goal_pose, self._twist, self._base_pose = (
-            Blaming(f"{self.subject} fails in {method}:", package)
+            PluginErrors(f"{self.subject} fails in {method}:", package)
             for method in ("start", "goal_pose", "twist", "base_pose")
         )
 

@@ -22,7 +22,7 @@ from kinfeas.draft.reach import (
     useful_heights,
     with_pairs,
 )
-from kinfeas.draft.stated import LEEWAY, stated
+from kinfeas.draft.stated import POSE_TOLERANCE, stated
 from kinfeas.draft.text import Guesses, robot_yaml
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import POSE_DIMENSIONS
@@ -102,8 +102,8 @@ def draft_robot(
     urdf, spec, guesses = _stated(path, boxed, options)
     robot = _read(spec, urdf, path)
     touching = built_to_touch(robot)
-    leeway = LEEWAY if freedom(robot) < POSE_DIMENSIONS else None
-    robot = replace(with_pairs(robot, touching), leeway=leeway)
+    pose_tolerance = POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
+    robot = replace(with_pairs(robot, touching), pose_tolerance=pose_tolerance)
     home = comfortable(robot)
     tell(_TOUCHING)
     heights = useful_heights(robot, lambda share: tell(_REACHING * share))
@@ -112,7 +112,7 @@ def draft_robot(
         spec,
         home={"home": tuple(home.tolist())},
         goal_heights={"ggr": ggr, "ggr_restricted": restricted},
-        leeway=leeway,
+        pose_tolerance=pose_tolerance,
         ignored_collisions=tuple(touching),
     )
     guesses = replace(guesses, touching=touching)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import Blaming
+from kinfeas.foreign import PluginErrors
 from kinfeas.quantities import FARTHEST
 from kinfeas.robots.elements import Element
 from kinfeas.robots.meshes import find_mesh
@@ -52,7 +52,7 @@ def _load(path: Path, where: str) -> Array:
         )
     import trimesh
 
-    with Blaming(f"{where}: {str(path)!r} cannot be read as a mesh:"):
+    with PluginErrors(f"{where}: {str(path)!r} cannot be read as a mesh:"):
         scene = trimesh.load_scene(path)
         metres = trimesh.units.unit_conversion(scene.units or "meters", "meters")
         return np.asarray(scene.to_mesh().triangles, dtype=np.float64) * metres

@@ -173,7 +173,8 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
     """Return how many goals can be reached at which heights, from the floor up.
 
     The goals have random orientations, as those that a policy learns from. IK decides, from up to
-    256 base poses around each of them, to as near as success asks for if the robot has leeway.
+    256 base poses around each of them, to as near as success asks for if the robot has
+    pose_tolerance.
 
     Args:
         robot: The robot.

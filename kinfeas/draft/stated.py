@@ -7,7 +7,14 @@ import numpy as np
 
 from kinfeas.draft.arm import Arm
 from kinfeas.draft.hand import Hand
-from kinfeas.robots.spec import FASTEST_JOINT, ArmJointSpec, BaseSpec, Drive, Leeway, RobotSpec
+from kinfeas.robots.spec import (
+    FASTEST_JOINT,
+    ArmJointSpec,
+    BaseSpec,
+    Drive,
+    PoseTolerance,
+    RobotSpec,
+)
 from kinfeas.robots.urdf import Joint, Urdf
 
 _WIDEST = 4.0 * math.pi + 0.01
@@ -18,9 +25,10 @@ _HALF_TURN = 3.1416
 _TURN, _SLIDE = 1.0, 0.1
 """rad/s and m/s of joints to which the URDF gives no speed."""
 
-# What the shipped robots have in common, and HSR's leeway for arms that cannot reach every pose.
+# What the shipped robots have in common, and HSR's pose_tolerance for arms that cannot reach every
+# pose.
 _SPEED, _ROTATION, _ACCELERATION, _ROTATION_ACCELERATION = 0.2, 1.0, 1.0, 2.0
-LEEWAY = Leeway(position=0.1, rotation=0.2094)
+POSE_TOLERANCE = PoseTolerance(position=0.1, rotation=0.2094)
 _HEIGHTS = {"ggr": (0.2, 1.4), "ggr_restricted": (0.4, 1.1)}
 
 
@@ -28,7 +36,7 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
     """Return the YAML file of a robot, with stopgaps for what has to be tried out.
 
     These are the home, in the middle of the joint ranges, the goal heights, pairs of links that may
-    touch, none, and no leeway.
+    touch, none, and no pose_tolerance.
     """
     joints = {joint.name: _joint(joint) for joint in arm.joints}
     return RobotSpec(

@@ -74,8 +74,10 @@ def guessed(spec: RobotSpec, guesses: Guesses) -> dict[str, str]:
         found[f"arm.{name}.soft_limits"] = f"{_flow(limits)} {guesses.unit(name)}"
     for name in guesses.speeds:
         found[f"arm.{name}.velocity"] = f"{_flow(spec.arm[name].velocity)} {guesses.unit(name)}/s"
-    if spec.leeway is not None:
-        found["leeway"] = f"{spec.leeway.position:g} m, {spec.leeway.rotation:g} rad"
+    if spec.pose_tolerance is not None:
+        found["pose_tolerance"] = (
+            f"{spec.pose_tolerance.position:g} m, {spec.pose_tolerance.rotation:g} rad"
+        )
     if spec.ignored_collisions:
         found["ignored_collisions"] = f"{len(spec.ignored_collisions)} pairs of links"
     return found
@@ -164,10 +166,10 @@ def _fixed(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
 def _reach(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:
     yield from ("", "# Where goals of any orientation can be reached.", "goal_heights:")
     yield from (f"  {name}: {_flow(heights)}  # m" for name, heights in spec.goal_heights.items())
-    if spec.leeway is not None:
-        yield from ("", "# Guess: these joints cannot follow six dimensions.", "leeway:")
-        yield f"  position: {_flow(spec.leeway.position)}  # m"
-        yield f"  rotation: {_flow(spec.leeway.rotation)}  # rad"
+    if spec.pose_tolerance is not None:
+        yield from ("", "# Guess: these joints cannot follow six dimensions.", "pose_tolerance:")
+        yield f"  position: {_flow(spec.pose_tolerance.position)}  # m"
+        yield f"  rotation: {_flow(spec.pose_tolerance.rotation)}  # rad"
 
 
 def _collisions(spec: RobotSpec, guesses: Guesses) -> Iterator[str]:

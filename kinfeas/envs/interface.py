@@ -127,13 +127,13 @@ def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
     """
     step, failures = transition.step, world.failures.copy()
     return {
-        "leg": step.leg,
+        "subgoal": step.subgoal,
         "feasible": step.feasible,
         "failures": failures,
         "deviation": step.deviation,
         "goal_distance": step.goal_distance,
         "goal_angle": step.goal_angle,
-        "jumped": step.jumped,
+        "joint_jump": step.joint_jump,
         "reached": transition.reached,
         "is_success": transition.reached & (failures == 0),
     }

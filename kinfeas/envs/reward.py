@@ -45,14 +45,14 @@ def reward(
 
     Args:
         config: Weights.
-        robot: Its joint limits and its leeway, if it has one.
+        robot: Its joint limits and its pose tolerance, if it has one.
         step: What the loop's step came to.
         action: Base commands in [-1, 1], shape (n, a).
         joint_positions: Arm joints after the step, shape (n, j).
     """
     earned = np.where(step.feasible, 0.0, -_failure_cost(config, step))
     earned -= config.action_penalty * np.sum(np.square(action), axis=1)
-    earned -= config.jump_penalty * step.jumped
+    earned -= config.jump_penalty * step.joint_jump
     if config.deviation_penalty > 0.0:
         share = np.minimum(step.deviation / WITHIN, 1.0)
         earned -= config.deviation_penalty * np.square(share)
@@ -61,9 +61,9 @@ def reward(
         # A joint that is measured beyond its limit costs no more than one at it.
         short = np.clip(short, 0.0, config.limit_margin)
         earned -= config.limit_penalty * short / max(config.limit_margin, 1e-9)
-    if robot.leeway is not None:
-        approximation = np.square(step.position_error / robot.leeway.position) + np.square(
-            step.rotation_error / robot.leeway.rotation
+    if robot.pose_tolerance is not None:
+        approximation = np.square(step.position_error / robot.pose_tolerance.position) + np.square(
+            step.rotation_error / robot.pose_tolerance.rotation
         )
         earned -= np.where(step.feasible, 0.5 * approximation, 0.0)
     return earned

@@ -8,20 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import observation, registry
-from kinfeas.adapters import AdapterSpec, paced, wrap
+from kinfeas.adapters import AdapterSpec, execution_of, wrap
 from kinfeas.backend import Backend
 from kinfeas.config import Interval
 from kinfeas.drive import action_size
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.legs import Pace
 from kinfeas.loop import Loop, Rows, Step
 from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array
 from kinfeas.start import Start, episode_rng
+from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.checks import check_start
-from kinfeas.tasks.task import StagedTask, Task, build_legs
+from kinfeas.tasks.task import StagedTask, Task, build_subgoals
 
 __all__ = ["AdapterSpec", "Transition", "World", "WorldConfig"]
 
@@ -33,13 +33,13 @@ class WorldConfig:
     Attributes:
         dt: Control period, seconds.
         max_failures: Kinematic failures in one episode beyond which it ends.
-        max_seconds: Of motion time in one leg, its wait included, after which an episode is
+        max_seconds: Of motion time in one sub-goal, its wait included, after which an episode is
             truncated.
         adapters: Wrapped around the backend, the first one innermost.
         reward: What a step earns.
         ik: How hard IK searches.
-        yields: Whether the base takes the nearest command that the arm can follow where it cannot
-            follow the policy's, as it also does if the pace says so.
+        feasibility_filter: Whether the base takes the nearest command that the arm can follow where
+            it cannot follow the policy's, as it also does if the pace says so.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
@@ -48,7 +48,7 @@ class WorldConfig:
     adapters: tuple[AdapterSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)
-    yields: bool = False
+    feasibility_filter: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Transition:
         reward: What was earned.
         terminated: Whether the episode ended by success or by too many failures.
         truncated: Whether it ended by the time limit.
-        reached: Whether the end of the last leg was reached on a feasible step.
+        reached: Whether the end of the last sub-goal was reached on a feasible step.
         step: What the loop saw.
     """
 
@@ -97,7 +97,7 @@ class World:
         config: WorldConfig,
         seed: int,
         backend: Backend | None = None,
-        pace: Pace | None = None,
+        execution: ExecutionConfig | None = None,
     ) -> None:
         """Build a world.
 
@@ -107,15 +107,21 @@ class World:
             config: Everything else.
             seed: Of all episodes.
             backend: What the adapters are wrapped around; the analytic world by default.
-            pace: How the EE motions are carried out; as they are planned by default.
+            execution: How the EE motions are carried out; as they are planned by default.
         """
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
         wrapped = _backend(config, robot, backend)
-        pace = pace or Pace()
-        pace = paced(wrapped, replace(pace, yields=pace.yields or config.yields))
-        self._max_steps = max(1, round(config.max_seconds * pace.slow_down / config.dt))
-        self.loop = Loop(self.solver, build_legs(task.legs), wrapped, config.dt, pace)
+        execution = execution or ExecutionConfig()
+        execution = execution_of(
+            wrapped,
+            replace(
+                execution,
+                feasibility_filter=execution.feasibility_filter or config.feasibility_filter,
+            ),
+        )
+        self._max_steps = max(1, round(config.max_seconds * execution.slow_down / config.dt))
+        self.loop = Loop(self.solver, build_subgoals(task.subgoals), wrapped, config.dt, execution)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 
@@ -146,9 +152,9 @@ class World:
         rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
         starts = [self._sample(rng, row) for rng, row in zip(rngs, places, strict=True)]
-        legs, joints = len(self.task.legs), len(self.robot.arm)
+        subgoals, joints = len(self.task.subgoals), len(self.robot.arm)
         for start in starts:
-            check_start(start, f"task {self.task.name!r}", legs, joints)
+            check_start(start, f"task {self.task.name!r}", subgoals, joints)
         stacked = Start(
             np.stack([start.base_pose for start in starts]),
             np.stack([start.joint_positions for start in starts]),
@@ -171,7 +177,7 @@ class World:
         action = np.clip(action, -1.0, 1.0)
         step = self.loop.step(action)
         self.steps += 1
-        self.steps[self.loop.course.leg != step.leg] = 0
+        self.steps[self.loop.sequence.subgoal != step.subgoal] = 0
         self.failures += ~step.feasible
         terminated = step.finished | (self.failures > self.config.max_failures)
         joints = self.loop.state.joint_positions

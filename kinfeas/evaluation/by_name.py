@@ -46,12 +46,12 @@ def make_trial(
         physics = physics_config(robot, overrides)
         check_adapters(physics.world.adapters, robot)
         task = load_task(task_name, physics.task)
-        driver = load_driver(policy, robot, physics.look_ahead)
+        driver = load_driver(policy, robot, physics.rollout_planner)
         return PhysicsTrial(robot, task, episodes, seed, physics.world), driver
     settings = config.from_mapping(EvaluationConfig, {}, "settings", overrides)
     check_adapters(settings.world.adapters, robot)
     task = load_task(task_name, settings.task)
-    driver = load_driver(policy, robot, settings.look_ahead)
+    driver = load_driver(policy, robot, settings.rollout_planner)
     return Trial(robot, task, episodes, seed, settings.world), driver
 
 
@@ -71,7 +71,7 @@ def ceiling_of(
     if isinstance(trial, PhysicsTrial):
         world = trial.settings.world
         trial = Trial(trial.robot, trial.task, trial.episodes, trial.seed, world)
-    return analytic.trial_ceiling(trial, on_done)
+    return analytic.trial_reachability(trial, on_done)
 
 
 def within(trial: Trial | PhysicsTrial, adapters: Specs) -> Trial | PhysicsTrial:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kinfeas.evaluation.waypoints import draw_goals, draw_waypoints
-from kinfeas.kinematics.ceiling import STAGES, Ceiling, at_goals, reachable
+from kinfeas.kinematics.ceiling import STAGES, Reachability, at_goals, reachable
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.metrics import wilson
 from kinfeas.robots.robot import Robot
@@ -20,7 +20,7 @@ OnDone = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class CeilingConfig:
+class ReachabilityConfig:
     """What can be set of a ceiling beside robot, task and seed.
 
     Attributes:
@@ -47,18 +47,18 @@ class _Poses:
     most: int = STAGES[-1]
 
 
-def measure_ceiling(
+def measure_reachability(
     robot: Robot,
     task: Task,
     episodes: int,
     seed: int,
     ik: IkOptions | None = None,
     on_done: OnDone | None = None,
-) -> Ceiling:
-    """Return in which of episodes 0 to `episodes` - 1 some base pose reaches the goal of each leg.
+) -> Reachability:
+    """Return in which of episodes 0 to `episodes` - 1 some base pose reaches the goal of each sub-goal.
 
-    A robot with leeway has to come as near to the goals as success asks for; all others have to
-    reach them exactly, free of self-collision like every solution.
+    A robot with pose tolerance has to come as near to the goals as success asks for; all others
+    have to reach them exactly, free of self-collision like every solution.
 
     Args:
         robot: Who moves.
@@ -71,18 +71,18 @@ def measure_ceiling(
     return _reached([_goals(robot, task, episodes, seed, ik)], on_done)
 
 
-def measure_path_ceiling(
+def measure_path_reachability(
     robot: Robot,
     task: Task,
     episodes: int,
     seed: int,
     ik: IkOptions | None = None,
     on_done: OnDone | None = None,
-) -> Ceiling:
-    """Return as `measure_ceiling`, where some base pose has to reach the poses on the way, too.
+) -> Reachability:
+    """Return as `measure_reachability`, where some base pose has to reach the poses on the way, too.
 
-    A robot with leeway has it there. That the base can move from the one base pose to the next is
-    not asked for. Arguments as in `measure_ceiling`.
+    A robot with pose tolerance has it there. That the base can move from the one base pose to the
+    next is not asked for. Arguments as in `measure_reachability`.
     """
     solver = IkSolver(robot, ik or IkOptions())
     way = _Poses(solver, draw_waypoints(solver, task, episodes, seed), MOST_ALONG_THE_WAY)
@@ -94,7 +94,7 @@ def _goals(robot: Robot, task: Task, episodes: int, seed: int, ik: IkOptions | N
     return _Poses(solver, draw_goals(solver, task, episodes, seed))
 
 
-def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Ceiling:
+def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Reachability:
     """Return in which episodes all poses of all groups are reached."""
     report = on_done or (lambda _: None)
     reached = [np.zeros(group.poses.shape[:2], dtype=np.bool_) for group in groups]
@@ -115,4 +115,4 @@ def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Ceiling:
             ).reached
         all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
         convergence.append(float(all_reached.mean()))
-    return Ceiling(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))
+    return Reachability(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))

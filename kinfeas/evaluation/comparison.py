@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import Summary, Trial, evaluate, trial_ceiling
+from kinfeas.evaluation.evaluate import Summary, Trial, evaluate, trial_reachability
 from kinfeas.evaluation.pages.report import Picture, Report, Row, paper_success
 from kinfeas.evaluation.pictures.episodes import episodes_figure
 from kinfeas.evaluation.pictures.learning_curve import learning_curve, read_metrics
@@ -61,7 +61,7 @@ def compare(
             trial, policy, name, ceiling, processes, lambda ended: done(ended / trial.episodes)
         )
 
-    ceiling = trial_ceiling(trial, done)
+    ceiling = trial_reachability(trial, done)
     baselines = {name: judge(name) for name in QUICK_BASELINES}
     return Comparison(trial, run, judge(str(run)), baselines, ceiling)
 

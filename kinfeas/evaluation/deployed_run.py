@@ -31,7 +31,7 @@ def recording(record: Record, robot: Robot) -> Recording:
             f"{robot.name!r} has {', '.join(joints)}"
         )
     ee = forward(build_chain(robot), record.joint_positions)
-    last = [np.flatnonzero(record.leg == leg)[-1] for leg in np.unique(record.leg)]
+    last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
     return Recording(
         episode=0,
         base_pose=record.base_pose,

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from kinfeas.envs.world import Transition, World
-from kinfeas.look_ahead import LookAhead
 from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
+from kinfeas.rollout_planner import RolloutPlanner
 
 BATCH = 256
 """Episodes side by side; no figure depends on it."""
@@ -37,15 +37,15 @@ def run_episodes(  # noqa: PLR0913, PLR0917 - callbacks and sizes by keyword
         first: Number of the first one.
         batch: Episodes side by side, at most; no figure depends on it.
     """
-    tally = _Tally(first, episodes, len(world.task.legs))
+    tally = _Tally(first, episodes, len(world.task.subgoals))
     beyond = first + episodes
     running = np.arange(first, first + min(batch, episodes))
     world.start(running.tolist())
-    if isinstance(policy, LookAhead):
+    if isinstance(policy, RolloutPlanner):
         policy.watch(world.loop)
     waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
-        transition = world.step(policy.act(world.loop.situation))
+        transition = world.step(policy.act(world.loop.policy_input))
         tally.add(transition, live, running[live])
         if watch is not None:
             watch(world, transition, live, running[live])
@@ -65,24 +65,26 @@ def run_episodes(  # noqa: PLR0913, PLR0917 - callbacks and sizes by keyword
 class _Tally:
     """Sums over the steps of each episode."""
 
-    def __init__(self, first: int, episodes: int, legs: int) -> None:
-        self.first, self.last = first, legs - 1
+    def __init__(self, first: int, episodes: int, subgoals: int) -> None:
+        self.first, self.last = first, subgoals - 1
         self.reached = np.zeros(episodes, dtype=np.bool_)
-        self.failures, self.jumps, self.steps = (np.zeros(episodes, dtype=np.intp) for _ in "abc")
+        self.failures, self.joint_jumps, self.steps = (
+            np.zeros(episodes, dtype=np.intp) for _ in "abc"
+        )
         self.deviation_sum, self.deviation_max, self.final = (np.zeros(episodes) for _ in "abc")
 
     def add(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
         step, episodes = transition.step, episodes - self.first
         self.reached[episodes] = transition.reached[rows]
         self.failures[episodes] += ~step.feasible[rows]
-        self.jumps[episodes] += step.jumped[rows]
+        self.joint_jumps[episodes] += step.joint_jump[rows]
         self.steps[episodes] += 1
         self.deviation_sum[episodes] += step.deviation[rows]
         self.deviation_max[episodes] = np.maximum(
             self.deviation_max[episodes], step.deviation[rows]
         )
-        # Whoever never came to the last leg is not near its end.
-        self.final[episodes] = np.where(step.leg == self.last, step.goal_distance, np.inf)[rows]
+        # Whoever never came to the last sub-goal is not near its end.
+        self.final[episodes] = np.where(step.subgoal == self.last, step.goal_distance, np.inf)[rows]
 
     def records(self) -> EpisodeRecords:
         return EpisodeRecords(
@@ -91,6 +93,6 @@ class _Tally:
             max_deviation=self.deviation_max,
             mean_deviation=self.deviation_sum / np.maximum(self.steps, 1),
             final_distance=self.final,
-            jumps=self.jumps,
+            joint_jumps=self.joint_jumps,
             steps=self.steps,
         )

@@ -11,16 +11,16 @@ from functools import partial
 
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.evaluation.ceiling import measure_reachability
 from kinfeas.evaluation.episodes import BATCH, run_episodes
-from kinfeas.look_ahead import Foresight
-from kinfeas.metrics import EpisodeRecords, Figures, Share, join, summarize
+from kinfeas.metrics import EpisodeRecords, Metrics, Share, join, summarize
 from kinfeas.policy import Policy
 from kinfeas.robots.robot import Robot
+from kinfeas.rollout_planner import RolloutConfig
 from kinfeas.tasks.task import Task
 
 
-class Summary(Figures):
+class Summary(Metrics):
     """The figures of a policy, and what they are of; the ceiling is null where it is not known."""
 
     robot: str
@@ -63,12 +63,12 @@ class EvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
-        look_ahead: How far and how widely a policy looks that looks ahead.
+        rollout_planner: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)
-    look_ahead: Foresight = field(default_factory=Foresight)
+    rollout_planner: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def evaluate(
@@ -85,8 +85,8 @@ def evaluate(
         trial: What it is put to.
         policy: Moves the base.
         name: What to call it.
-        ceiling: Share of the trial's goals that can be reached, as `trial_ceiling` finds it; null
-            in the summary by default.
+        ceiling: Share of the trial's goals that can be reached, as `trial_reachability` finds it;
+            null in the summary by default.
         processes: How many processes share the episodes; no figure depends on it.
         on_done: Called with the number of episodes that have just ended.
 
@@ -106,9 +106,9 @@ def evaluate(
     }
 
 
-def trial_ceiling(trial: Trial, on_done: Callable[[float], None] | None = None) -> Share:
-    """Return the share of a trial's goals that some base pose reaches; see `measure_ceiling`."""
-    found = measure_ceiling(
+def trial_reachability(trial: Trial, on_done: Callable[[float], None] | None = None) -> Share:
+    """Return the share of a trial's goals that some base pose reaches; see `measure_reachability`."""
+    found = measure_reachability(
         trial.robot, trial.task, trial.episodes, trial.seed, trial.world.ik, on_done
     )
     return found.share

@@ -59,8 +59,8 @@ def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
     """Return poses one step of the loop away from where the arm is.
 
     The EE moves by 1 cm and 0.01 rad, the base under it by up to 2 cm, all in random directions.
-    Steps that no configuration follows are left out; a robot with leeway, whose joints are too few
-    to follow any step exactly, gets the pose that it comes to, unless that is where it is.
+    Steps that no configuration follows are left out; a robot with pose tolerance, whose joints are
+    too few to follow any step exactly, gets the pose that it comes to, unless that is where it is.
     """
     solver, poses, seeds, found = IkSolver(robot), [], [], 0
     while found < count:
@@ -74,8 +74,8 @@ def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
 
 
 def time_ours(robot: Robot, targets: Targets, self_collision: bool, repeats: int = 5) -> IkTiming:
-    """Return what our solver, with its usual options but without leeway, makes of `targets`."""
-    solver = IkSolver(robot, IkOptions(self_collision=self_collision, leeway=False))
+    """Return what our solver, with its usual options but without pose tolerance, makes of `targets`."""
+    solver = IkSolver(robot, IkOptions(self_collision=self_collision, pose_tolerance=False))
     solution = solver.solve(targets.pose, targets.seed)
     seconds = best_of(repeats, lambda: solver.solve(targets.pose, targets.seed))
     good = solution.feasible & _verified(solver, targets, solution.joint_positions)

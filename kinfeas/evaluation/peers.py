@@ -150,7 +150,7 @@ def _joint_xml(robot: Robot, joint: Joint) -> str:
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
         inner = f'<axis xyz="{_text(joint.axis)}"/>'
         inner += f'<limit lower="{lower}" upper="{upper}" velocity="{arm.velocity}" effort="1000"/>'
-    elif joint.moves:
+    elif joint.max_joint_step:
         origin = joint.pose_at(robot.fixed_joints[joint.name])
     with warnings.catch_warnings():
         # Of many angles for one rotation, in gimbal lock, any will do.

@@ -9,9 +9,9 @@ from kinfeas.config import no_such
 from kinfeas.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.look_ahead import Foresight
     from kinfeas.policy import Policy
     from kinfeas.robots.robot import Robot
+    from kinfeas.rollout_planner import RolloutConfig
 
 
 # Each is imported when it is asked for: a deployed policy needs none of them.
@@ -54,7 +54,7 @@ BASELINES: "dict[str, Callable[[Robot], Policy]]" = {
 }
 """Base motions that need no training."""
 
-LOOK_AHEAD = "look_ahead:"
+ROLLOUT_PLANNER = "rollout_planner:"
 """What stands before the name of a policy that is to look ahead."""
 
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
@@ -114,19 +114,19 @@ def check_place(path: Path) -> None:
         raise KinfeasError(f"{path}: empty, and so not the ONNX file of an export")
 
 
-def load_driver(name: str, robot: "Robot", foresight: "Foresight | None" = None) -> "Policy":
-    """Return what `load_policy` does, or for `look_ahead:NAME` that policy, looking ahead.
+def load_driver(name: str, robot: "Robot", rollout: "RolloutConfig | None" = None) -> "Policy":
+    """Return what `load_policy` does, or for `rollout_planner:NAME` that policy, looking ahead.
 
     Args:
         name: Of the policy.
         robot: Who moves.
-        foresight: How far and how widely it looks; the defaults by default.
+        rollout: How far and how widely it looks; the defaults by default.
 
     Raises:
         KinfeasError: As `load_policy`.
     """
-    if not name.startswith(LOOK_AHEAD):
+    if not name.startswith(ROLLOUT_PLANNER):
         return load_policy(name, robot)
-    from kinfeas.look_ahead import LookAhead
+    from kinfeas.rollout_planner import RolloutPlanner
 
-    return LookAhead(load_policy(name.removeprefix(LOOK_AHEAD), robot), foresight)
+    return RolloutPlanner(load_policy(name.removeprefix(ROLLOUT_PLANNER), robot), rollout)

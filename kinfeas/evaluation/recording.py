@@ -25,7 +25,8 @@ class Recording:
         desired: Desired world pose of the EE, shape (t, 7).
         ee_pose: Achieved world pose of the EE, shape (t, 7).
         feasible: Whether IK found the desired pose, shape (t,); True at the start.
-        goals: World poses of the EE at the ends of the legs that were begun, shape (legs, 7).
+        goals: World poses of the EE at the ends of the sub-goals that were begun, shape (sub-goals,
+            7).
         reached: Whether the episode ended at the goal.
         dt: Seconds between moments.
     """
@@ -42,7 +43,7 @@ class Recording:
 
     @property
     def goal(self) -> Array:
-        """World pose of the EE at the end of the last leg that was begun, shape (7,)."""
+        """World pose of the EE at the end of the last sub-goal that was begun, shape (7,)."""
         return self.goals[-1]
 
 
@@ -80,7 +81,7 @@ class _Kept:
                 bool(transition.step.feasible[row]),
             )
         )
-        self.goals[int(loop.course.leg[row])] = loop.goal[row].copy()
+        self.goals[int(loop.sequence.subgoal[row])] = loop.goal[row].copy()
         self.reached = bool(transition.reached[row])
 
     def recording(self) -> Recording:

@@ -169,11 +169,11 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     yield Figure("training, all cores, end to end", rate, "steps/s", "train_steps_per_s")
 
 
-def random_network(robot: Robot, hidden: int = 256) -> Network:
+def random_network(robot: Robot, net_arch: int = 256) -> Network:
     """Return an untrained network of two hidden layers that fits `robot`."""
     rng = np.random.default_rng(0)
     joints = len(robot.arm)
-    sizes = (observation.size(joints), hidden, hidden, drive.action_size(robot.base))
+    sizes = (observation.size(joints), net_arch, net_arch, drive.action_size(robot.base))
     return Network(
         scale=observation.scale(joints).astype(np.float32),
         weights=tuple(
@@ -204,7 +204,7 @@ def _peer_timing(
 
 def _drive(world: World, policy: Policy, steps: int) -> None:
     for _ in range(steps):
-        transition = world.step(policy.act(world.loop.situation))
+        transition = world.step(policy.act(world.loop.policy_input))
         ended = np.flatnonzero(transition.done)
         if ended.size:
             world.start(range(len(transition.done), len(transition.done) + ended.size), ended)

@@ -1,4 +1,4 @@
-"""Where the motions of a task lead: the ends of their legs, and poses along the way."""
+"""Where the motions of a task lead: the ends of their sub-goals, and poses along the way."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,24 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import spatial
-from kinfeas.course import Course
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.observation import HORIZON
+from kinfeas.sequence import MotionSequence
 from kinfeas.spatial import Array
 from kinfeas.start import episode_rng
-from kinfeas.tasks.task import Task, build_legs
+from kinfeas.subgoals import GOAL_METRES, GOAL_RADIANS
+from kinfeas.tasks.task import Task, build_subgoals
 
-A_LEG = 16
-"""Poses along a leg."""
+A_SUBGOAL = 16
+"""Poses along a sub-goal."""
 
 _PERIODS = 1500
-"""Control periods for which the motion of one leg is followed at most."""
+"""Control periods for which the motion of one sub-goal is followed at most."""
 
 
 def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return the world poses of the EE at the ends of all legs, shape (episodes, legs, 7).
+    """Return the world poses of the EE at the ends of all sub-goals, shape (episodes, sub-goals, 7).
 
     Args:
         solver: The robot's kinematics.
@@ -32,66 +32,71 @@ def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
         episodes: How many.
         seed: Of the episodes.
     """
-    course = _begin(solver, task, episodes, seed)
+    sequence = _begin(solver, task, episodes, seed)
     everyone = np.ones(episodes, dtype=np.bool_)
     goals = []
-    for _ in course.legs:
-        goals.append(course.goal)
-        # As if each leg led to its very end.
-        course.desired = goals[-1]
-        course.advance(everyone)
+    for _ in sequence.subgoals:
+        goals.append(sequence.goal)
+        # As if each sub-goal led to its very end.
+        sequence.desired = goals[-1]
+        sequence.advance(everyone)
     return np.stack(goals, axis=1)
 
 
 def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return `A_LEG` desired EE poses for each leg, shape (episodes, legs * A_LEG, 7).
+    """Return `A_SUBGOAL` desired EE poses for each sub-goal, shape (episodes, sub-goals * A_LEG, 7).
 
-    They are evenly spaced in time and end where the leg counts as ended; a leg begins there, as it
-    does for an EE that follows without an error. Arguments as in `draw_goals`.
+    They are evenly spaced in time and end where the sub-goal counts as ended; a sub-goal begins
+    there, as it does for an EE that follows without an error. Arguments as in `draw_goals`.
     """
-    course = _begin(solver, task, episodes, seed)
-    steps = list(_follow(course))
-    desired, leg = np.stack([pose for pose, _ in steps], 1), np.stack([leg for _, leg in steps], 1)
+    sequence = _begin(solver, task, episodes, seed)
+    steps = list(_follow(sequence))
+    desired, subgoal = (
+        np.stack([pose for pose, _ in steps], 1),
+        np.stack([subgoal for _, subgoal in steps], 1),
+    )
     chosen = [
-        np.concatenate([_spread(row, number) for number in range(len(course.legs))]) for row in leg
+        np.concatenate([_spread(row, number) for number in range(len(sequence.subgoals))])
+        for row in subgoal
     ]
     return np.take_along_axis(desired, np.stack(chosen)[:, :, np.newaxis], axis=1)
 
 
-def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> Course:
+def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> MotionSequence:
     """Return the motions of the episodes at their start, without waits."""
     rngs = [episode_rng(seed, episode) for episode in range(episodes)]
     starts = [task.sample(solver, rng) for rng in rngs]
     base = np.stack([start.base_pose for start in starts])
     joints = np.stack([start.joint_positions for start in starts])
-    legs = [replace(leg, wait=0.0) for leg in build_legs(task.legs)]
-    course = Course(legs, solver.robot, HORIZON)
+    subgoals = [replace(subgoal, wait=0.0) for subgoal in build_subgoals(task.subgoals)]
+    sequence = MotionSequence(subgoals, solver.robot, HORIZON)
     ee = spatial.compose(base, forward(solver.chain, joints))
-    course.start(ee, np.stack([start.target_poses for start in starts]), rngs)
-    return course
+    sequence.start(ee, np.stack([start.target_poses for start in starts]), rngs)
+    return sequence
 
 
-def _follow(course: Course) -> Iterator[tuple[Array, NDArray[np.intp]]]:
-    """Yield the desired poses after each period, shape (n, 7), and the legs they are part of."""
-    left = np.full(len(course.leg), _PERIODS)
+def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]]:
+    """Yield the desired poses after each period, shape (n, 7), and the sub-goals they are part of."""
+    left = np.full(len(sequence.subgoal), _PERIODS)
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
-        leg = course.leg
-        course.move(course.ahead(HORIZON))
-        yield course.desired, np.where(finished, -1, leg)
-        metres, radians = spatial.distance(course.desired, course.goal)
+        subgoal = sequence.subgoal
+        sequence.move(sequence.ahead(HORIZON))
+        yield sequence.desired, np.where(finished, -1, subgoal)
+        metres, radians = spatial.distance(sequence.desired, sequence.goal)
         left -= 1
         # A motion that does not arrive must not keep the others from going on.
         ends = ((metres <= GOAL_METRES) & (radians <= GOAL_RADIANS)) | (left <= 0)
-        finished |= ends & course.last
+        finished |= ends & sequence.last
         left[ends] = _PERIODS
-        course.advance(ends)
+        sequence.advance(ends)
 
 
-def _spread(leg: NDArray[np.intp], number: int) -> NDArray[np.intp]:
-    """Return `A_LEG` of the moments at which `leg`, shape (t,), is `number`, the last among them.
+def _spread(subgoal: NDArray[np.intp], number: int) -> NDArray[np.intp]:
+    """Return `A_SUBGOAL` of the moments at which `sub-goal`, shape (t,), is `number`, the last
+    among them.
 
     The first one is not: an episode begins at a pose that the arm is at.
     """
-    moments = np.flatnonzero(leg == number)
-    return moments[np.arange(1, A_LEG + 1) * len(moments) // A_LEG - 1]
+    moments = np.flatnonzero(subgoal == number)
+    return moments[np.arange(1, A_SUBGOAL + 1) * len(moments) // A_SUBGOAL - 1]

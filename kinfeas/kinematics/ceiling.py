@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.legs import GOAL_METRES, GOAL_RADIANS
 from kinfeas.metrics import Share, wilson
 from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, planar_pose, relative, rotation
+from kinfeas.subgoals import GOAL_METRES, GOAL_RADIANS
 
 STAGES = (4, 16, 64, 256, 1024)
 """Base poses that have been tried around an open goal by the end of each stage."""
@@ -21,7 +21,7 @@ _POSTURES, _POSTURE_SEED = 8192, 3
 
 
 @dataclass(frozen=True)
-class Ceiling:
+class Reachability:
     """What can be reached, and how sure that is.
 
     Attributes:
@@ -36,11 +36,12 @@ class Ceiling:
 
 
 def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
-    """Return how IK searches at goals, where a robot's leeway is not for more than success asks."""
-    if robot.leeway is None or not ik.leeway:
+    """Return how IK searches at goals, where a robot's pose tolerance is not for more than success
+    asks."""
+    if robot.pose_tolerance is None or not ik.pose_tolerance:
         return ik
     return replace(
-        ik, leeway=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
+        ik, pose_tolerance=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
     )
 
 
@@ -50,7 +51,7 @@ def reachable(
     stages: Sequence[int] = STAGES,
     on_done: Callable[[float], None] | None = None,
     tried: int = 0,
-) -> Ceiling:
+) -> Reachability:
     """Return which of `goals` the EE reaches from some base pose.
 
     The base poses to try come from postures spread over the joint limits: each is turned about and
@@ -75,7 +76,7 @@ def reachable(
             if on_done is not None:
                 on_done(1.0 / (len(still_open) * len(stages)))
         convergence.append(float(reached.mean()))
-    return Ceiling(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
+    return Reachability(reached, wilson(int(reached.sum()), len(reached)), tuple(convergence))
 
 
 class _Postures:

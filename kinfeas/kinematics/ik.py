@@ -19,7 +19,8 @@ from kinfeas.robots.robot import Robot
 from kinfeas.spatial import Array, rotation
 
 ROTATION_WEIGHT = 0.4
-"""Metres that one radian of error is worth in the search, where no leeway says otherwise."""
+"""Metres that one radian of error is worth in the search, where no pose tolerance says
+otherwise."""
 
 AIM = 0.2
 """Share of the tolerances at which a descent is content; it may end anywhere within them."""
@@ -36,7 +37,8 @@ class IkOptions:
         restarts: How many of them, those whose EE pose is nearest to the target, are tried.
         candidates: Solutions among which the one nearest to the seed is taken.
         self_collision: Whether solutions in which the robot touches itself are rejected.
-        leeway: Whether a robot's own leeway counts as feasible; else only exact solutions do.
+        pose tolerance: Whether a robot's own pose tolerance counts as feasible; else only exact
+        solutions do.
         position_tolerance: Metres within which a pose counts as reached.
         rotation_tolerance: Radians within which a pose counts as reached.
         max_iterations: Steps of one descent at most.
@@ -48,7 +50,7 @@ class IkOptions:
     restarts: Annotated[int, Interval(low=0, high=65536)] = 24
     candidates: Annotated[int, Interval(low=1, high=65536)] = 3
     self_collision: bool = True
-    leeway: bool = True
+    pose_tolerance: bool = True
     position_tolerance: Positive = 1e-4
     rotation_tolerance: Positive = 1e-3
     max_iterations: Annotated[int, Interval(low=1, high=10_000)] = 40
@@ -58,7 +60,7 @@ class IkOptions:
         """Return options by which the same counts as a solution, searched for as by default."""
         return IkOptions(
             self_collision=self.self_collision,
-            leeway=self.leeway,
+            pose_tolerance=self.pose_tolerance,
             position_tolerance=self.position_tolerance,
             rotation_tolerance=self.rotation_tolerance,
         )
@@ -102,51 +104,57 @@ class IkSolver:
         self,
         ee_pose_in_base: Array,
         seed: Array,
-        moves: Array | None = None,
+        max_joint_step: Array | None = None,
         *,
-        swings: bool = True,
+        allow_reconfiguration: bool = True,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
-        A descent from the seed comes first if the EE is near the target there: within `moves`,
-        where what the arm has to spare draws its joints to the middle of their ranges, and where
-        that fails, as far as the limits allow. Where that fails, too, others start from those
-        configurations of a fixed library that bring the EE nearest, and of up to `candidates`
-        solutions the one that the arm reaches soonest is taken. The answer is a function of the
-        arguments alone, row by row.
+        A descent from the seed comes first if the EE is near the target there: within
+        `max_joint_step`, where what the arm has to spare draws its joints to the middle of their
+        ranges, and where that fails, as far as the limits allow. Where that fails, too, others
+        start from those configurations of a fixed library that bring the EE nearest, and of up to
+        `candidates` solutions the one that the arm reaches soonest is taken. The answer is a
+        function of the arguments alone, row by row.
 
         Args:
             ee_pose_in_base: Targets, shape (n, 7).
             seed: Joint positions to begin from, shape (n, v), radians or metres.
-            moves: How far each joint can go from there in time, shape (v,); a solution within is
-                taken before any other. By default nothing is known of it.
-            swings: Whether solutions further away than `moves` are looked for, too; without,
-                `moves` has to be given.
+            max_joint_step: How far each joint can go from there in time, shape (v,); a solution
+                within is taken before any other. By default nothing is known of it.
+            allow_reconfiguration: Whether solutions further away than `max_joint_step` are looked
+                for, too; without, `max_joint_step` has to be given.
 
         Raises:
             KinfeasError: If one of them is of another shape, or missing.
         """
-        if moves is None and not swings:
+        if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without swings, moves must be given")
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
-        near = None if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        near = (
+            None
+            if max_joint_step is None
+            else np.ascontiguousarray(max_joint_step, dtype=np.float64)
+        )
         self._check_shapes(targets, solution, near)
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
         within = np.empty(0) if near is None else near
-        solve_batch(self._problem, targets, within, swings, solution, feasible, errors)
+        solve_batch(
+            self._problem, targets, within, allow_reconfiguration, solution, feasible, errors
+        )
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
-    def _check_shapes(self, targets: Array, seed: Array, moves: Array | None) -> None:
+    def _check_shapes(self, targets: Array, seed: Array, max_joint_step: Array | None) -> None:
         """Raise unless the shapes belong together, for the kernels do not look."""
         joints = self.chain.variables
         if targets.ndim != 2 or targets.shape[1] != 7:
             raise KinfeasError(f"targets must be of shape (n, 7), not {targets.shape}")
         if seed.shape != (len(targets), joints):
             raise KinfeasError(f"seeds must be of shape {len(targets), joints}, not {seed.shape}")
-        if moves is not None and moves.shape != (joints,):
-            raise KinfeasError(f"moves must be of shape ({joints},), not {moves.shape}")
+        if max_joint_step is not None and max_joint_step.shape != (joints,):
+            raise KinfeasError(f"moves must be of shape ({joints},), not {max_joint_step.shape}")
 
 
 def _make_problem(
@@ -156,15 +164,19 @@ def _make_problem(
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
-    leeway = robot.leeway if options.leeway else None
-    weight = ROTATION_WEIGHT if leeway is None else leeway.position / leeway.rotation
+    pose_tolerance = robot.pose_tolerance if options.pose_tolerance else None
+    weight = (
+        ROTATION_WEIGHT
+        if pose_tolerance is None
+        else pose_tolerance.position / pose_tolerance.rotation
+    )
     library = spread_configurations(robot, options.library)
     if options.self_collision:
         library = library[~self_collides(collision, library)]
     ee_pose = forward(chain, library)
     exact = (options.position_tolerance, options.rotation_tolerance)
     aim = (AIM * exact[0], AIM * exact[1])
-    accept = exact if leeway is None else (leeway.position, leeway.rotation)
+    accept = exact if pose_tolerance is None else (pose_tolerance.position, pose_tolerance.rotation)
     return Problem(
         chain=chain,
         descent=Descent(lower, upper, *aim, weight, options.max_iterations),

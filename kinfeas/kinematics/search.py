@@ -80,22 +80,24 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
 
 
 @kernel
-def solve_batch(problem: Problem, targets, moves, swings, solution, feasible, errors):
+def solve_batch(
+    problem: Problem, targets, max_joint_step, allow_reconfiguration, solution, feasible, errors
+):
     """Solve row by row.
 
     Args:
         problem: The robot.
         targets: EE poses in the base frame, shape (n, 7).
-        moves: How far each joint may go from its seed in a solution that comes before all
+        max_joint_step: How far each joint may go from its seed in a solution that comes before all
             others, shape (v,), or (0,) if none does.
-        swings: Whether others count at all.
+        allow_reconfiguration: Whether others count at all.
         solution: Holds the seeds and receives the answers, shape (n, v).
         feasible: Receives whether there is one, shape (n,).
         errors: Receives what it, or the closest attempt, leaves, shape (n, 2): metres, radians.
     """
     scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
     touching = make_collision_scratch(problem.collision)
-    near = np.empty((2, len(moves)))
+    near = np.empty((2, len(max_joint_step)))
     order = np.empty(problem.restarts, dtype=np.intp)
     scores = np.empty(len(problem.library), dtype=np.float32)
     turn = np.empty((3, 3))
@@ -103,10 +105,18 @@ def solve_batch(problem: Problem, targets, moves, swings, solution, feasible, er
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
         if _solve_from_seed(
-            problem, target, moves, swings, near, solution[i], errors[i], scratch, touching
+            problem,
+            target,
+            max_joint_step,
+            allow_reconfiguration,
+            near,
+            solution[i],
+            errors[i],
+            scratch,
+            touching,
         ):
             feasible[i] = True
-        elif not swings or problem.restarts == 0 or _out_of_reach(problem, target):
+        elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False
         else:
             _rank_library(problem, target, scores, order)
@@ -119,11 +129,14 @@ def solve_batch(problem: Problem, targets, moves, swings, solution, feasible, er
 
 
 @inlined
-def _solve_from_seed(problem, target, moves, swings, near, solution, error, scratch, touching):
+def _solve_from_seed(
+    problem, target, max_joint_step, allow_reconfiguration, near, solution, error, scratch, touching
+):
     """Descend from the seed if it is near enough; return whether that solved it.
 
-    First within `moves` of it, for the arm gets there in time: drawn to the middle of the joint
-    ranges, and where that fails, without. Then, if it `swings`, from there as far as it takes.
+    First within `max_joint_step` of it, for the arm gets there in time: drawn to the middle of the
+    joint ranges, and where that fails, without. Then, if it `allow_reconfiguration`, from there as
+    far as it takes.
     """
     q = scratch.trial
     limits = problem.descent
@@ -139,15 +152,15 @@ def _solve_from_seed(problem, target, moves, swings, near, solution, error, scra
     if cost > WARM_COST:
         return False
     metres_here, radians_here = error[0], error[1]
-    first = WIDE if len(moves) == 0 else NEAR if len(problem.centering) == 0 else DRAWN
+    first = WIDE if len(max_joint_step) == 0 else NEAR if len(problem.centering) == 0 else DRAWN
     if first != WIDE:
         for j in range(len(q)):
-            near[0, j] = max(limits.lower[j], q[j] - moves[j])
-            near[1, j] = min(limits.upper[j], q[j] + moves[j])
-    for attempt in range(first, WIDE + 1 if swings else WIDE):
+            near[0, j] = max(limits.lower[j], q[j] - max_joint_step[j])
+            near[1, j] = min(limits.upper[j], q[j] + max_joint_step[j])
+    for attempt in range(first, WIDE + 1 if allow_reconfiguration else WIDE):
         bounds = limits if attempt == WIDE else within(limits, near[0], near[1])
         if attempt == DRAWN:
-            _draw(problem, moves, q, scratch.pull)
+            _draw(problem, max_joint_step, q, scratch.pull)
         metres, radians = descend(problem.chain, bounds, target[0], target[1], q, scratch)
         if _close_enough(problem, metres, radians):
             if _free(problem, q, touching):
@@ -158,7 +171,7 @@ def _solve_from_seed(problem, target, moves, swings, near, solution, error, scra
             error[0], error[1] = metres, radians
         if attempt == DRAWN:
             _start(limits, solution, q)
-    # Where there is leeway, staying may be an answer that every descent has left.
+    # Where there is pose tolerance, staying may be an answer that every descent has left.
     if not _close_enough(problem, metres_here, radians_here):
         return False
     _start(limits, solution, q)
@@ -177,11 +190,11 @@ def _start(limits, seed, q):
 
 
 @inlined
-def _draw(problem, moves, q, pull):
+def _draw(problem, max_joint_step, q, pull):
     """Write where the joints are drawn: to the middle of their ranges, and not beyond it."""
     for j in range(len(q)):
         away = q[j] - problem.middle[j]
-        length = problem.centering[j] * math.sqrt(abs(away)) * moves[j]
+        length = problem.centering[j] * math.sqrt(abs(away)) * max_joint_step[j]
         pull[j] = -math.copysign(min(length, abs(away)), away)
 
 
@@ -281,8 +294,8 @@ def _out_of_reach(problem, target):
                 joint -= target[0][i, k] * turn[m, k] * problem.chain.ee_offset[m]
         squared += square(joint - problem.reach[i])
         lever += square(problem.chain.ee_offset[i])
-    leeway = problem.accept_position + problem.accept_rotation * math.sqrt(lever)
-    return squared > square(problem.reach[3] + leeway)
+    pose_tolerance = problem.accept_position + problem.accept_rotation * math.sqrt(lever)
+    return squared > square(problem.reach[3] + pose_tolerance)
 
 
 @inlined

@@ -23,8 +23,8 @@ def fingerprint(robot: Robot) -> str:
     and how the base drives and how fast.
 
     It leaves out what may be mended or tuned under a trained policy: shapes for self-collision,
-    leeway, accelerations, velocities of the arm's joints, the tool tip and the gripper, masses,
-    named configurations, goal heights, and the names of links along the way.
+    pose_tolerance, accelerations, velocities of the arm's joints, the tool tip and the gripper,
+    masses, named configurations, goal heights, and the names of links along the way.
     """
     facts = {
         "frames": [robot.base.frame, robot.ee_frame],

@@ -61,7 +61,7 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Ro
             for name, positions in spec.home.items()
         },
         goal_heights=spec.goal_heights,
-        leeway=spec.leeway,
+        pose_tolerance=spec.pose_tolerance,
         ignored_collisions=_pairs(spec, urdf, source),
         gripper=_gripper(spec, urdf, source),
         counterbalanced=_counterbalanced(spec, source),

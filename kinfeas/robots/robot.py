@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.robots.spec import Drive, Gripper, Leeway
+from kinfeas.robots.spec import Drive, Gripper, PoseTolerance
 from kinfeas.robots.tree import Urdf
 from kinfeas.spatial import Array
 
-__all__ = ["ArmJoint", "Base", "Gripper", "Leeway", "Robot"]
+__all__ = ["ArmJoint", "Base", "Gripper", "PoseTolerance", "Robot"]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ class Robot:
         fixed_joints: Positions of all other joints, except those that follow an arm joint.
         home: Named configurations of the arm, each of shape (j,); `home` is one of them.
         goal_heights: Lowest and highest EE goal in metres, for `ggr` and `ggr_restricted`.
-        leeway: How far a pose may be missed and still count as feasible; None for not at all.
+        pose_tolerance: How far a pose may be missed and still count as feasible; None for not at
+            all.
         ignored_collisions: Pairs of links that may touch, besides those next to each other.
         gripper: How the gripper closes; None if it does not.
         counterbalanced: Arm joints whose share of the arm's weight springs carry, not motors.
@@ -91,7 +92,7 @@ class Robot:
     fixed_joints: dict[str, float]
     home: dict[str, Array]
     goal_heights: dict[str, tuple[float, float]]
-    leeway: Leeway | None
+    pose_tolerance: PoseTolerance | None
     ignored_collisions: frozenset[frozenset[str]]
     gripper: Gripper | None
     counterbalanced: frozenset[str]

@@ -48,7 +48,7 @@ class ArmJointSpec:
 
 
 @dataclass(frozen=True)
-class Leeway:
+class PoseTolerance:
     """How far a pose may be missed and still count as feasible.
 
     Attributes:
@@ -98,7 +98,7 @@ class RobotSpec:
     home: dict[str, tuple[float, ...]]
     goal_heights: dict[str, tuple[Metres, Metres]]
     fixed_joints: dict[str, float] = field(default_factory=dict)
-    leeway: Leeway | None = None
+    pose_tolerance: PoseTolerance | None = None
     ignored_collisions: tuple[tuple[str, str], ...] = ()
     gripper: Gripper | None = None
     counterbalanced: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Grip, Nearby, RobotState
+from kinfeas.backend import Grip, ObstacleDistances, RobotState
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
@@ -112,9 +112,9 @@ class PyBulletBackend:
             self.sims[row].step(twist, joints, dt)
         return self._measure(range(len(self._positions)))
 
-    def near(self, within: float) -> Nearby:
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return what is nearer than `within` metres to the bases, but for what they handle."""
-        found = [one.near(within) for one in self.sims[: len(self._positions)]]
+        found = [one.obstacle_distances(within) for one in self.sims[: len(self._positions)]]
         width = max(one.distance.shape[1] for one in found)
         place, toward = np.zeros((2, len(found), width, 2))
         distance = np.full((len(found), width), np.inf)
@@ -122,7 +122,7 @@ class PyBulletBackend:
             count = one.distance.shape[1]
             place[row, :count], toward[row, :count] = one.place[0], one.toward[0]
             distance[row, :count] = one.distance[0]
-        return Nearby(place, toward, distance)
+        return ObstacleDistances(place, toward, distance)
 
     def close(self) -> None:
         """End the worlds; it may be called twice."""

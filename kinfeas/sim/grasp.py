@@ -3,10 +3,10 @@
 import numpy as np
 
 from kinfeas.errors import KinfeasError
-from kinfeas.legs import tool_pose
 from kinfeas.sim.gripper import GripperDrive
 from kinfeas.sim.robot_body import RobotBody
 from kinfeas.spatial import IDENTITY, Array, compose, relative
+from kinfeas.subgoals import tool_pose
 
 _PAD = 0.03  # m, how far from the tip the fingers hold what cannot turn
 _CENTRE = IDENTITY[np.newaxis]

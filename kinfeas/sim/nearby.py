@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinfeas import spatial
-from kinfeas.backend import Nearby
+from kinfeas.backend import ObstacleDistances
 from kinfeas.sim.robot_body import RobotBody
 from kinfeas.spatial import Array
 
@@ -40,7 +40,7 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _Thing:
-    """What is in the way: in world coordinates, all but its height as in `Nearby`."""
+    """What is in the way: in world coordinates, all but its height as in `ObstacleDistances`."""
 
     place: Array
     toward: Array
@@ -64,7 +64,7 @@ class Surroundings:
 
     def near(
         self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()
-    ) -> Nearby:
+    ) -> ObstacleDistances:
         """Return what is near to what the arm does not carry, as a batch of one.
 
         Args:
@@ -83,7 +83,7 @@ class Surroundings:
         place = np.array([one.place for one in things]).reshape(1, -1, 2)
         toward = np.array([one.toward for one in things]).reshape(1, -1, 2)
         distance = np.array([[one.distance for one in things]])
-        return Nearby((place - [x, y]) @ to_base, toward @ to_base, distance)
+        return ObstacleDistances((place - [x, y]) @ to_base, toward @ to_base, distance)
 
     def _closest(
         self, other: int, within: float, handled: Collection[tuple[int, int]]

@@ -1,6 +1,6 @@
 """One robot in a PyBullet world of its own: inertia, motors, contacts and a gripper."""
 
-from kinfeas.backend import Grip, Nearby
+from kinfeas.backend import Grip, ObstacleDistances
 from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
@@ -126,7 +126,7 @@ class Simulation:
         with self.physics.connected():
             return self.body.measure()
 
-    def near(self, within: float) -> Nearby:
+    def near(self, within: float) -> ObstacleDistances:
         """Return what is nearer than `within` metres to the base, but for what it handles."""
         bodies = self.furniture.bodies.values() if self.furniture else ()
         with self.physics.connected():

@@ -11,7 +11,7 @@ from kinfeas.spatial import Array
 from kinfeas.start import Start
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.checks import unchecked
-from kinfeas.tasks.task import Leg, Task
+from kinfeas.tasks.task import Subgoal, Task
 
 _DRAWS = 1000
 _SETTLE_SECONDS = 2.0  # in which what was put down comes to rest
@@ -43,8 +43,10 @@ class Stage:
         self._known = self._chain.scene if self._chain and self.scene else None
         if self._known and self.scene:
             check_task(self.name, self._known, self.scene, backend.robot)
-            if handled := self._known.handled:
-                backend.handle(handled.object, handled.link, rigid=not handled.turns)
+            if grasped_object := self._known.grasped_object:
+                backend.handle(
+                    grasped_object.object, grasped_object.link, rigid=not grasped_object.revolute
+                )
 
     @property
     def name(self) -> str:
@@ -52,9 +54,9 @@ class Stage:
         return self.task.name
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
-        """Legs of the task."""
-        return self.task.legs
+    def subgoals(self) -> tuple[Subgoal, ...]:
+        """Sub-goals of the task."""
+        return self.task.subgoals
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, and put the first robot and its furniture where it begins."""
@@ -108,7 +110,7 @@ class Stage:
         done = self._known.done
         if done.joint is not None:
             position = furniture.joint_position(done.object, done.joint)
-            return position < done.beyond if done.beyond < 0.0 else position > done.beyond
+            return position < done.threshold if done.threshold < 0.0 else position > done.threshold
         # What the hand has not let go of has not been put down.
         held = grasp.held if grasp else None
         if held is not None and held[0] == furniture.bodies[done.object]:

@@ -7,7 +7,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene
 from kinfeas.schema import no_such
-from kinfeas.tasks.scene import Handled, Outcome, TaskScene
+from kinfeas.tasks.scene import GraspedObject, SuccessCondition, TaskScene
 
 
 def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:
@@ -26,8 +26,8 @@ def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:
     where = f"task {name!r}: 'scene"
     for moved in known.moves:
         _need(moved, scene.objects, f"{where}.moves.{moved}': there is no object")
-    if known.handled is not None:
-        _check_handled(known.handled, scene, f"{where}.handled")
+    if known.grasped_object is not None:
+        _check_handled(known.grasped_object, scene, f"{where}.handled")
         if robot.gripper is None:
             raise KinfeasError(
                 f"task {name!r} takes hold of an object, and robot {robot.name!r} has no gripper: "
@@ -36,18 +36,22 @@ def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:
     _check_outcome(known.done, scene, f"{where}.done")
 
 
-def _check_handled(handled: Handled, scene: Scene, where: str) -> None:
-    _need(handled.object, scene.objects, f"{where}.object': there is no object")
-    one = scene.objects[handled.object]
-    _need(handled.link, one.urdf.links, f"{where}.link': object {handled.object!r} has no link")
-    if one.fixed and moving_joint(one.urdf, handled.link) is None:
+def _check_handled(grasped_object: GraspedObject, scene: Scene, where: str) -> None:
+    _need(grasped_object.object, scene.objects, f"{where}.object': there is no object")
+    one = scene.objects[grasped_object.object]
+    _need(
+        grasped_object.link,
+        one.urdf.links,
+        f"{where}.link': object {grasped_object.object!r} has no link",
+    )
+    if one.fixed and moving_joint(one.urdf, grasped_object.link) is None:
         raise KinfeasError(
-            f"{where}': link {handled.link!r} of object {handled.object!r} cannot move: the "
+            f"{where}': link {grasped_object.link!r} of object {grasped_object.object!r} cannot move: the "
             "object is fixed, and no joint is above the link"
         )
 
 
-def _check_outcome(done: Outcome, scene: Scene, where: str) -> None:
+def _check_outcome(done: SuccessCondition, scene: Scene, where: str) -> None:
     _need(done.object, scene.objects, f"{where}.object': there is no object")
     if done.on is not None:
         others = [name for name in scene.objects if name != done.object]
@@ -56,10 +60,10 @@ def _check_outcome(done: Outcome, scene: Scene, where: str) -> None:
         joints = free_joints(scene.objects[done.object].urdf)
         _need(done.joint, joints, f"{where}.joint': object {done.object!r} has no moving joint")
         lower, upper = joints[done.joint].lower, joints[done.joint].upper
-        if not (lower < done.beyond if done.beyond < 0.0 else done.beyond < upper):
+        if not (lower < done.threshold if done.threshold < 0.0 else done.threshold < upper):
             raise KinfeasError(
                 f"{where}.beyond' must lie between the limits of joint {done.joint!r}, {lower:g} "
-                f"and {upper:g}, not {done.beyond:g}"
+                f"and {upper:g}, not {done.threshold:g}"
             )
 
 

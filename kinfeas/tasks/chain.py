@@ -20,7 +20,7 @@ from kinfeas.start import Start
 from kinfeas.storage import strict_yaml
 from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.scene import TaskScene
-from kinfeas.tasks.task import Leg
+from kinfeas.tasks.task import Subgoal
 
 Length = Metres | tuple[Metres, Metres]
 """A number, or the lowest and the highest to draw from uniformly."""
@@ -64,7 +64,7 @@ class BaseStart:
 
     Attributes:
         square: Side of the square around the origin that it is drawn from, metres.
-        heading: How far it may be turned away from the first leg's target, radians.
+        heading: How far it may be turned away from the first sub-goal's target, radians.
     """
 
     square: Distance = 1.5
@@ -72,7 +72,7 @@ class BaseStart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChainLeg(Leg):
+class ChainSubgoal(Subgoal):
     """One motion of a chain, and where it leads.
 
     Attributes:
@@ -86,47 +86,51 @@ class ChainLeg(Leg):
 
 @dataclass(frozen=True)
 class ChainTask:
-    """Move along a chain of legs, from a random arm configuration.
+    """Move along a chain of sub-goals, from a random arm configuration.
 
     Attributes:
         name: Task name.
-        legs: The motions, at least one.
+        subgoals: The motions, at least one.
         places: What they lead to, by name.
         start: Where the base begins.
         scene: What happens to objects, in worlds that have them.
     """
 
     name: str
-    legs: tuple[ChainLeg, ...]
+    subgoals: tuple[ChainSubgoal, ...]
     places: dict[str, Place]
     start: BaseStart = field(default_factory=BaseStart)
     scene: TaskScene | None = None
 
     def __post_init__(self) -> None:
-        """Check the name, and that the legs lead to places that there are."""
+        """Check the name, and that the sub-goals lead to places that there are."""
         check_name(self.name)
-        if not self.legs:
-            raise ValueError("'legs' must have at least one entry")
-        for number, leg in enumerate(self.legs):
-            if leg.place not in self.places:
-                known = no_such(leg.place, self.places)
-                raise ValueError(f"'legs.{number}.place': unknown place {leg.place!r}{known}")
-        reached = {leg.place for leg in self.legs}
+        if not self.subgoals:
+            raise ValueError("'subgoals' must have at least one entry")
+        for number, subgoal in enumerate(self.subgoals):
+            if subgoal.place not in self.places:
+                known = no_such(subgoal.place, self.places)
+                raise ValueError(
+                    f"'subgoals.{number}.place': unknown place {subgoal.place!r}{known}"
+                )
+        reached = {subgoal.place for subgoal in self.subgoals}
         for name, move in self.scene.moves.items() if self.scene else ():
             if move.place not in reached:
                 known = no_such(move.place, reached)
                 raise ValueError(
-                    f"'scene.moves.{name}.place': no leg leads to {move.place!r}{known}"
+                    f"'scene.moves.{name}.place': no sub-goal leads to {move.place!r}{known}"
                 )
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
         places = {name: place.draw(rng) for name, place in self.places.items()}
-        targets = np.stack([_shifted(places[leg.place], leg.offset) for leg in self.legs])
+        targets = np.stack(
+            [_shifted(places[subgoal.place], subgoal.offset) for subgoal in self.subgoals]
+        )
         return self.toward(targets, solver, rng)
 
     def toward(self, targets: Array, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return a random start of an episode whose legs lead to `targets`, shape (legs, 7)."""
+        """Return a random start of an episode whose sub-goals lead to `targets`, shape (sub-goals, 7)."""
         x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
         bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
         heading = bearing + rng.uniform(-self.start.heading, self.start.heading)
@@ -136,13 +140,13 @@ class ChainTask:
         """Return where the objects stand that an episode moves, shape (7,), by their names.
 
         Args:
-            targets: What the legs of the episode lead to, shape (legs, 7).
+            targets: What the sub-goals of the episode lead to, shape (sub-goals, 7).
         """
         if self.scene is None:
             return {}
         places = {
-            leg.place: _shifted(target, _minus(leg.offset))
-            for leg, target in zip(self.legs, targets, strict=True)
+            subgoal.place: _shifted(target, _minus(subgoal.offset))
+            for subgoal, target in zip(self.subgoals, targets, strict=True)
         }
         return {name: move.carry(places[move.place]) for name, move in self.scene.moves.items()}
 
@@ -159,7 +163,7 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
 
     Raises:
         KinfeasError: If the file is broken, an entry or a change is not what `ChainTask` allows, or
-            one of them gives a place that no leg leads to.
+            one of them gives a place that no sub-goal leads to.
     """
     data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     task = config.from_mapping(ChainTask, data, str(path))
@@ -169,7 +173,7 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     # The file is in order: what is wrong from here on is not its fault.
     source = "the task's parameters"
     changed = config.from_mapping(ChainTask, _changed(data, changes, schema.Place(source)), source)
-    # Other legs may leave out some of the file's places, but not of those that are given.
+    # Other sub-goals may leave out some of the file's places, but not of those that are given.
     given = changes.get("places")
     _check_reached(changed, given if isinstance(given, Mapping) else (), source)
     return changed
@@ -195,12 +199,12 @@ def _shipped(name: str, parameters: Mapping[str, object]) -> ChainTask:
 
 
 def _check_reached(task: ChainTask, given: Iterable[str], source: str) -> None:
-    """Raise if no leg leads to one of the places `given`: its name is misspelt."""
-    reached = {leg.place for leg in task.legs}
+    """Raise if no sub-goal leads to one of the places `given`: its name is misspelt."""
+    reached = {subgoal.place for subgoal in task.subgoals}
     for name in given:
         if name not in reached:
             known = no_such(name, reached)
-            raise KinfeasError(f"{source}: 'places.{name}': no leg leads to {name!r}{known}")
+            raise KinfeasError(f"{source}: 'places.{name}': no sub-goal leads to {name!r}{known}")
 
 
 def _changed(old: object, change: object, place: schema.Place) -> Any:

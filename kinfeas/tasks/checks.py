@@ -8,11 +8,11 @@ import numpy as np
 
 from kinfeas.conformance.arrays import are_unit, instead
 from kinfeas.errors import KinfeasError
-from kinfeas.foreign import Blaming, package_of
+from kinfeas.foreign import PluginErrors, package_of
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.names import check_name
 from kinfeas.start import Start
-from kinfeas.tasks.task import Leg, Task
+from kinfeas.tasks.task import Subgoal, Task
 
 
 class CheckedTask:
@@ -27,26 +27,26 @@ class CheckedTask:
 
     Attributes:
         name: The task's own name.
-        legs: Its legs, as they were when this was made.
+        subgoals: Its sub-goals, as they were when this was made.
 
     Raises:
-        KinfeasError: If the task has no name or no legs; also from `sample`.
+        KinfeasError: If the task has no name or no sub-goals; also from `sample`.
     """
 
     def __init__(self, task: Task, name: str) -> None:
         self.task, self.subject = task, f"task {name!r}"
         package = package_of(task)
-        with Blaming(f"{self.subject} fails:", package):
-            self.name, self.legs = task.name, task.legs
+        with PluginErrors(f"{self.subject} fails:", package):
+            self.name, self.subgoals = task.name, task.subgoals
         self._check_name()
-        self._check_legs()
-        self._sample = Blaming(f"{self.subject} fails in sample:", package)
+        self._check_subgoals()
+        self._sample = PluginErrors(f"{self.subject} fails in sample:", package)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
         with self._sample:
             start = self.task.sample(solver, rng)
-        check_start(start, self.subject, len(self.legs), len(solver.robot.arm))
+        check_start(start, self.subject, len(self.subgoals), len(solver.robot.arm))
         return start
 
     def __getattr__(self, name: str) -> Any:
@@ -63,16 +63,20 @@ class CheckedTask:
         except ValueError as error:
             raise KinfeasError(f"{self.subject}: {error}") from error
 
-    def _check_legs(self) -> None:
-        if not isinstance(self.legs, Sequence) or not self.legs:
-            got = "none" if isinstance(self.legs, Sequence) else type(self.legs).__name__
-            raise KinfeasError(f"{self.subject} must have a tuple of at least one leg, not {got}")
-        for leg in self.legs:
-            lacks = next((one.name for one in fields(Leg) if not hasattr(leg, one.name)), None)
+    def _check_subgoals(self) -> None:
+        if not isinstance(self.subgoals, Sequence) or not self.subgoals:
+            got = "none" if isinstance(self.subgoals, Sequence) else type(self.subgoals).__name__
+            raise KinfeasError(
+                f"{self.subject} must have a tuple of at least one sub-goal, not {got}"
+            )
+        for subgoal in self.subgoals:
+            lacks = next(
+                (one.name for one in fields(Subgoal) if not hasattr(subgoal, one.name)), None
+            )
             if lacks is not None:
                 raise KinfeasError(
-                    f"{self.subject} must have legs that are a Leg each, and a "
-                    f"{type(leg).__name__} has no {lacks!r}"
+                    f"{self.subject} must have sub-goals that are a Leg each, and a "
+                    f"{type(subgoal).__name__} has no {lacks!r}"
                 )
 
 
@@ -81,20 +85,20 @@ def unchecked(task: Task) -> Task:
     return task.task if isinstance(task, CheckedTask) else task
 
 
-def check_start(start: Start, subject: str, legs: int, joints: int) -> None:
+def check_start(start: Start, subject: str, subgoals: int, joints: int) -> None:
     """Do nothing if an episode has the form that it must have: the kernels do not look.
 
     Args:
         start: One episode, its arrays without a leading axis.
         subject: Whose it is, as the sentence begins.
-        legs: How many legs the task has.
+        subgoals: How many sub-goals the task has.
         joints: How many joints the arm has.
 
     Raises:
         KinfeasError: If an array has another shape, or numbers that are not finite, or a pose no
             unit quaternion.
     """
-    shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (legs, 7)}
+    shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (subgoals, 7)}
     for name, shape in shapes.items():
         value: Any = getattr(start, name, None)
         if got := instead(value, shape):

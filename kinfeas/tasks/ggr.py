@@ -14,7 +14,7 @@ from kinfeas.quantities import Distance, Metres
 from kinfeas.spatial import Array, make_pose, planar_pose
 from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
-from kinfeas.tasks.task import Leg, MotionSpec
+from kinfeas.tasks.task import MotionSpec, Subgoal
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class GoalReaching:
                 raise ValueError(f"{name!r} must not descend from {bounds[0]:g} to {bounds[1]:g}")
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
+    def subgoals(self) -> tuple[Subgoal, ...]:
         """The one motion, of the EE frame."""
-        return (Leg(self.motion),)
+        return (Subgoal(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""

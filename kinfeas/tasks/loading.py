@@ -21,7 +21,8 @@ def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None)
         parameters: Keyword parameters of the entry point, or changes to the file.
 
     Raises:
-        KinfeasError: If there is no such task, it lacks legs, or a parameter or its YAML is wrong.
+        KinfeasError: If there is no such task, it lacks sub-goals, or a parameter or its YAML is
+            wrong.
     """
     if is_path(name_or_path):
         return read_chain(Path(name_or_path), parameters)

@@ -14,7 +14,7 @@ class Move:
     """Where an object stands in an episode.
 
     Attributes:
-        place: Name of a place of the task, to which a leg leads.
+        place: Name of a place of the task, to which a sub-goal leads.
         offset: From there to the object, along the place's own axes, metres.
         turn: Of the object about the place's z axis, radians.
     """
@@ -30,35 +30,35 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Handled:
+class GraspedObject:
     """What the gripper takes hold of.
 
     Attributes:
         object: Name of an object of the scene.
         link: Its link.
-        turns: Whether the link can turn in the hand, as a bar can.
+        revolute: Whether the link can turn in the hand, as a bar can.
     """
 
     object: str
     link: str
-    turns: bool = False
+    revolute: bool = False
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SuccessCondition:
     """When a task is done: an object stands on another one, or one of its joints is open.
 
     Attributes:
         object: Name of an object of the scene.
         on: Name of the object that it stands on.
         joint: Its joint.
-        beyond: Position that the joint has passed, rad or m; downwards if below 0.
+        threshold: Position that the joint has passed, rad or m; downwards if below 0.
     """
 
     object: str
     on: str | None = None
     joint: str | None = None
-    beyond: float = 0.0
+    threshold: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that it says one of the two."""
@@ -73,11 +73,11 @@ class TaskScene:
     Attributes:
         name: The scene, by its name or the path of its YAML.
         done: When the task is done.
-        handled: What the gripper takes hold of; nothing by default.
+        grasped_object: What the gripper takes hold of; nothing by default.
         moves: Where objects stand that an episode puts elsewhere, by their names.
     """
 
     name: str
-    done: Outcome
-    handled: Handled | None = None
+    done: SuccessCondition
+    grasped_object: GraspedObject | None = None
     moves: dict[str, Move] = field(default_factory=dict)

@@ -10,10 +10,10 @@ from kinfeas import registry
 from kinfeas.backend import Grip
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import Frame, LegMotion
 from kinfeas.motion import MotionGenerator
 from kinfeas.quantities import Seconds
 from kinfeas.start import Start
+from kinfeas.subgoals import Frame, SubgoalMotion
 
 
 @dataclass(frozen=True)
@@ -30,21 +30,21 @@ class MotionSpec:
 
 
 @dataclass(frozen=True)
-class Leg:
+class Subgoal:
     """One motion of a chain.
 
     Attributes:
         motion: What moves the frame.
         frame: Whether that is the EE frame or the tool tip in the common gripper convention, whose
             x is the approach and whose y the finger axis.
-        wait: Seconds that the EE stands still after its arrival, while the base may move; the last
-            leg ends with the arrival.
+        dwell: Seconds that the EE stands still after its arrival, while the base may move; the last
+            sub-goal ends with the arrival.
         grip: What the gripper does then, in worlds that have one.
     """
 
     motion: MotionSpec = field(default_factory=MotionSpec)
     frame: Frame = "ee"
-    wait: Seconds = 0.0
+    dwell: Seconds = 0.0
     grip: Grip | None = None
 
 
@@ -53,17 +53,17 @@ class Task(Protocol):
 
     Attributes:
         name: Short name.
-        legs: The motions that the EE makes one after the other, at least one.
+        subgoals: The motions that the EE makes one after the other, at least one.
     """
 
     @property
     def name(self) -> str: ...  # noqa: D102 - see above
 
     @property
-    def legs(self) -> tuple[Leg, ...]: ...  # noqa: D102 - see above
+    def subgoals(self) -> tuple[Subgoal, ...]: ...  # noqa: D102 - see above
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode, its arrays without a leading axis: (7,), (j,), (legs, 7).
+        """Return one random episode, its arrays without a leading axis: (7,), (j,), (sub-goals, 7).
 
         Args:
             solver: The robot's kinematics.
@@ -81,19 +81,25 @@ class StagedTask(Protocol):
         ...
 
 
-def build_legs(legs: Sequence[Leg]) -> tuple[LegMotion, ...]:
-    """Return legs with their generators; those of equal motions share one.
+def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:
+    """Return sub-goals with their generators; those of equal motions share one.
 
     Raises:
-        KinfeasError: If there is no such generator, or a parameter is wrong; of several legs, the
-            sentence names the one.
+        KinfeasError: If there is no such generator, or a parameter is wrong; of several sub-goals,
+            the sentence names the one.
     """
-    built: list[LegMotion] = []
-    for number, leg in enumerate(legs):
-        known = next((b for a, b in zip(legs, built, strict=False) if a.motion == leg.motion), None)
-        where = f"'legs.{number}.motion': " if len(legs) > 1 else ""
-        generator = known.generator if known else _build(leg.motion, where)
-        built.append(LegMotion(generator, leg.frame, leg.wait, leg.grip, leg.motion.generator))
+    built: list[SubgoalMotion] = []
+    for number, subgoal in enumerate(subgoals):
+        known = next(
+            (b for a, b in zip(subgoals, built, strict=False) if a.motion == subgoal.motion), None
+        )
+        where = f"'subgoals.{number}.motion': " if len(subgoals) > 1 else ""
+        generator = known.generator if known else _build(subgoal.motion, where)
+        built.append(
+            SubgoalMotion(
+                generator, subgoal.frame, subgoal.dwell, subgoal.grip, subgoal.motion.generator
+            )
+        )
     return tuple(built)
 
 

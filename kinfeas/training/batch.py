@@ -26,13 +26,13 @@ class Batch:
     Attributes:
         world: Where they happen.
         size: How many there are.
-        hold: Control periods of an action.
+        action_repeat: Control periods of an action.
         next_episode: Number of the episode that begins next.
     """
 
     world: World
     size: int
-    hold: int = 1
+    action_repeat: int = 1
     next_episode: int = 0
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class Batch:
         earned, periods = np.zeros(self.size), np.zeros(self.size)
         over = np.zeros(self.size, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.size)]
-        for _ in range(self.hold):
+        for _ in range(self.action_repeat):
             # Rows whose episode is over are stepped along with the others, and not looked at.
             transition = self.world.step(actions)
             earned += np.where(over, 0.0, transition.reward)

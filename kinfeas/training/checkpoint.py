@@ -92,7 +92,7 @@ def save_learner(
 def load_learner(
     folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Bring a fresh learner to where a checkpoint left off; return the environments' snapshot.
+    """Bring a fresh learner to where a checkpoint left off; return the num_envs' snapshot.
 
     The global random numbers of torch and NumPy, which SB3 draws from, go on from there, too.
 

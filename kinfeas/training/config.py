@@ -30,14 +30,14 @@ class LearnerConfig:
         schedule: Whether the learning rate stays, or falls linearly to 0 over the run.
         batch_size: Transitions in a gradient step.
         gradient_steps: Gradient steps for each action of all environments.
-        discount: Worth of a reward one step later.
-        smoothing: Share tau that the target networks take over in a gradient step.
+        gamma: Worth of a reward one step later.
+        tau: Share tau that the target networks take over in a gradient step.
         buffer_size: Transitions kept for replay.
-        random_steps: Steps of random actions, over all environments, before learning begins; a run
-            that goes on from a policy takes the policy's, with noise.
+        learning_starts: Steps of random actions, over all environments, before learning begins; a
+            run that goes on from a policy takes the policy's, with noise.
         critic_steps: Steps after these in which the critics learn and the actor stays as it is.
-        hidden: Units of each hidden layer.
-        entropy: SAC: fixed entropy coefficient, or `learned`.
+        net_arch: Units of each hidden layer.
+        ent_coef: SAC: fixed entropy coefficient, or `learned`.
         exploration_noise: TD3: standard deviation of the noise on actions.
         policy_noise: TD3: standard deviation of the target policy's noise.
     """
@@ -47,13 +47,13 @@ class LearnerConfig:
     schedule: Literal["constant", "linear"] = "linear"
     batch_size: Count = 256
     gradient_steps: Annotated[int, Interval(low=1, high=10_000)] = 1
-    discount: Share = 0.99
-    smoothing: Share = 0.005
+    gamma: Share = 0.99
+    tau: Share = 0.005
     buffer_size: Annotated[int, Interval(low=1, high=10_000_000)] = 1_000_000
-    random_steps: Annotated[int, Interval(low=0)] = 3_000
+    learning_starts: Annotated[int, Interval(low=0)] = 3_000
     critic_steps: Annotated[int, Interval(low=0)] = 0
-    hidden: tuple[Annotated[int, Interval(low=1, high=2048)], ...] = (256, 256)
-    entropy: NotNegative | Literal["learned"] = 0.01
+    net_arch: tuple[Annotated[int, Interval(low=1, high=2048)], ...] = (256, 256)
+    ent_coef: NotNegative | Literal["learned"] = 0.01
     exploration_noise: NotNegative = 0.25
     policy_noise: NotNegative = 0.2
 
@@ -63,9 +63,9 @@ class LearnerConfig:
             raise ValueError(
                 f"'batch_size' must be at most {MOST_TRANSITIONS}, not {self.batch_size}"
             )
-        if len(self.hidden) > MOST_LAYERS:
+        if len(self.net_arch) > MOST_LAYERS:
             raise ValueError(
-                f"'hidden' must have at most {MOST_LAYERS} entries, not {len(self.hidden)}"
+                f"'hidden' must have at most {MOST_LAYERS} entries, not {len(self.net_arch)}"
             )
 
 
@@ -105,15 +105,15 @@ class TrainConfig:
         task: Entry-point name or YAML file of the task to learn.
         task_parameters: Keyword parameters of the task.
         seed: Of everything random.
-        environments: Episodes side by side.
+        num_envs: Episodes side by side.
         processes: With physics, processes that share the environments; the analytic world has one.
-        hold: Control periods for which an action holds while learning: chance that lasts finds more
-            of what a base can do, and the learner looks as many times farther ahead. In an
-            evaluation and on a robot each period has an action of its own.
+        action_repeat: Control periods for which an action holds while learning: chance that lasts
+            finds more of what a base can do, and the learner looks as many times farther ahead. In
+            an evaluation and on a robot each period has an action of its own.
         world: Where they happen.
         physics: Null for the analytic world; else what is different in the PyBullet world.
         init: Policy to go on from: a run, a checkpoint or `pretrained`; null for none. It says
-            what `learner.hidden` is.
+            what `learner.net_arch` is.
         learner: What learns from them.
         schedule: For how long.
     """
@@ -122,9 +122,9 @@ class TrainConfig:
     task: str = "ggr"
     task_parameters: dict[str, object] = field(default_factory=dict)
     seed: Annotated[int, Interval(low=0)] = 0
-    environments: Annotated[int, Interval(low=1, high=65_536)] = 256
+    num_envs: Annotated[int, Interval(low=1, high=65_536)] = 256
     processes: Annotated[int, Interval(low=1, high=MOST_PROCESSES)] = 1
-    hold: Annotated[int, Interval(low=1, high=1000)] = 1
+    action_repeat: Annotated[int, Interval(low=1, high=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
     physics: PhysicsChanges | None = None
     init: str | None = None
@@ -135,8 +135,7 @@ class TrainConfig:
         """Check the seed, and that each process has an environment."""
         if self.seed > LAST_SEED:
             raise ValueError(f"'seed' must be at most {LAST_SEED}, not {self.seed}")
-        if self.processes > self.environments:
+        if self.processes > self.num_envs:
             raise ValueError(
-                f"'processes' must be at most 'environments', {self.environments}, "
-                f"not {self.processes}"
+                f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )

@@ -34,12 +34,12 @@ def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> Learn
         "learning_rate": _schedule(config),
         "batch_size": config.batch_size,
         "gradient_steps": config.gradient_steps,
-        "gamma": config.discount,
-        "tau": config.smoothing,
+        "gamma": config.gamma,
+        "tau": config.tau,
         "buffer_size": max(config.buffer_size, env.num_envs),
-        "learning_starts": config.random_steps,
+        "learning_starts": config.learning_starts,
         "policy_kwargs": {
-            "net_arch": list(config.hidden),
+            "net_arch": list(config.net_arch),
             "optimizer_kwargs": {"fused": True},
         },
         "seed": seed,
@@ -48,7 +48,9 @@ def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> Learn
     if config.algorithm == "td3":
         learner: Learner = TD3(**common, target_policy_noise=config.policy_noise)
     else:
-        learner = SAC(**common, ent_coef="auto" if config.entropy == "learned" else config.entropy)
+        learner = SAC(
+            **common, ent_coef="auto" if config.ent_coef == "learned" else config.ent_coef
+        )
     learner.set_logger(Logger(None, []))
     return learner
 

@@ -13,7 +13,13 @@ from kinfeas.storage.files import writing
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
 """What is taken over from SB3's own log."""
 
-_EVALUATED = ("success", "within_5cm", "mean_failures", "mean_deviation_m", "jumps_per_episode")
+_EVALUATED = (
+    "success",
+    "within_5cm",
+    "ik_failures_per_episode",
+    "mean_deviation_m",
+    "joint_jumps_per_episode",
+)
 
 COLUMNS = (
     "steps", "seconds", "train/success", *LEARNER, *(f"evaluation/{name}" for name in _EVALUATED)

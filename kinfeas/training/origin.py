@@ -20,9 +20,9 @@ def fitted(config: TrainConfig) -> TrainConfig:
     """
     if config.init is None:
         return config
-    hidden = tuple(len(bias) for bias in _load(config).biases[:-1])
+    net_arch = tuple(len(bias) for bias in _load(config).biases[:-1])
     init = config.init if config.init == pretrained.NAME else str(Path(config.init).absolute())
-    return replace(config, init=init, learner=replace(config.learner, hidden=hidden))
+    return replace(config, init=init, learner=replace(config.learner, net_arch=net_arch))
 
 
 def first_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:

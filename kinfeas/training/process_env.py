@@ -35,13 +35,13 @@ class ProcessVecEnv(EpisodesVecEnv):
         Raises:
             KinfeasError: If a world cannot be built.
         """
-        super().__init__(registry.load_robot(config.robot), config.environments)
+        super().__init__(registry.load_robot(config.robot), config.num_envs)
         context = multiprocessing.get_context("spawn")
         self._pipes: list[Connection] = []
         self._processes = []
         self._under_way = False
         self._next = np.arange(config.processes) * SHARE
-        parts = np.array_split(np.arange(config.environments), config.processes)
+        parts = np.array_split(np.arange(config.num_envs), config.processes)
         self._rows = [slice(part[0], part[-1] + 1) for part in parts]
         for part in parts:
             pipe, end = context.Pipe()

@@ -14,7 +14,7 @@ def serve(pipe: Connection, config: TrainConfig, rows: int) -> None:
     # Ctrl-C is for the process that asks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        batch = Batch(physics_world(config), rows, config.hold)
+        batch = Batch(physics_world(config), rows, config.action_repeat)
         pipe.send(None)
         while True:
             kind, what = pipe.recv()

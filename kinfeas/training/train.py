@@ -46,7 +46,7 @@ from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
 from kinfeas.training.worlds import (
     EVALUATION_SEED,
     FRESH_SEED,
-    Judge,
+    PeriodicEvaluator,
     analytic_judge,
     analytic_world,
     physics_judge,
@@ -109,7 +109,7 @@ class _Run:
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
         self.env: EpisodesVecEnv = (
-            WorldVecEnv(analytic_world(config), config.environments, config.hold)
+            WorldVecEnv(analytic_world(config), config.num_envs, config.action_repeat)
             if config.physics is None
             else ProcessVecEnv(config)
         )
@@ -189,7 +189,7 @@ class _Run:
         if report is not None:
             report(self.progress)
 
-    def _judge(self, offset: int = EVALUATION_SEED) -> Judge:
+    def _judge(self, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
         if self.config.physics is not None:
             return physics_judge(self.config, offset)
         return analytic_judge(self.config, network_of(self.learner, self.env.scale), offset)
@@ -198,14 +198,14 @@ class _Run:
         """Step all environments once, and learn from what has been seen."""
         config, learner, progress = self.config.learner, self.learner, self.progress
         assert self.observation is not None
-        filling = progress.steps < max(config.random_steps, self.config.environments)
+        filling = progress.steps < max(config.learning_starts, self.config.num_envs)
         random = filling and self.config.init is None
         action = explore(learner, config, self.observation, random)
         # The world moves in its own thread while the learner works on what came before.
         self.env.step_async(action)
         if not filling:
             frozen = self.config.init is not None and (
-                progress.steps < config.random_steps + config.critic_steps
+                progress.steps < config.learning_starts + config.critic_steps
             )
             learner.actor.requires_grad_(not frozen)
             learner._current_progress_remaining = 1.0 - progress.share
@@ -217,11 +217,11 @@ class _Run:
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = seen
-        steps = self.config.environments * self.config.hold
+        steps = self.config.num_envs * self.config.action_repeat
         progress.add(steps, (infos[row]["is_success"] for row in ended))
 
-    def _evaluate(self, judge: Judge, logs: Logs) -> None:
-        """Judge the policy on fixed episodes; keep it if none was better."""
+    def _evaluate(self, judge: PeriodicEvaluator, logs: Logs) -> None:
+        """PeriodicEvaluator the policy on fixed episodes; keep it if none was better."""
         self._losses()
         network = network_of(self.learner, self.env.scale)
         if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
@@ -245,7 +245,7 @@ class _Run:
             logs.write(self._row() | judged)
 
     def _judge_afresh(self) -> None:
-        """Judge the best policy on episodes that did not choose it, which flatter it."""
+        """PeriodicEvaluator the best policy on episodes that did not choose it, which flatter it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:

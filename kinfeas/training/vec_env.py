@@ -82,8 +82,8 @@ class EpisodesVecEnv(VecEnv):
 class WorldVecEnv(EpisodesVecEnv):
     """n episodes in one world, which moves in a thread of its own; see `Batch`."""
 
-    def __init__(self, world: World, num_envs: int, hold: int = 1) -> None:
-        """Put `num_envs` episodes at a time into `world`; an action holds for `hold` periods.
+    def __init__(self, world: World, num_envs: int, action_repeat: int = 1) -> None:
+        """Put `num_envs` episodes at a time into `world`; an action holds for `action_repeat` periods.
 
         Raises:
             KinfeasError: If `num_envs` is less than 1.
@@ -91,7 +91,7 @@ class WorldVecEnv(EpisodesVecEnv):
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         super().__init__(world.robot, num_envs)
-        self.world, self.batch = world, Batch(world, num_envs, hold)
+        self.world, self.batch = world, Batch(world, num_envs, action_repeat)
         self._worker = ThreadPoolExecutor(1)
         self._coming: Future[StepResult] | None = None
 

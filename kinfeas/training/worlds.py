@@ -34,7 +34,7 @@ on."""
 MAX_FAILURES = 99
 """Of an episode that judges a policy."""
 
-Judge = Callable[[Network, int], EpisodeRecords]
+PeriodicEvaluator = Callable[[Network, int], EpisodeRecords]
 """Returns what happens in that many episodes, always the same ones."""
 
 
@@ -55,12 +55,14 @@ def physics_world(config: TrainConfig) -> World:
     assert config.physics is not None
     robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
     stage = make_stage(robot, task, config.physics)
-    world = make_physics_world(robot, stage, config.world, config.physics.pace, config.seed)
+    world = make_physics_world(robot, stage, config.world, config.physics.execution, config.seed)
     world.stream = TRAINING
     return world
 
 
-def analytic_judge(config: TrainConfig, network: Network, offset: int = EVALUATION_SEED) -> Judge:
+def analytic_judge(
+    config: TrainConfig, network: Network, offset: int = EVALUATION_SEED
+) -> PeriodicEvaluator:
     """Return what judges policies in the analytic world, which is exact and patient.
 
     IK searches as hard there as by default, for what the run counts as a solution.
@@ -76,12 +78,12 @@ def analytic_judge(config: TrainConfig, network: Network, offset: int = EVALUATI
     robot = registry.load_robot(config.robot)
     world = World(robot, task, judged, config.seed + offset)
     world.start([0])
-    network.act(world.loop.situation)
+    network.act(world.loop.policy_input)
     world.step(np.zeros((1, world.action_size)))
     return lambda policy, episodes: run_episodes(world, policy, episodes)
 
 
-def physics_judge(config: TrainConfig, offset: int = EVALUATION_SEED) -> Judge:
+def physics_judge(config: TrainConfig, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
     """Return what judges policies in the PyBullet world, in as many processes as learn.
 
     IK searches as in `analytic_judge`.
@@ -90,7 +92,7 @@ def physics_judge(config: TrainConfig, offset: int = EVALUATION_SEED) -> Judge:
     assert physics is not None
     changes = {one.name: getattr(physics, one.name) for one in fields(PhysicsChanges)}
     settings = PhysicsSettings(
-        **{**changes, "yields": physics.yields or world.yields},
+        **{**changes, "feasibility_filter": physics.feasibility_filter or world.feasibility_filter},
         dt=world.dt,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,

@@ -51,12 +51,12 @@ class AccelerationLimit(Adapter):
         given = {name: value for name, value in limits.items() if value is not None}
         super().__init__(backend, robot, given, Interval(low=0.0, open_low=True))
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return a base at rest."""
         rest = np.zeros((len(state.base_pose), 6))
         return {"velocity": rest, "acceleration": rest}
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the velocity that the base can have at the end of the period."""
         velocity, acceleration = self.memory["velocity"], self.memory["acceleration"].copy()
         wanted = (twist - velocity) / dt

@@ -32,12 +32,12 @@ class ActuatorLag(Adapter):
         """
         super().__init__(backend, robot, {"base": base, "arm": arm})
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return a robot at rest."""
         joints = state.joint_positions
         return {"velocity": np.zeros((len(joints), 6)), "joints": joints}
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the mean velocity, and the joint positions at the end of the period."""
         base, left = self._left("base", dt)
         behind = self.memory["velocity"] - twist

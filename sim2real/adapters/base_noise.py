@@ -36,7 +36,7 @@ class BaseNoise(Adapter):
         """
         super().__init__(backend, robot, {"linear": linear, "angular": angular})
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist, disturbed, and the joint targets."""
         noise = self.normal(3)
         disturbed = twist.copy()

@@ -33,7 +33,7 @@ class CommandLatency(Adapter):
         """
         super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, LATEST)
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return a line that is full of the command to stand still."""
         slots = self.memory["arrivals"].shape[1] if self.memory else 1
         joints = state.joint_positions
@@ -44,18 +44,18 @@ class CommandLatency(Adapter):
             "targets": filled(joints, slots),
         }
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the command in force."""
         slots = slots_for(self.ranges["seconds"].high + self.ranges["jitter"].high, dt)
         late = self.number("seconds") + self.number("jitter") * self.uniform(1)
         now = self.memory["clock"]
         arrivals = pushed(self.memory["arrivals"], now + late[:, 0], slots)
         twists = pushed(self.memory["twists"], twist, slots)
-        sent = pushed(self.memory["targets"], targets, slots)
+        joint_command = pushed(self.memory["targets"], targets, slots)
         clock = now + dt
-        self.remember(clock=clock, arrivals=arrivals, twists=twists, targets=sent)
+        self.remember(clock=clock, arrivals=arrivals, twists=twists, targets=joint_command)
         shares = in_force(arrivals, now, dt)
         straight = np.zeros(6, dtype=np.bool_)
         # A copy, for kernels are compiled anew for arrays that are read-only.
-        joints = self.joints(mixed(sent, shares, self.continuous.copy()))
+        joints = self.joints(mixed(joint_command, shares, self.continuous.copy()))
         return mixed(twists, shares, straight), joints

@@ -26,12 +26,12 @@ class DroppedCommands(Adapter):
         """
         super().__init__(backend, robot, {"share": share}, Interval(0.0, 1.0))
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return the command to stand still."""
         joints = state.joint_positions
         return {"twist": np.zeros((len(joints), 6)), "targets": joints}
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the command, or the last one that came."""
         lost = self.uniform(1) <= self.number("share")
         twist = np.where(lost, self.memory["twist"], twist)

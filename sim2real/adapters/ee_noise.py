@@ -32,7 +32,7 @@ class EeNoise(Adapter):
         super().__init__(backend, robot, {"linear": linear, "angular": angular})
         self._chain = build_chain(robot)
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return the state with an EE pose that has noise."""
         exact = state.ee_in_base
         if exact is None:

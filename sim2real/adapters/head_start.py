@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from kinfeas.backend import Backend
-from kinfeas.legs import Pace
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapter import Adapter
 from kinfeas.sim2real.draws import Number
+from kinfeas.subgoals import ExecutionConfig
 
 
 class HeadStart(Adapter):
@@ -25,11 +25,11 @@ class HeadStart(Adapter):
         """
         super().__init__(backend, robot, {"seconds": seconds})
 
-    def pace(self, pace: Pace) -> Pace:
+    def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the pace with a longer head start; each episode draws its own from a range."""
         seconds = self.ranges["seconds"]
         return replace(
-            pace,
-            head_start=pace.head_start + seconds.low,
-            spread=pace.spread + seconds.high - seconds.low,
+            execution,
+            head_start=execution.head_start + seconds.low,
+            head_start_jitter=execution.head_start_jitter + seconds.high - seconds.low,
         )

@@ -29,7 +29,7 @@ class JointLimitClamp(Adapter):
         if self.ranges["margin"].high > half:
             raise ValueError(f"margin is {margin}, at most {half:.4g} is half a joint's range")
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist, and the joint targets within the limits."""
         margin = self.number("margin")
         return twist, np.clip(targets, self._lower + margin, self._upper - margin)

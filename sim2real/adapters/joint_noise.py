@@ -22,7 +22,7 @@ class JointNoise(Adapter):
         """
         super().__init__(backend, robot, {"deviation": deviation})
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return the state with noise on the joint positions."""
         noise = self.normal(state.joint_positions.shape[1]) * self.number("deviation")
         return seen(state, joint_positions=self.joints(state.joint_positions + noise))

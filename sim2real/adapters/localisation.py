@@ -46,11 +46,11 @@ class Localisation(Adapter):
         numbers = {"drift": drift, "turn_drift": turn_drift, "jump": jump, "turn_jump": turn_jump}
         super().__init__(backend, robot, {**numbers, "rate": rate})
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return an error (x, y, yaw) of nothing."""
         return {"error": np.zeros((len(state.base_pose), 3))}
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the twist in the axes that the base takes for those of the map."""
         angle = self.memory["error"][:, 2]
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -59,15 +59,17 @@ class Localisation(Adapter):
         turned[:, 1] = cosine * twist[:, 1] - sine * twist[:, 0]
         return turned, targets
 
-    def advance(self, state: RobotState, dt: float) -> None:
+    def on_step(self, state: RobotState, dt: float) -> None:
         """Drift for `dt` seconds, or jump."""
         noise = self.normal(6)
         walk = noise[:, :3] * self._each("drift") * np.sqrt(dt)
-        jumps = self.uniform(1) <= -np.expm1(-self.number("rate") * dt)
-        error = np.where(jumps, noise[:, 3:] * self._each("jump"), self.memory["error"] + walk)
+        joint_jumps = self.uniform(1) <= -np.expm1(-self.number("rate") * dt)
+        error = np.where(
+            joint_jumps, noise[:, 3:] * self._each("jump"), self.memory["error"] + walk
+        )
         self.remember(error=error)
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return the state with the base beside where it is."""
         error = np.zeros((len(state.base_pose), 6))
         error[:, [0, 1, 5]] = self.memory["error"]

@@ -37,7 +37,7 @@ class SensorLatency(Adapter):
         """
         super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, LATEST)
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return a line that is full of the robot as it stands."""
         slots = self.memory["times"].shape[1] if self.memory else 1
         n = len(state.base_pose)
@@ -46,7 +46,7 @@ class SensorLatency(Adapter):
         lines = {name: filled(values, slots) for name, values in _measured(state).items()}
         return {"clock": np.zeros(n), "shown": np.zeros(n), "times": times, **lines}
 
-    def advance(self, state: RobotState, dt: float) -> None:
+    def on_step(self, state: RobotState, dt: float) -> None:
         """Put what was measured into the line, and go on to what arrives now."""
         slots = slots_for(self.ranges["seconds"].high + self.ranges["jitter"].high, dt)
         late = self.number("seconds") + self.number("jitter") * self.uniform(1)
@@ -60,7 +60,7 @@ class SensorLatency(Adapter):
             lines[name] = pushed(before, values, slots)
         self.remember(clock=clock, shown=shown, times=times, **lines)
 
-    def view(self, state: RobotState) -> RobotState:
+    def modify_state(self, state: RobotState) -> RobotState:
         """Return the state as it was."""
         index, share = around(self.memory["times"], self.memory["shown"])
         was = {

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from kinfeas.backend import Backend
-from kinfeas.legs import Pace
 from kinfeas.quantities import SLOWEST
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapter import Adapter
 from kinfeas.sim2real.draws import Number
+from kinfeas.subgoals import ExecutionConfig
 
 
 class SlowDown(Adapter):
@@ -29,6 +29,6 @@ class SlowDown(Adapter):
         if self.ranges["factor"].low < self.ranges["factor"].high:
             raise ValueError(f"factor is {factor!r}, must be one number for all episodes")
 
-    def pace(self, pace: Pace) -> Pace:
+    def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
         """Return the slower pace."""
-        return replace(pace, slow_down=pace.slow_down * self.ranges["factor"].low)
+        return replace(execution, slow_down=execution.slow_down * self.ranges["factor"].low)

@@ -45,11 +45,11 @@ class VelocityClamp(Adapter):
         }
         super().__init__(backend, robot, limits, Interval(low=0.0, open_low=True))
 
-    def begin(self, state: RobotState) -> Memory:
+    def on_reset(self, state: RobotState) -> Memory:
         """Return where the arm is."""
         return {"joints": state.joint_positions}
 
-    def command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
         """Return the command within the limits."""
         clamped = twist.copy()
         clamped[:, :3] = shortened(twist[:, :3], self.number("linear"))

@@ -7,11 +7,11 @@ from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.observation import HORIZON, observe
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.spatial import compose, integrate, planar_pose
 
 
-def situations(robot, count, twist=None, seed=0, base_pose=None, joints=None):
+def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None):
     """Return `count` situations in which the EE is to move by `twist`, (6,), or at random."""
     rng = np.random.default_rng(seed)
     if joints is None:
@@ -24,10 +24,10 @@ def situations(robot, count, twist=None, seed=0, base_pose=None, joints=None):
     ee = compose(base_pose, in_base)
     planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
     seen = observe(base_pose, in_base, planned, planned, joints)
-    return Situation(seen, base_pose, ee, ee, planned, np.full((count, 7), np.nan))
+    return PolicyInput(seen, base_pose, ee, ee, planned, np.full((count, 7), np.nan))
 
 
-def turned_about(situation, angle, shift):
+def turned_about(policy_input, angle, shift):
     """Return the same situations elsewhere: turned about the origin, then shifted."""
     frame = np.array([*shift, 0.0, *Rotation.from_rotvec([0.0, 0.0, angle]).as_quat()])
 
@@ -35,16 +35,16 @@ def turned_about(situation, angle, shift):
         with np.errstate(invalid="ignore"):  # where there is no demonstrated base
             return compose(np.broadcast_to(frame, poses.shape), poses)
 
-    return Situation(
-        situation.observation,
-        moved(situation.base_pose),
-        moved(situation.ee_pose),
-        moved(situation.desired),
-        moved(situation.planned),
-        moved(situation.demonstrated_base),
+    return PolicyInput(
+        policy_input.observation,
+        moved(policy_input.base_pose),
+        moved(policy_input.ee_pose),
+        moved(policy_input.desired),
+        moved(policy_input.planned),
+        moved(policy_input.demonstrated_base),
     )
 
 
-def rows_of(situation, rows):
+def rows_of(policy_input, rows):
     """Return some of the situations."""
-    return Situation(*(values[rows] for values in vars(situation).values()))
+    return PolicyInput(*(values[rows] for values in vars(policy_input).values()))

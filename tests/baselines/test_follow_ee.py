@@ -4,11 +4,11 @@ import pytest
 from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.drive import action_size, base_twist
 from kinfeas.observation import HORIZON
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.spatial import integrate, planar_pose
 
 
-def situation(velocity, lag=(0.0, 0.0), heading=0.7):
+def policy_input(velocity, lag=(0.0, 0.0), heading=0.7):
     """Return what policies see where the EE is to move at `velocity` and lags behind by `lag`."""
     velocity = np.atleast_2d(velocity)
     n = len(velocity)
@@ -19,7 +19,7 @@ def situation(velocity, lag=(0.0, 0.0), heading=0.7):
     ee[:, :2] -= lag
     base = planar_pose(np.ones(n), np.zeros(n), np.full(n, heading))
     planned = integrate(desired, twist, HORIZON)
-    return Situation(np.empty((n, 0)), base, ee, desired, planned, np.full((n, 7), np.nan))
+    return PolicyInput(np.empty((n, 0)), base, ee, desired, planned, np.full((n, 7), np.nan))
 
 
 def drive(robot, policy, seen):
@@ -29,13 +29,13 @@ def drive(robot, policy, seen):
 @pytest.mark.parametrize("feedback", [False, True])
 def test_copies_the_planar_velocity(robot, feedback):
     along = np.array([np.cos(0.7), np.sin(0.7)]) * 0.08
-    twist = drive(robot, FollowEe(robot.base, feedback), situation(along))
+    twist = drive(robot, FollowEe(robot.base, feedback), policy_input(along))
     np.testing.assert_allclose(twist[0], [*along, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_omnidirectional_bases_do_not_rotate(robot):
     velocity = np.random.default_rng(0).uniform(-0.1, 0.1, (50, 2))
-    twist = drive(robot, FollowEe(robot.base), situation(velocity))
+    twist = drive(robot, FollowEe(robot.base), policy_input(velocity))
     if robot.base.drive == "omnidirectional":
         np.testing.assert_allclose(twist[:, :2], velocity, atol=1e-12)
         np.testing.assert_array_equal(twist[:, 5], 0.0)
@@ -45,7 +45,7 @@ def test_omnidirectional_bases_do_not_rotate(robot):
 
 def test_only_feedback_catches_up(robot):
     lag = np.array([np.cos(0.7), np.sin(0.7)]) * 0.005
-    seen = situation([[0.0, 0.0]], lag)
+    seen = policy_input([[0.0, 0.0]], lag)
     np.testing.assert_allclose(drive(robot, FollowEe(robot.base), seen), 0.0, atol=1e-12)
     twist = drive(robot, FollowEe(robot.base, feedback=True), seen)
     np.testing.assert_allclose(twist[0, :2], lag / HORIZON, atol=1e-12)
@@ -54,6 +54,6 @@ def test_only_feedback_catches_up(robot):
 @pytest.mark.parametrize("feedback", [False, True])
 def test_stays_within_bounds(robot, feedback):
     velocity = np.random.default_rng(1).normal(scale=2.0, size=(200, 2))
-    action = FollowEe(robot.base, feedback).act(situation(velocity, (0.3, -1.0)))
+    action = FollowEe(robot.base, feedback).act(policy_input(velocity, (0.3, -1.0)))
     assert action.shape == (200, action_size(robot.base))
     assert np.abs(action).max() <= 1.0

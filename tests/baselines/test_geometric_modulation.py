@@ -3,12 +3,12 @@ import pickle
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 from kinfeas.baselines.geometric_modulation import GeometricModulation, modulated
 from kinfeas.drive import action_size, base_twist
 from kinfeas.observation import HORIZON
 from kinfeas.spatial import relative, wrap, yaw
-from tests.baselines.situations import rows_of, situations, turned_about
 
 SHAPE = np.array([[-0.1, 0.05, 0.9, 1.0, 0.3, 0.4]])
 
@@ -68,9 +68,9 @@ def test_leaving_a_boundary_is_left_as_it_is():
 
 
 def test_turns_the_ee_to_its_preferred_bearing(robot, policy):
-    situation = situations(robot, 100, np.zeros(6))
-    action = policy.act(situation)
-    ee = relative(situation.ee_pose, situation.base_pose)
+    policy_input = policy_inputs(robot, 100, np.zeros(6))
+    action = policy.act(policy_input)
+    ee = relative(policy_input.ee_pose, policy_input.base_pose)
     off = wrap(np.arctan2(ee[:, 1], ee[:, 0]) - policy.ellipses.bearing)
     turn = action[:, -1]
     if robot.base.drive == "omnidirectional":
@@ -82,32 +82,32 @@ def test_turns_the_ee_to_its_preferred_bearing(robot, policy):
 
 
 def test_stays_within_bounds(robot, policy):
-    action = policy.act(situations(robot, 200, np.array([0.5, -0.8, 0.1, 0.3, 0.3, 1.0])))
+    action = policy.act(policy_inputs(robot, 200, np.array([0.5, -0.8, 0.1, 0.3, 0.3, 1.0])))
     assert action.shape == (200, action_size(robot.base))
     assert np.abs(action).max() <= 1.0
 
 
 def test_does_not_depend_on_the_map_or_on_the_batch(robot, policy):
-    situation = situations(robot, 40)
-    action = policy.act(situation)
-    elsewhere = turned_about(situation, 2.0, (3.0, -1.0))
+    policy_input = policy_inputs(robot, 40)
+    action = policy.act(policy_input)
+    elsewhere = turned_about(policy_input, 2.0, (3.0, -1.0))
     np.testing.assert_allclose(policy.act(elsewhere), action, atol=1e-7)
     rows = [0, 17, 39]
-    np.testing.assert_array_equal(policy.act(rows_of(situation, rows)), action[rows])
+    np.testing.assert_array_equal(policy.act(rows_of(policy_input, rows)), action[rows])
 
 
 def test_survives_pickling(robot, policy):
-    situation = situations(robot, 10)
+    policy_input = policy_inputs(robot, 10)
     again = pickle.loads(pickle.dumps(policy))
-    np.testing.assert_array_equal(again.act(situation), policy.act(situation))
+    np.testing.assert_array_equal(again.act(policy_input), policy.act(policy_input))
 
 
 def test_a_vertical_approach_is_no_trouble(robot, policy):
-    situation = situations(robot, 3)
+    policy_input = policy_inputs(robot, 3)
     down = Rotation.from_euler("ZYX", [[0.3, np.pi / 2.0, roll] for roll in (0.0, 1.0, 2.0)])
     down = down * Rotation.from_quat(robot.gripper_rotation)
-    for poses in (situation.ee_pose, situation.planned):
+    for poses in (policy_input.ee_pose, policy_input.planned):
         poses[:, 3:] = down.as_quat()
-    twist = base_twist(robot.base, situation.base_pose, policy.act(situation), HORIZON)
+    twist = base_twist(robot.base, policy_input.base_pose, policy.act(policy_input), HORIZON)
     assert np.isfinite(twist).all()
-    assert np.isfinite(yaw(situation.base_pose)).all()
+    assert np.isfinite(yaw(policy_input.base_pose)).all()

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 from kinfeas.baselines import whole_body_qp as module
 from kinfeas.baselines.whole_body_qp import WholeBodyQp, build_model, whole_body_qp
@@ -13,7 +14,6 @@ from kinfeas.kinematics.forward import forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.observation import HORIZON
 from kinfeas.robots.tree import Mimic
-from tests.baselines.situations import rows_of, situations, turned_about
 
 pin = pytest.importorskip("pinocchio")
 pytest.importorskip("pink")
@@ -51,38 +51,38 @@ def test_a_comfortable_arm_far_from_its_goal_is_carried_there(robot):
     joints = np.array([(j.lower + j.upper) / 2.0 if not j.continuous else 0.0 for j in robot.arm])
     forward_motion = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     base = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
-    situation = situations(robot, 1, forward_motion, base_pose=base, joints=joints[None])
-    action = whole_body_qp(robot).act(situation)
+    policy_input = policy_inputs(robot, 1, forward_motion, base_pose=base, joints=joints[None])
+    action = whole_body_qp(robot).act(policy_input)
     assert base_twist(robot.base, base, action, HORIZON)[0, 0] > 0.03
 
 
 def test_stays_within_bounds(robot):
-    situation = situations(robot, 50, np.array([3.0, -4.0, 1.0, 1.0, -1.0, 2.0]))
-    action = WholeBodyQp(robot).act(situation)
+    policy_input = policy_inputs(robot, 50, np.array([3.0, -4.0, 1.0, 1.0, -1.0, 2.0]))
+    action = WholeBodyQp(robot).act(policy_input)
     assert action.shape == (50, action_size(robot.base))
     assert np.abs(action).max() <= 1.0
     assert np.abs(action).max() > 0.5
 
 
 def test_joints_a_little_beyond_their_limits_are_no_trouble(robot):
-    situation = situations(robot, 20)
-    situation.observation[:, 21:] += 0.01 * np.sign(situation.observation[:, 21:])
-    assert np.isfinite(WholeBodyQp(robot).act(situation)).all()
+    policy_input = policy_inputs(robot, 20)
+    policy_input.observation[:, 21:] += 0.01 * np.sign(policy_input.observation[:, 21:])
+    assert np.isfinite(WholeBodyQp(robot).act(policy_input)).all()
 
 
 def test_does_not_depend_on_the_map_or_on_the_batch(robot):
-    policy, situation = WholeBodyQp(robot), situations(robot, 20)
-    action = policy.act(situation)
-    elsewhere = turned_about(situation, 2.0, (3.0, -1.0))
+    policy, policy_input = WholeBodyQp(robot), policy_inputs(robot, 20)
+    action = policy.act(policy_input)
+    elsewhere = turned_about(policy_input, 2.0, (3.0, -1.0))
     np.testing.assert_allclose(policy.act(elsewhere), action, atol=1e-6)
     rows = [19, 4]
-    np.testing.assert_array_equal(policy.act(rows_of(situation, rows)), action[rows])
+    np.testing.assert_array_equal(policy.act(rows_of(policy_input, rows)), action[rows])
 
 
 def test_survives_pickling_after_use(robot):
-    policy, situation = WholeBodyQp(robot), situations(robot, 5)
-    action = policy.act(situation)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(policy)).act(situation), action)
+    policy, policy_input = WholeBodyQp(robot), policy_inputs(robot, 5)
+    action = policy.act(policy_input)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(policy)).act(policy_input), action)
 
 
 def test_a_missing_library_says_what_to_install(robot, monkeypatch):

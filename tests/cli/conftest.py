@@ -8,7 +8,7 @@ import pytest
 from kinfeas.cli import main
 
 TINY = (
-    "--set", "environments=8", "--set", "learner.batch_size=16", "--set", "learner.hidden=[8]",
+    "--set", "num_envs=8", "--set", "learner.batch_size=16", "--set", "learner.net_arch=[8]",
     "--set", "learner.buffer_size=1000", "--set", "learner.random_steps=16",
     "--set", "schedule.evaluations=1", "--set", "schedule.evaluation_episodes=2",
     "--set", "schedule.final_episodes=2",

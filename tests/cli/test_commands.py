@@ -14,8 +14,8 @@ from kinfeas.evaluation import evaluate as evaluate_module
 from kinfeas.evaluation import speed as speed_module
 from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.evaluation.speed import Figure, random_network
-from kinfeas.look_ahead import Foresight, LookAhead
 from kinfeas.policy import write_network
+from kinfeas.rollout_planner import RolloutConfig, RolloutPlanner
 from kinfeas.sim2real.deploy_config import DeployConfig
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.storage import strict_yaml
@@ -46,29 +46,34 @@ def test_evaluate(tmp_path):
 @pytest.mark.parametrize("world", ["analytic", "pybullet"])
 def test_how_far_and_widely_to_look_ahead_can_be_set(tmp_path, monkeypatch, world):
     seen = []
-    monkeypatch.setattr(LookAhead, "watch", lambda self, loop: seen.append(self.foresight))
-    monkeypatch.setattr(LookAhead, "act", lambda self, situation: self.policy.act(situation))
+    monkeypatch.setattr(RolloutPlanner, "watch", lambda self, loop: seen.append(self.rollout))
+    monkeypatch.setattr(
+        RolloutPlanner, "act", lambda self, policy_input: self.policy.act(policy_input)
+    )
     if world == "pybullet":
         pytest.importorskip("pybullet")
-    chosen = ["--set", "look_ahead.seconds=2", "--set", "look_ahead.tries=8"]
+    chosen = ["--set", "rollout.horizon=2", "--set", "rollout.num_samples=8"]
     short = ["--world", world, "--episodes", "1", "--set", "world.max_seconds=0.2"]
     for more in ([], chosen):
-        kinfeas("evaluate", "--policy", "follow_ee", "--look-ahead", *short, *more)
-    assert seen == [Foresight(), Foresight(seconds=2.0, tries=8)]
+        kinfeas("evaluate", "--policy", "follow_ee", "--rollout-planner", *short, *more)
+    assert seen == [RolloutConfig(), RolloutConfig(seconds=2.0, tries=8)]
 
 
 def test_to_look_ahead_by_option_and_by_name_is_the_same(tmp_path):
     names = []
-    for policy in (["look_ahead:follow_ee"], ["look_ahead:follow_ee", "--look-ahead"]):
+    for policy in (
+        ["rollout_planner:follow_ee"],
+        ["rollout_planner:follow_ee", "--rollout-planner"],
+    ):
         path = tmp_path / "out.json"
         kinfeas("evaluate", "--policy", *policy, *SHORT, "--json", str(path))
         names.append(json.loads(path.read_text()))
     assert names[0] == names[1]
-    assert names[0]["policy"] == "look_ahead:follow_ee"
+    assert names[0]["policy"] == "rollout_planner:follow_ee"
 
 
 def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluate_module, "trial_ceiling", lambda *_: None)
+    monkeypatch.setattr(evaluate_module, "trial_reachability", lambda *_: None)
     path = tmp_path / "out.json"
     result = kinfeas("evaluate", "--policy", "follow_ee", *SHORT, "--json", str(path))
     (row,) = (line for line in result.output.splitlines() if "ceiling" in line)
@@ -99,8 +104,8 @@ def test_evaluate_a_robot_by_its_path():
         (["--policy", "follow_ee", "--set", "world.dt=0"], "world.dt"),
         (["--policy", "follow_ee", "--set", "word.dt=0.1"], "did you mean 'world'"),
         (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
-        (["--policy", "follow_ee", "--set", "look_ahead.tries=8"], "needs --look-ahead$"),
-        (["--policy", "follow_ee", "--look-ahead", "--set", "look_ahead.tris=8"], "'tries'"),
+        (["--policy", "follow_ee", "--set", "rollout.num_samples=8"], "needs --rollout-planner$"),
+        (["--policy", "follow_ee", "--rollout-planner", "--set", "rollout.tris=8"], "'tries'"),
         (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
         (
             ["--policy", "follow_ee", "--world", "pybullet", "--head-start", "-1"],
@@ -111,7 +116,7 @@ def test_evaluate_a_robot_by_its_path():
             r"^--slow-down: must be a number in \[1, 1000\], not 0.0",
         ),
         (["--policy", ""], "the name of the policy is empty"),
-        (["--policy", "follow_ee", "--sim2real", ""], "unknown configuration ''; known are"),
+        (["--policy", "follow_ee", "--adapters", ""], "unknown configuration ''; known are"),
         (["--policy", "follow_ee", "--set", "world.adapters=[{name: nois}]"], "adapter 'nois'"),
     ],
 )
@@ -135,8 +140,8 @@ def test_evaluate_is_used_wrongly(arguments):
 
 
 SETTINGS = {
-    "evaluate": [WorldConfig(), PhysicsSettings(), Foresight()],
-    "deploy": [DeployConfig(), Guards(), Foresight()],
+    "evaluate": [WorldConfig(), PhysicsSettings(), RolloutConfig()],
+    "deploy": [DeployConfig(), Guards(), RolloutConfig()],
 }
 
 
@@ -158,8 +163,8 @@ def test_help_tells_the_settings_that_robots_have_of_their_own(monkeypatch, comm
     shown = CliRunner().invoke(app, [command, "--help"]).output
     own = {name: strict_yaml.read(default_recipe(folder, name)) for name in ("pr2", "tiago", "hsr")}
     paces = {name: data.get("world", data) for name, data in own.items()}
-    slow = [f"{pace['slow_down']:g} for {name}" for name, pace in paces.items()
-            if pace.get("slow_down", 1.0) != 1.0]  # fmt: skip
+    slow = [f"{execution['slow_down']:g} for {name}" for name, execution in paces.items()
+            if execution.get("slow_down", 1.0) != 1.0]  # fmt: skip
     assert f"slow_down=1 ({', '.join(slow)})" in shown
     assert f"true for {' and '.join(name for name in paces if paces[name].get('yields'))}" in shown
 
@@ -168,7 +173,7 @@ def test_evaluate_with_physics(tmp_path):
     pytest.importorskip("pybullet")
     path = tmp_path / "out.json"
     options = ["--world", "pybullet", "--episodes", "1", "--robot", "hsr", "--task", "drawer"]
-    options += ["--head-start", "0.2", "--slow-down", "1.5", "--without-objects"]
+    options += ["--head-start", "0.2", "--slow-down", "1.5", "--no-objects"]
     short = ["--set", "world.max_seconds=0.5", "--json", str(path)]
     result = kinfeas("evaluate", "--policy", "follow_ee", *options, *short)
     assert "collisions of the base" in result.output
@@ -183,7 +188,7 @@ def test_evaluate_with_physics(tmp_path):
     [
         (("--head-start", "3"), "world.head_start=5"),
         (("--slow-down", "2"), "world.slow_down=2"),
-        (("--without-objects",), "world.objects=true"),
+        (("--no-objects",), "world.objects=true"),
     ],
 )
 def test_an_option_and_its_setting_exclude_each_other(options, said):
@@ -207,7 +212,7 @@ def test_a_window_needs_a_screen(monkeypatch):
     [
         ["--head-start", "3"],
         ["--slow-down", "2"],
-        ["--without-objects"],
+        ["--no-objects"],
         ["--gui"],
     ],
 )
@@ -219,7 +224,7 @@ def test_the_analytic_world_has_no_such_options(option):
 TASK = """
 name: fetch
 places: {cup: {position: [1.5, [-1, 1], 0.8]}}
-legs: [{place: cup, offset: [-0.2, 0, 0], frame: tip}, {place: cup, frame: tip, wait: 1}]
+subgoals: [{place: cup, offset: [-0.2, 0, 0], frame: tip}, {place: cup, frame: tip, wait: 1}]
 """
 
 

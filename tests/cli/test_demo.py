@@ -34,7 +34,7 @@ def test_demo_reports_beside_baselines_and_ceiling_and_overwrites_nothing(kinfea
 TASK = """
 name: fetch
 places: {my cup: {position: [1.5, [-0.5, 0.5], 0.8]}}
-legs: [{place: my cup}]
+subgoals: [{place: my cup}]
 """
 
 

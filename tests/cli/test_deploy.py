@@ -46,7 +46,7 @@ def started(code, *arguments):
 
 
 def test_drives_to_a_goal_and_records_it(kinfeas, tmp_path):
-    done = kinfeas("deploy", "pretrained", *GOAL, *QUICK, "--as-fast-as-possible", "--rpy", "0",
+    done = kinfeas("deploy", "pretrained", *GOAL, *QUICK, "--no-real-time", "--rpy", "0",
                    "1.2", "-0.3", "--record", "run.csv", "--json", "run.json")  # fmt: skip
     assert done.code == 0, done.err
     assert REACHED in done.out
@@ -58,7 +58,7 @@ def test_drives_to_a_goal_and_records_it(kinfeas, tmp_path):
 def test_a_task_in_the_simulated_world_is_recorded_with_its_furniture(kinfeas, tmp_path):
     pytest.importorskip("pybullet")
     done = kinfeas("deploy", "follow_ee", "--robot", "pr2", "--task", "pick_place",
-                   "--seconds", "0.1", "--as-fast-as-possible", "--record", "run.csv", "--json",
+                   "--seconds", "0.1", "--no-real-time", "--record", "run.csv", "--json",
                    "run.json")  # fmt: skip
     assert done.code == 4, done.err
     assert json.loads((tmp_path / "run.json").read_text())["task_done"] is False
@@ -72,21 +72,21 @@ def test_a_task_in_the_simulated_world_is_recorded_with_its_furniture(kinfeas, t
 
 def test_looking_ahead_carries_on_where_the_policy_alone_gets_stuck(kinfeas, tmp_path):
     wide = ("--backend", "analytic", "--robot", "tiago", "--task", "ggr", "--seed", "7",
-            "--set", "yields=false")  # fmt: skip
-    runs, ahead = {}, ("--look-ahead",)
-    more_of_it = (*ahead, "--set", "look_ahead.tries=32", "--set", "look_ahead.seconds=6")
+            "--set", "feasibility_filter=false")  # fmt: skip
+    runs, ahead = {}, ("--rollout-planner",)
+    more_of_it = (*ahead, "--set", "rollout.num_samples=32", "--set", "rollout.horizon=6")
     for name, more in (("alone", ()), ("ahead", ahead), ("again", more_of_it)):
-        done = kinfeas("deploy", "pretrained", *wide, "--seconds", "30", "--as-fast-as-possible",
+        done = kinfeas("deploy", "pretrained", *wide, "--seconds", "30", "--no-real-time",
                        "--record", f"{name}.csv", *more)  # fmt: skip
         runs[name] = done.code, read_record(tmp_path / f"{name}.csv")
     assert [code for code, _ in runs.values()] == [3, 4, 4]
-    assert runs["ahead"][1].about.policy == "look_ahead:pretrained"
+    assert runs["ahead"][1].about.policy == "rollout_planner:pretrained"
     # Without a clock it is the same each time.
     assert (runs["ahead"][1].base_pose == runs["again"][1].base_pose).all()
 
 
 def test_looks_ahead_beside_a_clock(kinfeas, tmp_path):
-    done = kinfeas("deploy", "pretrained", *GOAL, *QUICK, "--seconds", "1.5", "--look-ahead",
+    done = kinfeas("deploy", "pretrained", *GOAL, *QUICK, "--seconds", "1.5", "--rollout-planner",
                    "--record", "run.csv", "--json", "run.json")  # fmt: skip
     assert done.code == 4, done.err
     assert json.loads((tmp_path / "run.json").read_text())["timing"]["p50"] < 0.04
@@ -94,7 +94,7 @@ def test_looks_ahead_beside_a_clock(kinfeas, tmp_path):
 
 
 def test_records_every_run_and_says_where(kinfeas, tmp_path):
-    done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.1")
+    done = kinfeas("deploy", "pretrained", *GOAL, "--no-real-time", "--seconds", "0.1")
     assert done.code == 4
     assert done.err == "stopped: the goal was not reached within 0.1 s\n"
     (record,) = (tmp_path / "runs" / "deploy").glob("*-pr2-goal.csv")
@@ -104,7 +104,7 @@ def test_records_every_run_and_says_where(kinfeas, tmp_path):
 def test_a_record_names_an_own_robot_for_readers_elsewhere(kinfeas, tmp_path, monkeypatch):
     shutil.copytree(OWN_ROBOT, tmp_path / "own")
     done = kinfeas("deploy", "follow_ee", "--robot", "own/scout.yaml", *GOAL, "--seconds", "0.1",
-                   "--as-fast-as-possible", "--record", "run.csv")  # fmt: skip
+                   "--no-real-time", "--record", "run.csv")  # fmt: skip
     assert done.code == 4, done.err
     assert read_record(tmp_path / "run.csv").about.robot == str(tmp_path / "own" / "scout.yaml")
     (tmp_path / "elsewhere").mkdir()
@@ -116,8 +116,8 @@ def test_adapters_stand_between(kinfeas, tmp_path):
     (tmp_path / "mine.yaml").write_text(
         "adapters: [{name: base_noise, parameters: {linear: 0.05}}]"
     )
-    for name, more in (("a.csv", ()), ("b.csv", ("--sim2real", "mine.yaml"))):
-        kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.2",
+    for name, more in (("a.csv", ()), ("b.csv", ("--adapters", "mine.yaml"))):
+        kinfeas("deploy", "pretrained", *GOAL, "--no-real-time", "--seconds", "0.2",
                 "--record", name, *more)  # fmt: skip
     paths = [read_record(tmp_path / name).base_pose[-1, :2].tolist() for name in ("a.csv", "b.csv")]
     assert paths[0] != paths[1]
@@ -125,8 +125,8 @@ def test_adapters_stand_between(kinfeas, tmp_path):
 
 def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     (tmp_path / "guards.yaml").write_text("{speed: 0.05, max_distance: 0.02}")
-    done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--record", "run.csv",
-                   "--guards", "guards.yaml", "--set", "guards.speed=0.02")  # fmt: skip
+    done = kinfeas("deploy", "pretrained", *GOAL, "--no-real-time", "--record", "run.csv",
+                   "--guards", "guards.yaml", "--set", "guards.max_linear_velocity=0.02")  # fmt: skip
     assert done.code == 3
     assert "m from its start, at most 0.02 m is allowed" in done.err
     speed = (read_record(tmp_path / "run.csv").base_twist[:, :2] ** 2).sum(axis=1) ** 0.5
@@ -141,25 +141,25 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
     ((*GOAL, "--robot", "tiago", "--goal", "nan", "0", "0"), "finite numbers"),
     (("--backend", "analytik", *GOAL[2:]), "unknown backend 'analytik' (did you mean 'analytic'?)"),
     ((*GOAL, "--set", "guards.sped=1"), "guards.sped"),
-    ((*GOAL, "--set", "guards.speed=-1"), "'guards.speed' must be a number > 0"),
+    ((*GOAL, "--set", "guards.max_linear_velocity=-1"), "'guards.max_linear_velocity' must be a number > 0"),
     ((*GOAL, "--set", "head_start=1e300"), "'head_start' must be a number in [0, 100000], not 1e"),
     ((*GOAL, "--set", "guards.watchdog=1e300"), "'guards.watchdog' must be a number in (0, 100000"),
     ((*GOAL, "--set", "backend.wheels=3"), "unknown parameter 'wheels'"),
     ((*GOAL, "--set", "task.orientation=so3"), "--set task.KEY needs --task"),
     ((*GOAL[:2], "--task", "ggr", *QUICK), "--set generator.KEY and --task exclude each other"),
     ((*GOAL[:2], "--task", "ggr", "--rpy", "0", "0", "0"), "--rpy and --task exclude each other"),
-    ((*GOAL, "--sim2real", ""), "unknown configuration ''; known are harsh, ideal"),
+    ((*GOAL, "--adapters", ""), "unknown configuration ''; known are harsh, ideal"),
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.scene=room"),
      "backend 'pybullet': the parameter 'scene' follows from the run"),
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.physics={gravity: -1}"),
      "'physics.gravity' must be a number >= 0, not -1"),
-    (("--backend", "ros1", *GOAL[2:], "--set", "backend.patience=soon"),
+    (("--backend", "ros1", *GOAL[2:], "--set", "backend.arm_settle_timeout=soon"),
      "'patience' must be a finite number, not 'soon'"),
-    ((*GOAL, "--set", "look_ahead.tries=8"), "--set look_ahead.KEY needs --look-ahead"),
-    ((*GOAL, "--look-ahead", "--set", "look_ahead.tries=0"),
-     "'look_ahead.tries' must be a whole number in [1, 1000], not 0"),
-    ((*GOAL, "--look-ahead", "--set", "look_ahead.seconds=0"),
-     "'look_ahead.seconds' must be a number in [0.1, 100000], not 0"),
+    ((*GOAL, "--set", "rollout.num_samples=8"), "--set rollout.KEY needs --rollout-planner"),
+    ((*GOAL, "--rollout-planner", "--set", "rollout.num_samples=0"),
+     "'rollout.num_samples' must be a whole number in [1, 1000], not 0"),
+    ((*GOAL, "--rollout-planner", "--set", "rollout.horizon=0"),
+     "'rollout.horizon' must be a number in [0.1, 100000], not 0"),
     ((*GOAL, "--generator", "linea"), "unknown motion generator 'linea'"),
     ((*GOAL, "--rate", "5"), "guards.max_age of 0.2 s needs a rate of at least 7.5 Hz, not 5 Hz"),
     ((*GOAL, "--record", "/nowhere/run.csv"), "cannot be written"),
@@ -200,7 +200,7 @@ def test_a_run_that_cannot_begin_leaves_no_record(kinfeas, tmp_path):
 
 
 def test_an_unwritable_json_does_not_hide_the_run(kinfeas, tmp_path):
-    done = kinfeas("deploy", "pretrained", *GOAL, "--as-fast-as-possible", "--seconds", "0.1",
+    done = kinfeas("deploy", "pretrained", *GOAL, "--no-real-time", "--seconds", "0.1",
                    "--record", "run.csv", "--json", "/dev/full")  # fmt: skip
     assert done.code == 4
     assert "control period, median" in done.out
@@ -214,7 +214,7 @@ def test_a_backend_that_cannot_be_closed_does_not_hide_the_run(kinfeas, tmp_path
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.backends", "clinging", Clinging)
     done = kinfeas("deploy", "pretrained", "--backend", "clinging", *GOAL[2:], *QUICK,
-                   "--as-fast-as-possible", "--record", "run.csv",
+                   "--no-real-time", "--record", "run.csv",
                    "--json", "run.json")  # fmt: skip
     assert done.code == 0
     assert REACHED in done.out
@@ -266,17 +266,17 @@ def test_help_says_what_a_goal_is_the_pose_of_and_in_which_frame(kinfeas, monkey
 
 
 def test_an_example_that_slows_the_base_down_slows_the_hand_down_as_much():
-    creeping = [one for one in EXAMPLES["deploy"] if "guards.speed=0.05" in one]
+    creeping = [one for one in EXAMPLES["deploy"] if "guards.max_linear_velocity=0.05" in one]
     assert creeping
     for example in creeping:
         assert "--set slow_down=4" in example  # a quarter of the 0.2 m/s of all three robots
-        assert "--set guards.rotation" in example
+        assert "--set guards.max_angular_velocity" in example
 
 
 def test_drives_the_robot_that_the_policy_was_trained_for(kinfeas, tmp_path):
     assert kinfeas("export", "pretrained", "--robot", "tiago", "--out", "tiago.onnx").code == 0
     for number, policy in enumerate((str(pretrained.find("tiago")), "tiago.onnx")):
-        done = kinfeas("deploy", policy, *GOAL, "--as-fast-as-possible", "--seconds", "0.1",
+        done = kinfeas("deploy", policy, *GOAL, "--no-real-time", "--seconds", "0.1",
                        "--record", f"{number}.csv")  # fmt: skip
         assert done.code == 4, done.err
         assert read_record(tmp_path / f"{number}.csv").about.robot == "tiago"
@@ -297,7 +297,7 @@ def test_a_goal_out_of_reach_is_refused_before_anything_moves(kinfeas, tmp_path)
     assert "from which the arm reaches the goal, x 1.5, y 0, z 2.2 m, roll 0, pitch 0" in done.err
     assert "--set guards.reach=false goes there all the same" in done.err
     assert not list(tmp_path.rglob("*.csv"))
-    done = kinfeas("deploy", "pretrained", *HIGH, "--as-fast-as-possible", "--seconds", "0.1",
+    done = kinfeas("deploy", "pretrained", *HIGH, "--no-real-time", "--seconds", "0.1",
                    "--set", "guards.reach=false")  # fmt: skip
     assert (done.code, done.err) == (4, "stopped: the goal was not reached within 0.1 s\n")
 
@@ -310,21 +310,24 @@ def test_the_end_of_a_leg_out_of_reach_is_refused(kinfeas, tmp_path):
     )
     done = kinfeas("deploy", "pretrained", "--backend", "analytic", "--task", "up.yaml")
     assert is_one_line(done)
-    assert "the arm reaches the end of leg 2 of 2, x 1.5, y 0, z 2.2 m" in done.err
+    assert "the arm reaches the end of sub-goal 2 of 2, x 1.5, y 0, z 2.2 m" in done.err
 
 
 @pytest.mark.parametrize(("more", "warns"), [((), True), (("--set", "slow_down=4"), False)])
 def test_a_hand_that_would_outrun_the_base_is_warned_of(kinfeas, more, warns):
     done = kinfeas("deploy", "pretrained", "--robot", "hsr", *GOAL[:2], "--goal", "-1.5", "1.0",
-                   "0.9", "--set", "guards.speed=0.05", *more, "--as-fast-as-possible",
+                   "0.9", "--set", "guards.max_linear_velocity=0.05", *more, "--no-real-time",
                    "--seconds", "0.1")  # fmt: skip
     first, *rest = done.err.splitlines()
-    assert (first.startswith("guards.speed slows down the base alone"), len(rest)) == (warns, warns)
+    assert (
+        first.startswith("guards.max_linear_velocity slows down the base alone"),
+        len(rest),
+    ) == (warns, warns)
     assert ("--set slow_down=4 slows it down as much" in first) is warns
 
 
 def test_imports_nothing_heavy(tmp_path):
-    process = started(HEAVY, *GOAL, "--as-fast-as-possible", "--seconds", "0.1",
+    process = started(HEAVY, *GOAL, "--no-real-time", "--seconds", "0.1",
                       "--record", str(tmp_path / "run.csv"))  # fmt: skip
     out, err = process.communicate(timeout=120)
     assert process.returncode == 4, err

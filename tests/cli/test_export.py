@@ -59,13 +59,13 @@ def test_evaluate_takes_the_file(kinfeas, file, tmp_path):
         outcome = kinfeas("evaluate", "--policy", policy, *arguments)
         assert outcome.code == 0, outcome.err
     one, two = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("run", "pr2.onnx"))
-    assert one["mean_failures"] == two["mean_failures"]
+    assert one["ik_failures_per_episode"] == two["ik_failures_per_episode"]
 
 
 def test_evaluate_takes_the_robot_of_the_file(kinfeas):
     assert kinfeas("export", "pretrained", "--robot", "hsr", "--out", "hsr.onnx").code == 0
     short = ("--episodes", "1", "--set", "world.max_seconds=1")
-    for name in ("hsr.onnx", "look_ahead:hsr.onnx"):
+    for name in ("hsr.onnx", "rollout_planner:hsr.onnx"):
         outcome = kinfeas("evaluate", "--policy", name, *short)
         assert outcome.code == 0, outcome.err
         assert f"{name} on ggr, robot hsr" in outcome.out

@@ -14,7 +14,7 @@ def test_names_are_no_files(tmp_path, monkeypatch):
 
 def test_a_policy_is_a_file_or_the_parts_of_its_run(tmp_path):
     assert inputs.of_policy(None) == []
-    for name in ("pr2.onnx", "look_ahead:pr2.onnx"):
+    for name in ("pr2.onnx", "rollout_planner:pr2.onnx"):
         assert inputs.of_policy(name) == [Path("pr2.onnx")]
     parts = inputs.of_policy(tmp_path)
     assert {tmp_path / "config.yaml", tmp_path / "checkpoints"} <= set(parts)

@@ -169,7 +169,7 @@ def test_two_options_must_not_name_one_file(tmp_path, same):
         "deploy same --backend analytic --goal 1 0 1 --json same",
         "export pretrained --out same --json same",
         "export --check same --json same",
-        "evaluate --policy pretrained --sim2real ideal --picture same --json same",
+        "evaluate --policy pretrained --adapters ideal --picture same --json same",
         "view --picture same --html same",
         "view --record same --json same",
         "plugins check linear --picture same --json same",
@@ -201,13 +201,13 @@ def test_every_command_refuses_one_file_for_two(kinfeas, tmp_path, line):
          "export run/checkpoints/best --out x.onnx --json run/checkpoints/best/policy.json"),
         ("mine.yaml", "evaluate --policy pretrained --robot mine.yaml --json mine.yaml"),
         ("mine.yaml", "evaluate --policy pretrained --task mine.yaml --json ./mine.yaml"),
-        ("mine.yaml", "evaluate --policy pretrained --sim2real mine.yaml --json mine.yaml"),
+        ("mine.yaml", "evaluate --policy pretrained --adapters mine.yaml --json mine.yaml"),
         ("mine.yaml", "evaluate --policy pretrained --set task.model=mine.yaml --json mine.yaml"),
         ("mine.yaml", "ceiling --robot mine.yaml --json mine.yaml"),
         ("mine.yaml", "ceiling --task mine.yaml --json mine.yaml"),
         ("mine.yaml", "deploy pretrained --robot mine.yaml --json mine.yaml"),
         ("mine.yaml", "deploy pretrained --task mine.yaml --json mine.yaml"),
-        ("mine.yaml", "deploy pretrained --sim2real mine.yaml --json mine.yaml"),
+        ("mine.yaml", "deploy pretrained --adapters mine.yaml --json mine.yaml"),
         ("mine.yaml", "deploy pretrained --guards mine.yaml --json mine.yaml"),
         ("mine.yaml", "export pretrained --robot mine.yaml --out x.onnx --json mine.yaml"),
         ("mine.yaml", "simulate --robot mine.yaml --json mine.yaml"),
@@ -291,7 +291,7 @@ def inputs(kinfeas, tmp_path):
     (tmp_path / "shown").mkdir()
     write_demonstration(door_demonstrations(1)[0], tmp_path / "shown" / "0.csv")
     about = ("--backend", "analytic", "--goal", "1", "0", "1", "--record", "run.csv")
-    kinfeas("deploy", "pretrained", *about, "--as-fast-as-possible", "--seconds", "0.1")
+    kinfeas("deploy", "pretrained", *about, "--no-real-time", "--seconds", "0.1")
     return tmp_path
 
 

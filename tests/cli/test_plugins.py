@@ -78,7 +78,7 @@ def test_info_on_a_task_heads_its_grip_as_a_file_does(kinfeas):
     shown = kinfeas("plugins", "info", "door").out
     assert "close" in shown
     assert "grip " in shown
-    assert "gripper" not in shown.partition("legs")[2]
+    assert "gripper" not in shown.partition("subgoals")[2]
 
 
 def test_info_tells_lists_as_they_are_set(kinfeas, tmp_path):
@@ -113,11 +113,11 @@ def test_info_on_files(kinfeas, tmp_path):
     (known,) = json.loads((tmp_path / "hsr.json").read_text())
     assert (known["kind"], known["robot"]["name"]) == ("robot", "hsr")
     (tmp_path / "fetch.yaml").write_text(
-        "{name: fetch, places: {here: {position: [1, 0, 1]}}, legs: [{place: here}]}"
+        "{name: fetch, places: {here: {position: [1, 0, 1]}}, subgoals: [{place: here}]}"
     )
     outcome = kinfeas("plugins", "info", "fetch.yaml")
     assert "task fetch, from fetch.yaml\n" in outcome.out
-    assert "linear" in outcome.out.partition("legs")[2]
+    assert "linear" in outcome.out.partition("subgoals")[2]
     (tmp_path / "other.yaml").write_text("{adapters: []}")
     outcome = kinfeas("plugins", "info", "other.yaml")
     assert is_one_line(outcome)

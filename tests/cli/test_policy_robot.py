@@ -12,13 +12,14 @@ from tests.sim2real.policy_cases import write_policy_file, write_run
 
 
 @pytest.mark.parametrize(
-    "policy", [None, "", "pretrained", "follow_ee", "look_ahead:pretrained", "nowhere", "no.onnx"]
+    "policy",
+    [None, "", "pretrained", "follow_ee", "rollout_planner:pretrained", "nowhere", "no.onnx"],
 )
 def test_what_can_drive_any_robot_or_is_not_there_drives_the_default(policy):
     assert robot_of(policy) == DEFAULT
 
 
-@pytest.mark.parametrize("policy", ["pretrained", "follow_ee", "look_ahead:follow_ee", "."])
+@pytest.mark.parametrize("policy", ["pretrained", "follow_ee", "rollout_planner:follow_ee", "."])
 def test_a_policy_that_is_there(policy):
     check_policy(policy)
 
@@ -27,8 +28,8 @@ def test_a_policy_that_is_there(policy):
     ("policy", "message"),
     [
         ("nowhere", "unknown policy 'nowhere'; known are"),
-        ("look_ahead:folow_ee", "unknown policy 'folow_ee' (did you mean 'follow_ee'?)"),
-        ("look_ahead:", "the name of the policy is empty"),
+        ("rollout_planner:folow_ee", "unknown policy 'folow_ee' (did you mean 'follow_ee'?)"),
+        ("rollout_planner:", "the name of the policy is empty"),
     ],
 )
 def test_a_policy_that_is_not_there(policy, message):
@@ -56,7 +57,7 @@ finally:
 def test_a_run_and_its_file_name_their_robot(tmp_path, extra):
     write_run(registry.load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best", extra=extra)
     assert robot_of(str(tmp_path / "run")) == "hsr"
-    assert robot_of(f"look_ahead:{tmp_path / 'run'}") == "hsr"
+    assert robot_of(f"rollout_planner:{tmp_path / 'run'}") == "hsr"
 
 
 def test_a_file_names_the_robot_of_its_training(tmp_path):

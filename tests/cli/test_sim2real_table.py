@@ -10,7 +10,7 @@ SHORT = ("--policy", "follow_ee", "--episodes", "2", "--set", "world.max_seconds
 def test_the_table_says_what_each_adapter_costs(kinfeas, tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("adapters: [{name: base_noise}, {name: head_start, parameters: {seconds: 1}}]")
-    outcome = kinfeas("evaluate", *SHORT, "--sim2real", str(path), "--json", "out.json")
+    outcome = kinfeas("evaluate", *SHORT, "--adapters", str(path), "--json", "out.json")
     assert outcome.code == 0, outcome.err
     for name in ("none", "base_noise", "head_start", "all", "ceiling"):
         assert name in outcome.out
@@ -26,7 +26,7 @@ def test_the_table_says_what_each_adapter_costs(kinfeas, tmp_path):
 
 
 def test_the_picture_is_drawn_and_its_figures_are_held(kinfeas, tmp_path):
-    pictured = ("--sim2real", "ideal", "--picture", "out.png", "--json", "out.json")
+    pictured = ("--adapters", "ideal", "--picture", "out.png", "--json", "out.json")
     outcome = kinfeas("evaluate", *SHORT, *pictured)
     assert outcome.code == 0, outcome.err
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
@@ -40,7 +40,7 @@ def test_the_picture_is_drawn_and_its_figures_are_held(kinfeas, tmp_path):
 def test_settings_of_the_world_keep_their_adapters(kinfeas, tmp_path):
     own = ("--set", "world.adapters=[{name: base_noise, parameters: {linear: 3.0}}]")
     for name, more in (("plain", ()), ("noisy", own)):
-        kinfeas("evaluate", *SHORT, *more, "--sim2real", "ideal", "--json", f"{name}.json")
+        kinfeas("evaluate", *SHORT, *more, "--adapters", "ideal", "--json", f"{name}.json")
     plain, noisy = (
         json.loads((tmp_path / f"{name}.json").read_text()) for name in ("plain", "noisy")
     )
@@ -50,8 +50,8 @@ def test_settings_of_the_world_keep_their_adapters(kinfeas, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--sim2real", "hars"), "did you mean 'harsh'"),
-        (("--sim2real", "paper", "--picture", "none/out.png"), "cannot be written"),
+        (("--adapters", "hars"), "did you mean 'harsh'"),
+        (("--adapters", "paper", "--picture", "none/out.png"), "cannot be written"),
     ],
 )
 def test_bad_input_is_one_line(kinfeas, arguments, words):
@@ -64,6 +64,6 @@ def test_a_broken_list_is_one_line(kinfeas, tmp_path):
     (tmp_path / "mine.yaml").write_text(
         "adapters: [{name: base_noise, parameters: {linear: [2, 1]}}]"
     )
-    outcome = kinfeas("evaluate", *SHORT, "--sim2real", "mine.yaml")
+    outcome = kinfeas("evaluate", *SHORT, "--adapters", "mine.yaml")
     assert is_one_line(outcome), outcome.err
     assert "a range must ascend" in outcome.err

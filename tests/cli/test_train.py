@@ -135,7 +135,7 @@ def test_interruption_before_the_run_begins_promises_nothing(kinfeas, monkeypatc
 
 
 def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
-    outcome = kinfeas("train", "--steps", "64", "--out", "run", "--sim2real", "harsh", *TINY)
+    outcome = kinfeas("train", "--steps", "64", "--out", "run", "--adapters", "harsh", *TINY)
     assert outcome.code == 0, outcome.err
     settings = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())
     named = [adapter["name"] for adapter in settings["world"]["adapters"]]
@@ -149,7 +149,7 @@ def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
         (("--robot", "none/robot.yaml"), "none/robot.yaml"),
         (("--task", "fly"), "unknown task 'fly'"),
         (("--config", "train/none"), "train/default"),
-        (("--sim2real", "hars"), "did you mean 'harsh'"),
+        (("--adapters", "hars"), "did you mean 'harsh'"),
         (("--config", "../pyproject"), "../pyproject: there is no such file; known by name are"),
         (("--set", "learner.lerning_rate=1"), "did you mean 'learning_rate'"),
         (("--set", "learner.batch_size=0"), ">= 1"),
@@ -166,9 +166,9 @@ def test_adapters_of_a_list_take_the_place_of_the_recipes(kinfeas, tmp_path):
         (("--steps", "0"), "error: --steps: must be a whole number >= 1"),
         (("--seed", "-1"), "error: --seed: must be a whole number >= 0"),
         (("--algorithm", "ppo"), "error: --algorithm: must be one of 'sac', 'td3', not 'ppo'"),
-        (("--set", "environments=99999999999"), "'environments' must be a whole number in [1, 65"),
-        (("--set", "learner.hidden=[1000000,1000000]"), "whole number in [1, 2048]"),
-        (("--set", "learner.hidden=[8,8,8,8,8,8,8,8,8]"), "must have at most 8 entries, not 9"),
+        (("--set", "num_envs=99999999999"), "'num_envs' must be a whole number in [1, 65"),
+        (("--set", "learner.net_arch=[1000000,1000000]"), "whole number in [1, 2048]"),
+        (("--set", "learner.net_arch=[8,8,8,8,8,8,8,8,8]"), "must have at most 8 entries, not 9"),
         (("--set", "learner.learning_rate=1.5"), "must be a number in (0, 1], not 1.5"),
         (("--world", "pybullet", "--processes", "257"), "less than or equal to 256"),
         (("--processes", "2"), "needs --world pybullet"),
@@ -230,7 +230,7 @@ def test_a_run_goes_on_from_a_policy_with_its_robot(tmp_path):
     write_run(registry.load_robot("hsr"), tmp_path, extra={"config": {"robot": "hsr"}})
     settings = read_settings(Wishes(init=str(tmp_path)), None, [])
     recipe = read_settings(Wishes("hsr"), None, [])
-    learner = replace(recipe.learner, hidden=(8, 8))
+    learner = replace(recipe.learner, net_arch=(8, 8))
     assert settings == replace(recipe, init=str(tmp_path), learner=learner)
     for wishes, recipe in ((Wishes(), "train/pr2"), (Wishes("pr2"), None)):
         with pytest.raises(KinfeasError, match=r"for robot 'hsr' .* but robot 'pr2' has"):

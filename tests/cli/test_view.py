@@ -57,7 +57,7 @@ def test_a_missing_urdf_is_one_line(kinfeas, tmp_path):
 def record(kinfeas, tmp_path):
     """The record of a short run."""
     kinfeas("deploy", "pretrained", "--backend", "analytic", "--goal", "1", "0", "0.8",
-            "--as-fast-as-possible", "--seconds", "0.2", "--record", "run.csv")  # fmt: skip
+            "--no-real-time", "--seconds", "0.2", "--record", "run.csv")  # fmt: skip
     return tmp_path / "run.csv"
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.adapters import AdapterSpec, wrap
-from kinfeas.backend import Gripping, Live, Resumable, RobotState, Seeing, Stochastic
+from kinfeas.backend import (
+    RealTimeBackend,
+    Resumable,
+    RobotState,
+    Stochastic,
+    SupportsGripper,
+    SupportsObstacleDistances,
+)
 from kinfeas.conformance.adapter import CheckedAdapter, unchecked
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
@@ -99,9 +106,12 @@ BAD = {
     "objects": (changed(base_pose=BASE.astype(object)), "from {}, not an array of object"),
     "nan": (changed(base_pose=BASE * np.nan), "returns a base_pose from {} with numbers that are"),
     "a flat EE": (changed(ee_in_base=BASE[:, :2]), r"an ee_in_base of shape \(2, 7\) from {}"),
-    "no truth": (changed(truth=BASE), "must return a RobotState as truth from {}, not ndarray"),
+    "no truth": (
+        changed(true_state=BASE),
+        "must return a RobotState as truth from {}, not ndarray",
+    ),
     "truth of nan": (
-        changed(truth=RobotState(BASE, JOINTS * np.nan)),
+        changed(true_state=RobotState(BASE, JOINTS * np.nan)),
         "joint_positions as truth f",
     ),
 }
@@ -151,7 +161,9 @@ def test_what_is_nobodys_mistake_stays_what_it_is(error):
     assert caught.value is error
 
 
-@pytest.mark.parametrize("protocol", [Stochastic, Gripping, Seeing, Live, Resumable])
+@pytest.mark.parametrize(
+    "protocol", [Stochastic, SupportsGripper, SupportsObstacleDistances, RealTimeBackend, Resumable]
+)
 def test_it_can_what_the_adapter_can(protocol):
     assert isinstance(checked(Able), protocol)
     assert not isinstance(checked(), protocol)

@@ -41,7 +41,7 @@ BAD = {
     "a flat twist": ({"base_twist": np.zeros(6)}, r"a base_twist of shape \(1, 6\) from step, not"),
     "no speeds": ({"joint_velocities": np.zeros((1, 0))}, r"joint_velocities of shape \(1, 7\)"),
     "no EE": ({"ee_in_base": np.zeros(3)}, r"an ee_in_base of shape \(1, 7\) from step, not"),
-    "a lie": ({"truth": "yes"}, "a RobotState as truth from step, not str"),
+    "a lie": ({"true_state": "yes"}, "a RobotState as truth from step, not str"),
 }
 
 
@@ -59,7 +59,7 @@ def test_malformed_answers_are_refused(answers, name):
         SOUND,
         RobotState(SOUND.base_pose, SOUND.joint_positions),
         RobotState(SOUND.base_pose.astype(np.float32), SOUND.joint_positions.astype(int)),
-        replace(SOUND, truth=SOUND),
+        replace(SOUND, true_state=SOUND),
         # Whether they can be believed is for the guards to say.
         replace(SOUND, base_pose=np.full((1, 7), np.nan), age=np.array([np.inf])),
     ],

@@ -32,7 +32,7 @@ def test_a_draft_is_a_robot(dolly, tmp_path, few):
     robot = read_robot(written(draft, tmp_path))
     assert (robot.name, robot.ee_frame, robot.base.drive) == ("my dolly", "palm", "omnidirectional")
     assert [joint.name for joint in robot.arm] == ["pan", "lift", "elbow"]
-    assert robot.leeway is not None
+    assert robot.pose_tolerance is not None
     assert robot.gripper.fingers == ("l", "r")
     assert robot.fixed_joints["l"] == 0.02
     np.testing.assert_array_equal(robot.home["home"], draft.spec.home["home"])

@@ -66,8 +66,8 @@ def test_what_is_round_becomes_round(kind):
 
 
 def test_an_angle_bracket_is_cut_in_two():
-    legs = [CUBE * [1.0, 0.1, 0.1] + [0.45, 0, 0], CUBE * [0.1, 0.1, 1.0] + [0, 0, 0.45]]
-    shapes = fit_primitives(np.concatenate([triangles(leg) for leg in legs]))
+    subgoals = [CUBE * [1.0, 0.1, 0.1] + [0.45, 0, 0], CUBE * [0.1, 0.1, 1.0] + [0, 0, 0.45]]
+    shapes = fit_primitives(np.concatenate([triangles(subgoal) for subgoal in subgoals]))
     assert len(shapes) > 1
     assert sum(map(volume, shapes)) < 0.05  # one box around both takes 0.1
 

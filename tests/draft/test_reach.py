@@ -22,7 +22,7 @@ from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.robots.reading import read_robot
-from kinfeas.robots.spec import Leeway
+from kinfeas.robots.spec import PoseTolerance
 from kinfeas.robots.urdf import parse_urdf
 
 HEIGHTS = np.arange(6.0)
@@ -102,7 +102,7 @@ def test_leeway_makes_no_height_useful(monkeypatch):
     monkeypatch.setattr("kinfeas.draft.reach._GOALS", 8)
     monkeypatch.setattr("kinfeas.draft.reach._STAGES", (4,))
     robot = registry.load_robot("hsr")
-    wide = replace(robot, leeway=Leeway(position=1.0, rotation=3.0))
+    wide = replace(robot, pose_tolerance=PoseTolerance(position=1.0, rotation=3.0))
     shares = [useful_heights(one).share for one in (robot, wide)]
     np.testing.assert_array_equal(*shares)
     assert shares[0].max() > 0.5

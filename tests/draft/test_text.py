@@ -4,7 +4,7 @@ import pytest
 
 from kinfeas import config, registry
 from kinfeas.draft.text import Guesses, robot_yaml
-from kinfeas.robots.spec import Leeway, RobotSpec
+from kinfeas.robots.spec import PoseTolerance, RobotSpec
 from kinfeas.storage import strict_yaml
 
 GRIPPER = ("left_finger_joint", "right_finger_joint")
@@ -13,12 +13,18 @@ SLIDES = frozenset({"torso_lift_joint", *GRIPPER})
 
 @pytest.fixture
 def spec():
-    """A robot with a lift, a gripper that slides and a leeway."""
+    """A robot with a lift, a gripper that slides and a pose_tolerance."""
     path = registry.load("kinfeas.robots", "tiago")()
     known = config.load(RobotSpec, path)
     gripper = replace(known.gripper, fingers=GRIPPER)
-    fixed, leeway = dict.fromkeys(GRIPPER, 0.02), Leeway(0.1, 0.2)
-    return replace(known, gripper=gripper, fixed_joints=fixed, leeway=leeway, ignored_collisions=())
+    fixed, pose_tolerance = dict.fromkeys(GRIPPER, 0.02), PoseTolerance(0.1, 0.2)
+    return replace(
+        known,
+        gripper=gripper,
+        fixed_joints=fixed,
+        pose_tolerance=pose_tolerance,
+        ignored_collisions=(),
+    )
 
 
 def comments(text):

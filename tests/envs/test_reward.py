@@ -7,7 +7,7 @@ from kinfeas import config
 from kinfeas.envs.reward import RewardConfig, limit_distance, reward
 from kinfeas.errors import KinfeasError
 from kinfeas.loop import Step
-from kinfeas.robots.robot import Leeway
+from kinfeas.robots.robot import PoseTolerance
 
 PAPER = RewardConfig(failure="indicator", action_penalty=0.01, limit_penalty=0.0)
 
@@ -16,13 +16,13 @@ def step(feasible, metres=0.0, radians=0.0):
     feasible = np.atleast_1d(feasible)
     n = len(feasible)
     zero, no = np.zeros(n), np.zeros(n, dtype=bool)
-    leg = np.zeros(n, dtype=np.intp)
-    return Step(feasible, zero + metres, zero + radians, zero, leg, zero, zero, no, no)
+    subgoal = np.zeros(n, dtype=np.intp)
+    return Step(feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no)
 
 
 @pytest.fixture(scope="session")
 def exact_robot(robot):
-    return replace(robot, leeway=None)
+    return replace(robot, pose_tolerance=None)
 
 
 def middle(robot, n=1):
@@ -60,7 +60,7 @@ def test_graded_failure_grows_with_what_is_missing(exact_robot):
 
 
 def test_leeway_costs_on_feasible_steps_alone(exact_robot):
-    lenient = replace(exact_robot, leeway=Leeway(0.1, 0.2094))
+    lenient = replace(exact_robot, pose_tolerance=PoseTolerance(0.1, 0.2094))
     seen = step([True, True, True, False], [0.1, 0.0, 0.05, 0.3], [0.0, 0.2094, 0.1047, 0.3])
     earned = reward(PAPER, lenient, seen, np.zeros((4, 3)), middle(lenient, 4))
     np.testing.assert_allclose(earned, [-0.5, -0.5, -0.25, -1.0])

@@ -24,8 +24,8 @@ CHAIN = config.from_mapping(
         "name": "chain",
         "start": {"square": 0.5},
         "places": {"near": {"position": [[0.4, 0.6], 0.0, 0.8], "rpy": [0, [-0.5, 0.5], 0]}},
-        "legs": [
-            {"place": "near", "frame": "tip", "wait": 0.5, "motion": {"parameters": FAST}},
+        "subgoals": [
+            {"place": "near", "frame": "tip", "dwell": 0.5, "motion": {"parameters": FAST}},
             {"place": "near", "offset": [0.0, 0.1, 0.0], "motion": {"parameters": FAST}},
             {"place": "near"},
         ],
@@ -52,7 +52,7 @@ def trace(world, episodes, steps=40, policy=None):
     policy, found = policy or network(world), []
     world.start(episodes)
     for _ in range(steps):
-        transition = world.step(policy.act(world.loop.situation))
+        transition = world.step(policy.act(world.loop.policy_input))
         found.append(np.column_stack([transition.observation, transition.reward]))
     return np.stack(found, axis=1)
 
@@ -118,10 +118,10 @@ def test_an_episode_is_the_same_wherever_and_whenever_it_starts(robot):
     policy = network(world)
     world.start(range(100, 105))
     for _ in range(13):
-        world.step(policy.act(world.loop.situation))
+        world.step(policy.act(world.loop.policy_input))
     world.start([7, 2], np.array([4, 0]))
     for i in range(40):
-        transition = world.step(policy.act(world.loop.situation))
+        transition = world.step(policy.act(world.loop.policy_input))
         seen = np.column_stack([transition.observation, transition.reward])
         np.testing.assert_array_equal(seen[[4, 0]], expected[[7, 2], i])
 
@@ -136,7 +136,7 @@ def test_another_process_sees_the_same():
 def test_episodes_of_a_chain_are_the_same_to_the_bit_in_any_batch(robot):
     world, policy = World(robot, CHAIN, NOISY, seed=3), FollowEe(robot.base, feedback=True)
     together = trace(world, range(24), 120, policy)
-    assert set(world.loop.course.leg.tolist()) == {0, 1, 2}
+    assert set(world.loop.sequence.subgoal.tolist()) == {0, 1, 2}
     for episodes in ([4], [1, 2, 3], range(20, 24)):
         alone = trace(World(robot, CHAIN, NOISY, seed=3), episodes, 120, policy)
         np.testing.assert_array_equal(alone, together[list(episodes)])
@@ -148,7 +148,7 @@ def test_goes_on_within_a_chain_to_the_bit(robot):
     trace(world, range(8), 60, policy)
     other.restore(world.snapshot())
     for _ in range(60):
-        action = policy.act(world.loop.situation)
+        action = policy.act(world.loop.policy_input)
         one, two = world.step(action), other.step(action)
         np.testing.assert_array_equal(one.observation, two.observation)
         np.testing.assert_array_equal(one.done, two.done)
@@ -157,15 +157,15 @@ def test_goes_on_within_a_chain_to_the_bit(robot):
 def test_the_time_limit_is_that_of_a_leg(robot):
     world = World(robot, CHAIN, WorldConfig(max_seconds=4.0, max_failures=999), seed=0)
     world.start([0, 1])
-    real = world.loop.course.advance
-    # The first row ends each leg, wait and all, on the last step allowed, the second one none.
+    real = world.loop.sequence.advance
+    # The first row ends each sub-goal, wait and all, on the last step allowed, the second one none.
     for i in range(80):
         ends = np.array([i in (34, 79), False])
-        world.loop.course.advance = lambda *_, ends=ends: real(ends)
+        world.loop.sequence.advance = lambda *_, ends=ends: real(ends)
         transition = world.step(idle(world, 2))
         assert not transition.truncated[0]
         assert transition.truncated[1] == (i >= 39)
-    assert world.loop.course.leg.tolist() == [2, 0]
+    assert world.loop.sequence.subgoal.tolist() == [2, 0]
     assert world.steps.tolist() == [0, 80]
 
 
@@ -268,7 +268,7 @@ def test_reward_is_that_of_the_step(robot, failure):
     cost = 1.0 if failure == "indicator" else 0.6
     np.testing.assert_allclose(world.step(action).reward, [-cost - 0.01])
     pretend(world, feasible=True, position_error=0.05, rotation_error=0.0)
-    cost = 0.0 if robot.leeway is None else 0.125
+    cost = 0.0 if robot.pose_tolerance is None else 0.125
     np.testing.assert_allclose(world.step(action).reward, [-cost - 0.01])
 
 
@@ -280,13 +280,13 @@ def test_a_goal_at_hand_is_reached(robot):
     world.start(range(n))
     reached, done = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     for _ in range(900):
-        transition = world.step(policy.act(world.loop.situation))
+        transition = world.step(policy.act(world.loop.policy_input))
         reached |= transition.reached & ~done
         done |= transition.done
         if done.all():
             break
-    # With leeway, an arm may stay feasible and yet never come as near as success asks for.
-    assert done.mean() >= (1.0 if robot.leeway is None else 0.9)
+    # With pose tolerance, an arm may stay feasible and yet never come as near as success asks for.
+    assert done.mean() >= (1.0 if robot.pose_tolerance is None else 0.9)
     assert reached.mean() > 0.2
     assert np.all(transition.reward <= 0.0)
 
@@ -296,14 +296,14 @@ def test_goes_on_from_a_snapshot_to_the_bit(robot):
     policy = network(world)
     world.start(range(6))
     for _ in range(10):
-        world.step(policy.act(world.loop.situation))
+        world.step(policy.act(world.loop.policy_input))
     saved = world.snapshot()
-    expected = [world.step(policy.act(world.loop.situation)) for _ in range(10)]
+    expected = [world.step(policy.act(world.loop.policy_input)) for _ in range(10)]
     counts = world.steps.copy(), world.failures.copy()
     other = World(robot, ggr(), NOISY, seed=3)
     other.restore(saved)
     for transition in expected:
-        found = other.step(policy.act(other.loop.situation))
+        found = other.step(policy.act(other.loop.policy_input))
         np.testing.assert_array_equal(found.observation, transition.observation)
         np.testing.assert_array_equal(found.reward, transition.reward)
         np.testing.assert_array_equal(found.done, transition.done)
@@ -328,7 +328,7 @@ class Foreign:
     """A task of somebody else, one array of whose episodes is not as it must be."""
 
     name = "foreign"
-    legs = ggr().legs
+    subgoals = ggr().subgoals
 
     def __init__(self, name, value):
         self.changes = {name: value}

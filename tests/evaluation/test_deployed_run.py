@@ -18,12 +18,12 @@ def record(t=40, event=REACHED):
     pose = np.zeros((t, 7))
     pose[:, 0], pose[:, 6] = np.linspace(0.0, 1.0, t), 1.0
     home = np.tile(PR2.home["home"], (t, 1))
-    leg = (np.arange(t) * 2) // t
-    goal = pose[-1] + leg[:, np.newaxis] * [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    subgoal = (np.arange(t) * 2) // t
+    goal = pose[-1] + subgoal[:, np.newaxis] * [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     return Record(
         About("pr2", "two", "pretrained", "analytic", 0.02, joints, "now"),
         0.02 * np.arange(t), np.full(t, np.nan), pose, home, pose + 0.0, goal,
-        np.zeros((t, 6)), home, np.arange(t) % 7 > 0, leg, ("start", *[""] * (t - 2), event)[-t:],
+        np.zeros((t, 6)), home, np.arange(t) % 7 > 0, subgoal, ("start", *[""] * (t - 2), event)[-t:],
     )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ def test_seeds_are_free_of_self_collision(solver, cold, warm):
 
 def test_warm_targets_are_one_step_away(solver, warm):
     metres, radians = spatial.distance(forward(solver.chain, warm.seed), warm.pose)
-    if solver.robot.leeway is None:
+    if solver.robot.pose_tolerance is None:
         assert metres.max() <= 0.03 + 1e-4
         assert np.abs(radians - 0.01).max() <= 1e-3
     else:

@@ -61,7 +61,7 @@ def test_training_is_timed_by_the_robot_s_own_recipe(monkeypatch):
     (figure,) = measure_training("tiago", SMALL)
     assert figure.value == 300.0
     (config,) = configs
-    assert (config.environments, config.hold, config.learner.discount) == (64, 4, 0.995)
+    assert (config.num_envs, config.action_repeat, config.learner.gamma) == (64, 4, 0.995)
     assert (config.schedule.minutes, config.schedule.evaluations) == (SMALL.train_minutes, 1)
 
 

@@ -3,8 +3,8 @@ import pytest
 
 from kinfeas import spatial
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.waypoints import A_LEG, draw_goals, draw_waypoints
-from kinfeas.legs import tool_pose
+from kinfeas.evaluation.waypoints import A_SUBGOAL, draw_goals, draw_waypoints
+from kinfeas.subgoals import tool_pose
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 
@@ -14,7 +14,7 @@ def test_goals_are_those_of_the_world(robot, solver, task):
     world = World(robot, task, WorldConfig(), seed=5)
     world.start(range(6))
     goals = draw_goals(solver, task, 6, 5)
-    assert goals.shape == (6, len(task.legs), 7)
+    assert goals.shape == (6, len(task.subgoals), 7)
     np.testing.assert_array_equal(goals[:, 0], world.loop.goal)
 
 
@@ -29,10 +29,10 @@ def test_tips_come_to_the_targets(robot, solver):
 
 @pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
 def test_waypoints_are_on_the_way_of_the_world(robot, solver, task):
-    """Desired poses do not depend on the base, but a leg ends where the achieved EE arrives."""
+    """Desired poses do not depend on the base, but a sub-goal ends where the achieved EE arrives."""
     world = World(robot, task, WorldConfig(max_failures=10**6), seed=5)
     world.start([0, 1])
-    found = draw_waypoints(solver, task, 2, 5)[:, :A_LEG]
+    found = draw_waypoints(solver, task, 2, 5)[:, :A_SUBGOAL]
     seen = []
     for _ in range(1500):
         world.step(np.zeros((2, world.action_size)))
@@ -45,7 +45,7 @@ def test_waypoints_are_on_the_way_of_the_world(robot, solver, task):
 def test_waypoints_end_at_the_legs_ends(solver):
     task = pick_place()
     goals = draw_goals(solver, task, 5, 0)
-    found = draw_waypoints(solver, task, 5, 0).reshape(5, 4, A_LEG, 7)
+    found = draw_waypoints(solver, task, 5, 0).reshape(5, 4, A_SUBGOAL, 7)
     metres, radians = spatial.distance(found[:, :, -1], goals)
     assert np.all((metres <= 0.025) & (radians <= np.deg2rad(12.0)))
     assert np.all(spatial.distance(found[:, :, -2], goals)[0] > metres)

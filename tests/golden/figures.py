@@ -13,8 +13,7 @@ import numpy as np
 import onnxruntime
 
 from kinfeas import config, pretrained, registry
-from kinfeas.backend import Nearby
-from kinfeas.clearance import Clearance
+from kinfeas.backend import ObstacleDistances
 from kinfeas.drive import action_size
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, run_trial
@@ -23,6 +22,7 @@ from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
 from kinfeas.evaluation.policies import load_driver
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.min_obstacle_distance import ObstacleFilter
 from kinfeas.policy import read_network
 from kinfeas.sim2real.export import export
 from kinfeas.storage.recipes import default_recipe
@@ -32,8 +32,8 @@ from kinfeas.training.train import train
 
 ROBOTS = ("pr2", "tiago", "hsr")
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
-FEASIBILITY_FILTER = "world.yields=true"
-ROLLOUT_PLANNER = "look_ahead:"
+FEASIBILITY_FILTER = "world.feasibility_filter=true"
+ROLLOUT_PLANNER = "rollout_planner:"
 SEED = 1
 
 
@@ -41,7 +41,7 @@ def episodes(robot, task, count, *settings, planner=""):
     """Return the records of episodes of the pretrained policy in the analytic world."""
     known = registry.load_robot(robot)
     chosen = config.from_mapping(EvaluationConfig, {}, "settings", settings)
-    policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.look_ahead)
+    policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.rollout_planner)
     trial = Trial(known, load_task(task, {}), count, SEED, chosen.world)
     return _records(run_trial(trial, policy))
 
@@ -50,7 +50,7 @@ def physics(robot, task, count, *settings):
     """Return the records of episodes of the pretrained policy in PyBullet."""
     known = registry.load_robot(robot)
     chosen = physics_config(known, settings)
-    policy = load_driver(pretrained.NAME, known, chosen.look_ahead)
+    policy = load_driver(pretrained.NAME, known, chosen.rollout_planner)
     trial = PhysicsTrial(known, load_task(task, {}), count, SEED, chosen.world)
     records = run_physics(trial, policy)
     return {
@@ -72,10 +72,10 @@ def obstacle_filter(robot, count=300, obstacles=3):
     class Around:
         def near(self, within):
             found = np.where(distances < within, distances, np.inf)
-            return Nearby(0.3 * directions, directions, found)
+            return ObstacleDistances(0.3 * directions, directions, found)
 
-    limits = Clearance(base, Around(), 0.03, 0.1).limits(count)
-    return {"commands": commands, "filtered": limits.hold(commands)}
+    limits = ObstacleFilter(base, Around(), 0.03, 0.1).limits(count)
+    return {"commands": commands, "filtered": limits.action_repeat(commands)}
 
 
 def ik(robot, count=1000):
@@ -115,7 +115,7 @@ def policy(robot, count=8, steps=5):
         world = World(known, load_task(task, {}), EvaluationConfig().world, SEED)
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):
-            world.step(network.act(world.loop.situation))
+            world.step(network.act(world.loop.policy_input))
         observations.append(world.loop.observation.copy())
     seen = np.concatenate(observations)
     with TemporaryDirectory() as temporary:
@@ -159,7 +159,7 @@ def _records(records):
         "max_deviation": records.max_deviation,
         "mean_deviation": records.mean_deviation,
         "final_distance": records.final_distance,
-        "jumps": records.jumps,
+        "joint_jumps": records.joint_jumps,
         "steps": records.steps,
     }
 

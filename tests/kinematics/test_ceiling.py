@@ -42,7 +42,7 @@ def by_chance(solver, goals, tries):
 
 def test_what_the_arm_can_do_is_reachable(robot):
     # Few joints reach a pose exactly from hardly any base pose, so that nearly has to do.
-    nearly = IkOptions(leeway=False, position_tolerance=0.025, rotation_tolerance=0.2)
+    nearly = IkOptions(pose_tolerance=False, position_tolerance=0.025, rotation_tolerance=0.2)
     solver = IkSolver(robot, nearly)
     found = reachable(solver, made_by_the_arm(solver, 40))
     assert found.reached.all()
@@ -51,13 +51,13 @@ def test_what_the_arm_can_do_is_reachable(robot):
 
 
 def test_leeway_is_for_the_way_and_not_for_goals(robot):
-    asked, exact = IkOptions(restarts=6), IkOptions(leeway=False)
+    asked, exact = IkOptions(restarts=6), IkOptions(pose_tolerance=False)
     found = at_goals(robot, asked)
     assert at_goals(robot, exact) is exact
-    if robot.leeway is None:
+    if robot.pose_tolerance is None:
         assert found is asked
     else:
-        assert (found.leeway, found.position_tolerance, found.restarts) == (False, 0.025, 6)
+        assert (found.pose_tolerance, found.position_tolerance, found.restarts) == (False, 0.025, 6)
 
 
 def test_what_is_out_of_reach_is_not(solver):

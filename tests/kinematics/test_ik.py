@@ -30,7 +30,7 @@ def shuffled(joints, seed=0):
     return np.random.default_rng(seed).permutation(joints)
 
 
-def moves(robot, start, end):
+def max_joint_step(robot, start, end):
     """Return how far joints move, the short way about, shape (n, v)."""
     return np.abs(np.where(robot.continuous, wrap(end - start), end - start))
 
@@ -113,13 +113,13 @@ def test_a_solution_from_the_seed_comes_first(robot, exact_solver, draw):
     moved = np.clip(joints + rng.normal(scale=0.01, size=joints.shape), lower, upper)
     free = ~self_collides(exact_solver.collision, moved)
     joints, targets = joints[free], forward(exact_solver.chain, moved[free])
-    warm = IkSolver(robot, IkOptions(leeway=False, restarts=0)).solve(targets, joints)
+    warm = IkSolver(robot, IkOptions(pose_tolerance=False, restarts=0)).solve(targets, joints)
     found = exact_solver.solve(targets, joints)
     assert found.feasible.mean() >= 0.999
     assert warm.feasible.mean() >= 0.98
     solved = warm.feasible
     np.testing.assert_array_equal(found.joint_positions[solved], warm.joint_positions[solved])
-    travelled = moves(robot, joints, found.joint_positions).max(axis=1)
+    travelled = max_joint_step(robot, joints, found.joint_positions).max(axis=1)
     assert np.median(travelled) < 0.03
     assert np.quantile(travelled, 0.95) < 0.2
 
@@ -139,7 +139,9 @@ def test_a_solution_in_time_comes_before_any_other(robot, exact_solver, draw):
     check_solutions(exact_solver, hasty.joint_positions[hasty.feasible])
 
     def late(solution):
-        return np.any(moves(robot, joints, solution.joint_positions) > reach * 1.001, axis=1)
+        return np.any(
+            max_joint_step(robot, joints, solution.joint_positions) > reach * 1.001, axis=1
+        )
 
     assert late(hasty).mean() <= 0.02
     assert late(hasty).mean() <= late(patient).mean()
@@ -152,17 +154,19 @@ def test_without_swings_all_solutions_are_in_time(robot, exact_solver, draw):
     far = rng.uniform(0.0, 3.0, (len(joints), 1)) * rng.uniform(-1.0, 1.0, joints.shape)
     targets = forward(exact_solver.chain, np.clip(joints + far * reach, *robot.joint_limits))
     patient = exact_solver.solve(targets, joints, reach)
-    hasty = exact_solver.solve(targets, joints, reach, swings=False)
+    hasty = exact_solver.solve(targets, joints, reach, allow_reconfiguration=False)
     assert 0.1 < hasty.feasible.mean() < patient.feasible.mean()
     # They are the ones that come before any other.
     found, same = hasty.joint_positions[hasty.feasible], patient.joint_positions[hasty.feasible]
-    assert np.all(moves(robot, joints[hasty.feasible], found) <= reach * (1.0 + 1e-9))
+    assert np.all(max_joint_step(robot, joints[hasty.feasible], found) <= reach * (1.0 + 1e-9))
     np.testing.assert_array_equal(found, same)
 
 
 def test_without_swings_the_moves_must_be_known(solver):
     with pytest.raises(KinfeasError, match="without swings, moves must be given"):
-        solver.solve(np.ones((1, 7)), np.zeros((1, len(solver.robot.arm))), swings=False)
+        solver.solve(
+            np.ones((1, 7)), np.zeros((1, len(solver.robot.arm))), allow_reconfiguration=False
+        )
 
 
 def tremble(solver, joints, steps):
@@ -215,7 +219,8 @@ def test_drawing_misses_no_solution_in_time(robot, draw):
     targets[:, :3] += np.random.default_rng(4).normal(scale=0.01, size=(2000, 3))
     found, others = (solver.solve(targets, joints, reach) for solver in (drawn, free))
     in_time = [
-        one.feasible & np.all(moves(robot, joints, one.joint_positions) <= reach * 1.001, axis=1)
+        one.feasible
+        & np.all(max_joint_step(robot, joints, one.joint_positions) <= reach * 1.001, axis=1)
         for one in (found, others)
     ]
     assert in_time[1].mean() > 0.3
@@ -234,7 +239,9 @@ def test_the_seed_itself_is_an_answer(robot, exact_solver, draw):
     joints = draw_free(exact_solver, draw, 500)
     solution = exact_solver.solve(forward(exact_solver.chain, joints), joints)
     assert solution.feasible.all()
-    np.testing.assert_allclose(moves(robot, joints, solution.joint_positions), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        max_joint_step(robot, joints, solution.joint_positions), 0.0, atol=1e-12
+    )
 
 
 def test_of_several_solutions_a_near_one_is_taken(robot, exact_solver, draw):
@@ -243,9 +250,9 @@ def test_of_several_solutions_a_near_one_is_taken(robot, exact_solver, draw):
     targets, seeds = forward(exact_solver.chain, joints), shuffled(joints)
     seconds = []
     for candidates in (1, 3):
-        solver = IkSolver(robot, IkOptions(leeway=False, candidates=candidates))
+        solver = IkSolver(robot, IkOptions(pose_tolerance=False, candidates=candidates))
         solution = solver.solve(targets, seeds)
-        travelled = moves(robot, seeds, solution.joint_positions)
+        travelled = max_joint_step(robot, seeds, solution.joint_positions)
         needed = (travelled / robot.max_joint_velocity).max(axis=1)
         seconds.append(needed[solution.feasible])
     assert len(seconds[0]) == len(seconds[1])
@@ -309,12 +316,16 @@ def test_none_to_solve(robot, solver):
         ((2, 7), (2, "v"), (0,), r"^moves must be of shape \(\d,\), not \(0,\)"),
     ],
 )
-def test_shapes_that_do_not_belong_together_are_refused(solver, targets, seeds, moves, message):
+def test_shapes_that_do_not_belong_together_are_refused(
+    solver, targets, seeds, max_joint_step, message
+):
     def ones(shape):
         return np.ones([len(solver.robot.arm) if size == "v" else size for size in shape])
 
     with pytest.raises(KinfeasError, match=message):
-        solver.solve(ones(targets), ones(seeds), None if moves is None else ones(moves))
+        solver.solve(
+            ones(targets), ones(seeds), None if max_joint_step is None else ones(max_joint_step)
+        )
 
 
 def test_seed_beyond_the_limits(robot, exact_solver, draw):
@@ -326,7 +337,7 @@ def test_seed_beyond_the_limits(robot, exact_solver, draw):
 
 
 def test_self_collision_matters_and_can_be_left_out(robot, draw):
-    options = IkOptions(leeway=False, self_collision=False)
+    options = IkOptions(pose_tolerance=False, self_collision=False)
     blind, seeing = IkSolver(robot, options), IkSolver(robot, replace(options, self_collision=True))
     joints = draw(robot, 500)
     touching = joints[self_collides(blind.collision, joints)]
@@ -338,9 +349,10 @@ def test_self_collision_matters_and_can_be_left_out(robot, draw):
 
 
 def test_leeway(robot, judge, draw):
-    """Feasible if and only if what is left is within the robot's leeway, and FK says the same."""
-    if robot.leeway is None:
-        pytest.skip("has no leeway")
+    """Feasible if and only if what is left is within the robot's pose tolerance, and FK says the
+    same."""
+    if robot.pose_tolerance is None:
+        pytest.skip("has no pose tolerance")
     solver = IkSolver(robot, IkOptions(self_collision=False))
     rng = np.random.default_rng(1)
     joints = draw(robot, 1000)
@@ -349,15 +361,15 @@ def test_leeway(robot, judge, draw):
     targets[:, 3:] += rng.normal(scale=0.08, size=(1000, 4))
     targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)
     solution = solver.solve(targets, joints)
-    within = solution.position_error <= robot.leeway.position
-    within &= solution.rotation_error <= robot.leeway.rotation
+    within = solution.position_error <= robot.pose_tolerance.position
+    within &= solution.rotation_error <= robot.pose_tolerance.rotation
     np.testing.assert_array_equal(solution.feasible, within)
     assert 100 < solution.feasible.sum() < 1000
     solved = solution.feasible
     missed = judge.miss(targets[solved], solution.joint_positions[solved])
     reported = np.stack([solution.position_error, solution.rotation_error], axis=1)[solved]
     np.testing.assert_allclose(reported, missed, rtol=0.0, atol=1e-9)
-    assert reported[:, 0].max() > 0.05  # the leeway is made use of
+    assert reported[:, 0].max() > 0.05  # the pose tolerance is made use of
     metres, radians = distance(
         forward(solver.chain, solution.joint_positions[solved]), targets[solved]
     )
@@ -366,8 +378,8 @@ def test_leeway(robot, judge, draw):
 
 
 def test_what_a_configuration_brings_within_the_leeway_is_not_out_of_reach(robot, draw):
-    if robot.leeway is None:
-        pytest.skip("has no leeway")
+    if robot.pose_tolerance is None:
+        pytest.skip("has no pose tolerance")
     solver = IkSolver(robot)
     joints = draw(robot, 2000)
     poses = forward(solver.chain, joints)
@@ -378,16 +390,16 @@ def test_what_a_configuration_brings_within_the_leeway_is_not_out_of_reach(robot
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     # Moved and turned as far as allowed, so that the last joint would have to lie farther out.
     axis = np.cross(out, lever)
-    axis *= 0.999 * robot.leeway.rotation / np.linalg.norm(axis, axis=1, keepdims=True)
+    axis *= 0.999 * robot.pose_tolerance.rotation / np.linalg.norm(axis, axis=1, keepdims=True)
     turned = Rotation.from_rotvec(axis).as_matrix() @ turns
-    moved = poses[:, :3] + 0.999 * robot.leeway.position * out
+    moved = poses[:, :3] + 0.999 * robot.pose_tolerance.position * out
     for turn, position in zip(turned, moved, strict=True):
         assert not _out_of_reach(solver._problem, (turn, position))
 
 
 def test_an_arm_that_may_stay_is_never_without_a_solution(robot, draw):
-    if robot.leeway is None:
-        pytest.skip("has no leeway")
+    if robot.pose_tolerance is None:
+        pytest.skip("has no pose tolerance")
     solver = IkSolver(robot, IkOptions(restarts=0))
     rng = np.random.default_rng(2)
     joints = draw(robot, 20_000)
@@ -397,10 +409,12 @@ def test_an_arm_that_may_stay_is_never_without_a_solution(robot, draw):
     targets[:, 3:] += rng.normal(scale=0.05, size=(len(joints), 4))
     targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)
     metres, radians = distance(forward(solver.chain, joints), targets)
-    may_stay = (metres <= robot.leeway.position) & (radians <= robot.leeway.rotation)
+    may_stay = (metres <= robot.pose_tolerance.position) & (
+        radians <= robot.pose_tolerance.rotation
+    )
     assert may_stay.sum() > 5000
-    for moves in (None, 0.1 * robot.max_joint_velocity):
-        assert solver.solve(targets[may_stay], joints[may_stay], moves).feasible.all()
+    for max_joint_step in (None, 0.1 * robot.max_joint_velocity):
+        assert solver.solve(targets[may_stay], joints[may_stay], max_joint_step).feasible.all()
 
 
 def test_spread_configurations_cover_the_limits(robot):

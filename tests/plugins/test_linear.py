@@ -188,8 +188,8 @@ def test_heads_straight_for_the_goal_when_displaced(seed):
     generator = Linear()
     twist, _ = generator.twist(generator.start(start, goal, []), displaced, DT)
     way = twist_between(displaced, goal, 1.0)
-    pace = np.linalg.norm(twist, axis=-1) / np.linalg.norm(way, axis=-1)
-    assert np.allclose(twist, way * pace[:, np.newaxis])
+    execution = np.linalg.norm(twist, axis=-1) / np.linalg.norm(way, axis=-1)
+    assert np.allclose(twist, way * execution[:, np.newaxis])
     linear, angular = speeds(twist)
     assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
 

@@ -59,7 +59,7 @@ SAME = {
     "acceleration": lambda r: replace(r, base=replace(r.base, max_acceleration=0.1)),
     "joint velocity": lambda r: with_arm(r, velocity=0.1),
     "tool tip": lambda r: replace(r, tool_tip=np.zeros(3)),
-    "leeway": lambda r: replace(r, leeway=None),
+    "pose_tolerance": lambda r: replace(r, pose_tolerance=None),
     "collisions": lambda r: replace(r, ignored_collisions=frozenset()),
     "home": lambda r: replace(r, home={}),
     "left arm": lambda r: moved(r, "l_elbow_flex_joint", 0.1),

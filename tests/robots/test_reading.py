@@ -81,7 +81,7 @@ def test_reads_a_robot(tmp_path):
     np.testing.assert_allclose(robot.gripper_rotation, [0, 0, 0.5**0.5, 0.5**0.5])
     np.testing.assert_array_equal(robot.tool_tip, [0.1, 0.0, 0.0])
     assert robot.goal_heights == {"ggr": (0.2, 1.2), "ggr_restricted": (0.4, 1.0)}
-    assert (robot.leeway, robot.ignored_collisions) == (None, frozenset())
+    assert (robot.pose_tolerance, robot.ignored_collisions) == (None, frozenset())
 
 
 def test_says_what_the_arm_can_in_arrays_that_nobody_can_change(tmp_path):
@@ -133,12 +133,12 @@ def test_a_joint_above_the_ee_may_follow_the_arm(tmp_path):
 
 def test_reads_leeway_and_ignored_collisions(tmp_path):
     spec = crane() | {
-        "leeway": {"position": 0.1, "rotation": 0.2},
+        "pose_tolerance": {"position": 0.1, "rotation": 0.2},
         "ignored_collisions": [["mast", "hook"], ["hook", "mast"]],
     }
     robot = read_robot(write(tmp_path, spec))
-    assert robot.leeway is not None
-    assert (robot.leeway.position, robot.leeway.rotation) == (0.1, 0.2)
+    assert robot.pose_tolerance is not None
+    assert (robot.pose_tolerance.position, robot.pose_tolerance.rotation) == (0.1, 0.2)
     assert robot.ignored_collisions == {frozenset(("mast", "hook"))}
 
 
@@ -151,7 +151,7 @@ def test_reads_leeway_and_ignored_collisions(tmp_path):
         ({"urdf": "none.urdf"}, "none.urdf: cannot be read"),
         ({"ee_frame": "hok"}, "'ee_frame': there is no link 'hok' .did you mean 'hook'"),
         ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation' must be a unit quaternion"),
-        ({"base": {"drive": "legs"}}, "'base.drive' must be one of 'omnidirectional', 'differ"),
+        ({"base": {"drive": "subgoals"}}, "'base.drive' must be one of 'omnidirectional', 'differ"),
         (
             {"base": crane()["base"] | {"max_velocity": 0}},
             r"'base.max_velocity' must be a number in \(0, 100\], not 0",
@@ -163,8 +163,14 @@ def test_reads_leeway_and_ignored_collisions(tmp_path):
         ({"name": ""}, "'name' must be printable, not empty and without '/', not ''"),
         ({"name": "a/b"}, "'name' must be printable, not empty and without '/', not 'a/b'"),
         ({"name": "a\nb"}, "'name' must be printable"),
-        ({"leeway": {"position": 1e9, "rotation": 0.2}}, "'leeway.position' .* not 1000000000.0"),
-        ({"leeway": {"position": 0.1, "rotation": 100}}, r"'leeway.rotation' .*\(0, 3.14159\]"),
+        (
+            {"pose_tolerance": {"position": 1e9, "rotation": 0.2}},
+            "'pose_tolerance.position' .* not 1000000000.0",
+        ),
+        (
+            {"pose_tolerance": {"position": 0.1, "rotation": 100}},
+            r"'pose_tolerance.rotation' .*\(0, 3.14159\]",
+        ),
         ({"arm": {}}, "'arm' must name at least one joint"),
         ({"arm": {"lfit": {}}}, "'arm.lfit': there is no such joint .did you mean 'lift'"),
         ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip': the joint does not move by its"),
@@ -202,8 +208,8 @@ def test_reads_leeway_and_ignored_collisions(tmp_path):
             "'goal_heights.ggr' must ascend, not go from 1.2 to 0.2",
         ),
         (
-            {"leeway": {"position": -0.1, "rotation": 0.2}},
-            r"'leeway.position' must be a number in \(0, 1\]",
+            {"pose_tolerance": {"position": -0.1, "rotation": 0.2}},
+            r"'pose_tolerance.position' must be a number in \(0, 1\]",
         ),
         ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae': there is no such joint"),
         ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift': the joint stands in 'arm', too"),
@@ -321,11 +327,14 @@ def test_shipped_gripper_rotations_lay_the_fingers_along_y():
 
 
 def test_only_hsr_has_leeway():
-    assert SHIPPED["pr2"].leeway is None
-    assert SHIPPED["tiago"].leeway is None
-    leeway = SHIPPED["hsr"].leeway
-    assert leeway is not None
-    assert (leeway.position, leeway.rotation) == (0.1, pytest.approx(math.radians(12), rel=1e-15))
+    assert SHIPPED["pr2"].pose_tolerance is None
+    assert SHIPPED["tiago"].pose_tolerance is None
+    pose_tolerance = SHIPPED["hsr"].pose_tolerance
+    assert pose_tolerance is not None
+    assert (pose_tolerance.position, pose_tolerance.rotation) == (
+        0.1,
+        pytest.approx(math.radians(12), rel=1e-15),
+    )
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import pytest
 
 from kinfeas import spatial
 from kinfeas.kinematics.forward import forward
-from kinfeas.legs import tool_pose
 from kinfeas.scenes.scene import read_scene
+from kinfeas.subgoals import tool_pose
 
 pytest.importorskip("pybullet")
 

@@ -4,11 +4,11 @@ import pytest
 from kinfeas import registry, spatial
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
-from kinfeas.legs import LegMotion
 from kinfeas.loop import Loop
 from kinfeas.plugins.linear import Linear
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.start import Start
+from kinfeas.subgoals import SubgoalMotion
 from tests.sim.conftest import stay, twist
 
 DT = 0.02
@@ -182,7 +182,7 @@ def test_runs_in_the_loop(world, begin, solver):
     home = robot.home["home"][np.newaxis]
     goal = spatial.compose(base, forward(solver.chain, home))
     goal[0, 2] += 0.05
-    loop = Loop(solver, [LegMotion(Linear())], world, DT)
+    loop = Loop(solver, [SubgoalMotion(Linear())], world, DT)
     loop.start(Start(base, home, goal[:, np.newaxis]), [np.random.default_rng(0)])
     action = np.zeros((1, 3 if robot.base.drive == "omnidirectional" else 2))
     for _ in range(1500):

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from kinfeas import registry, spatial
-from kinfeas.backend import Seeing
+from kinfeas.backend import SupportsObstacleDistances
 from kinfeas.kinematics.forward import forward
-from kinfeas.legs import LegMotion, Pace
 from kinfeas.loop import Loop
 from kinfeas.plugins.linear import Linear
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.nearby import Surroundings
 from kinfeas.start import Start
+from kinfeas.subgoals import ExecutionConfig, SubgoalMotion
 from tests.sim.conftest import stay, twist
 
 WALL = -2.95
@@ -78,7 +78,7 @@ def test_what_lies_beneath_is_not_in_the_way(world, begin):
 def test_a_floor_and_nothing_else():
     backend = PyBulletBackend(registry.load_robot("hsr"))
     try:
-        assert isinstance(backend, Seeing)
+        assert isinstance(backend, SupportsObstacleDistances)
         home = backend.sims[0].body.robot.home["home"]
         backend.reset(spatial.IDENTITY[np.newaxis], home[np.newaxis])
         assert backend.near(1.0).distance.shape == (1, 0)
@@ -99,7 +99,9 @@ def test_a_base_measured_while_it_drives_comes_nearer(world, begin):
 def test_a_base_that_keeps_clear_stops_before_the_wall(world, begin, solver, kept):
     begin(x=-2.2, yaw=0.3)
     robot = solver.robot
-    loop = Loop(solver, [LegMotion(Linear())], world, 0.02, Pace(clearance=kept))
+    loop = Loop(
+        solver, [SubgoalMotion(Linear())], world, 0.02, ExecutionConfig(min_obstacle_distance=kept)
+    )
     base, joints = world.sims[0].body.state().base_pose, robot.home["home"][np.newaxis]
     ee = spatial.compose(base, forward(solver.chain, joints))
     loop.start(Start(base, joints, ee[:, np.newaxis]), [np.random.default_rng(0)])

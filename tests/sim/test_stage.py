@@ -5,9 +5,9 @@ from kinfeas import registry, spatial
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.collision import SceneCollision, robot_touches
-from kinfeas.tasks.chain import ChainLeg, ChainTask, Place
+from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.scene import Outcome, TaskScene
+from kinfeas.tasks.scene import SuccessCondition, TaskScene
 
 pytest.importorskip("pybullet")
 
@@ -41,7 +41,7 @@ def begin(stage, solver, seed):
 
 def test_takes_the_place_of_its_task(stage):
     assert stage.name == stage.task.name
-    assert stage.legs == stage.task.legs
+    assert stage.subgoals == stage.task.subgoals
 
 
 def test_episodes_begin_free_of_collisions_with_nothing_done(stage, solver):
@@ -105,7 +105,7 @@ def test_the_task_is_done_when_the_world_says_so(stage, solver):
             done.joint
         ]
         backend.sims[0].physics.client.resetJointState(
-            backend.sims[0].furniture.bodies[done.object], number, 1.1 * done.beyond
+            backend.sims[0].furniture.bodies[done.object], number, 1.1 * done.threshold
         )
     home = backend.sims[0].body.state().joint_positions
     for _ in range(50):
@@ -175,16 +175,16 @@ def test_shipped_episodes_can_be(stage, solver):
         stage.scene.with_poses(moves(start.target_poses)).check_places("shipped")
 
 
-@pytest.mark.parametrize(("beyond", "open_at"), [(-0.15, -0.2), (0.15, 0.2)])
-def test_a_joint_may_open_to_either_side(solver, scene, beyond, open_at, tmp_path):
+@pytest.mark.parametrize(("threshold", "open_at"), [(-0.15, -0.2), (0.15, 0.2)])
+def test_a_joint_may_open_to_either_side(solver, scene, threshold, open_at, tmp_path):
     chest = scene.objects["chest"].urdf_path.read_text()
     (tmp_path / "chest.urdf").write_text(chest.replace('lower="0"', 'lower="-0.4"'))
     place = "{urdf: chest.urdf, position: [0, -4, 0.5]}"
     path = tmp_path / "chest.yaml"
     path.write_text(f"name: chest\nsize: [10, 10]\nobjects:\n  chest: {place}\n")
-    wanted = TaskScene(str(path), Outcome("chest", joint="slide", beyond=beyond))
+    wanted = TaskScene(str(path), SuccessCondition("chest", joint="slide", threshold=threshold))
     place = {"here": Place((1.0, 0.0, 0.8))}
-    task = ChainTask("pull", (ChainLeg(place="here"),), place, scene=wanted)
+    task = ChainTask("pull", (ChainSubgoal(place="here"),), place, scene=wanted)
     stage = Stage(task, PyBulletBackend(solver.robot, task_scene(task)))
     furniture, client = (
         stage.backend.sims[0].furniture,

@@ -25,7 +25,7 @@ def test_shipped_tasks_can_be_done(name, room, hsr):
 
 
 def test_a_joint_may_have_to_move_at_all(room, hsr):
-    done = {"object": "door_shelf", "joint": "hinge", "beyond": 0.0}
+    done = {"object": "door_shelf", "joint": "hinge", "threshold": 0.0}
     check_task("door", load_task("door", {"scene": {"done": done}}).scene, room, hsr)
 
 
@@ -34,16 +34,28 @@ def test_a_joint_may_have_to_move_at_all(room, hsr):
     [
         ("door", {"done": {"object": "dor"}}, "'scene.done.object': there is no object 'dor'; kno"),
         ("door", {"done": {"joint": "hing"}}, "'scene.done.joint': object 'door_shelf' has no mov"),
-        ("door", {"done": {"beyond": 2.0}}, "'scene.done.beyond' must lie between the lim.*not 2$"),
-        ("door", {"done": {"beyond": -1.0}}, "'scene.done.beyond' must.*0 and 1.92, not -1$"),
-        ("door", {"handled": {"object": "x"}}, "'scene.handled.object': there is no object 'x'"),
-        ("door", {"handled": {"link": "x"}}, "'scene.handled.link': object 'door_shelf' has no li"),
+        (
+            "door",
+            {"done": {"threshold": 2.0}},
+            "'scene.done.beyond' must lie between the lim.*not 2$",
+        ),
+        ("door", {"done": {"threshold": -1.0}}, "'scene.done.beyond' must.*0 and 1.92, not -1$"),
+        (
+            "door",
+            {"grasped_object": {"object": "x"}},
+            "'scene.handled.object': there is no object 'x'",
+        ),
+        (
+            "door",
+            {"grasped_object": {"link": "x"}},
+            "'scene.handled.link': object 'door_shelf' has no li",
+        ),
         ("pick_place", {"done": {"on": "tabel"}}, "'scene.done.on': there is no other object 'tab"),
         ("pick_place", {"done": {"on": "box"}}, "'scene.done.on': there is no other object 'box'"),
         ("pick_place", {"moves": {"bax": {"place": "table"}}}, "'scene.moves.bax': there is no ob"),
         (
             "pick_place",
-            {"handled": {"object": "pick_table", "link": "table"}},
+            {"grasped_object": {"object": "pick_table", "link": "table"}},
             "'scene.handled': link 'table' of object 'pick_table' cannot move: the object is fixed",
         ),
     ],
@@ -60,4 +72,4 @@ def test_to_take_hold_needs_a_gripper(room, hsr):
     message = "^task 'door' takes hold of an object, and robot 'hsr' has no gripper"
     with pytest.raises(KinfeasError, match=message):
         check_task("door", load_task("door").scene, room, bare)
-    check_task("door", replace(load_task("door").scene, handled=None), room, bare)
+    check_task("door", replace(load_task("door").scene, grasped_object=None), room, bare)

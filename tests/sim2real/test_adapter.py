@@ -3,7 +3,15 @@ import pytest
 
 from kinfeas import registry
 from kinfeas.adapters import AdapterSpec, read_sim2real, wrap
-from kinfeas.backend import Gripping, Live, Nearby, Resumable, RobotState, Seeing, Stochastic
+from kinfeas.backend import (
+    ObstacleDistances,
+    RealTimeBackend,
+    Resumable,
+    RobotState,
+    Stochastic,
+    SupportsGripper,
+    SupportsObstacleDistances,
+)
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.sim2real.adapter import Adapter
 from kinfeas.sim2real.adapters.base_noise import BaseNoise
@@ -44,9 +52,9 @@ class Doll(AnalyticBackend):
     def grip(self, grip, rows):
         self.told.append((grip, rows.tolist()))
 
-    def near(self, within):
+    def obstacle_distances(self, within):
         self.told.append(within)
-        return Nearby(np.zeros((1, 0, 2)), np.zeros((1, 0, 2)), np.zeros((1, 0)))
+        return ObstacleDistances(np.zeros((1, 0, 2)), np.zeros((1, 0, 2)), np.zeros((1, 0)))
 
     def read(self):
         return self.state
@@ -81,7 +89,7 @@ def poses(n, seed=0):
     return planar_pose(*rng.uniform(-2.0, 2.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
 
 
-def begin(backend, robot, seeds, rows=None):
+def on_reset(backend, robot, seeds, rows=None):
     """Begin episodes whose start depends on their seed alone."""
     places = np.arange(len(seeds)) if rows is None else np.array(rows)
     backend.seed(np.array(seeds, dtype=np.uint64), places)
@@ -122,7 +130,7 @@ def test_all_are_held_to_the_same():
 def test_with_nothing_to_do_it_is_the_identity_to_the_bit(name, pr2):
     adapter, plain = built(name, pr2, **NOTHING[name]), AnalyticBackend()
     plain.seed = lambda *_: None
-    first = [flat(begin(one, pr2, [3, 4, 5])) for one in (adapter, plain)]
+    first = [flat(on_reset(one, pr2, [3, 4, 5])) for one in (adapter, plain)]
     found, expected = (go(one, pr2, [3, 4, 5], 6) for one in (adapter, plain))
     # Where an EE is measured by itself, it comes after the rest.
     np.testing.assert_array_equal(first[0][:, : first[1].shape[1]], first[1])
@@ -133,13 +141,19 @@ def test_with_nothing_to_do_it_is_the_identity_to_the_bit(name, pr2):
 def test_it_can_what_its_backend_can(name, pr2):
     doll = Doll()
     adapter = built(name, pr2, doll)
-    for protocol in (Stochastic, Gripping, Seeing, Live, Resumable):
+    for protocol in (
+        Stochastic,
+        SupportsGripper,
+        SupportsObstacleDistances,
+        RealTimeBackend,
+        Resumable,
+    ):
         assert isinstance(adapter, protocol)
     adapter.grip("close", np.array([1]))
     adapter.stop()
     adapter.close()
     adapter.seed(np.array([7], dtype=np.uint64), np.array([0]))
-    assert adapter.near(0.5).distance.shape == (1, 0)
+    assert adapter.obstacle_distances(0.5).distance.shape == (1, 0)
     assert doll.told == [("close", [1]), "stop", 0.5]
     assert (doll.closed, doll.seeded) == (1, [([7], [0])])
     assert adapter.read() is doll.state
@@ -148,7 +162,7 @@ def test_it_can_what_its_backend_can(name, pr2):
 @pytest.mark.parametrize("name", NAMES)
 def test_and_no_more(name, pr2):
     adapter = built(name, pr2, Bare())
-    for protocol in (Gripping, Seeing, Live, Resumable):
+    for protocol in (SupportsGripper, SupportsObstacleDistances, RealTimeBackend, Resumable):
         assert not isinstance(adapter, protocol)
 
 
@@ -156,7 +170,7 @@ def test_and_no_more(name, pr2):
 def test_rows_do_not_depend_on_the_batch(adapters, pr2):
     def run(seeds):
         backend = wrap(AnalyticBackend(), adapters, pr2)
-        return np.concatenate([flat(begin(backend, pr2, seeds))[np.newaxis],
+        return np.concatenate([flat(on_reset(backend, pr2, seeds))[np.newaxis],
                                go(backend, pr2, seeds, 12)])  # fmt: skip
 
     together = run([0, 1, 2, 3, 4])
@@ -167,11 +181,11 @@ def test_rows_do_not_depend_on_the_batch(adapters, pr2):
 @pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
 def test_new_episodes_leave_the_others_alone(adapters, pr2):
     backend, alone = (wrap(AnalyticBackend(), adapters, pr2) for _ in "ab")
-    begin(backend, pr2, [0, 1, 2])
+    on_reset(backend, pr2, [0, 1, 2])
     before = go(backend, pr2, [0, 1, 2], 9)
-    state = flat(begin(backend, pr2, [8], rows=[1]))
+    state = flat(on_reset(backend, pr2, [8], rows=[1]))
     np.testing.assert_array_equal(state[[0, 2]], before[-1][[0, 2]])
-    np.testing.assert_array_equal(state[1], flat(begin(alone, pr2, [8]))[0])
+    np.testing.assert_array_equal(state[1], flat(on_reset(alone, pr2, [8]))[0])
     after = []
     for step in range(9):
         # Each row goes on at a step of its own.
@@ -184,7 +198,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
         after.append(flat(backend.step(twist, targets, 0.05)))
     np.testing.assert_array_equal(np.stack(after)[:, 1], go(alone, pr2, [8], 9)[:, 0])
     whole = wrap(AnalyticBackend(), adapters, pr2)
-    begin(whole, pr2, [0])
+    on_reset(whole, pr2, [0])
     np.testing.assert_array_equal(np.stack(after)[:, 0], go(whole, pr2, [0], 18)[9:, 0])
 
 
@@ -192,7 +206,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
 def test_goes_on_from_a_snapshot_to_the_bit(adapters, pr2):
     twice = [*adapters, *adapters]
     backend, other = (wrap(AnalyticBackend(), twice, pr2) for _ in "ab")
-    begin(backend, pr2, [5, 6])
+    on_reset(backend, pr2, [5, 6])
     last = go(backend, pr2, [5, 6], 7)[-1]
     saved = backend.snapshot()
     kept = {name: values.copy() for name, values in saved.items()}
@@ -238,7 +252,7 @@ def test_ranges_are_drawn_for_each_episode(rig):
 def test_an_episode_may_begin_without_a_seed(pr2):
     one, other = (BaseNoise(AnalyticBackend(), pr2) for _ in "ab")
     one.reset(poses(2), np.zeros((2, 7)))
-    begin(other, pr2, [0, 0])
+    on_reset(other, pr2, [0, 0])
     found, expected = (each.normal(3) for each in (one, other))
     np.testing.assert_array_equal(found, expected)
 

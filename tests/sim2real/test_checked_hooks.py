@@ -26,16 +26,16 @@ class Answering(Adapter):
             raise given
         return given(sound)
 
-    def begin(self, state):
+    def on_reset(self, state):
         return self.answer("begin", {"since": np.zeros(len(state.base_pose))})
 
-    def command(self, twist, targets, dt):
+    def modify_command(self, twist, targets, dt):
         return self.answer("command", (twist, targets))
 
-    def advance(self, state, dt):
-        self.answer("advance", None)
+    def on_step(self, state, dt):
+        self.answer("on_step", None)
 
-    def view(self, state):
+    def modify_state(self, state):
         return self.answer("view", state)
 
 
@@ -105,12 +105,12 @@ BAD = {
     "a base of nan": ("view", changed(base_pose=BASE * np.nan), "a base_pose from view with"),
     "no truth": (
         "view",
-        changed(truth="yes"),
+        changed(true_state="yes"),
         "must return a RobotState as truth from view, not st",
     ),
     "a truth of nan": (
         "view",
-        changed(truth=RobotState(BASE * np.nan, np.zeros((2, 7)))),
+        changed(true_state=RobotState(BASE * np.nan, np.zeros((2, 7)))),
         "returns a base_pose as truth from view with numbers",
     ),
     "no EE": ("view", changed(ee_in_base=BASE + np.inf), "an ee_in_base from view with numbers"),
@@ -125,7 +125,7 @@ def test_malformed_answers_are_refused(run, name):
         run(**{hook: answer})
 
 
-@pytest.mark.parametrize("hook", ["begin", "command", "advance", "view"])
+@pytest.mark.parametrize("hook", ["begin", "command", "on_step", "view"])
 @pytest.mark.parametrize("error", [RuntimeError("b"), KeyError("x"), SystemExit(5), OwnError("o")])
 def test_what_a_hook_raises_names_the_adapter(run, hook, error):
     name = type(error).__name__
@@ -147,15 +147,15 @@ def test_adapters_that_are_none(run, name, sentence):
 
 def test_the_machines_trouble_stays_what_it_is(run):
     with pytest.raises(MemoryError):
-        run(command=MemoryError())
+        run(modify_command=MemoryError())
 
 
 def test_sound_answers_come_through(run):
     huge = np.full((2, 6), 1e200)
-    state = run(command=lambda both: (both[0].astype(np.float32), both[1]))
+    state = run(modify_command=lambda both: (both[0].astype(np.float32), both[1]))
     assert np.array_equal(state.base_pose, BASE)
-    assert run(command=lambda both: (huge * 0.0, both[1])) is not None
-    seen = run(view=changed(base_pose=BASE + 0.0, joint_velocities=huge))
+    assert run(modify_command=lambda both: (huge * 0.0, both[1])) is not None
+    seen = run(modify_state=changed(base_pose=BASE + 0.0, joint_velocities=huge))
     assert seen.joint_velocities is huge
 
 
@@ -164,7 +164,7 @@ def test_what_is_measured_wrong_is_not_the_adapters_fault(run):
         def step(self, base_twist, joint_targets, dt):
             return RobotState(np.full((2, 7), math.nan), joint_targets)
 
-    seen = run(Lost(), view=lambda state: replace(state))
+    seen = run(Lost(), modify_state=lambda state: replace(state))
     assert np.isnan(seen.base_pose).all()
 
 

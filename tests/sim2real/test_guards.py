@@ -55,7 +55,7 @@ class Puppet:
         pass
 
 
-class Following(Puppet):
+class KinematicStep(Puppet):
     """The same with an arm that goes where it is sent."""
 
     def step(self, base_twist, joint_targets, dt):
@@ -64,7 +64,7 @@ class Following(Puppet):
         return self.state
 
 
-class LivePuppet(Puppet):
+class RealTimePuppet(Puppet):
     """The same with a clock of its own."""
 
     stops = 0
@@ -76,7 +76,7 @@ class LivePuppet(Puppet):
         self.stops += 1
 
 
-class Aging(LivePuppet):
+class Aging(RealTimePuppet):
     """The same, which says how old its measurements are."""
 
     def __init__(self, robot, time):
@@ -115,7 +115,7 @@ def refused(guard, backend, message, command=None, targets=None):
     with pytest.raises(Fault, match=message):
         guard.step(twist() if command is None else command,
                    stays(guard) if targets is None else targets, DT)  # fmt: skip
-    if isinstance(backend, LivePuppet):
+    if isinstance(backend, RealTimePuppet):
         assert backend.stops
     else:
         assert not backend.sent[-1][0].any()
@@ -134,7 +134,7 @@ def test_lets_through_what_is_allowed():
 
 
 def test_speed_comes_up_to_its_limit_no_faster_than_allowed():
-    guard, backend = guarded(guards=Guards(speed=0.1, acceleration=1.0))
+    guard, backend = guarded(guards=Guards(max_linear_velocity=0.1, acceleration=1.0))
     for _ in range(10):
         guard.step(twist(3.0, 4.0, 9.0), stays(guard), DT)
     speeds = [np.hypot(*sent[0, :2]) for sent, _ in backend.sent]
@@ -143,14 +143,16 @@ def test_speed_comes_up_to_its_limit_no_faster_than_allowed():
 
 
 def test_no_setting_exceeds_the_robots_own_limits():
-    guard, backend = guarded(guards=Guards(speed=9.0, acceleration=99.0, rotation=9.0))
+    guard, backend = guarded(
+        guards=Guards(max_linear_velocity=9.0, acceleration=99.0, max_angular_velocity=9.0)
+    )
     for _ in range(20):
         guard.step(twist(3.0), stays(guard), DT)
     assert backend.sent[-1][0][0, 0] == pytest.approx(ROBOTS["pr2"].base.max_velocity)
 
 
 def test_a_jump_of_the_arm_is_slowed():
-    guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=Following)
+    guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=KinematicStep)
     before, velocity = stays(guard), ROBOTS["pr2"].max_joint_velocity
     targets = before.copy()
     targets[0, [1, 3]] -= [0.8, 0.4]
@@ -164,7 +166,7 @@ def test_a_jump_of_the_arm_is_slowed():
 
 
 def test_a_huge_jump_is_refused_and_ends_the_run():
-    guard, backend = guarded(guards=Guards(joint_jump=2.0, infeasible_steps=3))
+    guard, backend = guarded(guards=Guards(joint_jump=2.0, max_consecutive_ik_failures=3))
     before = stays(guard)
     targets = before.copy()
     targets[0, 4] = spatial.wrap(targets[0, 4] + 2.5)
@@ -179,8 +181,8 @@ def test_a_huge_jump_is_refused_and_ends_the_run():
 
 
 def test_an_arm_that_does_not_follow_is_sent_no_farther_and_ends_the_run():
-    guard, backend = guarded(guards=Guards(joint_lag=0.11, infeasible_steps=3))
-    speed = ROBOTS["pr2"].max_joint_velocity
+    guard, backend = guarded(guards=Guards(max_tracking_delay=0.11, max_consecutive_ik_failures=3))
+    max_linear_velocity = ROBOTS["pr2"].max_joint_velocity
     targets = stays(guard)
     targets[0, 3] += 1.0
     with pytest.raises(Fault, match="joint r_elbow_flex_joint does not follow, for more than 3"):
@@ -188,13 +190,13 @@ def test_an_arm_that_does_not_follow_is_sent_no_farther_and_ends_the_run():
             guard.step(twist(0.01), targets, DT)
             guard.judge(feasible=True)
     away = np.abs(backend.sent[-1][1] - backend.state.joint_positions)[0]
-    assert np.all(away <= (0.11 + DT) * speed)
+    assert np.all(away <= (0.11 + DT) * max_linear_velocity)
     assert len(backend.sent) == 6 + 4 + 1
     assert not backend.sent[-1][0].any()
 
 
 def test_an_arm_that_lags_is_waited_for():
-    guard, backend = guarded(guards=Guards(joint_lag=0.1, infeasible_steps=3))
+    guard, backend = guarded(guards=Guards(max_tracking_delay=0.1, max_consecutive_ik_failures=3))
     targets = stays(guard)
     targets[0, 3] += 1.0
     slow = 0.4 * DT * ROBOTS["pr2"].max_joint_velocity[3]
@@ -217,7 +219,7 @@ def test_a_continuous_joint_goes_the_short_way():
 
 
 def test_targets_beyond_the_limits_are_clipped():
-    guard, backend = guarded(kind=Following)
+    guard, backend = guarded(kind=KinematicStep)
     targets = stays(guard)
     targets[0, 1] += 1.0
     for _ in range(100):
@@ -226,7 +228,7 @@ def test_targets_beyond_the_limits_are_clipped():
 
 
 def test_steps_without_a_solution_end_the_run_if_they_follow_each_other():
-    guard, backend = guarded(guards=Guards(infeasible_steps=2))
+    guard, backend = guarded(guards=Guards(max_consecutive_ik_failures=2))
     for feasible in (False, False, True, False, False):
         guard.step(twist(0.01), stays(guard), DT)
         guard.judge(feasible=feasible)
@@ -386,7 +388,7 @@ def test_what_is_simulated_grows_no_older_while_an_adapter_thinks(monkeypatch):
 
 def test_a_live_robot_must_say_how_old_its_measurements_are():
     with pytest.raises(Fault, match="does not say how old"):
-        guarded(kind=LivePuppet)
+        guarded(kind=RealTimePuppet)
 
 
 def test_an_error_of_any_kind_stops_the_base():
@@ -432,7 +434,7 @@ class OwnError(Exception):
 
 
 def test_a_robot_that_neither_stops_nor_lets_go_is_told_once():
-    guard, backend = guarded(kind=Following)
+    guard, backend = guarded(kind=KinematicStep)
 
     def breaks(*_):
         raise OwnError("the bus is gone")
@@ -448,7 +450,7 @@ def test_a_robot_that_neither_stops_nor_lets_go_is_told_once():
 )
 def test_adapters_do_not_get_beyond_the_limits(name):
     adapter = AdapterSpec(name, {"base_noise": {"linear": 0.5, "angular": 0.5}}.get(name, {}))
-    guards = Guards(speed=0.05, rotation=0.1)
+    guards = Guards(max_linear_velocity=0.05, max_angular_velocity=0.1)
     guard, backend = guarded(guards=guards, adapters=[adapter])
     guard.seed(np.array([1], dtype=np.uint64), np.array([0]))
     for _ in range(40):
@@ -578,7 +580,7 @@ some_steps = st.lists(
 
 @given(st.sampled_from(sorted(ROBOTS)), some_steps)
 def test_whatever_happens_what_goes_out_obeys_the_limits_or_is_zero(name, steps):
-    robot, guards = ROBOTS[name], Guards(speed=0.15, acceleration=1.0)
+    robot, guards = ROBOTS[name], Guards(max_linear_velocity=0.15, acceleration=1.0)
     guard, backend = guarded(name, guards)
     j, poses = len(robot.arm), []
     for command, targets, age, (x, y, heading), took in steps:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas import drive, registry, spatial
-from kinfeas.backend import ArmLimited, Gripping, Live
+from kinfeas.backend import ArmLimited, RealTimeBackend, SupportsGripper
 from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.command_guard import CommandGuard
 from kinfeas.sim2real.fault import Fault
@@ -28,8 +28,8 @@ def still(robot):
 
 def test_is_what_the_loop_asks_for(pr2):
     backend, _ = connected(pr2)
-    assert isinstance(backend, Live)
-    assert isinstance(backend, Gripping)
+    assert isinstance(backend, RealTimeBackend)
+    assert isinstance(backend, SupportsGripper)
     assert isinstance(backend, ArmLimited)
 
 

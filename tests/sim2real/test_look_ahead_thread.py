@@ -8,30 +8,30 @@ import pytest
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.policies import load_policy
-from kinfeas.look_ahead import Foresight, LookAhead
 from kinfeas.registry import load_robot
-from kinfeas.sim2real.look_ahead_thread import LookAheadThread
+from kinfeas.rollout_planner import RolloutConfig, RolloutPlanner
+from kinfeas.sim2real.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.tasks.loading import load_task
 
-FAR = Foresight(seconds=10.0, every=0.5, tries=8)
+FAR = RolloutConfig(seconds=10.0, every=0.5, tries=8)
 
 
 @pytest.fixture(autouse=True)
 def closed(monkeypatch):
     """Close what a test has begun, and check that it leaves the interpreter as it was."""
-    begun, watch = [], LookAheadThread.watch
+    begun, watch = [], RolloutPlannerThread.watch
     before = sys.getswitchinterval()
 
     def note(ahead, loop):
         begun.append(ahead)
         watch(ahead, loop)
 
-    monkeypatch.setattr(LookAheadThread, "watch", note)
+    monkeypatch.setattr(RolloutPlannerThread, "watch", note)
     yield
     for ahead in reversed(begun):
         ahead.close()
     assert sys.getswitchinterval() == before
-    assert not any(thread.name.startswith("look_ahead") for thread in threading.enumerate())
+    assert not any(thread.name.startswith("rollout_planner") for thread in threading.enumerate())
 
 
 @pytest.fixture
@@ -53,10 +53,10 @@ class Leave:
     def __deepcopy__(self, _):
         return copy(self)
 
-    def act(self, situation):
+    def act(self, policy_input):
         if threading.get_ident() != self.owner:
             self.open.wait(10.0)
-        return np.tile([-0.5, 0.0, 0.0], (len(situation.observation), 1))
+        return np.tile([-0.5, 0.0, 0.0], (len(policy_input.observation), 1))
 
 
 def settle(ahead):
@@ -66,18 +66,19 @@ def settle(ahead):
 
 def drive(world, ahead, periods):
     return [
-        (world.step(action := ahead.act(world.loop.situation)), action)[1] for _ in range(periods)
+        (world.step(action := ahead.act(world.loop.policy_input)), action)[1]
+        for _ in range(periods)
     ]
 
 
 def test_finds_what_is_found_without_a_thread(world):
-    beside, waiting = LookAheadThread(Leave(), FAR), LookAhead(Leave(), FAR)
+    beside, waiting = RolloutPlannerThread(Leave(), FAR), RolloutPlanner(Leave(), FAR)
     for ahead in (beside, waiting):
         ahead.watch(world.loop)
-        ahead.act(world.loop.situation)
+        ahead.act(world.loop.policy_input)
     settle(beside)
     np.testing.assert_array_equal(
-        beside.act(world.loop.situation), waiting.act(world.loop.situation)
+        beside.act(world.loop.policy_input), waiting.act(world.loop.policy_input)
     )
     assert beside.deviation.any()
 
@@ -85,7 +86,7 @@ def test_finds_what_is_found_without_a_thread(world):
 def test_the_policy_acts_alone_until_there_is_an_answer(world):
     policy = Leave()
     policy.open.clear()
-    ahead = LookAheadThread(policy, FAR)
+    ahead = RolloutPlannerThread(policy, FAR)
     ahead.watch(world.loop)
     before = drive(world, ahead, 3)
     policy.open.set()
@@ -97,7 +98,7 @@ def test_the_policy_acts_alone_until_there_is_an_answer(world):
 
 def test_an_answer_that_is_late_is_not_waited_for_and_the_last_one_ends(world):
     policy = Leave()
-    ahead = LookAheadThread(policy, FAR)
+    ahead = RolloutPlannerThread(policy, FAR)
     ahead.watch(world.loop)
     drive(world, ahead, 1)
     settle(ahead)
@@ -113,12 +114,12 @@ def test_a_policy_is_asked_by_one_thread_only(world):
         def __deepcopy__(self, memo):
             return Own()
 
-        def act(self, situation):
+        def act(self, policy_input):
             self.asked_by = threading.get_ident()
-            return super().act(situation)
+            return super().act(policy_input)
 
     policy = Own()
-    ahead = LookAheadThread(policy, FAR)
+    ahead = RolloutPlannerThread(policy, FAR)
     ahead.watch(world.loop)
     drive(world, ahead, 1)
     settle(ahead)
@@ -127,35 +128,35 @@ def test_a_policy_is_asked_by_one_thread_only(world):
 
 
 def test_what_goes_wrong_in_it_is_heard_of(world, monkeypatch):
-    ahead = LookAheadThread(Leave(), FAR)
+    ahead = RolloutPlannerThread(Leave(), FAR)
     ahead.watch(world.loop)
 
     def fail(now, due):
         raise RuntimeError("no way out")
 
     monkeypatch.setattr(ahead, "plan", fail)
-    ahead.act(world.loop.situation)
+    ahead.act(world.loop.policy_input)
     settle(ahead)
     with pytest.raises(RuntimeError, match="no way out"):
-        ahead.act(world.loop.situation)
+        ahead.act(world.loop.policy_input)
 
 
 def test_begins_anew_with_another_loop(world):
-    ahead = LookAheadThread(load_policy("pretrained", load_robot("pr2")), FAR)
+    ahead = RolloutPlannerThread(load_policy("pretrained", load_robot("pr2")), FAR)
     ahead.watch(world.loop)
-    ahead.act(world.loop.situation)
+    ahead.act(world.loop.policy_input)
     other = World(load_robot("pr2"), world.task, evaluation_world(), seed=4)
     other.start([0])
     ahead.watch(other.loop)
     assert ahead._coming is None
-    assert ahead.act(other.loop.situation).shape == (1, 3)
+    assert ahead.act(other.loop.policy_input).shape == (1, 3)
 
 
 def test_a_loop_may_be_watched_again_after_close(world):
-    ahead = LookAheadThread(Leave(), FAR)
+    ahead = RolloutPlannerThread(Leave(), FAR)
     for _ in range(2):
         ahead.watch(world.loop)
-        ahead.act(world.loop.situation)
+        ahead.act(world.loop.policy_input)
         settle(ahead)
         ahead.close()
         ahead.close()

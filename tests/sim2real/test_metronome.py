@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.metronome import Rate
 
 
 class Clock:
@@ -21,7 +21,7 @@ class Clock:
 
 
 def started(clock, dt=0.02):
-    metronome = Metronome(dt, now=clock.now, sleep=clock.sleep)
+    metronome = Rate(dt, now=clock.now, sleep=clock.sleep)
     assert metronome.wait() == 0.0
     return metronome
 
@@ -61,7 +61,7 @@ def test_deadlines_that_have_passed_are_left_out():
 
 def test_measures_what_another_waits_for():
     clock = Clock()
-    metronome = Metronome(0.02, now=clock.now)
+    metronome = Rate(0.02, now=clock.now)
     assert metronome.tick() == 0.0
     for period in (0.02, 0.029, 0.031, 0.019):
         clock.time += period
@@ -73,11 +73,11 @@ def test_measures_what_another_waits_for():
 
 
 def test_nothing_measured_is_no_error():
-    assert Metronome(0.02).timing().periods == 0
+    assert Rate(0.02).timing().periods == 0
 
 
 def test_keeps_the_clock_on_the_wall():
-    metronome = Metronome(0.005)
+    metronome = Rate(0.005)
     metronome.wait()
     assert sum(metronome.wait() for _ in range(20)) == pytest.approx(0.1, abs=0.05)
 
@@ -85,4 +85,4 @@ def test_keeps_the_clock_on_the_wall():
 @pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
 def test_refuses_other_periods(dt):
     with pytest.raises(KinfeasError, match="control period"):
-        Metronome(dt)
+        Rate(dt)

@@ -13,7 +13,7 @@ from kinfeas import registry
 from kinfeas.drive import action_size
 from kinfeas.errors import KinfeasError
 from kinfeas.observation import HORIZON, size
-from kinfeas.policy import Situation
+from kinfeas.policy import PolicyInput
 from kinfeas.sim2real import policy_file
 from kinfeas.sim2real.policy_file import TOLERANCE, read_policy_file
 from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
@@ -47,8 +47,8 @@ def test_acts_as_the_training_policy(robot, tmp_path):
     seen = observations(network, 200) * 2.0
     np.testing.assert_allclose(policy(seen), network(seen), rtol=0.0, atol=TOLERANCE)
     nothing = np.full((200, 7), np.nan)
-    situation = Situation(seen, nothing, nothing, nothing, nothing, nothing)
-    np.testing.assert_array_equal(policy.act(situation), policy(seen))
+    policy_input = PolicyInput(seen, nothing, nothing, nothing, nothing, nothing)
+    np.testing.assert_array_equal(policy.act(policy_input), policy(seen))
 
 
 @pytest.mark.parametrize("n", [0, 1, 5])

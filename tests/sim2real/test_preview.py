@@ -2,19 +2,19 @@ import numpy as np
 import pytest
 
 from kinfeas import registry, spatial
-from kinfeas.course import Course
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.errors import KinfeasError
 from kinfeas.kinematics.ceiling import reachable
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.legs import LegMotion, Pace
 from kinfeas.loop import Loop
 from kinfeas.plugins.linear import Linear
+from kinfeas.sequence import MotionSequence
 from kinfeas.sim2real.goal_task import begin, make_goal_task
 from kinfeas.sim2real.guard_config import Guards
-from kinfeas.sim2real.preview import leg_ends, preview, top_speed
+from kinfeas.sim2real.preview import preview, subgoal_poses, top_speed
+from kinfeas.subgoals import ExecutionConfig, SubgoalMotion
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.task import MotionSpec, build_legs
+from kinfeas.tasks.task import MotionSpec, build_subgoals
 
 
 @pytest.fixture(scope="module")
@@ -26,26 +26,28 @@ def goal(*position, rpy=None):
     return make_goal_task(position, rpy, MotionSpec())
 
 
-def seen(solver, task, guards, pace=None):
+def seen(solver, task, guards, execution=None):
     """Return what a preview of a task warns of, and what is drawn after it."""
     rng = np.random.default_rng(3)
-    loop = Loop(solver, build_legs(task.legs), AnalyticBackend(), 0.02, pace)
+    loop = Loop(solver, build_subgoals(task.subgoals), AnalyticBackend(), 0.02, execution)
     warning = preview(loop, begin(task, solver, rng, None), rng, guards)
     return warning, rng.random()
 
 
-def course(*targets, generator=None):
-    """Return a course through positions, shape (3,), from the origin."""
+def sequence(*targets, generator=None):
+    """Return a motion sequence through positions, shape (3,), from the origin."""
     poses = np.tile(spatial.IDENTITY, (1, len(targets), 1))
     poses[0, :, :3] = targets
-    begun = Course([LegMotion(generator or Linear())] * len(targets), registry.load_robot("pr2"), 1)
+    begun = MotionSequence(
+        [SubgoalMotion(generator or Linear())] * len(targets), registry.load_robot("pr2"), 1
+    )
     begun.start(spatial.IDENTITY[np.newaxis], poses, [np.random.default_rng(0)])
     return begun
 
 
 def test_the_ends_of_all_legs():
     targets = [(1.0, 0.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 0.5)]
-    np.testing.assert_allclose(leg_ends(course(*targets))[:, :3], targets)
+    np.testing.assert_allclose(subgoal_poses(sequence(*targets))[:, :3], targets)
 
 
 @pytest.mark.parametrize(
@@ -58,12 +60,12 @@ def test_the_ends_of_all_legs():
     ],
 )
 def test_the_fastest_moment_of_all_legs(targets, speed):
-    assert top_speed(course(*targets)) == pytest.approx(speed)
+    assert top_speed(sequence(*targets)) == pytest.approx(speed)
 
 
 def test_a_motion_that_never_arrives_is_looked_at_for_a_while():
     slow = Linear(gain=1e-6, min_velocity=1e-6)
-    assert top_speed(course((1.0, 0.0, 0.0), generator=slow)) == pytest.approx(1e-6)
+    assert top_speed(sequence((1.0, 0.0, 0.0), generator=slow)) == pytest.approx(1e-6)
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
@@ -110,14 +112,14 @@ def test_as_near_as_counts_as_there_is_within_reach(solvers):
 )
 def test_a_hand_that_outruns_the_base_is_warned_of(solvers, speed, slow_down, warns):
     guards, far = Guards(speed=speed), goal(4.0, 0.0, 0.8)
-    warning, _ = seen(solvers["hsr"], far, guards, Pace(slow_down=slow_down))
+    warning, _ = seen(solvers["hsr"], far, guards, ExecutionConfig(slow_down=slow_down))
     assert bool(warning) is warns
 
 
 def test_the_warning_says_what_slows_the_hand_down_as_much(solvers):
     warning, _ = seen(solvers["hsr"], goal(4.0, 0.0, 0.8), Guards(speed=0.05))
     assert warning == (
-        "guards.speed slows down the base alone, to 0.05 m/s; the hand, which is to move at up to "
+        "guards.max_linear_velocity slows down the base alone, to 0.05 m/s; the hand, which is to move at up to "
         "0.1 m/s, may leave it behind: --set slow_down=4 slows it down as much"
     )
 

@@ -18,8 +18,8 @@ from kinfeas.record import REACHED, About, Recorder, read_record
 from kinfeas.sim2real.goal_task import make_goal_task
 from kinfeas.sim2real.guard_config import Guards
 from kinfeas.sim2real.guards import Clocks
-from kinfeas.sim2real.look_ahead_thread import LookAheadThread
-from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.metronome import Rate
+from kinfeas.sim2real.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.runtime import Code, Setup, deploy
 from kinfeas.sim2real.warm_up import warm_up
 from kinfeas.sim2real.watchdog import StopCall, Watchdog
@@ -41,13 +41,13 @@ def connect(path):
 """
 
 
-class LiveRobot:
+class RealTimeRobot:
     """A robot with a clock of its own, in this process; a test may break it after some steps."""
 
     def __init__(self, robot, trouble=None, after=10):
         self.world, self.robot = AnalyticBackend(), robot
         self.world.reset(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
-        self.metronome = Metronome(DT)
+        self.metronome = Rate(DT)
         self.trouble, self.after = trouble, after
         self.measured, self.commands, self.closed = time.monotonic(), [], 0
 
@@ -86,7 +86,7 @@ class LiveRobot:
         return self.commands[moving[-1] + 1][0] - moment
 
 
-class WatchedRobot(LiveRobot):
+class WatchedRobot(RealTimeRobot):
     """The same, which another process can stop."""
 
     path = ""
@@ -101,7 +101,7 @@ class Drive:
     def __init__(self, at=10**9, do=lambda: None, action=(1.0, 0.0, 0.0)):
         self.at, self.do, self.action, self.steps = at, do, np.array([action]), 0
 
-    def act(self, situation):
+    def act(self, policy_input):
         self.steps += 1
         if self.steps == self.at:
             self.do()
@@ -111,9 +111,9 @@ class Drive:
 class SlowDrive(Drive):
     """The same, at a fifth of the rate."""
 
-    def act(self, situation):
+    def act(self, policy_input):
         time.sleep(5 * DT)
-        return super().act(situation)
+        return super().act(policy_input)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,12 @@ class WithObjects:
     """A task that tells what became of its objects."""
 
     def __init__(self, task, done):
-        self.task, self.name, self.legs, self.sample = task, task.name, task.legs, task.sample
+        self.task, self.name, self.subgoals, self.sample = (
+            task,
+            task.name,
+            task.subgoals,
+            task.sample,
+        )
         self.done, self.settle, self.drawn = lambda: done, lambda joints, dt: None, dict
 
 
@@ -190,21 +195,21 @@ def test_goes_through_a_chain_of_sub_goals(run, trained, tmp_path):
     (tmp_path / "two.yaml").write_text(
         "{name: two, start: {square: 0.0, heading: 0.0}, places: {a: {position: [0.9, 0, 0.8]}, "
         "b: {position: [0.9, 0.1, 0.8]}}, "
-        "legs: [{place: a, wait: 0.1, motion: {parameters: {gain: 1}}}, "
+        "subgoals: [{place: a, wait: 0.1, motion: {parameters: {gain: 1}}}, "
         "{place: b, motion: {parameters: {gain: 1}}}]}"
     )
     task = read_chain(tmp_path / "two.yaml")
     outcome, record = run(AnalyticBackend(), trained, task, seconds=200.0, real_time=False)
     assert outcome.code is Code.REACHED
-    change = record.event.index("leg 2 begins")
-    assert record.leg[change] == 0
-    assert record.leg[change + 1] == 1
+    change = record.event.index("sub-goal 2 begins")
+    assert record.subgoal[change] == 0
+    assert record.subgoal[change + 1] == 1
     np.testing.assert_allclose(record.goal[change, :3], [0.9, 0.0, 0.8])
     np.testing.assert_allclose(record.goal[change + 1, :3], [0.9, 0.1, 0.8])
 
 
 def test_time_that_is_over_ends_a_run_that_kept_its_rate(run):
-    robot = LiveRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(registry.load_robot("pr2"))
     outcome, record = run(robot, Drive(), seconds=0.4)
     assert outcome.code is Code.TIME_OVER
     assert outcome.timing.p50 == pytest.approx(DT, abs=0.01)
@@ -221,7 +226,7 @@ def test_time_that_is_over_ends_a_run_that_kept_its_rate(run):
     (ConnectionError, "the bus is gone"),
 ])  # fmt: skip
 def test_a_robot_in_trouble_is_stopped_in_time(run, trouble, reason):
-    robot = LiveRobot(registry.load_robot("pr2"), trouble)
+    robot = RealTimeRobot(registry.load_robot("pr2"), trouble)
     outcome, record = run(robot, Drive())
     assert outcome.code is Code.FAULT
     assert re.match(reason, outcome.reason)
@@ -231,7 +236,7 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, trouble, reason):
 
 
 def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, capsys):
-    robot = LiveRobot(registry.load_robot("pr2"), KeyError)
+    robot = RealTimeRobot(registry.load_robot("pr2"), KeyError)
     outcome, record = run(robot, Drive())
     assert (outcome.code, outcome.reason) == (Code.FAULT, "KeyError: 'the bus is gone'")
     assert robot.stopped_after(robot.commands[robot.after][0]) < 0.3
@@ -240,7 +245,7 @@ def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, capsys):
 
 
 def test_time_is_over_by_the_clock_even_if_periods_are_missed(run):
-    robot = LiveRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(registry.load_robot("pr2"))
     began = time.monotonic()
     outcome, _ = run(robot, SlowDrive(), seconds=0.5)
     assert outcome.code is Code.TIME_OVER
@@ -288,9 +293,9 @@ def test_a_watchdog_that_stalls_ends_the_run(run, tmp_path, monkeypatch):
 
 def test_looking_ahead_ends_with_the_run(run, trained):
     before = sys.getswitchinterval()
-    run(AnalyticBackend(), LookAheadThread(trained), seconds=0.2, real_time=False)
+    run(AnalyticBackend(), RolloutPlannerThread(trained), seconds=0.2, real_time=False)
     assert sys.getswitchinterval() == before
-    assert not any(thread.name.startswith("look_ahead") for thread in threading.enumerate())
+    assert not any(thread.name.startswith("rollout_planner") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize(("guards", "warns"), [
@@ -298,7 +303,7 @@ def test_looking_ahead_ends_with_the_run(run, trained):
     (Guards(watchdog=None), False),  # as the user wants it
 ])  # fmt: skip
 def test_a_robot_without_a_watchdog_is_said_to_have_none(run, capsys, guards, warns):
-    run(LiveRobot(registry.load_robot("pr2")), Drive(), seconds=0.1, guards=guards)
+    run(RealTimeRobot(registry.load_robot("pr2")), Drive(), seconds=0.1, guards=guards)
     line = "no watchdog: nothing stops the base if this process dies or hangs, for LiveRobot has no"
     assert capsys.readouterr().err == (f"{line} stop_call\n" if warns else "")
 
@@ -311,7 +316,7 @@ def test_a_simulated_world_ends_with_its_process_and_needs_no_watchdog(run, caps
 def test_a_clock_that_is_set_stops_the_base(run):
     ahead = [0.0]
     clocks = Clocks(time.monotonic, lambda: time.time() + ahead[0])
-    robot = LiveRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(registry.load_robot("pr2"))
     driver = Drive(at=10, do=lambda: ahead.__setitem__(0, 60.0))
     outcome, _ = run(robot, driver, clocks=clocks)
     assert (outcome.code, outcome.reason) == (Code.FAULT, "the system's clock was set by +60.00 s")
@@ -335,7 +340,7 @@ def test_a_world_without_a_clock_may_be_slow(run):
 ])  # fmt: skip
 def test_signals_end_a_run_cleanly(run, number, code):
     before = signal.getsignal(number)
-    robot = LiveRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(registry.load_robot("pr2"))
     outcome, record = run(robot, Drive(at=5, do=lambda: os.kill(os.getpid(), number)))
     assert outcome.code is code
     assert outcome.code == 128 + number
@@ -349,13 +354,13 @@ def test_signals_end_a_run_cleanly(run, number, code):
     ((0.0, 0.0), "the policy's action has the shape"),
 ])  # fmt: skip
 def test_a_policy_that_fails_stops_the_base(run, action, reason):
-    outcome, _ = run(LiveRobot(registry.load_robot("pr2")), Drive(action=action))
+    outcome, _ = run(RealTimeRobot(registry.load_robot("pr2")), Drive(action=action))
     assert outcome.code is Code.FAULT
     assert outcome.reason.startswith(reason)
 
 
 def test_an_arm_that_cannot_follow_stops_the_base(run):
-    guards = Guards(infeasible_steps=20)
+    guards = Guards(max_consecutive_ik_failures=20)
     outcome, record = run(
         AnalyticBackend(), Drive(), goal(-9.0, 0.0, 0.8), seconds=60.0, real_time=False,
         guards=guards,
@@ -366,7 +371,7 @@ def test_an_arm_that_cannot_follow_stops_the_base(run):
 
 
 def test_a_run_that_cannot_begin_is_an_error(run):
-    robot = LiveRobot(registry.load_robot("pr2"), "nan", after=-1)
+    robot = RealTimeRobot(registry.load_robot("pr2"), "nan", after=-1)
     with pytest.raises(KinfeasError, match="not finite"):
         run(robot, Drive())
     assert robot.closed
@@ -391,7 +396,7 @@ class Broken(AnalyticBackend):
             raise self.answer
 
 
-class BrokenRobot(LiveRobot):
+class BrokenRobot(RealTimeRobot):
     """A robot that answers what a test says where one of its methods is called."""
 
     def __init__(self, robot, method, answer):
@@ -399,7 +404,7 @@ class BrokenRobot(LiveRobot):
         self.method, self.answer = method, answer
 
     def reset(self, base_pose, joint_positions, rows=None):
-        return self.says("reset", LiveRobot.read(self))
+        return self.says("reset", RealTimeRobot.read(self))
 
     def step(self, base_twist, joint_targets, dt):
         return self.says("step", super().step(base_twist, joint_targets, dt))
@@ -490,7 +495,7 @@ class OwnError(Exception):
     """What a plugin's author may think up."""
 
 
-class Clinging(LiveRobot):
+class Clinging(RealTimeRobot):
     """A robot that does not let go of its bus."""
 
     def __init__(self, robot, error, trouble=None):
@@ -529,7 +534,7 @@ def test_an_error_of_any_class_stops_the_run_and_keeps_what_it_came_to(run, pr2,
     def breaks():
         raise OwnError("boom")
 
-    robot = LiveRobot(pr2.robot)
+    robot = RealTimeRobot(pr2.robot)
     outcome, record = run(robot, Drive(at=5, do=breaks))
     assert (outcome.code, outcome.reason) == (Code.FAULT, "OwnError: boom")
     assert record.event[-1] == outcome.reason

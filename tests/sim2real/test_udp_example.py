@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinfeas import registry
-from kinfeas.backend import Live
+from kinfeas.backend import RealTimeBackend
 from kinfeas.sim2real.link import BaseReading, Hosted, Orders
 from kinfeas.sim2real.watchdog import Watched
 from tests.sim2real.links import joints_at
@@ -57,7 +57,7 @@ def wait(condition):
 def test_carries_everything_both_ways(udp, orders, robots_end):
     pr2 = registry.load_robot("pr2")
     backend = udp.UdpBackend(pr2, seconds=0.25)
-    assert isinstance(backend, Live)
+    assert isinstance(backend, RealTimeBackend)
     assert isinstance(backend, Watched)
     assert isinstance(udp.UdpBackend, Hosted)
     backend.link.open(backend._inbox.readings())

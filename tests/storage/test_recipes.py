@@ -4,7 +4,7 @@ import pytest
 
 from kinfeas import config
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.study import read_study
+from kinfeas.evaluation.benchmark.study import read_benchmark
 from kinfeas.evaluation.benchmark.trainings import to_train
 from kinfeas.storage.recipes import default_recipe, find_recipe, recipes
 from kinfeas.training.config import TrainConfig
@@ -38,6 +38,6 @@ def test_a_robot_without_its_own_takes_the_default(robot):
 
 @pytest.mark.parametrize("name", ["benchmark/study", "benchmark/quick"])
 def test_shipped_studies_are_valid(name):
-    study = read_study(name)
+    study = read_benchmark(name)
     for settings, _ in to_train(study, Path("out")):
         assert settings.task == "ggr"

@@ -46,7 +46,7 @@ def test_starts(solver, name):
     task = build(name)
     base, joints, targets = sample(task, solver)
     assert task.name == name
-    assert targets.shape == (300, len(task.legs), 7)
+    assert targets.shape == (300, len(task.subgoals), 7)
     assert uniform(base[:, 0], -0.75, 0.75)
     assert uniform(base[:, 1], -0.75, 0.75)
     way = targets[:, 0, :2] - base[:, :2]
@@ -61,8 +61,10 @@ def test_pick_place(exact_solver):
     task = build("pick_place")
     _, _, targets = sample(task, exact_solver)
     before, at, before_place, place = np.moveaxis(targets, 1, 0)
-    assert [leg.wait for leg in task.legs] == [0.0, 2.0, 0.0, 0.0]
-    assert {(leg.frame, leg.motion.generator) for leg in task.legs} == {("tip", "linear")}
+    assert [subgoal.dwell for subgoal in task.subgoals] == [0.0, 2.0, 0.0, 0.0]
+    assert {(subgoal.frame, subgoal.motion.generator) for subgoal in task.subgoals} == {
+        ("tip", "linear")
+    }
     np.testing.assert_allclose(at[:, [0, 2]], np.tile([2.725, 0.61], (300, 1)))
     assert uniform(at[:, 1], -0.325, 0.325)
     np.testing.assert_allclose(at[:, :3] - before[:, :3], np.tile([0.2, 0, 0], (300, 1)))
@@ -85,8 +87,11 @@ def test_furniture(exact_solver, name, handle, along):
     _, _, targets = sample(task, exact_solver, 5)
     np.testing.assert_allclose(targets[..., :3], np.broadcast_to(handle, (5, 2, 3)))
     np.testing.assert_allclose(approach(targets[:, 0]), np.tile(along, (5, 1)), atol=1e-12)
-    assert [(leg.frame, leg.wait) for leg in task.legs] == [("tip", 2.0), ("tip", 0.0)]
-    models = [leg.motion.parameters["model"] for leg in task.legs]
+    assert [(subgoal.frame, subgoal.dwell) for subgoal in task.subgoals] == [
+        ("tip", 2.0),
+        ("tip", 0.0),
+    ]
+    models = [subgoal.motion.parameters["model"] for subgoal in task.subgoals]
     assert models == [f"{name}_grasp", f"{name}_open"]
 
 
@@ -107,24 +112,24 @@ def test_parameters_change_their_own_entries_only():
 
 
 def test_parameters_change_one_leg():
-    grasp, pull = door().legs
+    grasp, pull = door().subgoals
     motion = {"generator": "minimum_jerk", "parameters": {"max_velocity": 0.05}}
-    changed = door(legs={"0": {"motion": motion}}).legs
+    changed = door(subgoals={"0": {"motion": motion}}).subgoals
     assert changed == (replace(grasp, motion=MotionSpec(**motion)), pull)
-    slower = door(legs={"1": {"wait": 3.0, "motion": {"parameters": {"gain": 0.5}}}}).legs
+    slower = door(subgoals={"1": {"dwell": 3.0, "motion": {"parameters": {"gain": 0.5}}}}).subgoals
     parameters = {"model": "door_open", "gain": 0.5}
-    assert slower == (grasp, replace(pull, wait=3.0, motion=MotionSpec("imitation", parameters)))
-    other = door(legs={"0": {"motion": {"generator": "linear"}}}).legs[0].motion
+    assert slower == (grasp, replace(pull, dwell=3.0, motion=MotionSpec("imitation", parameters)))
+    other = door(subgoals={"0": {"motion": {"generator": "linear"}}}).subgoals[0].motion
     assert other == MotionSpec("linear")
-    with pytest.raises(KinfeasError, match=r"'legs\.2'; known are 0 to 1"):
-        door(legs={"2": {"wait": 1.0}})
+    with pytest.raises(KinfeasError, match=r"'subgoals\.2'; known are 0 to 1"):
+        door(subgoals={"2": {"dwell": 1.0}})
 
 
 def test_least_that_a_file_needs(exact_solver, tmp_path):
-    path = write(tmp_path, "{name: a, places: {b: {position: [1, 2, 3]}}, legs: [{place: b}]}")
+    path = write(tmp_path, "{name: a, places: {b: {position: [1, 2, 3]}}, subgoals: [{place: b}]}")
     task = read_chain(path)
-    (leg,) = task.legs
-    assert (leg.frame, leg.wait, leg.motion.generator) == ("ee", 0.0, "linear")
+    (subgoal,) = task.subgoals
+    assert (subgoal.frame, subgoal.dwell, subgoal.motion.generator) == ("ee", 0.0, "linear")
     target = task.sample(exact_solver, np.random.default_rng(0)).target_poses
     np.testing.assert_array_equal(target, [[1, 2, 3, 0, 0, 0, 1]])
 
@@ -133,16 +138,14 @@ def test_files_that_lie_beside_a_task_are_found_from_anywhere(tmp_path, monkeypa
     motion = "{generator: waypoints, parameters: {file: way.yaml}}"
     place = "a: {position: [1, 2, 3]}"
     scene = "{name: kitchen.yaml, done: {object: box, joint: lid}}"
-    text = (
-        f"{{name: b, places: {{{place}}}, legs: [{{place: a, motion: {motion}}}], scene: {scene}}}"
-    )
+    text = f"{{name: b, places: {{{place}}}, subgoals: [{{place: a, motion: {motion}}}], scene: {scene}}}"
     path = write(tmp_path, text)
     (tmp_path / "way.yaml").touch()
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
     task = read_chain(path)
-    assert task.legs[0].motion.parameters == {"file": str(tmp_path / "way.yaml")}
+    assert task.subgoals[0].motion.parameters == {"file": str(tmp_path / "way.yaml")}
     assert task.scene.name == "kitchen.yaml"  # which does not: it is looked for from here
     changed = read_chain(path, {"scene": {"name": "way.yaml"}})
     assert changed.scene.name == "way.yaml"
@@ -151,26 +154,35 @@ def test_files_that_lie_beside_a_task_are_found_from_anywhere(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("legs: []", "'legs' must have at least one entry"),
+        ("subgoals: []", "'subgoals' must have at least one entry"),
         ("name: ''", "'name' must be printable, not empty and without '/', not ''"),
         ("name: a/b", "'name' must be printable, not empty and without '/', not 'a/b'"),
         ('name: "a\\tb"', "'name' must be printable"),
-        ("legs: [{place: shelf}]", "'legs.0.place': unknown place 'shelf'; known are cup"),
-        ("legs: [{place: cap}]", "did you mean 'cup'"),
-        ("legs: [{offset: [0, 0, 1]}]", "'legs.0.place' is missing"),
-        ("legs: [{place: cup, weight: 2}]", "unknown key 'legs.0.weight'"),
+        ("subgoals: [{place: shelf}]", "'subgoals.0.place': unknown place 'shelf'; known are cup"),
+        ("subgoals: [{place: cap}]", "did you mean 'cup'"),
+        ("subgoals: [{offset: [0, 0, 1]}]", "'subgoals.0.place' is missing"),
+        ("subgoals: [{place: cup, weight: 2}]", "unknown key 'subgoals.0.weight'"),
         (
-            "legs: [{place: cup, wait: -1}]",
-            r"'legs.0.wait' must be a number in \[0, 100000\], not -1",
+            "subgoals: [{place: cup, wait: -1}]",
+            r"'subgoals.0.wait' must be a number in \[0, 100000\], not -1",
         ),
-        ("legs: [{place: cup, wait: 1e300}]", r"wait' must be a number in \[0, 100000\], not 1e"),
-        ("legs: [{place: cup, offset: [0, 0, 1e300]}]", "'legs.0.offset.2' must be a number in"),
+        (
+            "subgoals: [{place: cup, wait: 1e300}]",
+            r"wait' must be a number in \[0, 100000\], not 1e",
+        ),
+        (
+            "subgoals: [{place: cup, offset: [0, 0, 1e300]}]",
+            "'subgoals.0.offset.2' must be a number in",
+        ),
         ("places: {cup: {position: [1, 2, [-1e308, 1e308]]}}", "'places.cup.position.2' must be"),
         ("places: {cup: {position: [1, 2, 1e300]}}", "'places.cup.position.2' must be a number in"),
         ("places: {cup: {position: [1, 2, 3], rpy: [0, 1e300, 0]}}", "'places.cup.rpy.1' must be"),
         ("start: {square: 1e300}", r"'start.square' must be a number in \[0, 10000\], not 1e"),
-        ("legs: [{place: cup, frame: tool}]", "'legs.0.frame' must be one of 'ee', 'tip'"),
-        ("legs: [{place: cup, offset: [1, 2]}]", "'legs.0.offset' must be a list of 3 entries"),
+        ("subgoals: [{place: cup, frame: tool}]", "'subgoals.0.frame' must be one of 'ee', 'tip'"),
+        (
+            "subgoals: [{place: cup, offset: [1, 2]}]",
+            "'subgoals.0.offset' must be a list of 3 entries",
+        ),
         ("places: {cup: {position: [1, 2]}}", "'places.cup.position' must be a list of 3"),
         ("places: {cup: {position: [1, 2, [3]]}}", "'places.cup.position.2' must be"),
         ("places: {cup: {position: [1, 2, [4, 3]]}}", "'position' must not descend from 4 to 3"),
@@ -185,7 +197,7 @@ def test_wrong_files_are_one_sentence(tmp_path, text, message):
     good = {
         "name": "name: fetch",
         "places": "places: {cup: {position: [1, 2, 3]}}",
-        "legs": "legs: [{place: cup}]",
+        "subgoals": "subgoals: [{place: cup}]",
     }
     lines = {**good, text.split(":")[0]: text}
     path = write(tmp_path, "\n".join(lines.values()))
@@ -200,7 +212,7 @@ def test_wrong_files_are_one_sentence(tmp_path, text, message):
     ("parameters", "message"),
     [
         ({"colour": "red"}, "unknown key 'colour'"),
-        ({"legs": []}, "'legs' must have at least one entry"),
+        ({"subgoals": []}, "'subgoals' must have at least one entry"),
         ({"start": {"square": -1}}, "'start.square' must be a number"),
     ],
 )
@@ -213,14 +225,14 @@ def test_wrong_parameters_are_one_sentence_and_not_the_file_s_fault(name, parame
 TWO_PLACES = """
 name: tidy_up
 places: {cup: {position: [2, 0, 0.8]}, bin: {position: [-1, 1, 0.5]}}
-legs: [{place: cup}, {place: bin}]
+subgoals: [{place: cup}, {place: bin}]
 """
 
 
 def test_a_misspelt_place_is_refused(tmp_path):
     path = write(tmp_path, TWO_PLACES)
     changes = {"places": {"cp": {"position": [1, 0, 0.8]}}}
-    sentence = r"no leg leads to 'cp' \(did you mean 'cup'\?\); known are bin, cup$"
+    sentence = r"no sub-goal leads to 'cp' \(did you mean 'cup'\?\); known are bin, cup$"
     with pytest.raises(KinfeasError, match=f"^the task's parameters: 'places.cp': {sentence}"):
         read_chain(path, changes)
     path.write_text(TWO_PLACES.replace("cup: {pos", "cp: {position: [0, 0, 1]}, cup: {pos"))
@@ -229,8 +241,8 @@ def test_a_misspelt_place_is_refused(tmp_path):
 
 
 def test_other_legs_may_leave_out_places_of_the_file(tmp_path):
-    task = read_chain(write(tmp_path, TWO_PLACES), {"legs": [{"place": "bin"}]})
-    assert [leg.place for leg in task.legs] == ["bin"]
+    task = read_chain(write(tmp_path, TWO_PLACES), {"subgoals": [{"place": "bin"}]})
+    assert [subgoal.place for subgoal in task.subgoals] == ["bin"]
 
 
 def test_objects_stand_where_the_places_are(exact_solver):
@@ -248,7 +260,9 @@ def test_objects_stand_where_the_places_are(exact_solver):
 
 
 def test_tasks_without_a_scene_move_nothing(tmp_path, exact_solver):
-    path = write(tmp_path, "{name: a, places: {cup: {position: [1, 0, 1]}}, legs: [{place: cup}]}")
+    path = write(
+        tmp_path, "{name: a, places: {cup: {position: [1, 0, 1]}}, subgoals: [{place: cup}]}"
+    )
     task = read_chain(path)
     targets = task.sample(exact_solver, np.random.default_rng(0)).target_poses
     assert task.object_poses(targets) == {}
@@ -262,12 +276,12 @@ def test_tasks_without_a_scene_move_nothing(tmp_path, exact_solver):
         ("{name: room, done: {object: box, on: a, joint: b}}", "one of 'on' and 'joint'"),
         (
             "{name: room, done: {object: box, on: a}, moves: {box: {place: tea}}}",
-            "no leg leads to 'tea'; known are cup",
+            "no sub-goal leads to 'tea'; known are cup",
         ),
     ],
 )
 def test_wrong_scenes_are_one_sentence(tmp_path, scene, message):
     text = "name: a\nplaces: {cup: {position: [1, 0, 1]}, tea: {position: [0, 1, 1]}}\n"
-    path = write(tmp_path, f"{text}legs: [{{place: cup}}]\nscene: {scene}\n")
+    path = write(tmp_path, f"{text}subgoals: [{{place: cup}}]\nscene: {scene}\n")
     with pytest.raises(KinfeasError, match=message):
         read_chain(path)

@@ -17,7 +17,7 @@ from kinfeas.tasks.chain import ChainTask, door
 from kinfeas.tasks.checks import CheckedTask, unchecked
 from kinfeas.tasks.ggr import GoalReaching
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.task import Leg
+from kinfeas.tasks.task import Subgoal
 
 RNG = np.random.default_rng(0)
 
@@ -33,7 +33,7 @@ class Given:
 
     start: object = None
     name: str = "given"
-    legs: tuple = (Leg(),)
+    subgoals: tuple = (Subgoal(),)
     radius: float = 2.0
 
     def sample(self, solver, rng):
@@ -107,9 +107,12 @@ def test_what_its_code_raises_names_it_and_the_line(pr2, error):
 @pytest.mark.parametrize(
     ("task", "sentence"),
     [
-        (Given(legs=()), "must have a tuple of at least one leg, not none"),
-        (Given(legs=None), "must have a tuple of at least one leg, not NoneType"),
-        (Given(legs=(1,)), "must have legs that are a Leg each, and a int has no 'motion'"),
+        (Given(subgoals=()), "must have a tuple of at least one sub-goal, not none"),
+        (Given(subgoals=None), "must have a tuple of at least one sub-goal, not NoneType"),
+        (
+            Given(subgoals=(1,)),
+            "must have sub-goals that are a Leg each, and a int has no 'motion'",
+        ),
         (Given(name=""), "'name' must be printable, not empty"),
         (Given(name="a/b"), "'name' must be printable, not empty and without '/', not 'a/b'"),
         (Given(name=3), "'name' must be a string, not 3"),
@@ -125,7 +128,7 @@ def test_all_else_comes_through(pr2):
     task = Given(sound(pr2))
     checked = CheckedTask(task, "mine")
     assert checked.sample(pr2, RNG) is task.start
-    assert (checked.name, checked.legs, checked.radius) == ("given", task.legs, 2.0)
+    assert (checked.name, checked.subgoals, checked.radius) == ("given", task.subgoals, 2.0)
     assert not hasattr(checked, "scene")
     for again in (copy.deepcopy(checked), pickle.loads(pickle.dumps(checked))):
         assert (again.name, again.radius) == ("given", 2.0)
@@ -134,7 +137,7 @@ def test_all_else_comes_through(pr2):
 
 def test_a_chain_of_ones_own_keeps_its_furniture():
     chain = door()
-    own = OwnDoor(chain.name, chain.legs, chain.places, chain.start, chain.scene)
+    own = OwnDoor(chain.name, chain.subgoals, chain.places, chain.start, chain.scene)
     checked = CheckedTask(own, "mine")
     assert unchecked(checked) is own
     assert task_scene(checked).name == task_scene(chain).name
@@ -153,5 +156,7 @@ def test_only_what_comes_from_outside_is_looked_at(monkeypatch):
     assert isinstance(load_task("door"), ChainTask)
     with pytest.raises(KinfeasError, match="must return an object with the methods sample, not No"):
         load_task("nothing")
-    with pytest.raises(KinfeasError, match=r"^task 'given' must have a tuple of at least one leg"):
-        load_task("given", {"legs": ()})
+    with pytest.raises(
+        KinfeasError, match=r"^task 'given' must have a tuple of at least one sub-goal"
+    ):
+        load_task("given", {"subgoals": ()})

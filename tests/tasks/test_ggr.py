@@ -12,7 +12,7 @@ from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.spatial import rotation, yaw
 from kinfeas.start import Start
 from kinfeas.tasks.ggr import GoalReaching
-from kinfeas.tasks.task import Leg, MotionSpec
+from kinfeas.tasks.task import MotionSpec, Subgoal
 
 
 def build(name, **parameters):
@@ -71,12 +71,12 @@ def test_roll_pitch_and_yaw_are_uniform(exact_solver):
 
 
 def test_so3_draws_uniform_rotations(exact_solver):
-    turns = rotation(
+    revolute = rotation(
         sample(build("ggr", orientation="so3"), exact_solver).target_poses[:, 0]
     ).as_matrix()
     for i in range(3):
         for k in range(3):
-            assert uniform(turns[:, i, k], -1.0, 1.0)
+            assert uniform(revolute[:, i, k], -1.0, 1.0)
 
 
 def test_parameters(exact_solver):
@@ -89,7 +89,7 @@ def test_parameters(exact_solver):
 
 def test_parameters_as_yaml_gives_them(exact_solver):
     task = build("ggr", distance=[1, 2], motion={"generator": "linear"})
-    assert task.legs == (Leg(MotionSpec("linear")),)
+    assert task.subgoals == (Subgoal(MotionSpec("linear")),)
     task.sample(exact_solver, np.random.default_rng(0))
 
 

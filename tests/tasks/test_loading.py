@@ -6,13 +6,13 @@ from kinfeas.tasks.loading import load_task, task_name
 TASK = """
 name: fetch
 places: {cup: {position: [2, [-1, 1], 0.8]}}
-legs: [{place: cup, frame: tip}]
+subgoals: [{place: cup, frame: tip}]
 """
 
 
 def test_by_name():
     assert load_task("ggr", {"orientation": "so3"}).name == "ggr"
-    assert len(load_task("pick_place").legs) == 4
+    assert len(load_task("pick_place").subgoals) == 4
 
 
 def test_by_path(tmp_path):

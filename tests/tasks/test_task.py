@@ -1,14 +1,16 @@
 import pytest
 
 from kinfeas.errors import KinfeasError
-from kinfeas.tasks.task import Leg, MotionSpec, build_legs
+from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
 
 
 def test_equal_motions_share_a_generator():
     slow = MotionSpec("linear", {"max_velocity": 0.05})
-    legs = (Leg(), Leg(slow, "tip", 2.0), Leg(MotionSpec("linear")), Leg(slow))
-    built = build_legs(legs)
-    assert [(leg.frame, leg.wait) for leg in built] == [(leg.frame, leg.wait) for leg in legs]
+    subgoals = (Subgoal(), Subgoal(slow, "tip", 2.0), Subgoal(MotionSpec("linear")), Subgoal(slow))
+    built = build_subgoals(subgoals)
+    assert [(subgoal.frame, subgoal.dwell) for subgoal in built] == [
+        (subgoal.frame, subgoal.dwell) for subgoal in subgoals
+    ]
     assert built[0].generator is built[2].generator
     assert built[1].generator is built[3].generator
     assert built[0].generator is not built[1].generator
@@ -23,7 +25,7 @@ def test_equal_motions_share_a_generator():
 )
 def test_wrong_motions_are_one_sentence(motion, message):
     with pytest.raises(KinfeasError, match=message) as alone:
-        build_legs([Leg(motion)])
+        build_subgoals([Subgoal(motion)])
     with pytest.raises(KinfeasError) as second:
-        build_legs([Leg(), Leg(motion)])
-    assert str(second.value) == f"'legs.1.motion': {alone.value}"
+        build_subgoals([Subgoal(), Subgoal(motion)])
+    assert str(second.value) == f"'subgoals.1.motion': {alone.value}"

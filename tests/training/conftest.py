@@ -9,12 +9,12 @@ from kinfeas import config
 from kinfeas.training.config import TrainConfig
 
 TINY = {
-    "environments": 8,
+    "num_envs": 8,
     "world": {"max_seconds": 5.0, "adapters": [{"name": "base_noise"}]},
     "learner": {
-        "hidden": [16, 16],
+        "net_arch": [16, 16],
         "batch_size": 32,
-        "random_steps": 200,
+        "learning_starts": 200,
         "buffer_size": 1_000,
         "gradient_steps": 1,
     },

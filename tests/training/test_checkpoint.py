@@ -20,7 +20,7 @@ from kinfeas.training.vec_env import WorldVecEnv
 
 ROOT = Path(__file__).parents[2]
 ADAPTERS = "[{name: base_noise}, {name: command_latency}, {name: sensor_latency}]"
-LEARNERS = [(), ("learner.entropy=learned",), ("learner.algorithm=td3",)]
+LEARNERS = [(), ("learner.ent_coef=learned",), ("learner.algorithm=td3",)]
 
 
 class Toy:
@@ -82,7 +82,7 @@ def test_goes_on_from_a_checkpoint_to_the_bit(config, tmp_path, steps):
 @pytest.mark.parametrize("seed", range(6))
 def test_any_tensor_of_another_form_is_a_clear_error(tiny, tmp_path, seed):
     """Each is dropped, cut, stretched, of another type, of another rank or of another name."""
-    config = tiny("learner.entropy=learned", f"world.adapters={ADAPTERS}")
+    config = tiny("learner.ent_coef=learned", f"world.adapters={ADAPTERS}")
     toy, other, rng = Toy(config), Toy(config), np.random.default_rng(seed)
     toy.learn(3)
     toy.save(tmp_path / "a")
@@ -142,7 +142,7 @@ def test_an_error_is_one_short_line(tiny, tmp_path):
     toy = Toy(tiny())
     toy.save(tmp_path / "a")
     with pytest.raises(KinfeasError) as caught:
-        Toy(tiny("learner.hidden=[8]")).load(tmp_path / "a")
+        Toy(tiny("learner.net_arch=[8]")).load(tmp_path / "a")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
 

@@ -33,23 +33,23 @@ def test_every_recipe_loads_and_makes_a_world(path):
 def test_the_papers_numbers(path):
     recipe = load(path)
     learner, reward, schedule = recipe.learner, recipe.world.reward, recipe.schedule
-    assert (recipe.environments, learner.gradient_steps, recipe.task) == (1, 1, "ggr")
+    assert (recipe.num_envs, learner.gradient_steps, recipe.task) == (1, 1, "ggr")
     assert (schedule.steps, schedule.minutes, learner.buffer_size) == (1_000_000, None, 100_000)
     assert (reward.failure, reward.limit_penalty, reward.jump_penalty) == ("indicator", 0.0, 0.0)
     assert reward.action_penalty in {0.0, 0.01, 0.1}
     assert recipe.world.max_failures in {1, 19, 99}
     assert learner.batch_size in {64, 256}
     assert learner.learning_rate in {3e-4, 1e-4, 1e-5}
-    assert learner.smoothing in {0.001, 0.005}
-    assert learner.discount in {0.98, 0.99, 0.999}
-    assert learner.random_steps in {0, 50_000}
+    assert learner.tau in {0.001, 0.005}
+    assert learner.gamma in {0.98, 0.99, 0.999}
+    assert learner.learning_starts in {0, 50_000}
     if learner.algorithm == "td3":
-        assert learner.hidden == (400, 300)
+        assert learner.net_arch == (400, 300)
         assert learner.exploration_noise in {0.25, 0.5, 0.75}
         assert learner.policy_noise in {0.1, 0.25, 0.5}
     else:
-        assert learner.hidden == (256, 256)
-        assert learner.entropy in {"learned", 0.1, 0.2, 0.3}
+        assert learner.net_arch == (256, 256)
+        assert learner.ent_coef in {"learned", 0.1, 0.2, 0.3}
 
 
 @pytest.mark.parametrize("robot", ["pr2", "tiago", "hsr"])
@@ -66,8 +66,8 @@ def test_sturdy_noise_differs_from_the_default_in_the_noise_alone():
 
 
 def test_each_process_has_an_environment(tiny):
-    with pytest.raises(KinfeasError, match="'processes' must be at most 'environments', 8, not 9"):
-        tiny("physics={}", "environments=8", "processes=9")
+    with pytest.raises(KinfeasError, match="'processes' must be at most 'num_envs', 8, not 9"):
+        tiny("physics={}", "num_envs=8", "processes=9")
 
 
 def test_a_run_without_an_end_is_refused(tiny):
@@ -78,10 +78,10 @@ def test_a_run_without_an_end_is_refused(tiny):
 @pytest.mark.parametrize(
     "override",
     [
-        "learner.algorithm=ppo", "learner.discount=1.5", "learner.hidden=[0]", "environments=0",
-        "learner.hidden=[2049]", "learner.hidden=[8,8,8,8,8,8,8,8,8]", "learner.learning_rate=1.1",
-        "learner.batch_size=99999999", "learner.gradient_steps=99999999", "environments=65537",
-        "hold=1001", "schedule.evaluations=99999", "schedule.evaluation_episodes=99999999",
+        "learner.algorithm=ppo", "learner.gamma=1.5", "learner.net_arch=[0]", "num_envs=0",
+        "learner.net_arch=[2049]", "learner.net_arch=[8,8,8,8,8,8,8,8,8]", "learner.learning_rate=1.1",
+        "learner.batch_size=99999999", "learner.gradient_steps=99999999", "num_envs=65537",
+        "action_repeat=1001", "schedule.evaluations=99999", "schedule.evaluation_episodes=99999999",
         "seed=4294967296",
         "learner.learning_rate=0", "schedule.minutes=-1", "seed=-1", "learner.batchsize=3",
     ],

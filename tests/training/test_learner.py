@@ -35,9 +35,9 @@ def observations(env, n=50, seed=0):
     return env.world.start(range(seed, seed + n))
 
 
-@pytest.mark.parametrize("hidden", [(16, 16), (8,), (32, 16, 8)])
-def test_the_network_acts_as_the_actor_does(config, env, hidden):
-    learner = make_learner(replace(config, hidden=hidden), env, 0)
+@pytest.mark.parametrize("net_arch", [(16, 16), (8,), (32, 16, 8)])
+def test_the_network_acts_as_the_actor_does(config, env, net_arch):
+    learner = make_learner(replace(config, net_arch=net_arch), env, 0)
     with torch.no_grad():
         for parameter in learner.actor.parameters():
             parameter.mul_(3.0)  # so that no action is near 0
@@ -122,9 +122,9 @@ def test_the_learning_rate_follows_its_schedule(env, tiny, schedule, half, end):
 
 
 def test_hyperparameters_reach_sb3(env, tiny):
-    sac = make_learner(tiny("learner.entropy=0.3", "learner.discount=0.9").learner, env, 0)
+    sac = make_learner(tiny("learner.ent_coef=0.3", "learner.gamma=0.9").learner, env, 0)
     assert (sac.gamma, float(sac.ent_coef_tensor), sac.tau) == (0.9, pytest.approx(0.3), 0.005)
-    learned = make_learner(tiny("learner.entropy=learned").learner, env, 0)
+    learned = make_learner(tiny("learner.ent_coef=learned").learner, env, 0)
     assert learned.ent_coef_optimizer is not None
     td3 = make_learner(tiny("learner.algorithm=td3", "learner.policy_noise=0.5").learner, env, 0)
     assert td3.target_policy_noise == 0.5

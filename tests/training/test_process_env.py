@@ -14,12 +14,12 @@ from kinfeas.training.process_env import SHARE, ProcessVecEnv
 
 PHYSICAL = {
     "robot": "hsr",
-    "environments": 3,
+    "num_envs": 3,
     "processes": 2,
-    "hold": 5,
+    "action_repeat": 5,
     "world": {"dt": 0.02, "max_seconds": 1.2, "max_failures": 99},
     "physics": {},
-    "learner": {"batch_size": 16, "random_steps": 40, "critic_steps": 40, "buffer_size": 500},
+    "learner": {"batch_size": 16, "learning_starts": 40, "critic_steps": 40, "buffer_size": 500},
     "schedule": {
         "steps": 200,
         "minutes": None,

@@ -26,7 +26,7 @@ from kinfeas.training.train import resume, train
 
 LEARNERS = {
     "sac": (),
-    "sac with learned entropy": ("learner.entropy=learned",),
+    "sac with learned entropy": ("learner.ent_coef=learned",),
     "td3": ("learner.algorithm=td3", "learner.schedule=constant"),
 }
 
@@ -139,7 +139,7 @@ def child_that_trains(settings, folder, out):
         )
     try:
         deadline = time.monotonic() + 120.0
-        while checkpoint_steps(out) <= settings.learner.random_steps:
+        while checkpoint_steps(out) <= settings.learner.learning_starts:
             assert child.poll() is None, errors.read_text()
             assert time.monotonic() < deadline
             time.sleep(0.005)
@@ -306,7 +306,7 @@ def test_a_longer_schedule_takes_a_finished_run_further(half):
 
 
 def test_minutes_end_a_run_and_count_over_its_parts(tiny, tmp_path):
-    settings = tiny("schedule.steps=null", "schedule.minutes=0.02", "environments=4")
+    settings = tiny("schedule.steps=null", "schedule.minutes=0.02", "num_envs=4")
     seen = []
     progress = train(settings, tmp_path / "run", seen.append)
     assert progress.share == 1.0
@@ -498,7 +498,7 @@ def test_a_folder_that_is_no_run_is_a_clear_error(tmp_path, name):
     ("old", "new", "key"),
     [
         ("robot: pr2", "robot: hsr", "robot"),
-        ("environments: 8", "environments: 4", "environments"),
+        ("num_envs: 8", "num_envs: 4", "num_envs"),
         ("algorithm: sac", "algorithm: td3", "learner"),
         ("name: base_noise", "name: base_noise\n    parameters: {linear: 0.1}", "world"),
     ],
@@ -628,11 +628,11 @@ def weights(out, name="last"):
 
 def test_a_run_goes_on_from_a_policy_whose_shape_it_takes(finished, tiny, tmp_path):
     # The critics learn all the time, the actor never does.
-    settings = tiny(f"init={finished}", "learner.hidden=[8]", "learner.critic_steps=9999")
+    settings = tiny(f"init={finished}", "learner.net_arch=[8]", "learner.critic_steps=9999")
     out = tmp_path / "run"
     assert train(settings, out).evaluations == 3
     tuned = config.load(TrainConfig, out / "config.yaml")
-    assert tuned.learner.hidden == (16, 16)
+    assert tuned.learner.net_arch == (16, 16)
     for name, values in weights(finished, "best").items():
         np.testing.assert_array_equal(weights(out)[name], values)
     critics = [row["train/critic_loss"] for row in rows(out) if row["train/critic_loss"]]
@@ -643,7 +643,9 @@ def test_a_run_goes_on_from_a_policy_whose_shape_it_takes(finished, tiny, tmp_pa
 
 
 def test_without_a_policy_to_go_on_from_the_actor_learns_at_once(tiny, tmp_path):
-    settings = tiny("learner.critic_steps=9999", "schedule.steps=400", "learner.random_steps=100")
+    settings = tiny(
+        "learner.critic_steps=9999", "schedule.steps=400", "learner.learning_starts=100"
+    )
     train(settings, tmp_path / "run")
     run = training._Run(settings, tmp_path / "no")
     run.env.close()

@@ -155,8 +155,10 @@ def test_the_environments_are_one(robot):
 
 def test_an_action_holds_and_earns_the_mean_until_its_episode_ends(robot):
     """As many steps of the world with the same action; what ends begins anew after the last."""
-    n, hold = 4, 5
-    env = WorldVecEnv(World(robot, registry.build("kinfeas.tasks", "ggr", {}), NOISY, 4), n, hold)
+    n, action_repeat = 4, 5
+    env = WorldVecEnv(
+        World(robot, registry.build("kinfeas.tasks", "ggr", {}), NOISY, 4), n, action_repeat
+    )
     beside = make(robot, n).world
     env.reset()
     beside.start(range(n))
@@ -165,7 +167,7 @@ def test_an_action_holds_and_earns_the_mean_until_its_episode_ends(robot):
         action = actions(env, rng)
         seen, rewards, dones, infos = env.step(action)
         earned, lasts = [[] for _ in range(n)], [None] * n
-        for _ in range(hold):
+        for _ in range(action_repeat):
             expected = beside.step(action.astype(np.float64))
             for row in range(n):
                 if lasts[row] is None:
@@ -174,7 +176,7 @@ def test_an_action_holds_and_earns_the_mean_until_its_episode_ends(robot):
                     lasts[row] = expected.observation[row]
                     assert infos[row]["TimeLimit.truncated"] == expected.truncated[row]
                     assert infos[row]["failures"] == beside.failures[row]
-                    early += len(earned[row]) < hold
+                    early += len(earned[row]) < action_repeat
         ended = [row for row in range(n) if lasts[row] is not None]
         if ended:
             beside.start(range(following, following + len(ended)), np.array(ended))

@@ -19,7 +19,7 @@ EPISODES = 4
 def goal(world, episode):
     """Return where an episode leads, shape (7,)."""
     world.start([episode])
-    return world.loop.course.goal[0].copy()
+    return world.loop.sequence.goal[0].copy()
 
 
 def judged(settings, seed):
@@ -66,8 +66,13 @@ def test_evaluations_stay_what_they_have_always_been(robot):
         np.testing.assert_array_equal(goal(world, episode), start.target_poses[0])
 
 
-IK = {"restarts": 2, "leeway": False, "self_collision": False, "position_tolerance": 1e-3}
-SOLVED = {"restarts": 24, "leeway": False, "self_collision": False, "position_tolerance": 1e-3}
+IK = {"restarts": 2, "pose_tolerance": False, "self_collision": False, "position_tolerance": 1e-3}
+SOLVED = {
+    "restarts": 24,
+    "pose_tolerance": False,
+    "self_collision": False,
+    "position_tolerance": 1e-3,
+}
 
 
 def test_what_counts_as_a_solution_is_the_run_s_where_it_is_judged(monkeypatch, tiny):
@@ -91,6 +96,6 @@ def test_nor_is_it_another_with_physics(monkeypatch):
 def test_a_training_with_physics_is_judged_yielding_if_it_learns_so(monkeypatch, asks):
     trials = []
     monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: trials.append(trial))
-    told = {"robot": "hsr", "physics": {}, asks: {"yields": True}}
+    told = {"robot": "hsr", "physics": {}, asks: {"feasibility_filter": True}}
     worlds.physics_judge(config.from_mapping(TrainConfig, told, "physical"))(None, 3)
-    assert trials[0].settings.pace.yields
+    assert trials[0].settings.execution.feasibility_filter

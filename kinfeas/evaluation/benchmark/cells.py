@@ -17,7 +17,7 @@ from kinfeas.evaluation.benchmark.identity import identities
 from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.records import to_lists
 from kinfeas.evaluation.benchmark.samples import WorkspaceSamples
-from kinfeas.evaluation.ceiling import measure_ceiling
+from kinfeas.evaluation.ceiling import measure_reachability
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics.evaluate import is_judged, physics_figures, run_part
@@ -35,7 +35,7 @@ Result = dict[str, Any]
 _CEILING_FIGURES = ("success", "low", "high")
 
 _FIGURES = (
-    "episodes", "success", "within_5cm", "mean_failures", "mean_deviation_m", "jumps_per_episode",
+    "episodes", "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m", "joint_jumps_per_episode",
     "mean_steps",
 )  # fmt: skip
 """Of a policy, those that tables and pictures show."""
@@ -103,7 +103,7 @@ def compute(job: Job) -> Result:
     if isinstance(job.world, PhysicsSettings):
         return _compute_part(job, robot, task, job.world)
     if job.policy == CEILING:
-        ceiling = measure_ceiling(robot, task, job.episodes, job.seed, job.world.ik)
+        ceiling = measure_reachability(robot, task, job.episodes, job.seed, job.world.ik)
         share = ceiling.share
         return {"figures": {"success": share.value, "low": share.low, "high": share.high}}
     policy = load_driver(job.source, robot)

@@ -7,7 +7,7 @@ from kinfeas.errors import KinfeasError
 from kinfeas.sim.stage import task_scene
 from kinfeas.storage.files import is_path
 from kinfeas.tasks.loading import load_task, task_name
-from kinfeas.tasks.task import build_legs
+from kinfeas.tasks.task import build_subgoals
 
 
 def check_robots(robots: Sequence[str]) -> None:
@@ -24,7 +24,7 @@ def check_robots(robots: Sequence[str]) -> None:
 def check_task(task: str, parameters: Mapping[str, object], *, physical: bool) -> None:
     """Raise if a task, one of its motions or, with physics, its scene cannot be read."""
     known = load_task(task, parameters)
-    build_legs(known.legs)
+    build_subgoals(known.subgoals)
     if physical:
         task_scene(known)
 

@@ -20,7 +20,7 @@ from kinfeas.evaluation.benchmark.physics import PhysicsCell, tabulate_physics
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
 from kinfeas.evaluation.benchmark.runs import Run
-from kinfeas.evaluation.benchmark.study import StudyConfig
+from kinfeas.evaluation.benchmark.study import BenchmarkConfig
 from kinfeas.evaluation.benchmark.table import Cell, tabulate, to_json
 from kinfeas.evaluation.benchmark.text import to_markdown
 from kinfeas.evaluation.benchmark.workspace import Covered, covered, workspace_figure
@@ -43,7 +43,7 @@ class Findings:
         results: What each of the jobs came to.
     """
 
-    study: StudyConfig
+    study: BenchmarkConfig
     runs: Sequence[Run]
     jobs: Sequence[Job]
     results: Sequence[Result]

@@ -12,10 +12,10 @@ import numpy as np
 
 from kinfeas import __version__, config, registry
 from kinfeas.evaluation.benchmark.job import CEILING, Job
-from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD, load_policy
-from kinfeas.look_ahead import Foresight
+from kinfeas.evaluation.policies import BASELINES, ROLLOUT_PLANNER, load_policy
 from kinfeas.policy import Network
 from kinfeas.robots.robot import Robot
+from kinfeas.rollout_planner import RolloutConfig
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim.stage import task_scene
 from kinfeas.storage.files import is_path, reading
@@ -28,7 +28,7 @@ _FORMAT = 1
 _RULES = 2
 """By which collisions and tasks done are told in the PyBullet world, counted up as they change."""
 
-_LATER = (("yields", False), ("clearance", 0.0))
+_LATER = (("feasibility_filter", False), ("min_obstacle_distance", 0.0))
 """Settings of the world that came after the first cells, with the value that changes nothing: left
 out, so that these cells are found."""
 
@@ -87,7 +87,9 @@ def _physical_identity(job: Job) -> dict[str, Any]:
 def _motion_files(task: Task) -> dict[str, Any]:
     """Return the digests of the models, waypoints and the like that a task's motions name."""
     digests = [
-        _file_digest(path) for leg in task.legs for path in _files(leg.motion.parameters.values())
+        _file_digest(path)
+        for subgoal in task.subgoals
+        for path in _files(subgoal.motion.parameters.values())
     ]
     return {"motion_digests": digests} if digests else {}
 
@@ -124,11 +126,11 @@ def _scene_digest(scene: Scene) -> str:
 def _policy_digest(job: Job, robot: Robot) -> str:
     if job.policy == CEILING or job.source in BASELINES:
         return job.source
-    network = load_policy(job.source.removeprefix(LOOK_AHEAD), robot)
+    network = load_policy(job.source.removeprefix(ROLLOUT_PLANNER), robot)
     assert isinstance(network, Network)
     digest = hashlib.sha256()
-    if job.source.startswith(LOOK_AHEAD):
-        digest.update(repr(Foresight()).encode())
+    if job.source.startswith(ROLLOUT_PLANNER):
+        digest.update(repr(RolloutConfig()).encode())
     for values in (network.scale, *network.weights, *network.biases):
         digest.update(f"{values.shape}".encode())
         digest.update(np.ascontiguousarray(values).tobytes())

@@ -13,7 +13,7 @@ W = TypeVar("W", WorldConfig, PhysicsSettings)
 CEILING = "ceiling"
 """What takes the place of a policy where the ceiling of a task is to be found."""
 
-YIELDING = "yielding:"
+FEASIBILITY_FILTER = "yielding:"
 """What stands before what a policy is called in the table if the base yields for it."""
 
 
@@ -26,8 +26,8 @@ class Job:
         task: Name or YAML file.
         parameters: Its keyword parameters.
         variant: What is different about them.
-        policy: What the policy is called in the table, after `look_ahead:` and `yielding:` as it
-            does so; `ceiling` for the ceiling.
+        policy: What the policy is called in the table, after `rollout_planner:` and `yielding:` as
+            it does so; `ceiling` for the ceiling.
         source: What `load_driver` takes.
         training_seed: Seed that it was trained with, if it was and that is known.
         episodes: How many.
@@ -75,4 +75,6 @@ class Job:
 
 def world_for(policy: str, world: W) -> W:
     """Return the world of a policy by its name in the table: `world`, yielding if that says so."""
-    return replace(world, yields=world.yields or YIELDING in policy)
+    return replace(
+        world, feasibility_filter=world.feasibility_filter or FEASIBILITY_FILTER in policy
+    )

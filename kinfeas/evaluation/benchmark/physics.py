@@ -9,7 +9,7 @@ from kinfeas.evaluation.benchmark.job import Job
 from kinfeas.evaluation.benchmark.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.evaluation.benchmark.records import from_lists
 from kinfeas.evaluation.benchmark.table import Cell, common, interval, mean_of
-from kinfeas.evaluation.physics.evaluate import PhysicsFigures, is_judged, physics_figures
+from kinfeas.evaluation.physics.evaluate import PhysicsMetrics, is_judged, physics_figures
 from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial
 from kinfeas.metrics import Share, join
 from kinfeas.tasks.loading import load_task
@@ -28,11 +28,12 @@ class PhysicsCell(Cell):
         task_success_high: Upper end.
         base_collisions: How often an episode the base ran into something.
         arm_collisions: How often the arm did.
-        free_of_collisions: Share of episodes without either.
+        collision_free_rate: Share of episodes without either.
         slow_down: How many times longer than planned the EE motions lasted.
         head_start: Seconds that the EE stood still at first.
-        yields: Whether the base yielded to the arm.
-        clearance: Metres that the base kept from what stood around; 0 if it did not look.
+        feasibility_filter: Whether the base yielded to the arm.
+        min_obstacle_distance: Metres that the base kept from what stood around; 0 if it did not
+            look.
         objects: Whether the scene was there.
     """
 
@@ -43,11 +44,11 @@ class PhysicsCell(Cell):
     task_success_high: float | None
     base_collisions: float
     arm_collisions: float
-    free_of_collisions: float
+    collision_free_rate: float
     slow_down: float
     head_start: float
-    yields: bool
-    clearance: float
+    feasibility_filter: bool
+    min_obstacle_distance: float
     objects: bool
 
     @property
@@ -112,16 +113,16 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
         task_success_high=done.high if done else None,
         base_collisions=mean_of(figures, "base_collisions"),
         arm_collisions=mean_of(figures, "arm_collisions"),
-        free_of_collisions=mean_of(figures, "free_of_collisions"),
+        collision_free_rate=mean_of(figures, "collision_free_rate"),
         slow_down=world.slow_down,
         head_start=world.head_start,
-        yields=world.yields,
-        clearance=world.clearance,
+        feasibility_filter=world.feasibility_filter,
+        min_obstacle_distance=world.min_obstacle_distance,
         objects=world.objects,
     )
 
 
-def _task_success(figures: Sequence[PhysicsFigures], episodes: int) -> Share | None:
+def _task_success(figures: Sequence[PhysicsMetrics], episodes: int) -> Share | None:
     """Return the share of tasks done over the training seeds, None where none can be."""
     shares = [share for found in figures if (share := found["task_success"]) is not None]
     return interval(shares, episodes) if shares else None

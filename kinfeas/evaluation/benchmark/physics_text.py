@@ -111,7 +111,7 @@ def _done(cell: PhysicsCell) -> str:
 
 def _collided(cell: PhysicsCell) -> str:
     both = f"{cell.base_collisions:.2f} / {cell.arm_collisions:.2f}"
-    return f"{both} ({100 * cell.free_of_collisions:.1f})"
+    return f"{both} ({100 * cell.collision_free_rate:.1f})"
 
 
 def _deviated(cell: PhysicsCell) -> str:

@@ -9,12 +9,12 @@ from kinfeas.evaluation.benchmark.job import CEILING, Job, world_for
 from kinfeas.evaluation.benchmark.runs import Run
 from kinfeas.evaluation.benchmark.study import (
     PLAIN,
-    PhysicsStudy,
-    StudyConfig,
+    BenchmarkConfig,
+    PhysicsBenchmark,
     row_settings,
 )
 from kinfeas.evaluation.benchmark.trainings import takes_pretrained
-from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD
+from kinfeas.evaluation.policies import BASELINES, ROLLOUT_PLANNER
 
 PART = 20
 """Episodes that are run and kept together: all that a stop can lose of a cell."""
@@ -23,7 +23,7 @@ Source = tuple[str, str, int | None]
 """What a policy is called, what `load_policy` takes, and its training seed."""
 
 
-def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
+def plan_jobs(study: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
     """Return what has to be computed for a study: of each robot and task ceiling and policies.
 
     Args:
@@ -70,7 +70,7 @@ def plan_jobs(study: StudyConfig, runs: Sequence[Run]) -> list[Job]:
     return jobs
 
 
-def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source]:
+def _learned(study: BenchmarkConfig, runs: Sequence[Run], robot: str) -> list[Source]:
     """Return for each learned policy of a robot its name, what `load_policy` takes, its seed."""
     name = registry.load_robot(robot).name
     own = [run for run in runs if run.robot == name]
@@ -79,10 +79,12 @@ def _learned(study: StudyConfig, runs: Sequence[Run], robot: str) -> list[Source
     return [(run.algorithm, str(run.folder), run.seed) for run in own]
 
 
-def _aided(study: StudyConfig, learned: Sequence[Source], robot: str, task: str) -> list[Source]:
+def _aided(
+    study: BenchmarkConfig, learned: Sequence[Source], robot: str, task: str
+) -> list[Source]:
     """Return a robot's learned policies with each of the study's aids."""
     return [
-        (f"{aid.prefix}{policy}", LOOK_AHEAD * aid.look_ahead + source, seed)
+        (f"{aid.prefix}{policy}", ROLLOUT_PLANNER * aid.rollout_planner + source, seed)
         for aid in study.aids
         if aid.holds(robot, task)
         for policy, source, seed in learned
@@ -90,7 +92,7 @@ def _aided(study: StudyConfig, learned: Sequence[Source], robot: str, task: str)
     ]
 
 
-def _analytic_world(study: StudyConfig, robot: str) -> WorldConfig:
+def _analytic_world(study: BenchmarkConfig, robot: str) -> WorldConfig:
     """Return the world of what stands in the table, or beside the one of physics, of a robot.
 
     There the base yields as it does in the plain row.
@@ -98,10 +100,12 @@ def _analytic_world(study: StudyConfig, robot: str) -> WorldConfig:
     if study.physics is None:
         return study.world
     plain = row_settings(study.physics, study.physics.rows[PLAIN], robot)
-    return replace(study.world, yields=study.world.yields or plain.yields)
+    return replace(
+        study.world, feasibility_filter=study.world.feasibility_filter or plain.feasibility_filter
+    )
 
 
-def _with_physics(study: PhysicsStudy, analytic: Sequence[Job]) -> list[Job]:
+def _with_physics(study: PhysicsBenchmark, analytic: Sequence[Job]) -> list[Job]:
     """Return the jobs of one robot on one task with physics, each one's episodes in parts.
 
     Args:

@@ -9,10 +9,10 @@ from kinfeas.config import Interval, no_such
 from kinfeas.envs.world import WorldConfig
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.benchmark.checks import check_names, check_robots, check_task
-from kinfeas.evaluation.benchmark.job import YIELDING
+from kinfeas.evaluation.benchmark.job import FEASIBILITY_FILTER
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
-from kinfeas.evaluation.policies import BASELINES, LOOK_AHEAD
+from kinfeas.evaluation.policies import BASELINES, ROLLOUT_PLANNER
 from kinfeas.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.storage.recipes import find_recipe
 
@@ -67,22 +67,22 @@ class Aid(Row):
     """A row of policies that have help; of several algorithms SAC's alone.
 
     Attributes:
-        yields: The base yields to its arm.
-        look_ahead: They look ahead.
+        feasibility_filter: The base yields to its arm.
+        rollout_planner: They look ahead.
     """
 
-    yields: bool = False
-    look_ahead: bool = False
+    feasibility_filter: bool = False
+    rollout_planner: bool = False
 
     def __post_init__(self) -> None:
         """Check that there is any."""
-        if not (self.yields or self.look_ahead):
-            raise ValueError("one of 'yields' and 'look_ahead' must be true")
+        if not (self.feasibility_filter or self.rollout_planner):
+            raise ValueError("one of 'yields' and 'rollout_planner' must be true")
 
     @property
     def prefix(self) -> str:
         """What stands before the names of the policies in its row."""
-        return LOOK_AHEAD * self.look_ahead + YIELDING * self.yields
+        return ROLLOUT_PLANNER * self.rollout_planner + FEASIBILITY_FILTER * self.feasibility_filter
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class PhysicsRow(Row):
 
 
 @dataclass(frozen=True)
-class PhysicsStudy:
+class PhysicsBenchmark:
     """What a study asks of the PyBullet world.
 
     Attributes:
@@ -132,7 +132,7 @@ class PhysicsStudy:
 
 
 @dataclass(frozen=True)
-class StudyConfig:
+class BenchmarkConfig:
     """The schema of `configs/benchmark/*.yaml`, but for `paper.yaml`.
 
     What concerns a robot or a task that takes no part is left out, so that `robots` and `tasks`
@@ -168,7 +168,7 @@ class StudyConfig:
     evaluation_seed: Seed = 1
     variants: tuple[Variant, ...] = ()
     world: WorldConfig = field(default_factory=evaluation_world)
-    physics: PhysicsStudy | None = None
+    physics: PhysicsBenchmark | None = None
 
     def __post_init__(self) -> None:
         """Check the baselines' names, how many episodes there are, and that nothing is twice."""
@@ -210,14 +210,14 @@ class StudyConfig:
             taken |= rows
 
 
-def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
+def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
     """Return a study by its recipe's name or file.
 
     Raises:
         KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task, a task's
             motion or scene; or if two robots or two tasks would have the same name in the tables.
     """
-    study = config.load(StudyConfig, find_recipe(name, "benchmark"), overrides)
+    study = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), overrides)
     named = [*study.robots, *(training.robot for training in study.trainings)]
     named += [robot for variant in study.variants for robot in variant.robots]
     named += [robot for aid in study.aids for robot in aid.robots or ()]
@@ -239,14 +239,14 @@ def read_study(name: str, overrides: Sequence[str] = ()) -> StudyConfig:
     return study
 
 
-def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsSettings:
+def row_settings(physics: PhysicsBenchmark, row: PhysicsRow, robot: str) -> PhysicsSettings:
     """Return the PyBullet world of one robot in one row.
 
     Raises:
         KinfeasError: If a setting is wrong, or is none of the world.
     """
     said = [*physics.settings, *row.settings]
-    with config.blaming("the settings of 'physics':"):
+    with config.plugin_errors("the settings of 'physics':"):
         known = physics_config(registry.load_robot(robot), said)
     if ignored := sorted(config.assigned(said).keys() - {"world"}):
         raise KinfeasError(
@@ -255,7 +255,7 @@ def row_settings(physics: PhysicsStudy, row: PhysicsRow, robot: str) -> PhysicsS
     return known.world
 
 
-def restricted(study: StudyConfig, names: Collection[str]) -> StudyConfig:
+def restricted(study: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfig:
     """Return a study of those of its robots that have one of `names`.
 
     Raises:

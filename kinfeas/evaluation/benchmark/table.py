@@ -28,7 +28,8 @@ class Cell:
         variant: What is different about the task; empty if nothing is.
         task: Name of the task; of a YAML file, what the file is called without its suffix.
         policy: `sac`, `td3`, `pretrained`, or a baseline; `yielding:sac` for one whose base
-            yields, `look_ahead:sac` for one that looks ahead, `look_ahead:yielding:sac` for both.
+            yields, `rollout_planner:sac` for one that looks ahead, `rollout_planner:yielding:sac`
+            for both.
         world: Where it was measured.
         seeds: How many policies, each from another training seed, it is the mean of.
         training_seeds: These seeds, as far as they are known.
@@ -39,9 +40,9 @@ class Cell:
         success_high: Upper end.
         within_5cm: Share in which the EE never strays more than 5 cm.
         within_5cm_std: As above.
-        mean_failures: Kinematic failures an episode.
+        ik_failures_per_episode: Kinematic failures an episode.
         mean_deviation_m: Mean distance of the EE from where it should be.
-        jumps_per_episode: Steps in which an arm joint has to move faster than it can.
+        joint_jumps_per_episode: Steps in which an arm joint has to move faster than it can.
         ceiling: Share of the goals that some base pose reaches.
         ceiling_low: Lower end of its Wilson interval.
         ceiling_high: Upper end.
@@ -63,9 +64,9 @@ class Cell:
     success_high: float
     within_5cm: float
     within_5cm_std: float | None
-    mean_failures: float
+    ik_failures_per_episode: float
     mean_deviation_m: float
-    jumps_per_episode: float
+    joint_jumps_per_episode: float
     ceiling: float
     ceiling_low: float
     ceiling_high: float
@@ -173,9 +174,9 @@ def common(
         "success_high": success.high,
         "within_5cm": mean_of(figures, "within_5cm"),
         "within_5cm_std": _deviation(figures, "within_5cm"),
-        "mean_failures": mean_of(figures, "mean_failures"),
+        "ik_failures_per_episode": mean_of(figures, "ik_failures_per_episode"),
         "mean_deviation_m": mean_of(figures, "mean_deviation_m"),
-        "jumps_per_episode": mean_of(figures, "jumps_per_episode"),
+        "joint_jumps_per_episode": mean_of(figures, "joint_jumps_per_episode"),
         "ceiling": ceiling["success"],
         "ceiling_low": ceiling["low"],
         "ceiling_high": ceiling["high"],

@@ -15,7 +15,7 @@ TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 
 _LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
 
-_AIDS = {"yielding": "yielding", "look_ahead": "looking ahead"}
+_AIDS = {"feasibility_filter": "feasibility_filter", "rollout_planner": "looking ahead"}
 """What stands before the name of a policy, in words."""
 
 _HOW = """\
@@ -202,7 +202,7 @@ def _jump_table(cells: Sequence[Cell]) -> list[str]:
         of_group = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
         for policy in dict.fromkeys(cell.policy for cell in of_group):
             own = {cell.task: cell for cell in of_group if cell.policy == policy}
-            entries = entries_of(own, tasks, lambda cell: f"{cell.jumps_per_episode:.2f}")
+            entries = entries_of(own, tasks, lambda cell: f"{cell.joint_jumps_per_episode:.2f}")
             rows.append([title(robot, variant), label(next(iter(own.values()))), *entries])
     return table(["robot", "policy", *tasks], rows, names=2)
 

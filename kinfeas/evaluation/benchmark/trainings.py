@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinfeas import config, pretrained, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.study import StudyConfig, Training
+from kinfeas.evaluation.benchmark.study import BenchmarkConfig, Training
 from kinfeas.storage.recipes import default_recipe, find_recipe
 from kinfeas.training.config import TrainConfig
 
@@ -29,11 +29,11 @@ def settings_of(training: Training, seed: int) -> TrainConfig:
     if training.steps is not None or training.minutes is not None:
         said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
     own = [f"{key}={json.dumps(value)}" for key, value in said.items()]
-    with config.blaming(f"the settings of the training of {training.robot}:"):
+    with config.plugin_errors(f"the settings of the training of {training.robot}:"):
         return config.load(TrainConfig, path, [*own, *training.settings])
 
 
-def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
+def to_train(study: BenchmarkConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
     """Return the settings and the folder of each training run that a study stands on.
 
     Raises:
@@ -65,7 +65,7 @@ def to_train(study: StudyConfig, out: Path) -> list[tuple[TrainConfig, Path]]:
     return [(settings, out / "runs" / name) for settings, name in zip(plans, names, strict=True)]
 
 
-def takes_pretrained(study: StudyConfig, robot: str) -> bool:
+def takes_pretrained(study: BenchmarkConfig, robot: str) -> bool:
     """Return whether a study judges the policy that comes with the package for `robot`."""
     if study.policies == "train":
         return False

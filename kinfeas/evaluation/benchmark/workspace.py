@@ -59,7 +59,7 @@ def covered(robot: Robot, results: Sequence[Mapping[str, Mapping[str, object]]])
     failures, steps = (
         sum(float(result["figures"][key]) * int(result["figures"]["episodes"])  # type: ignore[arg-type,call-overload]
             for result in results)
-        for key in ("mean_failures", "mean_steps")
+        for key in ("ik_failures_per_episode", "mean_steps")
     )  # fmt: skip
     return Covered(
         robot, thinned(points["feasible"], _MOST), thinned(points["infeasible"], _MOST),

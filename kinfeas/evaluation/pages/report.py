@@ -122,9 +122,9 @@ def _line(row: Row) -> str:
         "" if exact else f"{share.low:.1%} &ndash; {share.high:.1%}",
         _bar(share),
         _cell(figures, "within_5cm", "{:.1%}"),
-        _cell(figures, "mean_failures", "{:.2f}"),
+        _cell(figures, "ik_failures_per_episode", "{:.2f}"),
         _cell(figures, "mean_deviation_m", "{:.1f} mm", 1000.0),
-        _cell(figures, "jumps_per_episode", "{:.2f}"),
+        _cell(figures, "joint_jumps_per_episode", "{:.2f}"),
     ]
     kind = " class=ours" if row.ours else ""
     return f"<tr{kind}>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>\n"

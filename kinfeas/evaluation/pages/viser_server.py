@@ -27,7 +27,7 @@ class Paths:
         base: Of the base, shape (t, 3).
         desired: Where the EE should have been, shape (t, 3).
         ee: Where it was, shape (t, 3).
-        goals: At the ends of the legs, shape (legs, 3).
+        goals: At the ends of the sub-goals, shape (sub-goals, 3).
         failures: Where IK found no solution, shape (k, 3).
     """
 

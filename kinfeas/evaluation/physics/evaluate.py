@@ -13,14 +13,14 @@ from kinfeas.evaluation.physics.world import (
     PhysicsTrial,
     PhysicsWorld,
 )
-from kinfeas.metrics import Figures, Share, join, summarize, wilson
+from kinfeas.metrics import Metrics, Share, join, summarize, wilson
 from kinfeas.policy import Policy
 from kinfeas.sim.stage import has_scene
 
 _SHARES = 4  # of the episodes for each process
 
 
-class PhysicsFigures(Figures):
+class PhysicsMetrics(Metrics):
     """What a number of episodes come to; a task's success is null where it cannot be done."""
 
     task_success: float | None
@@ -28,17 +28,17 @@ class PhysicsFigures(Figures):
     task_success_high: float | None
     base_collisions: float
     arm_collisions: float
-    free_of_collisions: float
+    collision_free_rate: float
 
 
-class PhysicsSummary(Summary, PhysicsFigures):
+class PhysicsSummary(Summary, PhysicsMetrics):
     """The figures of a policy, and what they are of: pace as adapters, too, have made it."""
 
     world: Literal["pybullet"]
     slow_down: float
     head_start: float
-    yields: bool
-    clearance: float
+    feasibility_filter: bool
+    min_obstacle_distance: float
     objects: bool
 
 
@@ -68,17 +68,17 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
         that a task handles, its success is null.
     """
     records = run_physics(trial, policy, processes, on_done, gui=gui)
-    pace = trial.pace
+    execution = trial.execution
     return {
         "robot": trial.robot.name,
         "task": trial.task.name,
         "policy": name,
         "seed": trial.seed,
         "world": "pybullet",
-        "slow_down": pace.slow_down,
-        "head_start": pace.head_start,
-        "yields": pace.yields,
-        "clearance": pace.clearance,
+        "slow_down": execution.slow_down,
+        "head_start": execution.head_start,
+        "feasibility_filter": execution.feasibility_filter,
+        "min_obstacle_distance": execution.min_obstacle_distance,
         "objects": trial.settings.objects,
         **physics_figures(records, judged=is_judged(trial)),
         "ceiling": ceiling.value if ceiling else None,
@@ -92,7 +92,7 @@ def is_judged(trial: PhysicsTrial) -> bool:
     return trial.settings.objects or not has_scene(trial.task)
 
 
-def physics_figures(records: PhysicsRecords, *, judged: bool) -> PhysicsFigures:
+def physics_figures(records: PhysicsRecords, *, judged: bool) -> PhysicsMetrics:
     """Return the figures of `metrics.summarize` with those of tasks and collisions.
 
     Args:
@@ -107,7 +107,9 @@ def physics_figures(records: PhysicsRecords, *, judged: bool) -> PhysicsFigures:
         "task_success_high": done.high if done else None,
         "base_collisions": float(records.base_collisions.mean()),
         "arm_collisions": float(records.arm_collisions.mean()),
-        "free_of_collisions": float(np.mean(records.base_collisions + records.arm_collisions == 0)),
+        "collision_free_rate": float(
+            np.mean(records.base_collisions + records.arm_collisions == 0)
+        ),
     }
 
 

@@ -82,13 +82,15 @@ class PhysicsMotionEnv(BaseMotionEnv):
             raise KinfeasError(f"reward must be RewardConfig or None, not {reward!r}")
         self.render_mode = render_mode
         known = registry.load_robot(robot)
-        settings = world or replace(physics_config(known).world, yields=False, clearance=0.0)
+        settings = world or replace(
+            physics_config(known).world, feasibility_filter=False, min_obstacle_distance=0.0
+        )
         self.stage = make_stage(
             known, load_task(task, task_parameters), settings, gui=render_mode == "human"
         )
         config = replace(settings.world, reward=reward or RewardConfig())
         self.metadata = {**self.metadata, "render_fps": round(1.0 / settings.dt)}
-        made = make_physics_world(known, self.stage, config, settings.pace, 0)
+        made = make_physics_world(known, self.stage, config, settings.execution, 0)
         self._enter(made, _BEYOND)
 
     def step(

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from kinfeas import registry
 from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.physics.simulated_robot import Role, SimulatedRobot
-from kinfeas.foreign import Blaming, package_of
+from kinfeas.foreign import PluginErrors, package_of
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.link import Hosted, RobotLink
-from kinfeas.sim2real.metronome import Metronome
+from kinfeas.sim2real.rate import Rate
 
 _CATCH_UP = 10  # ticks of physics in one period at most, when the machine is late
 _LINGER = 2.0  # s for which a robot goes on whose bus has broken
@@ -54,7 +54,7 @@ def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLi
     if not isinstance(kind, Hosted):
         raise KinfeasError(f"backend {backend!r} is on no bus that a robot can be played on")
     package = kind.__module__.partition(".")[0]
-    with Blaming(f"backend {backend!r} fails in robot_link:", package):
+    with PluginErrors(f"backend {backend!r} fails in robot_link:", package):
         link = kind.robot_link(robot, topics)
     if not isinstance(link, RobotLink):
         must = "must return a RobotLink from robot_link"
@@ -77,17 +77,17 @@ def play(
         KinfeasError: If there is no bus, or it has broken. The robot goes on for a while then: who
             is connected to it still is. Also if a link from outside fails, at once.
     """
-    with _blaming(link, "open"):
+    with _plugin_errors(link, "open"):
         link.open(player.orders())
-    metronome, begin, broken = Metronome(1.0 / role.rate), time.monotonic(), None
+    rate, begin, broken = Rate(1.0 / role.rate), time.monotonic(), None
     end = math.inf if role.seconds is None else begin + role.seconds
     try:
         on_ready()
         while time.monotonic() < end:
             readings = player.measure()
-            with _blaming(link, "report"):
+            with _plugin_errors(link, "report"):
                 link.report(*readings)
-            ticks = round(metronome.wait() * role.rate)
+            ticks = round(rate.wait() * role.rate)
             for _ in range(min(max(ticks, 1), _CATCH_UP)):
                 player.tick(1.0 / role.rate)
             if broken is None and (broken := _fault(link)) is not None:
@@ -95,11 +95,11 @@ def play(
     except KeyboardInterrupt:
         pass  # as a robot is switched off that has no end of its own
     finally:
-        with _blaming(link, "close"):
+        with _plugin_errors(link, "close"):
             link.close()
     if broken is not None:
         raise KinfeasError(str(broken))
-    timing = metronome.timing()
+    timing = rate.timing()
     seconds = time.monotonic() - begin
     counts = player.base_commands, player.joint_commands, player.timeouts
     return Played(seconds, *counts, timing.p99, timing.longest)
@@ -107,13 +107,13 @@ def play(
 
 def _fault(link: RobotLink) -> Fault | None:
     try:
-        with _blaming(link, "check"):
+        with _plugin_errors(link, "check"):
             link.check()
     except Fault as fault:
         return fault
     return None
 
 
-def _blaming(link: RobotLink, method: str) -> Blaming:
+def _plugin_errors(link: RobotLink, method: str) -> PluginErrors:
     """Return the context of a call of one of its methods, in which what it raises names it."""
-    return Blaming(f"robot link {type(link).__name__} fails in {method}:", package_of(link))
+    return PluginErrors(f"robot link {type(link).__name__} fails in {method}:", package_of(link))

@@ -27,7 +27,7 @@ class PhysicsRecording:
         base: World position of the base, shape (t, 3).
         ee: Achieved world position of the EE, shape (t, 3); the true one, whatever sensors say.
         desired: Desired world position of the EE, shape (t, 3).
-        goal: World position of the end of the leg under way, shape (t, 3).
+        goal: World position of the end of the sub-goal under way, shape (t, 3).
         failures: Kinematic failures since the moment before, shape (t,).
         reached: Whether the goal was reached.
         done: Whether the task was done; None if it wants nothing of objects, or there are none.
@@ -57,7 +57,7 @@ class PhysicsRecording:
 
     @property
     def goals(self) -> Array:
-        """Where the legs end, each once, in order, shape (legs, 3)."""
+        """Where the sub-goals end, each once, in order, shape (sub-goals, 3)."""
         changes = np.any(np.diff(self.goal, axis=0) != 0.0, axis=1)
         return self.goal[np.concatenate([[True], changes])]
 
@@ -109,7 +109,7 @@ class _Kept:
             loop = world.loop
             self.times.append((self.steps + 1) * loop.dt)
             self.moments.append(keep_moment(self.world.stage.backend.sims[0].physics))
-            seen = (*loop.truth, loop.desired, loop.goal)
+            seen = (*loop.true_state, loop.desired, loop.goal)
             self.places.append(tuple(pose[0, :3].copy() for pose in seen))
             self.failures.append(self.failed)
             self.failed = 0

@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config, registry
-from kinfeas.adapters import paced, wrap
+from kinfeas.adapters import execution_of, wrap
 from kinfeas.config import Interval
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
 from kinfeas.evaluation.episodes import Watch, run_episodes
 from kinfeas.evaluation.physics.collisions import Encounters
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.legs import Pace, PaceSettings
-from kinfeas.look_ahead import Foresight
 from kinfeas.loop import Rows
 from kinfeas.metrics import EpisodeRecords
 from kinfeas.policy import Policy
 from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
+from kinfeas.rollout_planner import RolloutConfig
 from kinfeas.sim.backend import PyBulletBackend
 from kinfeas.sim.physics import PhysicsConfig
 from kinfeas.sim.stage import Stage, task_scene
 from kinfeas.storage.recipes import default_recipe
+from kinfeas.subgoals import ExecutionConfig, ExecutionSettings
 from kinfeas.tasks.task import Task
 
 ROWS = 8
@@ -32,7 +32,7 @@ ROWS = 8
 
 
 @dataclass(frozen=True)
-class PhysicsChanges(PaceSettings):
+class PhysicsChanges(ExecutionSettings):
     """What is different where there is physics, beside the loop and its ends of episodes.
 
     Attributes:
@@ -51,7 +51,7 @@ class PhysicsSettings(PhysicsChanges):
     Attributes:
         dt: Control period, seconds.
         max_failures: Kinematic failures in one episode beyond which it ends.
-        max_seconds: Of motion time in one leg, after which an episode is truncated.
+        max_seconds: Of motion time in one sub-goal, after which an episode is truncated.
         adapters: Wrapped around the PyBullet world, the first one innermost.
         ik: How hard IK searches.
     """
@@ -87,14 +87,16 @@ class PhysicsTrial:
     settings: PhysicsSettings = field(default_factory=PhysicsSettings)
 
     @property
-    def pace(self) -> Pace:
+    def execution(self) -> ExecutionConfig:
         """How the EE motions are carried out, with what the adapters make of it.
 
         Raises:
             KinfeasError: If an adapter cannot be built, or fails.
         """
         backend = registry.build("kinfeas.backends", "analytic", {})
-        return paced(wrap(backend, self.settings.adapters, self.robot), self.settings.pace)
+        return execution_of(
+            wrap(backend, self.settings.adapters, self.robot), self.settings.execution
+        )
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class PhysicsWorld:
         settings = trial.settings
         self.stage = make_stage(trial.robot, trial.task, settings, gui=gui)
         self.world = make_physics_world(
-            trial.robot, self.stage, settings.world, settings.pace, trial.seed
+            trial.robot, self.stage, settings.world, settings.execution, trial.seed
         )
 
     def run(
@@ -181,7 +183,7 @@ class _TaskMetrics:
             if transition.done[row]:
                 self.base_collisions[episode], self.arm_collisions[episode] = base.count, arm.count
                 if self._stage.judges:
-                    state = world.loop.state.truth or world.loop.state
+                    state = world.loop.state.true_state or world.loop.state
                     self._stage.settle(state.joint_positions, self._dt, row)
                     self.done[episode] = self._stage.done(row)
 
@@ -197,10 +199,10 @@ def make_stage(robot: Robot, task: Task, settings: PhysicsChanges, *, gui: bool 
 
 
 def make_physics_world(
-    robot: Robot, stage: Stage, config: WorldConfig, pace: Pace, seed: int
+    robot: Robot, stage: Stage, config: WorldConfig, execution: ExecutionConfig, seed: int
 ) -> World:
     """Return the loop and its ends of episodes on a stage."""
-    return World(robot, stage, config, seed, stage.backend, pace)
+    return World(robot, stage, config, seed, stage.backend, execution)
 
 
 @dataclass(frozen=True)
@@ -210,12 +212,12 @@ class PhysicsEvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
-        look_ahead: How far and how widely a policy looks that looks ahead.
+        rollout_planner: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: PhysicsSettings = field(default_factory=PhysicsSettings)
-    look_ahead: Foresight = field(default_factory=Foresight)
+    rollout_planner: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvaluationConfig:

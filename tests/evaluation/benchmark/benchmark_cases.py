@@ -3,7 +3,7 @@
 from kinfeas import config
 from kinfeas.evaluation.benchmark.job import CEILING, Job
 from kinfeas.evaluation.benchmark.plan import PART, plan_jobs
-from kinfeas.evaluation.benchmark.study import StudyConfig
+from kinfeas.evaluation.benchmark.study import BenchmarkConfig
 from kinfeas.evaluation.benchmark.table import tabulate
 from kinfeas.evaluation.evaluate import evaluation_world
 
@@ -22,7 +22,7 @@ SMALL = {
 
 def small_study(*overrides):
     """Return a study of two robots and two tasks."""
-    return config.from_mapping(StudyConfig, SMALL, "small", overrides)
+    return config.from_mapping(BenchmarkConfig, SMALL, "small", overrides)
 
 
 PHYSICS_STUDY = {
@@ -43,7 +43,7 @@ PHYSICS_STUDY = {
 
 def physics_plan(*overrides):
     """Return the jobs of a study with physics."""
-    return plan_jobs(config.from_mapping(StudyConfig, PHYSICS_STUDY, "study", overrides), [])
+    return plan_jobs(config.from_mapping(BenchmarkConfig, PHYSICS_STUDY, "study", overrides), [])
 
 
 def job(robot, task, policy, seed=None, variant=""):
@@ -55,9 +55,9 @@ def figures(success):
         "episodes": 100,
         "success": success,
         "within_5cm": success,
-        "mean_failures": 2.0,
+        "ik_failures_per_episode": 2.0,
         "mean_deviation_m": 0.001,
-        "jumps_per_episode": 0.5,
+        "joint_jumps_per_episode": 0.5,
         "mean_steps": 400.0,
     }
 

@@ -29,7 +29,7 @@ def run(tmp_path):
     robot = registry.load_robot("pr2")
     folder = tmp_path / "run"
     folder.mkdir()
-    write_network(random_network(robot, hidden=4), folder, robot, {})
+    write_network(random_network(robot, net_arch=4), folder, robot, {})
     return folder
 
 
@@ -58,7 +58,7 @@ def test_what_is_done_is_not_done_again(tmp_path, run, counted):
 
 
 def test_looking_ahead_is_another_cell(tmp_path, run):
-    plain, ahead = (job("sac", f"{before}{run}") for before in ("", "look_ahead:"))
+    plain, ahead = (job("sac", f"{before}{run}") for before in ("", "rollout_planner:"))
     assert identity(plain)["policy"] != identity(ahead)["policy"]
     assert 0.0 <= compute(ahead)["figures"]["success"] <= 1.0
 
@@ -66,7 +66,7 @@ def test_looking_ahead_is_another_cell(tmp_path, run):
 def test_looking_ahead_is_judged_with_physics_too(run):
     pytest.importorskip("pybullet")
     short = PhysicsSettings(max_seconds=1.0)
-    found = compute(job("sac", f"look_ahead:{run}", world=short, episodes=1))
+    found = compute(job("sac", f"rollout_planner:{run}", world=short, episodes=1))
     assert found["records"]["steps"][0] > 0
 
 
@@ -96,7 +96,7 @@ def test_a_stop_keeps_the_cells_before_it(tmp_path, monkeypatch, counted):
         {"robot": "hsr"},
         {"source": "follow_ee_feedback"},
         {"world": replace(WORLD, max_seconds=3.1)},
-        {"world": replace(WORLD, yields=True)},
+        {"world": replace(WORLD, feasibility_filter=True)},
     ],
 )
 def test_everything_that_matters_tells_cells_apart(changes):
@@ -108,7 +108,7 @@ def test_other_weights_are_another_cell(run):
     before = identity(job("sac", str(run)))
     assert identity(job("td3", str(run))) == before
     robot = registry.load_robot("pr2")
-    write_network(random_network(robot, hidden=5), run, robot, {})
+    write_network(random_network(robot, net_arch=5), run, robot, {})
     assert identity(job("sac", str(run))) != before
 
 
@@ -131,13 +131,13 @@ def test_a_task_by_path_is_found_again_until_its_file_changes(tmp_path, monkeypa
     assert all(name.startswith("pr2-fetch-follow_ee-") for name in names)
 
 
-MOTION = "legs: [{place: cup, motion: {generator: imitation, parameters: {model: grasp.yaml}}}]"
+MOTION = "subgoals: [{place: cup, motion: {generator: imitation, parameters: {model: grasp.yaml}}}]"
 
 
 def test_another_model_of_a_motion_is_another_cell(tmp_path):
     shipped = (resources.files("kinfeas.plugins") / "models" / "door_grasp.yaml").read_text()
     (tmp_path / "grasp.yaml").write_text(shipped)
-    (tmp_path / "fetch.yaml").write_text(TASK.replace("legs: [{place: cup}]", MOTION))
+    (tmp_path / "fetch.yaml").write_text(TASK.replace("subgoals: [{place: cup}]", MOTION))
     one = job(task=str(tmp_path / "fetch.yaml"))
     before = identity(one)
     assert identity(one) == before

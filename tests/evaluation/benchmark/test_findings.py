@@ -28,7 +28,7 @@ def shipped(tmp_path, monkeypatch):
     for name in ("pr2", "hsr"):
         robot, folder = registry.load_robot(name), tmp_path / "shipped" / name
         folder.mkdir(parents=True)
-        write_network(random_network(robot, hidden=4), folder, robot, {})
+        write_network(random_network(robot, net_arch=4), folder, robot, {})
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path / "shipped")
 
 
@@ -40,7 +40,7 @@ def test_everything_is_written(shipped, tmp_path, monkeypatch):
         return episodes_figure(robot, recordings, above)
 
     monkeypatch.setattr(module, "episodes_figure", titled)
-    aid = "look_ahead: true, robots: [pr2], tasks: [ggr]"
+    aid = "rollout_planner: true, robots: [pr2], tasks: [ggr]"
     asked = small_study(f"aids=[{{{aid}}}, {{yields: true, {aid}}}]")
     jobs = plan_jobs(asked, [])
     findings = Findings(asked, [], jobs, run_jobs(jobs, tmp_path / "cells"))

@@ -12,7 +12,7 @@ from kinfeas.evaluation.benchmark.physics import tabulate_physics
 from kinfeas.evaluation.benchmark.physics_text import physics_markdown
 from kinfeas.evaluation.benchmark.plot import table_figure
 from kinfeas.evaluation.benchmark.records import to_lists
-from kinfeas.evaluation.benchmark.study import StudyConfig, read_study
+from kinfeas.evaluation.benchmark.study import BenchmarkConfig, read_benchmark
 from kinfeas.evaluation.benchmark.table import tabulate, to_json
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings
@@ -28,7 +28,7 @@ def records(successes):
         max_deviation=np.full(count, 0.01),
         mean_deviation=np.full(count, 0.002),
         final_distance=np.where(successes, 0.01, np.inf),
-        jumps=np.zeros(count, dtype=int),
+        joint_jumps=np.zeros(count, dtype=int),
         steps=np.full(count, 500),
         done=np.array(successes),
         base_collisions=np.ones(count, dtype=int),
@@ -41,8 +41,13 @@ def found(*overrides):
     jobs = physics_plan("episodes=4", *overrides)
     results = []
     for job in jobs:
-        figures = {"success": 1.0, "within_5cm": 1.0, "mean_failures": 0.0}
-        figures |= {"mean_deviation_m": 0.0, "jumps_per_episode": 0.0, "low": 0.9, "high": 1.0}
+        figures = {"success": 1.0, "within_5cm": 1.0, "ik_failures_per_episode": 0.0}
+        figures |= {
+            "mean_deviation_m": 0.0,
+            "joint_jumps_per_episode": 0.0,
+            "low": 0.9,
+            "high": 1.0,
+        }
         result = {"figures": figures}
         if job.physical:
             result["records"] = to_lists(records([True, True, True, False]))
@@ -65,7 +70,11 @@ def test_cells_put_parts_together_and_stand_beside_the_paper():
     plain = found["pr2", "ggr", "pretrained", ""]
     assert (plain.world, plain.episodes_per_seed, plain.success) == ("pybullet", 4, 0.75)
     assert (plain.analytic_success, plain.paper_success) == (1.0, 0.802)
-    assert (plain.task_success, plain.base_collisions, plain.free_of_collisions) == (0.75, 1.0, 0.0)
+    assert (plain.task_success, plain.base_collisions, plain.collision_free_rate) == (
+        0.75,
+        1.0,
+        0.0,
+    )
     ahead = found["pr2", "ggr", "pretrained", "head start"]
     assert (ahead.paper_success, ahead.head_start, ahead.variant) == (0.87, 3.0, "head_start")
     bare = found["hsr", "door", "pretrained", "no objects"]
@@ -124,6 +133,8 @@ def test_parts_leave_what_the_analytic_world_found_where_it_is():
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, override, words):
-    config.dump(config.from_mapping(StudyConfig, PHYSICS_STUDY, "study"), tmp_path / "study.yaml")
+    config.dump(
+        config.from_mapping(BenchmarkConfig, PHYSICS_STUDY, "study"), tmp_path / "study.yaml"
+    )
     with pytest.raises(KinfeasError, match=words):
-        read_study(str(tmp_path / "study.yaml"), [override])
+        read_benchmark(str(tmp_path / "study.yaml"), [override])

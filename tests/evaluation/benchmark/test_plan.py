@@ -5,7 +5,7 @@ import pytest
 from kinfeas.evaluation.benchmark.job import CEILING
 from kinfeas.evaluation.benchmark.plan import PART, plan_jobs
 from kinfeas.evaluation.benchmark.runs import Run
-from kinfeas.evaluation.benchmark.study import read_study
+from kinfeas.evaluation.benchmark.study import read_benchmark
 from tests.evaluation.benchmark.benchmark_cases import physics_plan, small_study
 
 
@@ -41,17 +41,17 @@ def test_runs_go_before_what_is_shipped():
 
 def test_what_is_aided_is_a_row_of_its_own():
     runs = [Run(Path(f"run-{name}"), "pr2", name, 4, "ggr") for name in ("sac", "td3")]
-    aids = "aids=[{yields: true}, {look_ahead: true}, {yields: true, look_ahead: true}]"
+    aids = "aids=[{yields: true}, {rollout_planner: true}, {yields: true, rollout_planner: true}]"
     jobs = plan_jobs(small_study("policies=either", "robots=[pr2]", "tasks=[ggr]", aids), runs)
     aided = [job for job in jobs if ":" in job.policy]
-    assert [(job.policy, job.source, job.world.yields) for job in aided] == [
+    assert [(job.policy, job.source, job.world.feasibility_filter) for job in aided] == [
         ("yielding:sac", "run-sac", True),
-        ("look_ahead:sac", "look_ahead:run-sac", False),
-        ("look_ahead:yielding:sac", "look_ahead:run-sac", True),
+        ("rollout_planner:sac", "rollout_planner:run-sac", False),
+        ("rollout_planner:yielding:sac", "rollout_planner:run-sac", True),
     ]
-    assert not any(job.world.yields for job in jobs if job not in aided)
+    assert not any(job.world.feasibility_filter for job in jobs if job not in aided)
     assert not any(job.variant for job in aided)
-    assert aided[-1].name == "pr2-ggr-look_ahead-yielding-sac-4"
+    assert aided[-1].name == "pr2-ggr-rollout_planner-yielding-sac-4"
 
 
 def test_an_aid_helps_the_robots_and_tasks_that_it_names():
@@ -93,30 +93,36 @@ def test_a_row_may_have_no_tasks():
 
 @pytest.mark.parametrize(
     ("aid", "policy"),
-    [("look_ahead: true", "look_ahead:pretrained"), ("yields: true", "yielding:pretrained")],
+    [
+        ("rollout_planner: true", "rollout_planner:pretrained"),
+        ("yields: true", "yielding:pretrained"),
+    ],
 )
 def test_what_is_aided_stands_in_the_plain_row(aid, policy):
     jobs = physics_plan(f"aids=[{{{aid}, robots: [hsr], tasks: [ggr]}}]")
     aided = [job for job in jobs if job.policy == policy]
     assert {(job.robot, job.task) for job in aided} == {("hsr", "ggr")}
     assert {job.variant for job in aided if job.physical} == {""}
-    assert {job.world.yields for job in aided} == {policy == "yielding:pretrained"}
+    assert {job.world.feasibility_filter for job in aided} == {policy == "yielding:pretrained"}
     assert {job.physical for job in aided} == {True, False}
 
 
 def test_bases_yield_without_physics_as_they_do_with_it():
-    worlds = {(job.robot, job.physical, job.policy, job.world.yields) for job in physics_plan()}
+    worlds = {
+        (job.robot, job.physical, job.policy, job.world.feasibility_filter)
+        for job in physics_plan()
+    }
     for physical in (True, False):
         assert ("pr2", physical, "pretrained", True) in worlds
         assert ("pr2", physical, "follow_ee", True) in worlds
         assert ("hsr", physical, "pretrained", False) in worlds
-    settings = "physics.settings=['world.yields=false']"
-    assert not any(job.world.yields for job in physics_plan(settings))
+    settings = "physics.settings=['world.feasibility_filter=false']"
+    assert not any(job.world.feasibility_filter for job in physics_plan(settings))
 
 
 @pytest.mark.parametrize("name", ["benchmark/physics", "benchmark/physics_quick"])
 def test_the_shipped_studies_can_be_read(name):
-    study = read_study(name)
+    study = read_benchmark(name)
     assert study.physics is not None
     assert {"plain", "head_start", "no_objects"} == set(study.physics.rows)
     assert plan_jobs(study, [])

@@ -23,7 +23,7 @@ def made(folder, seed, success):
     best.mkdir(parents=True)
     figures = {"episodes": 9, "success": success, "success_low": 0.0, "success_high": 1.0}
     about = {"config": config.to_mapping(settings), "steps": 9, "evaluation": figures}
-    write_network(random_network(robot, hidden=4 + seed), best, robot, about)
+    write_network(random_network(robot, net_arch=4 + seed), best, robot, about)
     return Run(folder / f"run-{seed}", "pr2", "sac", seed, "ggr")
 
 
@@ -61,7 +61,7 @@ def test_a_run_without_a_policy_is_an_error(tmp_path):
     [
         [],
         ["robot=hsr", "seed=4", "schedule.steps=2000", "schedule.minutes=null"],
-        ["learner.algorithm=td3", "learner.hidden=[400, 300]", "world.adapters=[]"],
+        ["learner.algorithm=td3", "learner.net_arch=[400, 300]", "world.adapters=[]"],
         ["world.adapters=[{name: base_noise, parameters: {linear: 0.15}}]", "task=door"],
     ],
 )

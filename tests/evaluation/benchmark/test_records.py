@@ -17,7 +17,7 @@ def test_what_is_written_is_read_back():
         max_deviation=np.array([0.01, 0.3]),
         mean_deviation=np.array([0.001, 0.2]),
         final_distance=np.array([0.0, np.inf]),
-        jumps=counts,
+        joint_jumps=counts,
         steps=np.array([500, 700]),
         done=np.array([True, False]),
         base_collisions=counts,

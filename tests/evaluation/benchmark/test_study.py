@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas import config, registry
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.study import StudyConfig, read_study, restricted
+from kinfeas.evaluation.benchmark.study import BenchmarkConfig, read_benchmark, restricted
 from kinfeas.evaluation.benchmark.trainings import to_train
 
 OUT = Path("out")
@@ -13,18 +13,18 @@ OUT = Path("out")
 
 @pytest.mark.parametrize("name", ["study", "quick", "physics", "physics_quick"])
 def test_the_note_of_a_study_says_nothing_that_options_change(name):
-    assert not any(letter.isdigit() for letter in read_study(f"benchmark/{name}").note)
+    assert not any(letter.isdigit() for letter in read_benchmark(f"benchmark/{name}").note)
 
 
 def study(*overrides):
-    return config.from_mapping(StudyConfig, {}, "study", overrides)
+    return config.from_mapping(BenchmarkConfig, {}, "study", overrides)
 
 
 def test_two_robots_of_one_name_are_refused(tmp_path):
     (tmp_path / "study.yaml").write_text("note: mine\n")
     path = registry.build("kinfeas.robots", "pr2", {})
     with pytest.raises(KinfeasError, match=f"pr2 and {path} are both 'pr2'"):
-        read_study(str(tmp_path / "study.yaml"), [f"robots=[pr2, {path}]"])
+        read_benchmark(str(tmp_path / "study.yaml"), [f"robots=[pr2, {path}]"])
 
 
 def test_fewer_robots():
@@ -56,15 +56,15 @@ def test_two_tasks_of_one_name_are_refused(tmp_path, monkeypatch, tasks, words):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(TASK if name != "study.yaml" else "note: mine\n")
     with pytest.raises(KinfeasError, match=words):
-        read_study("study.yaml", [f"tasks={json.dumps(tasks)}"])
-    assert read_study("study.yaml", ["tasks=[ggr]"]).tasks == ("ggr",)
+        read_benchmark("study.yaml", [f"tasks={json.dumps(tasks)}"])
+    assert read_benchmark("study.yaml", ["tasks=[ggr]"]).tasks == ("ggr",)
 
 
 def test_a_task_may_be_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fetch.yaml").write_text(TASK)
     (tmp_path / "study.yaml").write_text("tasks: [ggr, fetch.yaml]\n")
-    assert read_study("study.yaml").tasks == ("ggr", "fetch.yaml")
+    assert read_benchmark("study.yaml").tasks == ("ggr", "fetch.yaml")
 
 
 VARIANT = "{{label: {}, task: ggr, parameters: {{distance: [1, {}]}}, robots: [{}]}}"
@@ -89,11 +89,11 @@ def test_a_label_may_stand_for_other_parameters_of_another_robot():
     assert len(study(f"variants=[{told}]").variants) == 2
 
 
-LEG = "legs: [{{place: cup, motion: {{generator: {}, parameters: {{{}}}}}}}]"
+SUBGOAL = "subgoals: [{{place: cup, motion: {{generator: {}, parameters: {{{}}}}}}}]"
 
 
 @pytest.mark.parametrize(
-    ("leg", "words"),
+    ("subgoal", "words"),
     [
         (("leap", ""), "unknown motion generator 'leap'"),
         (("imitation", "model: gone.yaml"), r"gone\.yaml: cannot be read"),
@@ -101,16 +101,18 @@ LEG = "legs: [{{place: cup, motion: {{generator: {}, parameters: {{{}}}}}}}]"
     ],
 )
 @pytest.mark.parametrize("key", ["tasks", "variants"])
-def test_a_motion_that_cannot_be_made_is_refused(tmp_path, monkeypatch, leg, words, key):
+def test_a_motion_that_cannot_be_made_is_refused(tmp_path, monkeypatch, subgoal, words, key):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.yaml").write_text("note: mine\n")
-    (tmp_path / "fetch.yaml").write_text(TASK.replace("legs: [{place: cup}]", LEG.format(*leg)))
+    (tmp_path / "fetch.yaml").write_text(
+        TASK.replace("subgoals: [{place: cup}]", SUBGOAL.format(*subgoal))
+    )
     said = {
         "tasks": "tasks=[fetch.yaml]",
         "variants": "variants=[{label: x, task: fetch.yaml, parameters: {}, robots: [pr2]}]",
     }
     with pytest.raises(KinfeasError, match=words):
-        read_study("study.yaml", [said[key]])
+        read_benchmark("study.yaml", [said[key]])
 
 
 def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
@@ -118,9 +120,9 @@ def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
     (tmp_path / "study.yaml").write_text("tasks: [fetch.yaml]\n")
     scene = "scene: {name: gone.yaml, done: {object: box, joint: lid}}\n"
     (tmp_path / "fetch.yaml").write_text(TASK + scene)
-    read_study("study.yaml")
+    read_benchmark("study.yaml")
     with pytest.raises(KinfeasError, match=r"gone\.yaml: cannot be read"):
-        read_study("study.yaml", ["physics={}"])
+        read_benchmark("study.yaml", ["physics={}"])
 
 
 @pytest.mark.parametrize(
@@ -136,7 +138,7 @@ def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
         ("episodes=0", ">= 1"),
         ("episodes=1000001", "at most 1000000"),
         ("policies=both", "'pretrained'"),
-        ("aids=[{robots: [pr2]}]", "one of 'yields' and 'look_ahead' must be true"),
+        ("aids=[{robots: [pr2]}]", "one of 'yields' and 'rollout_planner' must be true"),
         ("aids=[{yields: true}, {yields: true, tasks: [ggr]}]", "help pr2 on ggr in the same way"),
         ("aids=[{yields: true, robots: [fetch]}]", "unknown robot 'fetch'"),
         ("aids=[{yields: true, tasks: [fly]}]", "unknown task 'fly'"),
@@ -148,10 +150,10 @@ def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
             r"^the settings of 'physics': world\.slw",
         ),
         ("physics={settings: ['world.slow_down=1', 'task.distance=[1, 2]']}", "not task.KEY"),
-        ("physics={rows: {plain: {settings: [look_ahead.seconds=3]}}}", "not look_ahead.KEY"),
+        ("physics={rows: {plain: {settings: [rollout.horizon=3]}}}", "not rollout.KEY"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, override, words):
     (tmp_path / "study.yaml").write_text("note: mine\n")
     with pytest.raises(KinfeasError, match=words):
-        read_study(str(tmp_path / "study.yaml"), [override])
+        read_benchmark(str(tmp_path / "study.yaml"), [override])

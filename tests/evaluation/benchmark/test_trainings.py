@@ -4,14 +4,14 @@ import pytest
 
 from kinfeas import config, pretrained
 from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark.study import StudyConfig, Training
+from kinfeas.evaluation.benchmark.study import BenchmarkConfig, Training
 from kinfeas.evaluation.benchmark.trainings import settings_of, takes_pretrained, to_train
 
 OUT = Path("out")
 
 
 def study(*overrides):
-    return config.from_mapping(StudyConfig, {}, "study", overrides)
+    return config.from_mapping(BenchmarkConfig, {}, "study", overrides)
 
 
 TWO = ("robots=[pr2,hsr]", "trainings=[{robot: pr2, steps: 64}, {robot: pr2, algorithm: td3}]")
@@ -29,10 +29,10 @@ def test_a_run_for_each_training_and_seed():
 def test_a_training_says_how():
     training = study(
         "robots=[pr2]",
-        "trainings=[{robot: pr2, recipe: paper/td3, settings: ['environments=8'], minutes: 2}]",
+        "trainings=[{robot: pr2, recipe: paper/td3, settings: ['num_envs=8'], minutes: 2}]",
     ).trainings[0]
     settings = settings_of(training, 5)
-    assert (settings.seed, settings.environments, settings.learner.hidden) == (5, 8, (400, 300))
+    assert (settings.seed, settings.num_envs, settings.learner.net_arch) == (5, 8, (400, 300))
     assert (settings.schedule.steps, settings.schedule.minutes) == (None, 2.0)
     # The entry, and not the recipe, says which algorithm.
     assert settings.learner.algorithm == "sac"

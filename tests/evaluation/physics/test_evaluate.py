@@ -55,7 +55,7 @@ def test_the_pr2_is_slowed_down_and_others_are_not():
 
 def test_the_pr2_keeps_clear_of_furniture_and_others_do_not():
     kept = {
-        name: physics_config(registry.load_robot(name)).world.clearance
+        name: physics_config(registry.load_robot(name)).world.min_obstacle_distance
         for name in ("pr2", "tiago", "hsr")
     }
     assert kept == {"pr2": 0.03, "tiago": 0.0, "hsr": 0.0}
@@ -64,13 +64,20 @@ def test_the_pr2_keeps_clear_of_furniture_and_others_do_not():
 def test_time_limits_are_in_motion_time():
     settings = physics_config(registry.load_robot("pr2"), ["world.max_seconds=15"]).world
     assert settings.world.max_seconds == 15
-    assert settings.pace.slow_down == 2.0
+    assert settings.execution.slow_down == 2.0
 
 
 def test_what_can_be_set_is_what_results_are_told_apart_by():
     """Cells of a benchmark are found again by these keys and values."""
     told = config.to_mapping(PhysicsSettings(head_start=3.0))
-    apart = ("slow_down", "head_start", "patience", "yields", "clearance", "objects")
+    apart = (
+        "slow_down",
+        "head_start",
+        "arm_settle_timeout",
+        "feasibility_filter",
+        "min_obstacle_distance",
+        "objects",
+    )
     assert [told[key] for key in apart] == [1.0, 3.0, 8.0, False, 0.0, True]
     rest = {"dt", "max_failures", "max_seconds", "adapters", "ik", "physics"}
     assert set(told) == rest | set(apart)
@@ -110,10 +117,19 @@ def test_the_summary_tells_the_pace_that_adapters_have_made(trial, policy):
     adapters = (
         AdapterSpec("head_start", {"seconds": 3.0}), AdapterSpec("slow_down", {"factor": 2.0})
     )  # fmt: skip
-    settings = replace(trial.settings, slow_down=2.0, yields=True, clearance=0.05, max_seconds=0.1)
+    settings = replace(
+        trial.settings,
+        slow_down=2.0,
+        feasibility_filter=True,
+        min_obstacle_distance=0.05,
+        max_seconds=0.1,
+    )
     slower = replace(trial, episodes=1, settings=replace(settings, adapters=adapters))
     summary = evaluate_physics(slower, policy)
-    told = [summary[key] for key in ("slow_down", "head_start", "yields", "clearance")]
+    told = [
+        summary[key]
+        for key in ("slow_down", "head_start", "feasibility_filter", "min_obstacle_distance")
+    ]
     assert told == [4.0, 3.0, True, 0.05]
 
 
@@ -130,7 +146,7 @@ def test_refuses_what_it_does_not_know(trial):
     with pytest.raises(KinfeasError, match=r"'world.slow_down' must be a number in \[1, 1000\]"):
         physics_config(trial.robot, ["world.slow_down=0.5"])
     with pytest.raises(KinfeasError, match=r"unknown key 'world.hold'"):
-        physics_config(trial.robot, ["world.hold=3"])
+        physics_config(trial.robot, ["world.action_repeat=3"])
 
 
 @pytest.mark.parametrize("name", ["drawer", "pick_place"])

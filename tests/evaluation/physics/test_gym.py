@@ -69,14 +69,16 @@ def test_every_observation_is_within_the_space():
 
 def test_commands_are_carried_out_as_they_are_given():
     env = PhysicsMotionEnv("tiago")
-    assert not env.world.loop.pace.yields
+    assert not env.world.loop.execution.feasibility_filter
     env.close()
     env = PhysicsMotionEnv("pr2")
-    assert not env.world.loop.pace.clearance
+    assert not env.world.loop.execution.min_obstacle_distance
     env.close()
-    env = PhysicsMotionEnv("tiago", world=PhysicsSettings(yields=True, clearance=0.1))
-    assert env.world.loop.pace.yields
-    assert env.world.loop.pace.clearance == 0.1
+    env = PhysicsMotionEnv(
+        "tiago", world=PhysicsSettings(feasibility_filter=True, min_obstacle_distance=0.1)
+    )
+    assert env.world.loop.execution.feasibility_filter
+    assert env.world.loop.execution.min_obstacle_distance == 0.1
     env.close()
 
 

@@ -32,7 +32,7 @@ def started(request):
 
 def step(world, policy, ticks):
     for _ in range(ticks):
-        world.world.step(policy.act(world.world.loop.situation))
+        world.world.step(policy.act(world.world.loop.policy_input))
 
 
 def test_three_times_as_fast_as_real_time(started):

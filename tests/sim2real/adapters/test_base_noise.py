@@ -38,13 +38,13 @@ def draws(given, steps, **deviations):
     """Return the noise of episodes with these seeds, shape (steps, n, 6)."""
     recorder = Recorder()
     noise = BaseNoise(recorder, PR2, **deviations)
-    begin(noise, given)
+    on_reset(noise, given)
     for _ in range(steps):
         noise.step(np.zeros((len(given), 6)), np.zeros((len(given), 1)), 0.1)
     return np.stack(recorder.twists)
 
 
-def begin(noise, given):
+def on_reset(noise, given):
     n = len(given)
     noise.seed(given, np.arange(n))
     noise.reset(np.zeros((n, 7)), np.zeros((n, 1)))
@@ -102,7 +102,7 @@ def test_defaults_are_the_methods():
 def test_is_added_to_the_command_and_leaves_the_rest_alone():
     recorder = Recorder()
     noise = BaseNoise(recorder, PR2)
-    begin(noise, seeds(5))
+    on_reset(noise, seeds(5))
     twist, targets = np.arange(6.0)[np.newaxis], np.ones((1, 7))
     noise.step(twist, targets, 0.1)
     np.testing.assert_array_equal(twist, [np.arange(6.0)])
@@ -121,7 +121,7 @@ def test_a_row_does_not_depend_on_the_batch():
 def test_a_new_episode_begins_its_draws_anew():
     recorder = Recorder()
     noise = BaseNoise(recorder, PR2)
-    begin(noise, seeds(1, 2, 3))
+    on_reset(noise, seeds(1, 2, 3))
     for _ in range(4):
         noise.step(np.zeros((3, 6)), np.zeros((3, 1)), 0.1)
     noise.seed(seeds(9), np.array([1]))
@@ -144,7 +144,7 @@ def test_the_batch_may_grow_and_shrink():
     recorder = Recorder()
     noise = BaseNoise(recorder, PR2)
     for n in (2, 5, 1, 3):
-        begin(noise, np.arange(n, dtype=np.uint64))
+        on_reset(noise, np.arange(n, dtype=np.uint64))
         noise.step(np.zeros((n, 6)), np.zeros((n, 1)), 0.1)
         np.testing.assert_array_equal(
             recorder.twists[-1], draws(np.arange(n, dtype=np.uint64), 1)[0]
@@ -155,7 +155,7 @@ def test_wrapped_twice_draws_twice():
     recorder = Recorder()
     noise = BaseNoise(BaseNoise(recorder, PR2, linear=1.0), PR2, linear=1.0)
     given = np.random.default_rng(0).integers(2**64, size=4000, dtype=np.uint64)
-    begin(noise, given)
+    on_reset(noise, given)
     noise.step(np.zeros((4000, 6)), np.zeros((4000, 1)), 0.1)
     assert recorder.twists[0][:, 0].std() == pytest.approx(np.sqrt(2.0), rel=0.05)
 

@@ -15,8 +15,8 @@ def test_the_ee_scatters_about_where_the_joints_have_it(rig, pr2):
     assert (found - exact)[:, :3].std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.07)
     turns = Rotation.from_quat(found[:, 3:]) * Rotation.from_quat(exact[:, 3:]).inv()
     assert turns.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.05), rel=0.07)
-    assert noisy.first.joint_positions is noisy.first.truth.joint_positions
-    assert noisy.first.truth.ee_in_base is None
+    assert noisy.first.joint_positions is noisy.first.true_state.joint_positions
+    assert noisy.first.true_state.ee_in_base is None
 
 
 def test_around_another_measured_ee_it_adds_to_that(rig, pr2):

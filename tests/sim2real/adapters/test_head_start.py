@@ -6,17 +6,19 @@ from kinfeas.backend import Resumable
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
-from kinfeas.legs import Pace, Pacing
 from kinfeas.sim2real.adapters.head_start import HeadStart
+from kinfeas.subgoals import ExecutionAdapter, ExecutionConfig
 from kinfeas.tasks.ggr import ggr
 
 
 def test_head_starts_add_up(pr2):
     one = HeadStart(AnalyticBackend(), pr2, seconds=2.0)
     two = HeadStart(one, pr2, seconds=[0.5, 1.5])
-    assert isinstance(two, Pacing)
+    assert isinstance(two, ExecutionAdapter)
     assert isinstance(two, Resumable)
-    assert two.pace(one.pace(Pace(head_start=1.0))) == Pace(head_start=3.5, spread=1.0)
+    assert two.execution(one.execution(ExecutionConfig(head_start=1.0))) == ExecutionConfig(
+        head_start=3.5, spread=1.0
+    )
 
 
 def stands(robot, seconds, episodes, dt=0.1):

@@ -11,8 +11,8 @@ def test_what_is_measured_scatters_and_what_is_is_beside_it(rig):
     assert found.std() == pytest.approx(0.01, rel=0.05)
     assert len(np.unique(found)) == found.size
     for state in seen:
-        np.testing.assert_array_equal(state.truth.joint_positions, noisy.joints)
-        assert state.base_pose is state.truth.base_pose
+        np.testing.assert_array_equal(state.true_state.joint_positions, noisy.joints)
+        assert state.base_pose is state.true_state.base_pose
     np.testing.assert_array_equal(noisy.sent, 0.0)
 
 

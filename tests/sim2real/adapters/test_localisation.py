@@ -11,8 +11,8 @@ def errors(states):
     """Return how far the base is seen beside where it is, shape (steps, n, 3)."""
     return np.stack([
         np.column_stack([
-            (state.base_pose - state.truth.base_pose)[:, :2],
-            yaw(state.base_pose) - yaw(state.truth.base_pose),
+            (state.base_pose - state.true_state.base_pose)[:, :2],
+            yaw(state.base_pose) - yaw(state.true_state.base_pose),
         ])
         for state in states
     ])  # fmt: skip
@@ -36,10 +36,10 @@ def test_drift_grows_with_the_root_of_time_at_any_rate(rig, dt):
 def test_jumps_come_at_their_rate_and_lead_to_errors_of_their_size(rig, dt):
     jumpy = rig(Localisation, n=1000, **(STILL | {"rate": 0.5, "jump": 0.05, "turn_jump": 0.1}))
     found = errors(jumpy.run(np.zeros((round(6.0 / dt), 6)), dt))
-    jumps = np.any(np.diff(found, axis=0) != 0.0, axis=2)
-    assert jumps.mean() / dt == pytest.approx(0.5, rel=0.06)
-    jumped = found[-1][np.any(found[-1] != 0.0, axis=1)]
-    assert jumped.std(axis=0) == pytest.approx(np.array([0.05, 0.05, 0.1]), rel=0.08)
+    joint_jumps = np.any(np.diff(found, axis=0) != 0.0, axis=2)
+    assert joint_jumps.mean() / dt == pytest.approx(0.5, rel=0.06)
+    joint_jump = found[-1][np.any(found[-1] != 0.0, axis=1)]
+    assert joint_jump.std(axis=0) == pytest.approx(np.array([0.05, 0.05, 0.1]), rel=0.08)
 
 
 def test_commands_are_carried_out_in_axes_that_are_turned_by_the_error(rig, drive):

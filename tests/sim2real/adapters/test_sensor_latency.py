@@ -16,8 +16,8 @@ def test_whole_periods_show_what_was_as_many_steps_ago_to_the_bit(rig, drive, se
     seen = late.run(drive(60), dt, targets(60))
     k = round(seconds / dt)
     for now, before in zip(seen[k:], seen, strict=False):
-        np.testing.assert_array_equal(now.base_pose, before.truth.base_pose)
-        np.testing.assert_array_equal(now.joint_positions, before.truth.joint_positions)
+        np.testing.assert_array_equal(now.base_pose, before.true_state.base_pose)
+        np.testing.assert_array_equal(now.joint_positions, before.true_state.joint_positions)
         assert now.age == pytest.approx(seconds)
     for now in seen[:k]:
         np.testing.assert_array_equal(now.base_pose, late.first.base_pose)
@@ -42,7 +42,7 @@ def test_a_late_reading_never_shows_an_older_robot(rig):
     age = np.stack([state.age for state in seen])[10:]
     assert age.min() >= 0.02
     assert 0.1 < age.max() <= 0.22 + 0.05
-    behind = np.stack([(state.truth.base_pose - state.base_pose)[:, 0] for state in seen])[10:]
+    behind = np.stack([(state.true_state.base_pose - state.base_pose)[:, 0] for state in seen])[10:]
     np.testing.assert_allclose(behind, age, atol=1e-9)
 
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from kinfeas.adapters import AdapterSpec, paced, wrap
+from kinfeas.adapters import AdapterSpec, execution_of, wrap
 from kinfeas.envs.analytic import AnalyticBackend
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.errors import KinfeasError
-from kinfeas.legs import Pace
+from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.ggr import ggr
 
 SLOW = AdapterSpec("slow_down", {"factor": 2.0})
@@ -13,7 +13,7 @@ SLOW = AdapterSpec("slow_down", {"factor": 2.0})
 
 def test_factors_multiply(pr2):
     backend = wrap(AnalyticBackend(), [SLOW, AdapterSpec("base_noise"), SLOW], pr2)
-    assert paced(backend, Pace(slow_down=1.5)) == Pace(slow_down=6.0)
+    assert execution_of(backend, ExecutionConfig(slow_down=1.5)) == ExecutionConfig(slow_down=6.0)
 
 
 def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
@@ -23,18 +23,18 @@ def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
         world.start([0])
     ways = []
     for world, steps in ((slow, 40), (plain, 20)):
-        begin = world.loop.desired[:, :3]
+        on_reset = world.loop.desired[:, :3]
         for step in range(steps):
             done = world.step(np.zeros((1, 3))).truncated[0]
             assert done == (step == steps - 1)
-        ways.append(np.linalg.norm(world.loop.desired[:, :3] - begin))
+        ways.append(np.linalg.norm(world.loop.desired[:, :3] - on_reset))
     assert ways[0] == pytest.approx(ways[1], rel=1e-3)
 
 
 def test_all_factors_together_have_a_bound(pr2):
     backend = wrap(AnalyticBackend(), [AdapterSpec("slow_down", {"factor": 100.0})] * 2, pr2)
     with pytest.raises(KinfeasError, match=r"slow_down must be a number in \[1, 1000\] in all"):
-        paced(backend, Pace())
+        execution_of(backend, ExecutionConfig())
 
 
 @pytest.mark.parametrize(
