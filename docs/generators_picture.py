@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from kinfeas import registry
-from kinfeas.spatial import Array, integrate, make_pose
+from kinfeas.core import registry
+from kinfeas.core.spatial import Array, integrate, make_pose
 
 ROOT = Path(__file__).parents[1]
 MOTIONS = ROOT / "examples" / "motions"

@@ -12,16 +12,16 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Polygon
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from kinfeas import registry
-from kinfeas.evaluation.pictures.projection import Painted, draw_floor, draw_solids, look
-from kinfeas.evaluation.pictures.solids import robot_faces
-from kinfeas.evaluation.pictures.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
-from kinfeas.kinematics.ceiling import reachable
+from kinfeas.control.observation import FIELDS
+from kinfeas.control.subgoals import GOAL_METRES, GOAL_RADIANS
+from kinfeas.core import registry
+from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.observation import FIELDS
+from kinfeas.kinematics.reachability import reachable
 from kinfeas.robots.robot import Robot
-from kinfeas.spatial import Array, compose, make_pose, planar_pose, relative
-from kinfeas.subgoals import GOAL_METRES, GOAL_RADIANS
+from kinfeas.viz.pictures.projection import Painted, draw_floor, draw_solids, look
+from kinfeas.viz.pictures.solids import robot_faces
+from kinfeas.viz.pictures.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
 
 IMAGES = Path(__file__).parent / "images"
 ROBOTS = ("pr2", "tiago", "hsr")

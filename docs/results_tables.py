@@ -19,11 +19,11 @@ from typing import Any
 
 from PIL import Image
 
-from kinfeas.evaluation.benchmark.plot import table_figure
-from kinfeas.evaluation.benchmark.table import Cell
-from kinfeas.evaluation.benchmark.text import to_markdown
-from kinfeas.evaluation.pictures.style import png
-from kinfeas.evaluation.policies import BASELINES
+from kinfeas.benchmark.plot import table_figure
+from kinfeas.benchmark.table import Cell
+from kinfeas.benchmark.text import to_markdown
+from kinfeas.policies.loading import BASELINES
+from kinfeas.viz.pictures.style import png
 
 DOCS = Path(__file__).parent
 README = DOCS.parent / "README.md"

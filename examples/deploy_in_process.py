@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas import registry
-from kinfeas.adapters import AdapterSpec
-from kinfeas.evaluation.policies import load_policy
+from kinfeas.control.adapters import AdapterSpec
+from kinfeas.core import registry
+from kinfeas.io.run_log import About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.record import About, Recorder, read_record
-from kinfeas.sim2real.goal_task import make_goal_task
-from kinfeas.sim2real.runtime import Setup, deploy
-from kinfeas.sim2real.warm_up import warm_up
+from kinfeas.policies.loading import load_policy
+from kinfeas.sim2real.deploy.goal_task import make_goal_task
+from kinfeas.sim2real.deploy.runtime import Setup, deploy
+from kinfeas.sim2real.deploy.warm_up import warm_up
 from kinfeas.tasks.task import MotionSpec
 
 

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 import kinfeas.envs  # noqa: F401  registers the environment
-from kinfeas.observation import FIELDS
+from kinfeas.control.observation import FIELDS
 
 
 def main() -> None:

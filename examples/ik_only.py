@@ -5,8 +5,8 @@ import time
 
 import numpy as np
 
-from kinfeas import registry, spatial
-from kinfeas.evaluation.ceiling import measure_reachability
+from kinfeas.core import registry, spatial
+from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides

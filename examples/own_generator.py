@@ -4,10 +4,10 @@ import argparse
 
 import numpy as np
 
-from kinfeas import registry, spatial
+from kinfeas.core import registry, spatial
+from kinfeas.core.single_motion import batched
 from kinfeas.evaluation.evaluate import Trial, evaluate
-from kinfeas.evaluation.policies import load_policy
-from kinfeas.single_motion import batched
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 

@@ -3,10 +3,10 @@
 import argparse
 import math
 
-from kinfeas import registry
-from kinfeas.evaluation.ceiling import measure_reachability
+from kinfeas.core import registry
 from kinfeas.evaluation.evaluate import Trial, evaluate
-from kinfeas.evaluation.policies import load_policy
+from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.chain import BaseStart, ChainSubgoal, ChainTask, Place
 from kinfeas.tasks.task import MotionSpec
 

@@ -5,11 +5,11 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from kinfeas import registry
 from kinfeas.config import load
+from kinfeas.config.recipes import default_recipe
+from kinfeas.core import registry
 from kinfeas.evaluation.evaluate import Trial, evaluate
-from kinfeas.evaluation.policies import load_policy
-from kinfeas.storage.recipes import default_recipe
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
-from kinfeas.motion import State
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
 from kinfeas.plugins.forcing import Forcing, learn
 from kinfeas.plugins.limits import positive, slowed
 from kinfeas.plugins.path_motion import checked_frame
 from kinfeas.plugins.recording import read_recording
-from kinfeas.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
 
 _RATE = 12.5  # of the spring's decay in each duration; half of the library's alpha
 

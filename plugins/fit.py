@@ -1,7 +1,7 @@
 """Learning a motion from recorded demonstrations: what `kinfeas fit` does.
 
 A demonstration is a file `anything.csv` with a header and a line for each moment (or an `.npz` of
-the arrays of `kinfeas.demonstrations.Demonstration`), in metres and unit quaternions xyzw::
+the arrays of `kinfeas.io.demonstrations.Demonstration`), in metres and unit quaternions xyzw::
 
     time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw,base_x,...,base_qw,object_x,...,object_qw
     0.00,0.71,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
@@ -18,11 +18,20 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from kinfeas.demonstrations import Demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import (
+    Array,
+    canonical,
+    distance,
+    make_pose,
+    relative,
+    rotation,
+    wrap,
+    yaw,
+)
+from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.model import DURATIONS, FORMAT, Component, Kind, Model, Source, rounded
 from kinfeas.plugins.path import below, tabulate
-from kinfeas.spatial import Array, canonical, distance, make_pose, relative, rotation, wrap, yaw
 
 MOST_COMPONENTS = 50
 """Size of the largest mixture: four samples each, and a file that can still be read."""

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 from kinfeas.plugins.recording import resampled
-from kinfeas.spatial import Array
 
 _SAMPLES = 201  # of the demonstration, at even steps of time
 _SEGMENTS = 256  # of the table

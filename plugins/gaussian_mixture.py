@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from kinfeas.motion import State
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import Array, compose, twist_between
 from kinfeas.plugins.limits import slowed
 from kinfeas.plugins.model import read_model
 from kinfeas.plugins.path import tabulate
 from kinfeas.plugins.path_motion import PathMotion
 from kinfeas.plugins.phase import PhaseControl
-from kinfeas.spatial import Array, compose, twist_between
 
 
 class GaussianMixture(PathMotion):

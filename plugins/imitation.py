@@ -1,11 +1,11 @@
 """The `imitation` motion: a demonstrated path, followed from wherever the hand starts."""
 
-from kinfeas.motion import State
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import Array
 from kinfeas.plugins.model import read_model
 from kinfeas.plugins.path import tabulate
 from kinfeas.plugins.path_motion import PathMotion
 from kinfeas.plugins.phase import PhaseControl
-from kinfeas.spatial import Array
 
 
 class Imitation(PathMotion):

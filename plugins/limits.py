@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
-from kinfeas.spatial import Array
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 
 _TINY = 1e-12  # keeps quotients finite; in m/s and in rad/s
 _LEAST, _MOST = 1e-9, 1e9  # of any number; beyond, motions would overflow or never end

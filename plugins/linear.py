@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
-from kinfeas.motion import State
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import Array, twist_between
 from kinfeas.plugins.limits import norm, positive
-from kinfeas.spatial import Array, twist_between
 
 # Below this distance a motion is a turn on the spot, and the angle sets its pace, in metres.
 _ON_THE_SPOT = 1e-6

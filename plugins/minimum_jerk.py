@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinfeas.motion import State
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.plugins.limits import norm, positive, slowed
-from kinfeas.spatial import Array, integrate, twist_between
 
 _PEAK = 1.875  # greatest slope of the profile, in the middle
 

@@ -29,12 +29,11 @@ from typing import Annotated, Literal
 import numpy as np
 
 from kinfeas import config
-from kinfeas.config import Interval, no_such
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import Count, PositiveShare
-from kinfeas.spatial import Array
-from kinfeas.storage import strict_yaml
-from kinfeas.storage.files import is_path
+from kinfeas.config import Interval, no_such, strict_yaml
+from kinfeas.config.quantities import Count, PositiveShare
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.io.files import is_path
 
 Kind = Literal["imitation", "gaussian_mixture"]
 # Far beyond any room or turn, and near enough that nothing computed from it overflows.

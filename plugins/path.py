@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from kinfeas.plugins.model import Model
-from kinfeas.spatial import (
+from kinfeas.core.spatial import (
     Array,
     compose,
     integrate,
@@ -16,6 +15,7 @@ from kinfeas.spatial import (
     rotation,
     twist_between,
 )
+from kinfeas.plugins.model import Model
 
 _SEGMENTS = 256
 _PINNED = 0.2  # share of the path over which its end is drawn to the goal

@@ -7,11 +7,11 @@ from typing import Literal, get_args
 import numpy as np
 
 from kinfeas.config import no_such
-from kinfeas.errors import KinfeasError
-from kinfeas.motion import State
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import IDENTITY, Array, compose, relative, twist_between
 from kinfeas.plugins.path import Path
 from kinfeas.plugins.phase import PhaseControl
-from kinfeas.spatial import IDENTITY, Array, compose, relative, twist_between
 
 Frame = Literal["object", "goal", "world"]
 """What a path is moved with: the target as the handled object, the target as its end, nothing."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinfeas.core.spatial import Array, compose, twist_between
 from kinfeas.plugins.limits import norm, positive, slowed
 from kinfeas.plugins.path import Path
-from kinfeas.spatial import Array, compose, twist_between
 
 
 @dataclass(frozen=True, kw_only=True)

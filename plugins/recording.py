@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Slerp
 
-from kinfeas.demonstrations import read_demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, make_pose, rotation
+from kinfeas.io.demonstrations import read_demonstration
+from kinfeas.io.run_log import read_record
 from kinfeas.plugins.path_motion import Frame
-from kinfeas.record import read_record
-from kinfeas.spatial import Array, make_pose, rotation
 
 _OPTIONAL = "base_pose", "object_pose"
 _RECORD = b"# kinfeas record"  # how the record of a run begins

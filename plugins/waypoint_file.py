@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
+from kinfeas.config.quantities import LONGEST
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.io.csv_table import read_csv
 from kinfeas.plugins.model import Number
-from kinfeas.quantities import LONGEST
-from kinfeas.spatial import Array
-from kinfeas.storage.csv_table import read_csv
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _NOT_UNIT = 1e-3  # how far the norm of a quaternion may be from 1; rounding by hand makes 2e-4

@@ -7,7 +7,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RotationSpline
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 from kinfeas.plugins.limits import norm, positive
 from kinfeas.plugins.path_motion import (
     PathMotion,
@@ -18,7 +19,6 @@ from kinfeas.plugins.path_motion import (
 )
 from kinfeas.plugins.phase import PhaseControl
 from kinfeas.plugins.waypoint_file import read_waypoints
-from kinfeas.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
 _REPEATED = 1e-9  # metres and radians

@@ -6,11 +6,11 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
 from kinfeas.robots.tree import Shape
 from kinfeas.scenes.objects import SceneObject
 from kinfeas.scenes.solids import Solids
-from kinfeas.spatial import IDENTITY, Array, compose, make_pose, rotation
 
 OVERLAP = 1e-3
 """Metres that one object may reach into another one, as where it stands on it."""

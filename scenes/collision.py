@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.self_collision import (
     CollisionModel,
     CollisionScratch,
@@ -12,7 +13,6 @@ from kinfeas.kinematics.self_collision import (
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.scenes.solids import Solids
-from kinfeas.spatial import Array, rotation
 
 
 class SceneCollision:

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.demonstrations import Demonstration
+from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, rotation
+from kinfeas.io.demonstrations import Demonstration
 from kinfeas.scenes.exercise import Exercise
 from kinfeas.scenes.hand import (
     Habits,
@@ -20,7 +21,6 @@ from kinfeas.scenes.hand import (
     scatter,
 )
 from kinfeas.scenes.mechanism import AnalyticMechanism
-from kinfeas.spatial import Array, compose, make_pose, planar_pose, rotation
 
 _EVERY_AXIS = np.ones(3)
 _NO_FINGER_AXIS = np.array([1.0, 0.0, 1.0])

@@ -7,13 +7,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import Positive, Vector
+from kinfeas.config.quantities import Positive, Vector
+from kinfeas.config.schema import no_such
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.scenes.mechanism import MechanismJoint
 from kinfeas.scenes.objects import SceneObject, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.schema import no_such
-from kinfeas.spatial import Array, rotation
 
 EXERCISES = ("door", "drawer")
 """Each is a handle of the room, too."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.quantities import NotNegative, Positive, Share
+from kinfeas.config.quantities import NotNegative, Positive, Share
+from kinfeas.core.spatial import Array, compose, make_pose, relative, rotation
 from kinfeas.scenes.mechanism import Mechanism
-from kinfeas.spatial import Array, compose, make_pose, relative, rotation
 
 # The fingers hold the handle in the plane; up and down they slide on it.
 _HELD = np.array([1.0, 1.0, 0.0])

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinfeas.core.spatial import Array
 from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.tree import Urdf
 from kinfeas.scenes.objects import moving_joint
-from kinfeas.spatial import Array
 
 MOMENTS = {
     "ixx": (0, 0),

@@ -5,8 +5,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from kinfeas.quantities import NotNegative, Positive, Vector
-from kinfeas.spatial import Array, compose
+from kinfeas.config.quantities import NotNegative, Positive, Vector
+from kinfeas.core.spatial import Array, compose
 
 
 class Mechanism(Protocol):

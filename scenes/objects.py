@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinfeas.core.spatial import Array, compose
 from kinfeas.robots.tree import Joint, Shape, Urdf
-from kinfeas.spatial import Array, compose
 
 
 @dataclass(frozen=True, eq=False)

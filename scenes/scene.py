@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import no_such
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import Vector
+from kinfeas.config.quantities import Vector
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, compose, make_pose
+from kinfeas.io.files import is_path, reading
 from kinfeas.robots.urdf import Urdf, parse_urdf
 from kinfeas.scenes.check import check, check_places
 from kinfeas.scenes.inertia import check_inertia
 from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
 from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec
-from kinfeas.spatial import Array, compose, make_pose
-from kinfeas.storage.files import is_path, reading
 
 T = TypeVar("T")
 

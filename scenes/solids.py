@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import Any
 
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.robots.tree import Shape
-from kinfeas.spatial import Array, rotation
 
 _THINNEST = 1e-4  # m, of what is left of a shape that is made smaller
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from kinfeas.config import Interval
-from kinfeas.quantities import FARTHEST, Position, Radians
+from kinfeas.config.quantities import FARTHEST, Position, Radians
 
 Angles = tuple[Radians, Radians, Radians]
 Side = Annotated[float, Interval(low=0.0, high=FARTHEST, open_low=True)]

@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kinfeas import __version__
-from kinfeas.errors import KinfeasError
-from kinfeas.observation import CLIP, HORIZON
-from kinfeas.policy import Network, read_network
+from kinfeas.control.observation import CLIP, HORIZON
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.io import strict_json
+from kinfeas.io.files import write_file
+from kinfeas.io.policy_metadata import Trained, read_trained
+from kinfeas.policies import onnx_metadata
+from kinfeas.policies.network import Network, read_network
+from kinfeas.policies.onnx_file import TOLERANCE, PolicyFile, parse_policy_file
+from kinfeas.policies.onnx_graph import BATCH, INPUT, IR_VERSION, OPSET, OUTPUT
+from kinfeas.policies.onnx_metadata import About, Control, Golden
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real import policy_about
-from kinfeas.sim2real.policy_about import About, Control, Golden
-from kinfeas.sim2real.policy_file import TOLERANCE, PolicyFile, parse_policy_file
-from kinfeas.sim2real.policy_graph import BATCH, INPUT, IR_VERSION, OPSET, OUTPUT
-from kinfeas.spatial import Array
-from kinfeas.storage import strict_json
-from kinfeas.storage.files import write_file
-from kinfeas.trained import Trained, read_trained
 
 if TYPE_CHECKING:
     import onnx
@@ -67,9 +67,9 @@ def describe(network: Network, folder: Path, robot: Robot) -> About:
     trained = read_trained(folder)
     return About(
         version=__version__,
-        robot=policy_about.describe_robot(robot),
-        observation=policy_about.describe_observation(robot),
-        action=policy_about.describe_action(robot),
+        robot=onnx_metadata.describe_robot(robot),
+        observation=onnx_metadata.describe_observation(robot),
+        action=onnx_metadata.describe_action(robot),
         control=Control(trained.period, HORIZON),
         training=_training(trained),
         success=_success(trained, folder),
@@ -123,9 +123,9 @@ def to_onnx(network: Network, about: About) -> bytes:
         producer_name="kinfeas",
         producer_version=about.version,
     )
-    onnx.helper.set_model_props(model, policy_about.to_metadata(about))
-    digest = policy_about.digest(model.SerializeToString())
-    model.metadata_props.add(key=policy_about.DIGEST, value=digest)
+    onnx.helper.set_model_props(model, onnx_metadata.to_metadata(about))
+    digest = onnx_metadata.digest(model.SerializeToString())
+    model.metadata_props.add(key=onnx_metadata.DIGEST, value=digest)
     try:
         onnx.checker.check_model(model, full_check=True)
     except onnx.checker.ValidationError as error:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinfeas.spatial import Array, integrate
+from kinfeas.core.spatial import Array, integrate
 
 _TINY = 1e-300  # keeps quotients finite
 

@@ -14,9 +14,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
-from kinfeas import registry
-from kinfeas.baselines.reach_ellipses import fit_ellipses
+from kinfeas.core import registry
 from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.policies.baselines.reach_ellipses import fit_ellipses
 
 # Numba compiles within the first example, and a busy machine takes long over any.
 settings.register_profile("kinfeas", deadline=None, derandomize=True)

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from kinfeas import registry
 from kinfeas.cli.main import app
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.testing import check_motion_generator
 
 EXAMPLE = Path(__file__).parent / "example_plugin"
@@ -139,7 +139,7 @@ def test_the_test_that_came_with_a_new_distribution_passes(installed, tmp_path):
 
 BROKEN = """
     import numpy as np
-    from kinfeas.spatial import twist_between
+    from kinfeas.core.spatial import twist_between
 
     class Sound:
         def start(self, ee_pose, target_pose, rngs):

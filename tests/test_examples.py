@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas import registry
+from kinfeas.core import registry
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SAYS = {

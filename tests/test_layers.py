@@ -75,16 +75,16 @@ CONFINED = {
     "torch": ("kinfeas.training",),
     "stable_baselines3": ("kinfeas.training",),
     # `kinfeas speed` times PyBullet's and Pinocchio's IK beside ours.
-    "pybullet": ("kinfeas.sim", "kinfeas.evaluation.peers"),
-    "pinocchio": ("kinfeas.evaluation.peers", "kinfeas.baselines.whole_body_qp"),
-    "pink": ("kinfeas.baselines.whole_body_qp",),
+    "pybullet": ("kinfeas.backends.pybullet", "kinfeas.benchmark.peers"),
+    "pinocchio": ("kinfeas.benchmark.peers", "kinfeas.policies.baselines.whole_body_qp"),
+    "pink": ("kinfeas.policies.baselines.whole_body_qp",),
     "sklearn": ("kinfeas.plugins.fit",),
     "onnx": ("kinfeas.sim2real.export",),
-    "onnxruntime": ("kinfeas.sim2real.policy_file",),
+    "onnxruntime": ("kinfeas.policies.onnx_file",),
     "cyclonedds": ("kinfeas.sim2real.ros.ros2_bus", "kinfeas.sim2real.ros.ros2_messages"),
     "movement_primitives": ("kinfeas.plugins.forcing",),
-    "trimesh": ("kinfeas.draft",),
-    "viser": ("kinfeas.evaluation.pages.viser_server",),
+    "trimesh": ("kinfeas.importer",),
+    "viser": ("kinfeas.viz.pages.viser_server",),
 }
 
 # Where the packages lie in the tree; all others lie where their name says.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas import registry, spatial
+from kinfeas.core import registry, spatial
 from kinfeas.envs.interface import make_world
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations

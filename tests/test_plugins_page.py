@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from kinfeas import registry
 from kinfeas.cli.main import app
+from kinfeas.core import registry
 from kinfeas.robots.reading import read_robot
 from kinfeas.templates.distribution import write_distribution
 from kinfeas.testing import check_motion_generator

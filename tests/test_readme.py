@@ -11,12 +11,13 @@ import pytest
 import typer
 from markdown_it import MarkdownIt
 
-from kinfeas import config, registry
+from kinfeas import config
 from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
+from kinfeas.config.recipes import default_recipe
+from kinfeas.core import registry
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.ros.names import read_topics
-from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 from kinfeas.training.config import TrainConfig

@@ -5,9 +5,9 @@ import runpy
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
-from kinfeas.registry import GROUPS
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import GROUPS
 from kinfeas.templates import Kind
 from kinfeas.templates.distribution import write_distribution
 

@@ -17,7 +17,7 @@ LOAD_ALL = """
 import importlib.util, sys
 from pathlib import Path
 import kinfeas
-from kinfeas import registry
+from kinfeas.core import registry
 
 assert Path(kinfeas.__file__).is_relative_to(sys.prefix), kinfeas.__file__
 for bare in ("plugins", "scenes", "sim2real", "configs"):

@@ -13,14 +13,14 @@ from kinfeas.cli import inputs, options
 from kinfeas.cli.evaluate import WorldName
 from kinfeas.cli.output import check_outputs, print_table, progress, status, write_json
 from kinfeas.cli.training_bar import training_bar
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import MOST_EPISODES, MOST_PROCESSES
+from kinfeas.config.quantities import MOST_EPISODES, MOST_PROCESSES
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.benchmark.findings import Findings
-    from kinfeas.evaluation.benchmark.runs import Plan, Run
-    from kinfeas.evaluation.benchmark.study import BenchmarkConfig
-    from kinfeas.evaluation.benchmark.table import Cell
+    from kinfeas.benchmark.findings import Findings
+    from kinfeas.benchmark.runs import Plan, Run
+    from kinfeas.benchmark.study import BenchmarkConfig
+    from kinfeas.benchmark.table import Cell
 
 _RECIPES = {
     (WorldName.ANALYTIC, False): "benchmark/study",
@@ -97,7 +97,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     task, policy, episodes and settings, and not by the code.
     With physics they are kept in parts of 20 episodes, which more [bold]--episodes[/] take up.
     """
-    from kinfeas.evaluation.benchmark.findings import check_out, write_pictures, write_tables
+    from kinfeas.benchmark.findings import check_out, write_pictures, write_tables
 
     name = config or _RECIPES[world, quick]
     out = out or Path("runs/benchmark") / Path(name).stem
@@ -147,8 +147,8 @@ def _read(
     overrides: Sequence[str],
 ) -> tuple["BenchmarkConfig", list["Run"]]:
     """Return the study that the options ask for, and the runs that it is to take."""
-    from kinfeas.evaluation.benchmark.runs import find_runs
-    from kinfeas.evaluation.benchmark.study import read_benchmark, restricted
+    from kinfeas.benchmark.runs import find_runs
+    from kinfeas.benchmark.study import read_benchmark, restricted
 
     if policy not in (None, "pretrained") or (policy and folders):
         raise KinfeasError("--policy can be pretrained only, and not beside --runs")
@@ -167,9 +167,9 @@ def _check_world(study: "BenchmarkConfig", name: str, world: WorldName) -> None:
 
 def _plans(study: "BenchmarkConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
     """Return the training runs that are to be there, after a check of all policies' names."""
-    from kinfeas import pretrained
-    from kinfeas.evaluation.benchmark.trainings import to_train
-    from kinfeas.registry import load_robot
+    from kinfeas.benchmark.trainings import to_train
+    from kinfeas.core.registry import load_robot
+    from kinfeas.policies import pretrained
 
     if taken:
         return []
@@ -181,9 +181,9 @@ def _plans(study: "BenchmarkConfig", out: Path, taken: Sequence["Run"]) -> list[
 
 def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
     """Train what is missing and return all runs."""
-    from kinfeas.evaluation.benchmark.cells import check_baselines
-    from kinfeas.evaluation.benchmark.plan import plan_jobs
-    from kinfeas.evaluation.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
+    from kinfeas.benchmark.cells import check_baselines
+    from kinfeas.benchmark.plan import plan_jobs
+    from kinfeas.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
 
     missing = [plan for plan in plans if is_missing(*plan)]
     if missing:
@@ -203,9 +203,9 @@ def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> lis
 def _compute(
     study: "BenchmarkConfig", runs: Sequence["Run"], folder: Path, processes: int
 ) -> "Findings":
-    from kinfeas.evaluation.benchmark.cells import run_jobs
-    from kinfeas.evaluation.benchmark.findings import Findings
-    from kinfeas.evaluation.benchmark.plan import PART, plan_jobs
+    from kinfeas.benchmark.cells import run_jobs
+    from kinfeas.benchmark.findings import Findings
+    from kinfeas.benchmark.plan import PART, plan_jobs
 
     jobs = plan_jobs(study, runs)
     kind = "cells" if study.physics is None else f"cells and parts of up to {PART} episodes"
@@ -216,8 +216,8 @@ def _compute(
 
 def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
     """Copy each robot's best policy into each of `folders`; return where they lie now."""
-    from kinfeas.evaluation.benchmark.findings import figures_of_runs
-    from kinfeas.evaluation.benchmark.publish import publish
+    from kinfeas.benchmark.findings import figures_of_runs
+    from kinfeas.benchmark.publish import publish
 
     figures = figures_of_runs(findings)
     return [
@@ -226,7 +226,7 @@ def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
 
 
 def _write_json(findings: "Findings", path: Path) -> None:
-    from kinfeas.evaluation.benchmark.table import to_json
+    from kinfeas.benchmark.table import to_json
 
     write_json(to_json(findings.physics or findings.cells), path)
 
@@ -236,7 +236,7 @@ def _command() -> str:
 
 
 def _show(findings: "Findings") -> None:
-    from kinfeas.evaluation.benchmark.text import groups, label, title
+    from kinfeas.benchmark.text import groups, label, title
 
     cells: Sequence[Cell] = findings.physics or findings.cells
     tasks = list(dict.fromkeys(cell.task for cell in cells))

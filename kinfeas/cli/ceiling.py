@@ -27,12 +27,12 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     parameters, such as [bold]task.orientation=so3[/].
     """
     options.check_robot(robot)
-    from kinfeas.evaluation.ceiling import (
+    from kinfeas.evaluation.reachability import (
         ReachabilityConfig,
         measure_path_reachability,
         measure_reachability,
     )
-    from kinfeas.kinematics.ceiling import STAGES
+    from kinfeas.kinematics.reachability import STAGES
 
     read = {"--robot": robot, "--task": task}
     sources = {option: inputs.named(name) for option, name in read.items()}

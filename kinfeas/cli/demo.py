@@ -14,12 +14,12 @@ from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, share, write_json
 from kinfeas.cli.train import train_run
 from kinfeas.cli.train_settings import Wishes, read_settings
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.comparison import Comparison
-    from kinfeas.evaluation.pages.report import Report
+    from kinfeas.benchmark.comparison import Comparison
     from kinfeas.training.config import TrainConfig
+    from kinfeas.viz.pages.report import Report
 
 PICTURES = ("learning_curve.png", "episodes.png")
 """What the pictures of the report are called beside it."""
@@ -40,10 +40,10 @@ def demo(
     Settings are those of [bold]kinfeas train[/].
     """
     options.check_robot(robot)
-    from kinfeas.evaluation.comparison import compare, make_report
+    from kinfeas.benchmark.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import Trial
-    from kinfeas.evaluation.pages.report import write_report
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.pages.report import write_report
 
     settings = read_settings(Wishes(robot, None, seed, minutes), None, overrides or [])
     folder = free_folder(out)

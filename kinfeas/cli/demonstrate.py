@@ -14,12 +14,12 @@ from kinfeas.cli.output import (
     status,
     write_json,
 )
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from kinfeas.demonstrations import Demonstration
+    from kinfeas.io.demonstrations import Demonstration
     from kinfeas.scenes.demonstrate import Take
     from kinfeas.scenes.exercise import Exercise
 
@@ -76,7 +76,7 @@ def demonstrate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _make_folders(folder: Path) -> None:
-    from kinfeas.storage.files import writing
+    from kinfeas.io.files import writing
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise KinfeasError(f"{folder}: is there already, --out needs a new or an empty folder")
@@ -86,7 +86,7 @@ def _make_folders(folder: Path) -> None:
 
 
 def _write(shown: "Sequence[Demonstration]", folder: Path, suffix: str) -> None:
-    from kinfeas.demonstrations import write_demonstration
+    from kinfeas.io.demonstrations import write_demonstration
 
     digits = max(2, len(str(len(shown) - 1)))
     for number, demonstration in enumerate(shown):
@@ -97,7 +97,7 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
     """Return what is told of the demonstrations of one motion: extremes and means."""
     import numpy as np
 
-    from kinfeas.spatial import distance
+    from kinfeas.core.spatial import distance
 
     durations = [float(one.time[-1] - one.time[0]) for one in shown]
     ways = [float(np.sum(distance(one.ee_pose[1:], one.ee_pose[:-1])[0])) for one in shown]
@@ -113,9 +113,9 @@ def _figures(shown: "Sequence[Demonstration]") -> Figures:
 
 
 def _draw(mechanism: str, exercise: "Exercise", takes: "Sequence[Take]", path: Path) -> None:
-    from kinfeas.evaluation.pictures.demonstrations import demonstrations_figure
-    from kinfeas.evaluation.pictures.style import png
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.pictures.demonstrations import demonstrations_figure
+    from kinfeas.viz.pictures.style import png
 
     write_file(path, png(demonstrations_figure(mechanism, exercise, takes), dpi=130))
 

@@ -23,12 +23,12 @@ from kinfeas.cli.deploy_setup import (
 )
 from kinfeas.cli.output import check_outputs, print_table, status, write_json
 from kinfeas.cli.policy_robot import robot_of
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.record import About
-    from kinfeas.sim2real.deployment import Outcome, Setup
-    from kinfeas.sim2real.metronome import Timing
+    from kinfeas.io.run_log import About
+    from kinfeas.sim2real.deploy.deployment import Outcome, Setup
+    from kinfeas.sim2real.deploy.rate import Timing
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -154,8 +154,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     SIGQUIT. In each case the base was commanded to zero.
     """
     options.check_robot(robot)
-    from kinfeas.record import Recorder
-    from kinfeas.sim2real.runtime import deploy as run
+    from kinfeas.io.run_log import Recorder
+    from kinfeas.sim2real.deploy.runtime import deploy as run
 
     read = {"--robot": robot, "--task": task, "--adapters": sim2real, "--guards": guards}
     sources = {option: inputs.named(name) for option, name in read.items()}
@@ -198,9 +198,9 @@ def _complain(outcome: "Outcome") -> None:
 
 
 def _about(wishes: Wishes, setup: "Setup") -> "About":
-    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
-    from kinfeas.record import About
-    from kinfeas.registry import from_anywhere
+    from kinfeas.core.registry import from_anywhere
+    from kinfeas.io.run_log import About
+    from kinfeas.policies.loading import ROLLOUT_PLANNER
 
     return About(
         robot=from_anywhere(wishes.robot),
@@ -215,7 +215,7 @@ def _about(wishes: Wishes, setup: "Setup") -> "About":
 
 def _record_path(about: "About") -> Path:
     """Return where a run is recorded if the user does not say it."""
-    from kinfeas.storage.files import writing
+    from kinfeas.io.files import writing
 
     folder = Path("runs/deploy")
     with writing(folder):
@@ -250,8 +250,8 @@ def _work_rows(timing: "Timing") -> list[list[str]]:
 
 
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
-    from kinfeas.evaluation.timing import peak_memory_mb
-    from kinfeas.record import TASK_DONE
+    from kinfeas.benchmark.timing import peak_memory_mb
+    from kinfeas.io.run_log import TASK_DONE
 
     timing = outcome.timing
     rows = [

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kinfeas.cli import options
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.robots.robot import Robot
-    from kinfeas.sim2real.deploy_config import DeployConfig
-    from kinfeas.sim2real.deployment import Setup
+    from kinfeas.sim2real.deploy.config import DeployConfig
+    from kinfeas.sim2real.deploy.deployment import Setup
     from kinfeas.tasks.task import Task
 
 Three = tuple[float, float, float]
@@ -46,10 +46,10 @@ class Goal(NamedTuple):
 def read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
     """Return the settings for a robot, with the user's guards."""
     from kinfeas import config
-    from kinfeas.sim2real.deploy_config import DeployConfig
-    from kinfeas.sim2real.guard_config import Guards
-    from kinfeas.storage import strict_yaml
-    from kinfeas.storage.recipes import default_recipe
+    from kinfeas.config import strict_yaml
+    from kinfeas.config.recipes import default_recipe
+    from kinfeas.sim2real.deploy.config import DeployConfig
+    from kinfeas.sim2real.deploy.guard_config import Guards
 
     path = default_recipe("deploy", robot.name)
     data = strict_yaml.read(path)
@@ -62,7 +62,7 @@ def read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> 
 
 def make_task(wanted: Goal, config: "DeployConfig") -> "Task":
     """Return the task that was named, or that of a single goal."""
-    from kinfeas.sim2real.goal_task import make_goal_task
+    from kinfeas.sim2real.deploy.goal_task import make_goal_task
     from kinfeas.tasks.task import MotionSpec
 
     if wanted.task is not None:
@@ -87,22 +87,22 @@ def make_task(wanted: Goal, config: "DeployConfig") -> "Task":
 
 def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
     """Return what the run is made of, once each part has computed something."""
-    from kinfeas.adapters import read_sim2real
-    from kinfeas.backend import RealTimeBackend
-    from kinfeas.evaluation.policies import load_policy
+    from kinfeas.control.adapters import read_sim2real
+    from kinfeas.control.rollout_planner import RolloutPlanner
+    from kinfeas.core.backend import RealTimeBackend
     from kinfeas.kinematics.ik import IkSolver
-    from kinfeas.rollout_planner import RolloutPlanner
-    from kinfeas.sim2real.deploy_config import build_backend
-    from kinfeas.sim2real.deployment import Setup
-    from kinfeas.sim2real.rollout_planner_thread import RolloutPlannerThread
-    from kinfeas.sim2real.warm_up import warm_up
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.sim2real.deploy.config import build_backend
+    from kinfeas.sim2real.deploy.deployment import Setup
+    from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
+    from kinfeas.sim2real.deploy.warm_up import warm_up
 
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
     policy = RolloutPlanner(trained, config.rollout_planner) if wishes.rollout_planner else trained
     warm_up(solver, policy, task, wishes.dt, adapters)
     if wishes.backend == _WORLD:
-        from kinfeas.sim.stage import Stage, task_scene
+        from kinfeas.backends.pybullet.stage import Stage, task_scene
 
         backend = build_backend(_WORLD, config.backend, robot=robot, scene=task_scene(task))
         task = Stage(task, backend)
@@ -130,8 +130,8 @@ def drawn_scene(setup: "Setup") -> dict[str, Any]:
     """Return what a record says of the furniture: the run's episode is drawn beforehand."""
     import numpy as np
 
-    from kinfeas.registry import from_anywhere
-    from kinfeas.sim2real.deployment import TaskWithObjects
+    from kinfeas.core.registry import from_anywhere
+    from kinfeas.sim2real.deploy.deployment import TaskWithObjects
 
     if not isinstance(setup.task, TaskWithObjects):
         return {}

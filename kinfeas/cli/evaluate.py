@@ -21,8 +21,8 @@ from kinfeas.cli.output import (
 from kinfeas.cli.physics_options import physics_assignments
 from kinfeas.cli.policy_robot import check_policy, robot_of
 from kinfeas.cli.sim2real_table import weigh
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import MOST_EPISODES
+from kinfeas.config.quantities import MOST_EPISODES
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
@@ -125,17 +125,11 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     [bold]--video[/], [bold]--replay[/] and [bold]--picture[/] show one episode: the desired path
     of the EE dashed, the achieved one green, steps without an IK solution red.
     """
-    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
+    from kinfeas.policies.loading import ROLLOUT_PLANNER
 
     options.check_robot(robot)
     check_policy(policy)
-    from kinfeas.evaluation.by_name import (
-        EPISODES,
-        ceiling_of,
-        make_trial,
-        run_evaluation,
-        within,
-    )
+    from kinfeas.evaluation.by_name import EPISODES, ceiling_of, make_trial, run_evaluation, within
 
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
     read = {"--robot": robot, "--task": task, "--adapters": sim2real}

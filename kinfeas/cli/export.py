@@ -16,12 +16,12 @@ from kinfeas.cli.output import (
     write_json,
 )
 from kinfeas.cli.policy_robot import robot_of
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
+    from kinfeas.policies.onnx_file import PolicyFile
+    from kinfeas.policies.onnx_metadata import About
     from kinfeas.robots.robot import Robot
-    from kinfeas.sim2real.policy_about import About
-    from kinfeas.sim2real.policy_file import PolicyFile
 
 
 def export(
@@ -74,8 +74,8 @@ def export(
 
 
 def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
-    from kinfeas.evaluation.policies import check_place
-    from kinfeas.sim2real.policy_file import read_policy_file
+    from kinfeas.policies.loading import check_place
+    from kinfeas.policies.onnx_file import read_policy_file
 
     check_place(path)
     found = read_policy_file(path, robot)
@@ -91,8 +91,8 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["PolicyFil
     Raises:
         KinfeasError: If it is no trained policy, not for the robot, or cannot be written.
     """
-    from kinfeas import pretrained
-    from kinfeas.evaluation.policies import BASELINES
+    from kinfeas.policies import pretrained
+    from kinfeas.policies.loading import BASELINES
 
     folder = Path(policy)
     if policy in ("", *BASELINES) or (policy != pretrained.NAME and not folder.is_dir()):

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli.output import check_file_path, progress, say_written, status
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Trial
-    from kinfeas.evaluation.physics.film import Filmed
     from kinfeas.evaluation.physics.world import PhysicsTrial
-    from kinfeas.policy import Policy
+    from kinfeas.policies.network import Policy
+    from kinfeas.viz.physics.film import Filmed
 
 
 def _check_video(path: Path | None) -> Path | None:
     if path is not None:
-        from kinfeas.evaluation.physics.film import check_film_path
+        from kinfeas.viz.physics.film import check_film_path
 
         check_film_path(path)
     return check_file_path(path)
@@ -103,10 +103,10 @@ def show_episode(
 def _show_physics(
     trial: "PhysicsTrial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
 ) -> None:
-    from kinfeas.evaluation.pages.film import film_html
-    from kinfeas.evaluation.physics.film import make_film
-    from kinfeas.evaluation.physics.recording import record
     from kinfeas.evaluation.physics.world import PhysicsWorld
+    from kinfeas.viz.pages.film import film_html
+    from kinfeas.viz.physics.film import make_film
+    from kinfeas.viz.physics.recording import record
 
     world = PhysicsWorld(trial)
     try:
@@ -124,11 +124,11 @@ def _show_analytic(
     trial: "Trial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
 ) -> None:
     from kinfeas.envs.world import World
-    from kinfeas.evaluation.pages.deployed_run import replay_html
-    from kinfeas.evaluation.pictures.episodes import episodes_figure
-    from kinfeas.evaluation.pictures.film import analytic_film
-    from kinfeas.evaluation.pictures.style import png
     from kinfeas.evaluation.recording import record_episodes
+    from kinfeas.viz.pages.deployed_run import replay_html
+    from kinfeas.viz.pictures.episodes import episodes_figure
+    from kinfeas.viz.pictures.film import analytic_film
+    from kinfeas.viz.pictures.style import png
 
     robot = trial.robot
     with status(f"episode {episode}"):
@@ -141,7 +141,7 @@ def _show_analytic(
 
 
 def _write_film(film: "Filmed", path: Path | None) -> None:
-    from kinfeas.evaluation.physics.film import count_pictures, write_film
+    from kinfeas.viz.physics.film import count_pictures, write_film
 
     if path is not None:
         with progress("drawing", count_pictures(film, path)) as advance:
@@ -150,7 +150,7 @@ def _write_film(film: "Filmed", path: Path | None) -> None:
 
 
 def _write(path: Path | None, content: Callable[[], bytes]) -> None:
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
 
     if path is not None:
         with status("drawing"):

@@ -52,7 +52,7 @@ def fit(
     Use the model in a task or a test as the parameter [bold]model: path/of/model.yaml[/] of the
     motion generator that [bold]--kind[/] names.
     """
-    from kinfeas.demonstrations import demonstration_files, read_demonstration
+    from kinfeas.io.demonstrations import demonstration_files, read_demonstration
     from kinfeas.plugins.fit import fit as run
     from kinfeas.plugins.model import write_model
 

@@ -19,7 +19,7 @@ _PARTS = (
 
 def named(name: str | Path | None) -> list[Path]:
     """Return the file that a robot, a task, a recipe and the like is named by, if it is one."""
-    from kinfeas.storage.files import is_path
+    from kinfeas.io.files import is_path
 
     if name is None or not (isinstance(name, Path) or is_path(name) or Path(name).is_file()):
         return []
@@ -28,7 +28,7 @@ def named(name: str | Path | None) -> list[Path]:
 
 def of_policy(name: str | Path | None) -> list[Path]:
     """Return the file of a policy, or the files and folders of its training run."""
-    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
+    from kinfeas.policies.loading import ROLLOUT_PLANNER
 
     if name is None:
         return []

@@ -30,7 +30,7 @@ from kinfeas.cli import (
 from kinfeas.cli.commands import Command, Group
 from kinfeas.cli.docstrings import unwrapped
 from kinfeas.cli.examples import epilog
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 app = typer.Typer(cls=Group, pretty_exceptions_enable=False, rich_markup_mode="rich")
 _PANELS: dict[str, dict[str, Callable[..., None]]] = {

@@ -20,11 +20,11 @@ import typer
 
 from kinfeas.cli import completion
 from kinfeas.cli.output import check_file_path
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
+from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.adapters import AdapterSpec
+    from kinfeas.control.adapters import AdapterSpec
     from kinfeas.robots.robot import Robot
     from kinfeas.tasks.task import Task
 
@@ -104,7 +104,7 @@ Sim2RealName = Annotated[
 
 def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
     """Return where the JSON goes; if to standard output, all else goes to standard error."""
-    from kinfeas.storage.files import is_standard_output
+    from kinfeas.io.files import is_standard_output
 
     target = Path("/dev/stdout") if path == Path("-") else check_file_path(path)
     if target is not None and is_standard_output(target):
@@ -153,7 +153,7 @@ def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
     Raises:
         KinfeasError: If a value has a wrong type or range.
     """
-    from kinfeas.schema import Place, convert
+    from kinfeas.config.schema import Place, convert
 
     for option, (key, value) in said.items():
         kind: Any = cls
@@ -174,7 +174,7 @@ def check_robot(name: str | None) -> None:
     Raises:
         KinfeasError: If there is no robot of that name.
     """
-    from kinfeas.storage.files import is_path
+    from kinfeas.io.files import is_path
 
     if name is not None and not is_path(name) and name not in completion.plugins("robots")(""):
         read_robot(name)  # which says what there is, or finds what this process has registered
@@ -182,14 +182,14 @@ def check_robot(name: str | None) -> None:
 
 def read_robot(name: str) -> "Robot":
     """Return the robot that `--robot` names."""
-    from kinfeas.registry import load_robot
+    from kinfeas.core.registry import load_robot
 
     return load_robot(name)
 
 
 def read_adapters(name: str) -> "tuple[AdapterSpec, ...]":
     """Return the adapters that `--adapters` names."""
-    from kinfeas.adapters import read_sim2real
+    from kinfeas.control.adapters import read_sim2real
 
     return read_sim2real(name).adapters
 

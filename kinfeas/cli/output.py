@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -32,7 +32,7 @@ def check_file_path(path: Path | None) -> Path | None:
     Raises:
         KinfeasError: If it cannot.
     """
-    from kinfeas.storage.files import replaced, writing
+    from kinfeas.io.files import replaced, writing
 
     if path is not None:
         with writing(path):
@@ -99,7 +99,7 @@ def check_suffix(option: str, path: Path, *suffixes: str) -> None:
     Raises:
         KinfeasError: If it is not.
     """
-    from kinfeas.storage.files import replaced
+    from kinfeas.io.files import replaced
 
     if path.suffix.lower() not in suffixes and replaced(path) is not None:
         raise KinfeasError(f"{option}: {path} must end in {suffixes[0]}")
@@ -119,7 +119,7 @@ def write_json(data: object, path: Path) -> None:
     Raises:
         KinfeasError: If the file cannot be written.
     """
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
 
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     write_file(path, text.encode())
@@ -127,7 +127,7 @@ def write_json(data: object, path: Path) -> None:
 
 def say_written(*paths: Path | None) -> None:
     """Print where pictures and pages were written to; None, and standard output, is left out."""
-    from kinfeas.storage.files import is_standard_output
+    from kinfeas.io.files import is_standard_output
 
     for path in paths:
         if path is not None and not is_standard_output(path):

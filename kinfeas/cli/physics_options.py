@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from kinfeas.cli import options
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 
 def physics_assignments(

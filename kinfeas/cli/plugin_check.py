@@ -15,11 +15,11 @@ from kinfeas.cli.output import (
     status,
     write_json,
 )
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.conformance.trial import Trial
     from kinfeas.testing import Finding
+    from kinfeas.testing.trial import Trial
 
 _GROUP = "kinfeas.motion_generators"
 
@@ -59,7 +59,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     if a rule is broken.
     """
     from kinfeas.config import assigned
-    from kinfeas.conformance.trial import Trial
+    from kinfeas.testing.trial import Trial
 
     check_outputs({"--picture": picture, "--json": json}, {"--set": inputs.of_settings(overrides)})
     parameters = assigned(overrides or [])
@@ -75,8 +75,8 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["Finding"]:
-    from kinfeas import registry
-    from kinfeas.conformance.parameters import MissingParameterError
+    from kinfeas.core import registry
+    from kinfeas.core.checks.parameters import MissingParameterError
     from kinfeas.testing import examine
 
     try:
@@ -90,12 +90,12 @@ def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["
 
 
 def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) -> None:
-    from kinfeas import registry
-    from kinfeas.conformance.checks import CheckedMotion
-    from kinfeas.conformance.trial import sample_motions
-    from kinfeas.evaluation.pictures.motions import motion_figure
-    from kinfeas.evaluation.pictures.style import png
-    from kinfeas.storage.files import write_file
+    from kinfeas.core import registry
+    from kinfeas.core.checks.motion import CheckedMotion
+    from kinfeas.io.files import write_file
+    from kinfeas.testing.trial import sample_motions
+    from kinfeas.viz.pictures.motions import motion_figure
+    from kinfeas.viz.pictures.style import png
 
     motion = CheckedMotion(registry.build(_GROUP, name, parameters), name)
     with status("drawing"):

@@ -7,13 +7,13 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from kinfeas import registry
 from kinfeas.cli.docstrings import Docstring, read_docstring, unit
-from kinfeas.errors import KinfeasError
-from kinfeas.foreign import PluginErrors
-from kinfeas.registry import GROUPS, Plugin
-from kinfeas.schema import no_such
-from kinfeas.storage import strict_yaml
+from kinfeas.config import strict_yaml
+from kinfeas.config.schema import no_such
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.plugin_errors import PluginErrors
+from kinfeas.core.registry import GROUPS, Plugin
 
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 # What the program itself gives.

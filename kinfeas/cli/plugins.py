@@ -14,7 +14,7 @@ from kinfeas.cli.output import check_outputs, print_table, write_json
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from kinfeas.registry import Plugin
+    from kinfeas.core.registry import Plugin
 
 app = typer.Typer(
     cls=Group,
@@ -26,7 +26,7 @@ app = typer.Typer(
 def list_plugins(json: options.JsonPath = None) -> None:
     """List what is installed and where it comes from; what is broken is shown with its error."""
     from kinfeas.cli.plugin_facts import summary
-    from kinfeas.registry import GROUPS, plugins
+    from kinfeas.core.registry import GROUPS, plugins
 
     found = [(plugin, *summary(plugin)) for group in GROUPS for plugin in plugins(group)]
     if json is not None:
@@ -69,7 +69,7 @@ def info(name: options.PluginName, json: options.JsonPath = None) -> None:
     A robot and a task may also be the path of a YAML file.
     """
     from kinfeas.cli.plugin_facts import facts, facts_of_file, find
-    from kinfeas.storage.files import is_path
+    from kinfeas.io.files import is_path
 
     check_outputs({"--json": json}, {"NAME": inputs.named(name)})
     found = [facts_of_file(name)] if is_path(name) else [facts(plugin) for plugin in find(name)]

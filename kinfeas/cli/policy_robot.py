@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from kinfeas.cli import completion
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 DEFAULT = "pr2"
 
@@ -14,7 +14,7 @@ def check_policy(policy: str) -> None:
     Raises:
         KinfeasError: If it is not.
     """
-    from kinfeas.evaluation.policies import ROLLOUT_PLANNER, check_name
+    from kinfeas.policies.loading import ROLLOUT_PLANNER, check_name
 
     check_name(policy.removeprefix(ROLLOUT_PLANNER))
 
@@ -30,7 +30,7 @@ def robot_of(policy: str | None) -> str:
     Raises:
         KinfeasError: If a run or a file is broken, or its robot is not on this machine.
     """
-    from kinfeas.evaluation.policies import ROLLOUT_PLANNER
+    from kinfeas.policies.loading import ROLLOUT_PLANNER
 
     name = (policy or "").removeprefix(ROLLOUT_PLANNER)
     if name in ("", *completion.POLICIES) or not Path(name).exists():
@@ -45,9 +45,9 @@ def robot_of(policy: str | None) -> str:
 
 
 def _trained_with(path: Path) -> str:
-    from kinfeas.evaluation.policies import check_place
-    from kinfeas.sim2real.policy_file import read_about
-    from kinfeas.trained import read_trained
+    from kinfeas.io.policy_metadata import read_trained
+    from kinfeas.policies.loading import check_place
+    from kinfeas.policies.onnx_file import read_about
 
     check_place(path)
     trained = read_trained(path) if path.is_dir() else read_about(path)
@@ -55,6 +55,6 @@ def _trained_with(path: Path) -> str:
 
 
 def _is_missing(robot: str) -> bool:
-    from kinfeas.storage.files import is_path
+    from kinfeas.io.files import is_path
 
     return is_path(robot) and not Path(robot).is_file()

@@ -20,10 +20,10 @@ from kinfeas.cli.output import (
     status,
     write_json,
 )
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.draft.draft import Draft
+    from kinfeas.importer.draft import Draft
     from kinfeas.robots.robot import Robot
 
 
@@ -73,7 +73,7 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
     else is needed. What is guessed is called so in the YAML: [bold]look at it[/], the base's speed
     above all.
     """
-    from kinfeas.draft.draft import DraftOptions, draft_robot
+    from kinfeas.importer.draft import DraftOptions, draft_robot
 
     called = _checked_name(urdf.stem if name is None else name)
     yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))
@@ -94,7 +94,7 @@ def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _checked_name(name: str) -> str:
-    from kinfeas.names import check_name
+    from kinfeas.core.names import check_name
 
     try:
         check_name(name)
@@ -106,7 +106,7 @@ def _checked_name(name: str) -> str:
 @contextmanager
 def _folder_for(folder: Path, files: tuple[Path, ...]) -> Iterator[None]:
     """Make a folder for files that are new there; it goes again if they do not come."""
-    from kinfeas.storage.files import writing
+    from kinfeas.io.files import writing
 
     fresh = [one for one in (folder, *folder.parents) if not one.exists()]
     with writing(folder):
@@ -124,7 +124,7 @@ def _folder_for(folder: Path, files: tuple[Path, ...]) -> Iterator[None]:
 
 
 def _write(draft: "Draft", yaml_path: Path, urdf_path: Path) -> None:
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
 
     write_file(urdf_path, draft.urdf.encode())
     write_file(yaml_path, draft.yaml.encode())
@@ -152,15 +152,15 @@ def _figures(draft: "Draft") -> dict[str, object]:
 
 
 def _draw(robot: "Robot", path: Path) -> None:
-    from kinfeas.evaluation.pictures.robot import robot_figure
-    from kinfeas.evaluation.pictures.style import png
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.pictures.robot import robot_figure
+    from kinfeas.viz.pictures.style import png
 
     write_file(path, png(robot_figure(robot), dpi=130))
 
 
 def _show(draft: "Draft", path: Path, *, drive_given: bool) -> None:
-    from kinfeas.draft.text import guessed
+    from kinfeas.importer.text import guessed
 
     spec, guesses = draft.spec, draft.guesses
     (low, high), (easy_low, easy_high) = spec.goal_heights.values()

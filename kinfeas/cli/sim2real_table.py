@@ -45,9 +45,9 @@ def weigh(
         costs = measure_costs(counted, adapters)
         sweeps = measure_sweeps(counted, adapters, axes)
     if picture is not None:
-        from kinfeas.evaluation.pictures.sim2real import sim2real_figure
-        from kinfeas.evaluation.pictures.style import png
-        from kinfeas.storage.files import write_file
+        from kinfeas.io.files import write_file
+        from kinfeas.viz.pictures.sim2real import sim2real_figure
+        from kinfeas.viz.pictures.style import png
 
         title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)
         with status("drawing"):

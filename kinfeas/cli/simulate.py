@@ -7,10 +7,10 @@ import typer
 
 from kinfeas.cli import inputs, options
 from kinfeas.cli.output import check_outputs, print_table, write_json
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.physics.playing import Played
+    from kinfeas.sim2real.simulator.playing import Played
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -58,9 +58,9 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     process. It ends after --seconds or with Ctrl-C.
     """
     options.check_robot(robot)
-    from kinfeas.evaluation.physics.playing import play, robot_link
-    from kinfeas.evaluation.physics.simulated_robot import Role, SimulatedRobot
-    from kinfeas.evaluation.physics.standing import set_stage
+    from kinfeas.sim2real.simulator.playing import play, robot_link
+    from kinfeas.sim2real.simulator.simulated_robot import Role, SimulatedRobot
+    from kinfeas.sim2real.simulator.spawn import set_stage
 
     read = {"--robot": robot, "--task": task, "--scene": scene, "--topics": topics}
     check_outputs({"--json": json}, {option: inputs.named(name) for option, name in read.items()})

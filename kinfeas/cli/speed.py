@@ -7,10 +7,10 @@ import typer
 from kinfeas.cli import inputs, options
 from kinfeas.cli.output import check_outputs, print_table, share, status, write_json
 from kinfeas.cli.policy_robot import check_policy, robot_of
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.policy import Network
+    from kinfeas.policies.network import Network
     from kinfeas.robots.robot import Robot
 
 PolicyFolder = Annotated[
@@ -35,7 +35,7 @@ def speed(
     options.check_robot(robot)
     if policy is not None:
         check_policy(policy)
-    from kinfeas.evaluation.speed import Figure, measure_speed
+    from kinfeas.benchmark.speed import Figure, measure_speed
 
     sources = {"--robot": inputs.named(robot), "--policy": inputs.of_policy(policy)}
     check_outputs({"--json": json}, sources)
@@ -61,8 +61,8 @@ def speed(
 
 
 def _read_policy(folder: str, robot: "Robot") -> "Network":
-    from kinfeas.evaluation.policies import load_policy
-    from kinfeas.policy import Network
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.policies.network import Network
 
     network = load_policy(folder, robot)
     if not isinstance(network, Network):

@@ -20,8 +20,8 @@ from kinfeas.cli.train_settings import (
     write_evaluation,
 )
 from kinfeas.cli.training_bar import training_bar
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import LAST_SEED, MOST_PROCESSES
+from kinfeas.config.quantities import LAST_SEED, MOST_PROCESSES
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
@@ -169,7 +169,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 
 def _finished(folder: Path, overrides: Sequence[str]) -> "Progress | None":
     """Return how far a run came that has nothing left to do, and say so; None for any other."""
-    from kinfeas.training.standing import finished
+    from kinfeas.training.run_status import finished
 
     progress = finished(folder, overrides)
     if progress is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from kinfeas.cli import options
 from kinfeas.cli.output import write_json
 from kinfeas.cli.policy_robot import robot_of
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
@@ -69,9 +69,9 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
         KinfeasError: If recipe, robot, task, a key or a value is wrong.
     """
     from kinfeas.config import load
+    from kinfeas.config.recipes import default_recipe, find_recipe
+    from kinfeas.core.registry import from_anywhere
     from kinfeas.envs.world import World
-    from kinfeas.registry import from_anywhere
-    from kinfeas.storage.recipes import default_recipe, find_recipe
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.origin import fitted
 
@@ -112,7 +112,7 @@ def best_figures(folder: Path) -> dict[str, Any]:
         KinfeasError: If the run has none, or it cannot be read.
     """
     from kinfeas.config import from_mapping
-    from kinfeas.trained import read_best
+    from kinfeas.io.policy_metadata import read_best
     from kinfeas.training.config import TrainConfig
 
     best = read_best(folder)

@@ -14,14 +14,14 @@ from kinfeas.cli.output import (
     status,
     write_json,
 )
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.record import Record
+    from kinfeas.core.spatial import Array
+    from kinfeas.io.run_log import Record
     from kinfeas.robots.robot import Robot
     from kinfeas.scenes.objects import SceneObject
     from kinfeas.scenes.scene import Scene
-    from kinfeas.spatial import Array
 
 
 def view(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -91,7 +91,7 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
-    from kinfeas.record import read_record
+    from kinfeas.io.run_log import read_record
 
     run = read_record(path)
     robot = options.read_robot(run.about.robot)
@@ -108,17 +108,17 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
 
 
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
-    from kinfeas.evaluation.deployed_run import replay_figure
-    from kinfeas.evaluation.pictures.style import png
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.deployed_run import replay_figure
+    from kinfeas.viz.pictures.style import png
 
     write_file(path, png(replay_figure(run, robot), dpi=110))
 
 
 def _write_run_page(run: "Record", robot: "Robot", path: Path) -> None:
-    from kinfeas.evaluation.deployed_run import recording, scene_of
-    from kinfeas.evaluation.pages.deployed_run import replay_html
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.deployed_run import recording, scene_of
+    from kinfeas.viz.pages.deployed_run import replay_html
 
     write_file(path, replay_html(recording(run, robot), robot, run.time, scene_of(run)).encode())
 
@@ -189,16 +189,16 @@ def _facts(scene: "Scene") -> dict[str, object]:
 
 
 def _draw(scene: "Scene", path: Path) -> None:
-    from kinfeas.evaluation.pictures.scene import scene_figure
-    from kinfeas.evaluation.pictures.style import png
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.pictures.scene import scene_figure
+    from kinfeas.viz.pictures.style import png
 
     write_file(path, png(scene_figure(scene), dpi=110))
 
 
 def _write_page(scene: "Scene", path: Path) -> None:
-    from kinfeas.evaluation.pages.scene import ScenePage
-    from kinfeas.storage.files import write_file
+    from kinfeas.io.files import write_file
+    from kinfeas.viz.pages.scene import ScenePage
 
     page = ScenePage(scene)
     try:
@@ -210,7 +210,7 @@ def _write_page(scene: "Scene", path: Path) -> None:
 def _serve(scene: "Scene") -> None:
     from threading import Event
 
-    from kinfeas.evaluation.pages.scene import ScenePage
+    from kinfeas.viz.pages.scene import ScenePage
 
     page = ScenePage(scene)
     page.add_sliders()

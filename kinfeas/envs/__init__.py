@@ -18,12 +18,12 @@ def register() -> None:
     if ENVIRONMENT not in registration.registry:
         registration.register(
             ENVIRONMENT,
-            entry_point="kinfeas.evaluation.gym:RenderedMotionEnv",
+            entry_point="kinfeas.viz.gym:RenderedMotionEnv",
             vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
         )
     if PHYSICS_ENVIRONMENT not in registration.registry:
         registration.register(
-            PHYSICS_ENVIRONMENT, entry_point="kinfeas.evaluation.physics.gym:PhysicsMotionEnv"
+            PHYSICS_ENVIRONMENT, entry_point="kinfeas.envs.physics_gym:PhysicsMotionEnv"
         )
 
 

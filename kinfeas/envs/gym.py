@@ -24,7 +24,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """One robot whose base is to keep the EE's motion feasible.
 
     `reset(seed=s)` begins episode 0 of seed s, each reset without a seed the episode after it.
-    Observations are as `kinfeas.observation` describes them, not scaled.
+    Observations are as `kinfeas.control.observation` describes them, not scaled.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it

@@ -8,11 +8,11 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas import registry
+from kinfeas.control.observation import FIELDS, HORIZON
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World, WorldConfig
-from kinfeas.errors import KinfeasError
-from kinfeas.observation import FIELDS, HORIZON
-from kinfeas.spatial import Array
 from kinfeas.tasks.loading import load_task
 
 _FARTHEST = 1000.0

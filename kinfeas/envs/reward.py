@@ -5,11 +5,11 @@ from typing import Literal
 
 import numpy as np
 
-from kinfeas.loop import Step
-from kinfeas.metrics import WITHIN
-from kinfeas.quantities import NotNegative, PositiveShare
+from kinfeas.config.quantities import NotNegative, PositiveShare
+from kinfeas.control.loop import Step
+from kinfeas.core.metrics import WITHIN
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.spatial import Array
 
 _FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
 _FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3

@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.interface import (
     action_space,
     check_reset,
@@ -19,7 +20,6 @@ from kinfeas.envs.interface import (
     world_seed,
 )
 from kinfeas.envs.world import Transition, WorldConfig
-from kinfeas.errors import KinfeasError
 
 _Batch = NDArray[np.float32]
 

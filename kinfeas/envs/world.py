@@ -7,19 +7,20 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import observation, registry
-from kinfeas.adapters import AdapterSpec, execution_of, wrap
-from kinfeas.backend import Backend
 from kinfeas.config import Interval
-from kinfeas.drive import action_size
+from kinfeas.config.quantities import PositiveSeconds
+from kinfeas.control import observation
+from kinfeas.control.adapters import AdapterSpec, execution_of, wrap
+from kinfeas.control.drive import action_size
+from kinfeas.control.loop import Loop, Rows, Step
+from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.core import registry
+from kinfeas.core.backend import Backend
+from kinfeas.core.spatial import Array
+from kinfeas.core.start import Start, episode_rng
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.loop import Loop, Rows, Step
-from kinfeas.quantities import PositiveSeconds
 from kinfeas.robots.robot import Robot
-from kinfeas.spatial import Array
-from kinfeas.start import Start, episode_rng
-from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.checks import check_start
 from kinfeas.tasks.task import StagedTask, Task, build_subgoals
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 from typing import Literal
 
 from kinfeas import config
-from kinfeas.adapters import AdapterSpec, wrap
+from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.core.metrics import Share
+from kinfeas.core.registry import build, load_robot
 from kinfeas.evaluation import evaluate as analytic
 from kinfeas.evaluation.evaluate import EvaluationConfig, Summary, Trial
 from kinfeas.evaluation.physics.evaluate import evaluate_physics
 from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
-from kinfeas.evaluation.policies import load_driver
-from kinfeas.metrics import Share
-from kinfeas.policy import Policy
-from kinfeas.registry import build, load_robot
+from kinfeas.policies.loading import load_driver
+from kinfeas.policies.network import Policy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from kinfeas.control.loop import Rows
+from kinfeas.control.rollout_planner import RolloutPlanner
+from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.world import Transition, World
-from kinfeas.loop import Rows
-from kinfeas.metrics import EpisodeRecords
-from kinfeas.policy import Policy
-from kinfeas.rollout_planner import RolloutPlanner
+from kinfeas.policies.network import Policy
 
 BATCH = 256
 """Episodes side by side; no figure depends on it."""

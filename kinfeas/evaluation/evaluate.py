@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
+from kinfeas.control.rollout_planner import RolloutConfig
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, join, summarize
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.ceiling import measure_reachability
 from kinfeas.evaluation.episodes import BATCH, run_episodes
-from kinfeas.metrics import EpisodeRecords, Metrics, Share, join, summarize
-from kinfeas.policy import Policy
+from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.policies.network import Policy
 from kinfeas.robots.robot import Robot
-from kinfeas.rollout_planner import RolloutConfig
 from kinfeas.tasks.task import Task
 
 

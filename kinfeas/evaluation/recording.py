@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import spatial
+from kinfeas.control.loop import Rows
+from kinfeas.core import spatial
+from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
-from kinfeas.loop import Rows
-from kinfeas.policy import Policy
-from kinfeas.spatial import Array
+from kinfeas.policies.network import Policy
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from kinfeas.adapters import AdapterSpec
+from kinfeas.control.adapters import AdapterSpec
 from kinfeas.evaluation.evaluate import Summary
 
 Specs = tuple[AdapterSpec, ...]

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import spatial
+from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.observation import HORIZON
+from kinfeas.control.subgoals import GOAL_METRES, GOAL_RADIANS
+from kinfeas.core import spatial
+from kinfeas.core.spatial import Array
+from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.observation import HORIZON
-from kinfeas.sequence import MotionSequence
-from kinfeas.spatial import Array
-from kinfeas.start import episode_rng
-from kinfeas.subgoals import GOAL_METRES, GOAL_RADIANS
 from kinfeas.tasks.task import Task, build_subgoals
 
 A_SUBGOAL = 16
@@ -68,7 +68,7 @@ def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> MotionSequ
     starts = [task.sample(solver, rng) for rng in rngs]
     base = np.stack([start.base_pose for start in starts])
     joints = np.stack([start.joint_positions for start in starts])
-    subgoals = [replace(subgoal, wait=0.0) for subgoal in build_subgoals(task.subgoals)]
+    subgoals = [replace(subgoal, dwell=0.0) for subgoal in build_subgoals(task.subgoals)]
     sequence = MotionSequence(subgoals, solver.robot, HORIZON)
     ee = spatial.compose(base, forward(solver.chain, joints))
     sequence.start(ee, np.stack([start.target_poses for start in starts]), rngs)

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint
-from kinfeas.spatial import Array
 
 FIXED = -1
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.chain import Chain
 from kinfeas.kinematics.forward import Frames, fill_columns, make_frames, place_chain
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
-from kinfeas.spatial import Array
 
 STALL_STEPS = 3
 """Steps without progress after which a descent gives up."""

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.chain import Chain, Tree
 from kinfeas.kinematics.kernels import inlined, kernel
 from kinfeas.kinematics.matrices import write_pose
-from kinfeas.spatial import Array
 
 
 def forward(chain: Chain, joint_positions: Array) -> Array:

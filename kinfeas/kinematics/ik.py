@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import Interval
-from kinfeas.errors import KinfeasError
+from kinfeas.config.quantities import Positive, Share
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.chain import Chain, build_chain
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.search import Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
 from kinfeas.kinematics.spread import spread
-from kinfeas.quantities import Positive, Share
 from kinfeas.robots.robot import Robot
-from kinfeas.spatial import Array, rotation
 
 ROTATION_WEIGHT = 0.4
 """Metres that one radian of error is worth in the search, where no pose tolerance says

@@ -2,7 +2,7 @@
 
 from numba import njit
 
-from kinfeas import kernel_cache
+from kinfeas.core import kernel_cache
 
 kernel_cache.settle()  # before the first kernel
 

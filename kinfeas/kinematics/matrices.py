@@ -1,7 +1,7 @@
 """Poses from rotation matrices and back, for kernels."""
 
+from kinfeas.core.pose_kernels import product
 from kinfeas.kinematics.kernels import inlined
-from kinfeas.pose_kernels import product
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinfeas.spatial import Array
+from kinfeas.core.spatial import Array
 
 
 def spread(count: int, dimensions: int, first: int = 0) -> Array:

@@ -10,10 +10,10 @@ import numpy as np
 from defusedxml import DefusedXmlException, ElementTree
 from scipy.spatial.transform import Rotation
 
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import FARTHEST
-from kinfeas.spatial import Array, make_pose
-from kinfeas.storage.files import read_file
+from kinfeas.config.quantities import FARTHEST
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, make_pose
+from kinfeas.io.files import read_file
 
 MAX_BYTES = 10_000_000
 """More than any URDF; it keeps a wrong path from filling the memory."""

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.tree import Joint, Urdf
 
 

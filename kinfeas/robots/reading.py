@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 from kinfeas.robots.positions import fixed_positions
 from kinfeas.robots.robot import ArmJoint, Base, Robot
 from kinfeas.robots.spec import FASTEST_JOINT, Gripper, RobotSpec
 from kinfeas.robots.tree import Joint, Urdf
 from kinfeas.robots.urdf import parse_urdf
-from kinfeas.spatial import Array
 
 
 def read_robot(path: Path) -> Robot:

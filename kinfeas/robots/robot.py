@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import Drive, Gripper, PoseTolerance
 from kinfeas.robots.tree import Urdf
-from kinfeas.spatial import Array
 
 __all__ = ["ArmJoint", "Base", "Gripper", "PoseTolerance", "Robot"]
 

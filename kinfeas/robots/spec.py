@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from kinfeas.config import Interval
-from kinfeas.names import check_name
-from kinfeas.quantities import Metres
+from kinfeas.config.quantities import Metres
+from kinfeas.core.names import check_name
 
 Drive = Literal["omnidirectional", "differential"]
 

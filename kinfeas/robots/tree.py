@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.errors import KinfeasError
-from kinfeas.spatial import Array, compose, make_pose
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, compose, make_pose
 
 MAX_DEPTH = 200
 """Joints between the root and a link, or that follow one another: more than any robot has."""

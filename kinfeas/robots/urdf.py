@@ -7,8 +7,8 @@ from typing import Protocol, TypeVar, cast, get_args
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import FARTHEST
+from kinfeas.config.quantities import FARTHEST
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.tree import (
     Joint,

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
 
-from kinfeas.spatial import Array, rotation
+from kinfeas.core.spatial import Array, rotation
 
 
 def numbers_text(numbers: Iterable[float], digits: int | None = None) -> str:

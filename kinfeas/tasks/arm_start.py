@@ -6,17 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import spatial
-from kinfeas.errors import KinfeasError
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
-from kinfeas.kinematics.self_collision import (
-    build_collision_model,
-    checked_links,
-    self_collides,
-)
+from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
 from kinfeas.robots.robot import Robot
-from kinfeas.spatial import Array
 
 _DRAWS, _ROUNDS = 16, 100
 _SPREAD, _NEARLY_ALWAYS = 256, 0.9

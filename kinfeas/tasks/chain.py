@@ -9,15 +9,14 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas import config, schema
-from kinfeas.config import Interval, no_such
-from kinfeas.errors import KinfeasError
+from kinfeas import config
+from kinfeas.config import Interval, no_such, schema, strict_yaml
+from kinfeas.config.quantities import Distance, Metres, Position, Radians
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.names import check_name
+from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, planar_pose
+from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.names import check_name
-from kinfeas.quantities import Distance, Metres, Position, Radians
-from kinfeas.spatial import IDENTITY, Array, compose, make_pose, planar_pose
-from kinfeas.start import Start
-from kinfeas.storage import strict_yaml
 from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.scene import TaskScene
 from kinfeas.tasks.task import Subgoal

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.conformance.arrays import are_unit, instead
-from kinfeas.errors import KinfeasError
-from kinfeas.foreign import PluginErrors, package_of
+from kinfeas.core.checks.arrays import are_unit, instead
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.names import check_name
+from kinfeas.core.plugin_errors import PluginErrors, package_of
+from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.names import check_name
-from kinfeas.start import Start
 from kinfeas.tasks.task import Subgoal, Task
 
 

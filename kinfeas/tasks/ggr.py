@@ -7,12 +7,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
+from kinfeas.config.quantities import Distance, Metres
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.names import check_name
+from kinfeas.core.spatial import Array, make_pose, planar_pose
+from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.names import check_name
-from kinfeas.quantities import Distance, Metres
-from kinfeas.spatial import Array, make_pose, planar_pose
-from kinfeas.start import Start
 from kinfeas.tasks.arm_start import random_arm
 from kinfeas.tasks.task import MotionSpec, Subgoal
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from kinfeas import registry
-from kinfeas.foreign import is_own
-from kinfeas.storage.files import is_path
+from kinfeas.core import registry
+from kinfeas.core.plugin_errors import is_own
+from kinfeas.io.files import is_path
 from kinfeas.tasks.chain import read_chain
 from kinfeas.tasks.checks import CheckedTask
 from kinfeas.tasks.task import Task

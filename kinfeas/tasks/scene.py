@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.quantities import Position, Radians
-from kinfeas.spatial import Array, compose, make_pose
+from kinfeas.config.quantities import Position, Radians
+from kinfeas.core.spatial import Array, compose, make_pose
 
 
 @dataclass(frozen=True)

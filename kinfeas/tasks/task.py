@@ -6,14 +6,14 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from kinfeas import registry
-from kinfeas.backend import Grip
-from kinfeas.errors import KinfeasError
+from kinfeas.config.quantities import Seconds
+from kinfeas.control.subgoals import Frame, SubgoalMotion
+from kinfeas.core import registry
+from kinfeas.core.backend import Grip
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.motion import MotionGenerator
-from kinfeas.quantities import Seconds
-from kinfeas.start import Start
-from kinfeas.subgoals import Frame, SubgoalMotion
 
 
 @dataclass(frozen=True)

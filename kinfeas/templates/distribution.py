@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from string import Template
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
-from kinfeas.schema import no_such
-from kinfeas.storage.files import writing
+from kinfeas.config.schema import no_such
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import writing
 from kinfeas.templates import Kind
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import observation
+from kinfeas.control import observation
+from kinfeas.control.loop import Rows
 from kinfeas.envs.world import Transition, World
-from kinfeas.loop import Rows
 
 StepResult = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]

@@ -4,9 +4,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from kinfeas.config import Interval
-from kinfeas.envs.world import WorldConfig
-from kinfeas.evaluation.physics.world import PhysicsChanges
-from kinfeas.quantities import (
+from kinfeas.config.quantities import (
     LAST_SEED,
     MOST_PROCESSES,
     Count,
@@ -16,6 +14,8 @@ from kinfeas.quantities import (
     PositiveShare,
     Share,
 )
+from kinfeas.envs.world import WorldConfig
+from kinfeas.evaluation.physics.world import PhysicsChanges
 
 MOST_LAYERS, MOST_TRANSITIONS = 8, 65_536
 
@@ -37,6 +37,8 @@ class LearnerConfig:
             run that goes on from a policy takes the policy's, with noise.
         critic_steps: Steps after these in which the critics learn and the actor stays as it is.
         net_arch: Units of each hidden layer.
+        anchor: SAC, with `init`: factor on the squared difference between the actions of the actor
+            and of the policy that it goes on from, in the actor's loss.
         ent_coef: SAC: fixed entropy coefficient, or `learned`.
         exploration_noise: TD3: standard deviation of the noise on actions.
         policy_noise: TD3: standard deviation of the target policy's noise.
@@ -54,6 +56,7 @@ class LearnerConfig:
     critic_steps: Annotated[int, Interval(low=0)] = 0
     net_arch: tuple[Annotated[int, Interval(low=1, high=2048)], ...] = (256, 256)
     ent_coef: NotNegative | Literal["learned"] = 0.01
+    anchor: NotNegative = 0.0
     exploration_noise: NotNegative = 0.25
     policy_noise: NotNegative = 0.2
 

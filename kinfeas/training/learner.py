@@ -12,9 +12,10 @@ from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
-from kinfeas.errors import KinfeasError
-from kinfeas.policy import Network
+from kinfeas.core.errors import KinfeasError
+from kinfeas.policies.network import Network
 from kinfeas.training.config import LearnerConfig
+from kinfeas.training.sac import AnchoredSAC
 from kinfeas.training.vec_env import EpisodesVecEnv
 
 Learner = SAC | TD3
@@ -48,7 +49,7 @@ def make_learner(config: LearnerConfig, env: EpisodesVecEnv, seed: int) -> Learn
     if config.algorithm == "td3":
         learner: Learner = TD3(**common, target_policy_noise=config.policy_noise)
     else:
-        learner = SAC(
+        learner = AnchoredSAC(
             **common, ent_coef="auto" if config.ent_coef == "learned" else config.ent_coef
         )
     learner.set_logger(Logger(None, []))
@@ -126,12 +127,13 @@ def check_losses(losses: Mapping[str, float], config: LearnerConfig) -> None:
         raise _divergence(config)
 
 
-def take_network(learner: Learner, network: Network) -> None:
+def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> None:
     """Let a fresh learner's actor act as a network does; SAC's with the deviation `DEVIATION`.
 
     Args:
         learner: Its hidden layers must be as wide as the network's.
         network: Whose weights it takes.
+        anchor: How strongly SAC is held near it; 0 for not at all.
     """
     with torch.no_grad():
         for layer, weight, bias in zip(
@@ -145,6 +147,8 @@ def take_network(learner: Learner, network: Network) -> None:
             spread.bias.fill_(math.log(DEVIATION))
         else:
             learner.actor_target.load_state_dict(learner.actor.state_dict())
+    if isinstance(learner, AnchoredSAC):
+        learner.anchor(anchor)
 
 
 def _divergence(config: LearnerConfig) -> KinfeasError:

@@ -7,8 +7,8 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from kinfeas.errors import KinfeasError
-from kinfeas.storage.files import writing
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import writing
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
 """What is taken over from SB3's own log."""

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import pretrained, registry
-from kinfeas.errors import KinfeasError
-from kinfeas.policy import Network, read_network
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.policies import pretrained
+from kinfeas.policies.network import Network, read_network
 from kinfeas.training.config import TrainConfig
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.training.batch import StepResult
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.process_world import serve

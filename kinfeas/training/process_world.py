@@ -3,7 +3,7 @@
 import signal
 from multiprocessing.connection import Connection
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.training.batch import Batch
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.worlds import physics_world

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from kinfeas.config import Interval
-from kinfeas.quantities import NotNegative
+from kinfeas.config.quantities import NotNegative
 from kinfeas.training.state import Tally, checked
 
 RECENT = 256

@@ -4,8 +4,8 @@ import shlex
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from kinfeas.errors import KinfeasError
-from kinfeas.storage.files import writing
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import writing
 
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""

@@ -10,7 +10,7 @@ from safetensors import SafetensorError
 
 from kinfeas import config
 from kinfeas.config import Interval
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 _FORMAT, _STATE = 1, "state.json"
 

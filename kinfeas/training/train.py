@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config as configuration
-from kinfeas.errors import KinfeasError
-from kinfeas.metrics import summarize
-from kinfeas.policy import WEIGHTS, read_network, write_network
-from kinfeas.storage.files import writing
-from kinfeas.storage.folders import alone, find_folder, write_folder
-from kinfeas.trained import read_trained, write_trained
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import summarize
+from kinfeas.io.files import writing
+from kinfeas.io.folders import alone, find_folder, write_folder
+from kinfeas.io.policy_metadata import read_trained, write_trained
+from kinfeas.policies.network import WEIGHTS, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.interruption import uninterrupted
@@ -34,7 +34,7 @@ from kinfeas.training.origin import first_policy, fitted
 from kinfeas.training.process_env import ProcessVecEnv
 from kinfeas.training.progress import Progress
 from kinfeas.training.run_folder import SETTINGS, check_begun, check_new
-from kinfeas.training.standing import (
+from kinfeas.training.run_status import (
     evaluations_due,
     identity,
     read_settings,
@@ -120,10 +120,12 @@ class _Run:
     def begin(self) -> None:
         """Take the weights of the policy that the run goes on from, if there is one."""
         if self.config.init is not None:
-            take_network(self.learner, first_policy(self.config, self.env.scale))
+            network = first_policy(self.config, self.env.scale)
+            take_network(self.learner, network, self.config.learner.anchor)
 
     def load(self) -> None:
         """Take up the last checkpoint, or begin if there is none."""
+        self.begin()
         last, best = (find_folder(self.out / "checkpoints" / name) for name in ("last", "best"))
         if not last.is_dir():
             if best.is_dir():
@@ -131,7 +133,6 @@ class _Run:
                     f"{last}: missing, and there is no other checkpoint to resume; begin anew in "
                     "another --out"
                 )
-            self.begin()
             return
         self.progress = read_standing(self.config, last)
         with loading(last):

@@ -10,11 +10,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from kinfeas import observation
-from kinfeas.drive import action_size
+from kinfeas.control import observation
+from kinfeas.control.drive import action_size
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.interface import read_actions
 from kinfeas.envs.world import World
-from kinfeas.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.training.batch import Batch, StepResult
 

@@ -5,7 +5,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from kinfeas import registry
+from kinfeas.core import registry
+from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.physics.evaluate import run_physics
@@ -16,8 +17,7 @@ from kinfeas.evaluation.physics.world import (
     make_physics_world,
     make_stage,
 )
-from kinfeas.metrics import EpisodeRecords
-from kinfeas.policy import Network
+from kinfeas.policies.network import Network
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 

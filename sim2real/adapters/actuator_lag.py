@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from kinfeas.backend import Backend, RobotState
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter, Memory
-from kinfeas.sim2real.draws import Number
-from kinfeas.spatial import Array
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory
+from kinfeas.sim2real.adapters.draws import Number
 
 
 class ActuatorLag(Adapter):

@@ -1,10 +1,10 @@
 """Noise on the base velocity, as training and deployment studies use it."""
 
-from kinfeas.backend import Backend
+from kinfeas.core.backend import Backend
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter
-from kinfeas.sim2real.draws import Number
-from kinfeas.spatial import Array
+from kinfeas.sim2real.adapters.adapter import Adapter
+from kinfeas.sim2real.adapters.draws import Number
 
 
 class BaseNoise(Adapter):

@@ -2,12 +2,19 @@
 
 import numpy as np
 
-from kinfeas.backend import Backend, RobotState
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter, Memory
-from kinfeas.sim2real.draws import Number
-from kinfeas.sim2real.line import LATEST, filled, in_force, mixed, pushed, slots_for
-from kinfeas.spatial import Array
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory
+from kinfeas.sim2real.adapters.delay_buffer import (
+    LATEST,
+    filled,
+    in_force,
+    mixed,
+    pushed,
+    slots_for,
+)
+from kinfeas.sim2real.adapters.draws import Number
 
 
 class CommandLatency(Adapter):

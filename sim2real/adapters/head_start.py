@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from kinfeas.backend import Backend
+from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.core.backend import Backend
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter
-from kinfeas.sim2real.draws import Number
-from kinfeas.subgoals import ExecutionConfig
+from kinfeas.sim2real.adapters.adapter import Adapter
+from kinfeas.sim2real.adapters.draws import Number
 
 
 class HeadStart(Adapter):

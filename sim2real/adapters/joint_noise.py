@@ -1,9 +1,9 @@
 """Noise on the measured joint positions."""
 
-from kinfeas.backend import Backend, RobotState
+from kinfeas.core.backend import Backend, RobotState
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter, seen
-from kinfeas.sim2real.draws import Number
+from kinfeas.sim2real.adapters.adapter import Adapter, seen
+from kinfeas.sim2real.adapters.draws import Number
 
 
 class JointNoise(Adapter):

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from kinfeas.backend import Backend, RobotState
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter, Memory, seen
-from kinfeas.sim2real.draws import Number
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory, seen
+from kinfeas.sim2real.adapters.draws import Number
 from kinfeas.sim2real.vectors import displaced
-from kinfeas.spatial import Array
 
 
 class Localisation(Adapter):

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backend import Backend, RobotState
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter, Memory, seen
-from kinfeas.sim2real.draws import Number
-from kinfeas.sim2real.line import LATEST, around, filled, pushed, slots_for
-from kinfeas.spatial import Array, integrate, twist_between
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory, seen
+from kinfeas.sim2real.adapters.delay_buffer import LATEST, around, filled, pushed, slots_for
+from kinfeas.sim2real.adapters.draws import Number
 
 _POSES, _JOINTS = ("base_pose", "ee_in_base"), "joint_positions"
 _MEASURED = (*_POSES, _JOINTS, "base_twist", "joint_velocities", "age")

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from kinfeas.backend import Backend
-from kinfeas.quantities import SLOWEST
+from kinfeas.config.quantities import SLOWEST
+from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.core.backend import Backend
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter
-from kinfeas.sim2real.draws import Number
-from kinfeas.subgoals import ExecutionConfig
+from kinfeas.sim2real.adapters.adapter import Adapter
+from kinfeas.sim2real.adapters.draws import Number
 
 
 class SlowDown(Adapter):

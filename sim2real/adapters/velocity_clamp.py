@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from kinfeas.backend import Backend, RobotState
 from kinfeas.config import Interval
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapter import Adapter, Memory
-from kinfeas.sim2real.draws import Number
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory
+from kinfeas.sim2real.adapters.draws import Number
 from kinfeas.sim2real.vectors import shortened
-from kinfeas.spatial import Array
 
 
 class VelocityClamp(Adapter):

@@ -3,13 +3,13 @@
 from typing import ClassVar
 
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.deploy.watchdog import StopCall
 from kinfeas.sim2real.link import RobotLink
-from kinfeas.sim2real.link_backend import LinkBackend
+from kinfeas.sim2real.link.backend import LinkBackend
+from kinfeas.sim2real.link.stamps import DRIFT
 from kinfeas.sim2real.ros.bus import Version, make_bus
 from kinfeas.sim2real.ros.link import RosLink
 from kinfeas.sim2real.ros.names import read_topics
-from kinfeas.sim2real.stamps import DRIFT
-from kinfeas.sim2real.watchdog import StopCall
 
 
 class RosBackend(LinkBackend):

@@ -4,15 +4,15 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from kinfeas.backend import Grip
-from kinfeas.sim2real.fault import Fault
+from kinfeas.core.backend import Grip
+from kinfeas.core.spatial import Array
 from kinfeas.sim2real.link import Readings
+from kinfeas.sim2real.link.fault import Fault
+from kinfeas.sim2real.link.stamps import DRIFT
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.bus import Publisher, RosBus
 from kinfeas.sim2real.ros.names import Topics
 from kinfeas.sim2real.ros.tf import TfTree
-from kinfeas.sim2real.stamps import DRIFT
-from kinfeas.spatial import Array
 
 
 class RosLink:

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.backend import Grip
+from kinfeas.core.backend import Grip
+from kinfeas.core.spatial import Array
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.ros.bus import Messages
 from kinfeas.sim2real.ros.names import GripperTopics
 from kinfeas.sim2real.ros.tf import planar
-from kinfeas.spatial import Array
 
 
 def fill_twist(message: Any, velocity: Array) -> None:

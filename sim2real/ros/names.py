@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
-from kinfeas.quantities import Positive
+from kinfeas.config.quantities import Positive
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.ros.bus import Version
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from kinfeas.sim2real.fault import Fault
+from kinfeas.sim2real.link.fault import Fault
 from kinfeas.sim2real.ros.bus import Messages, Publisher
 from kinfeas.sim2real.ros.ros1_node import MasterWatch, flush, let_go, publisher, ros, start_node
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.fault import Fault
+from kinfeas.core.errors import KinfeasError
+from kinfeas.sim2real.link.fault import Fault
 
 _DEBIAN = "/usr/lib/python3/dist-packages", "/opt/ros/noetic/lib/python3/dist-packages"
 _PATIENCE = 2.0  # s, for the master to accept a connection

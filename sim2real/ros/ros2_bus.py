@@ -9,8 +9,8 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.fault import Fault
+from kinfeas.core.errors import KinfeasError
+from kinfeas.sim2real.link.fault import Fault
 from kinfeas.sim2real.ros.bus import Messages, Publisher
 
 _DOMAINS = 232

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.ros.bus import Version, make_bus
 
 _SETTLED = 0.05  # s; a connection is counted a little before it carries anything

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from kinfeas.core.spatial import IDENTITY, Array, compose
 from kinfeas.sim2real.link import BaseReading
-from kinfeas.sim2real.stamps import DRIFT, Stamps
-from kinfeas.spatial import IDENTITY, Array, compose
+from kinfeas.sim2real.link.stamps import DRIFT, Stamps
 
 _DEEP = 32  # frames; more of them go round in a circle
 

@@ -2,10 +2,10 @@ import json
 
 import pytest
 
-from kinfeas import pretrained
-from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.benchmark import cells
-from kinfeas.evaluation.policies import BASELINES
+from kinfeas.benchmark import cells
+from kinfeas.core.errors import KinfeasError
+from kinfeas.policies import pretrained
+from kinfeas.policies.loading import BASELINES
 from tests.cli.conftest import TINY, is_one_line
 
 STUDY = f"""

@@ -5,21 +5,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from kinfeas import registry
+from kinfeas.benchmark import speed as speed_module
+from kinfeas.benchmark.speed import Figure, random_network
 from kinfeas.cli.main import app
 from kinfeas.cli.plugin_facts import fields_of
+from kinfeas.config import strict_yaml
+from kinfeas.config.recipes import default_recipe
+from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import WorldConfig
-from kinfeas.errors import KinfeasError
 from kinfeas.evaluation import evaluate as evaluate_module
-from kinfeas.evaluation import speed as speed_module
 from kinfeas.evaluation.physics.world import PhysicsSettings
-from kinfeas.evaluation.speed import Figure, random_network
-from kinfeas.policy import write_network
-from kinfeas.rollout_planner import RolloutConfig, RolloutPlanner
-from kinfeas.sim2real.deploy_config import DeployConfig
-from kinfeas.sim2real.guard_config import Guards
-from kinfeas.storage import strict_yaml
-from kinfeas.storage.recipes import default_recipe
+from kinfeas.policies.network import write_network
+from kinfeas.sim2real.deploy.config import DeployConfig
+from kinfeas.sim2real.deploy.guard_config import Guards
 
 SHORT = ["--set", "world.max_seconds=3.0", "--episodes", "3"]
 

@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
-from kinfeas import pretrained
 from kinfeas.cli import completion
-from kinfeas.evaluation.policies import BASELINES
+from kinfeas.policies import pretrained
+from kinfeas.policies.loading import BASELINES
 
 
 def test_policies_are_those_that_there_are():

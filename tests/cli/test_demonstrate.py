@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from kinfeas.demonstrations import read_demonstrations
+from kinfeas.io.demonstrations import read_demonstrations
 from tests.cli.conftest import is_one_line
 
 

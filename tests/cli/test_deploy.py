@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas import pretrained, registry
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.cli import deploy
 from kinfeas.cli.examples import EXAMPLES
-from kinfeas.envs.analytic import AnalyticBackend
-from kinfeas.record import REACHED, About, read_record
+from kinfeas.core import registry
+from kinfeas.io.run_log import REACHED, About, read_record
+from kinfeas.policies import pretrained
 from kinfeas.tasks.loading import load_task
 from tests.cli.conftest import is_one_line
 
@@ -35,7 +36,7 @@ try:
     main.main()
 finally:
     heavy = {"torch", "stable_baselines3", "sklearn", "matplotlib", "pybullet", "onnxruntime",
-             "scipy.stats", "scipy.optimize", "kinfeas.baselines"}
+             "scipy.stats", "scipy.optimize", "kinfeas.policies.baselines"}
     print("imported:", sorted(heavy & set(sys.modules)))
 """
 

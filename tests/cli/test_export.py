@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from kinfeas import registry
+from kinfeas.core import registry
 from tests.cli.conftest import is_one_line
 from tests.sim2real.policy_cases import change, set_entry, write_run
 

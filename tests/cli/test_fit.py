@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.demonstrations import read_demonstration, write_demonstration
+from kinfeas.io.demonstrations import read_demonstration, write_demonstration
 from kinfeas.plugins.fit import MOST_COMPONENTS
 from kinfeas.plugins.gaussian_mixture import GaussianMixture
 from kinfeas.plugins.imitation import Imitation

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from kinfeas import __version__
 from kinfeas.cli import main as module
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 
 HEAVY = {"numpy", "numba", "scipy", "torch", "gymnasium", "matplotlib", "pybullet", "onnxruntime"}
 HELP = f"""

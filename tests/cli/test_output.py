@@ -6,8 +6,8 @@ import pytest
 
 from kinfeas.cli import output
 from kinfeas.cli.inputs import of_policy
-from kinfeas.demonstrations import write_demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.demonstrations import write_demonstration
 from tests.cli.conftest import is_one_line
 from tests.plugins.conftest import door_demonstrations
 

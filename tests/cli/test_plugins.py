@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.registry import GROUPS, load
+from kinfeas.core.registry import GROUPS, load
 from kinfeas.testing import RULES
 from tests.cli.conftest import is_one_line
 

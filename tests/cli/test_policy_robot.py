@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
-from kinfeas import registry
 from kinfeas.cli.policy_robot import DEFAULT, check_policy, robot_of
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from tests.cli.conftest import is_one_line
 from tests.sim2real.policy_cases import write_policy_file, write_run
 

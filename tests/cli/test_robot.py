@@ -3,17 +3,17 @@ import re
 
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.reading import read_robot
 from tests.cli.conftest import is_one_line
-from tests.draft.conftest import ARM, STUCK
+from tests.importer.conftest import ARM, STUCK
 
 
 @pytest.fixture
 def robot(kinfeas, tmp_path, monkeypatch):
     """Return a function that runs `kinfeas robot dolly.urdf ARGUMENTS`, with few goals."""
-    monkeypatch.setattr("kinfeas.draft.reach._GOALS", 8)
-    monkeypatch.setattr("kinfeas.draft.reach._STAGES", (4, 16))
+    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
+    monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
     (tmp_path / "dolly.urdf").write_text(ARM)
     return lambda *arguments: kinfeas("robot", "dolly.urdf", *arguments)
 
@@ -59,7 +59,7 @@ def test_what_fails_leaves_nothing_behind(robot, tmp_path, monkeypatch, out):
     (tmp_path / "old").mkdir()
     before = sorted(tmp_path.rglob("*"))
     with monkeypatch.context() as failing:
-        failing.setattr("kinfeas.evaluation.pictures.robot.robot_figure", fail)
+        failing.setattr("kinfeas.viz.pictures.robot.robot_figure", fail)
         assert robot("--out", out, "--picture", "dolly.png").code == 2
     assert sorted(tmp_path.rglob("*")) == before
     assert robot("--out", out, "--picture", "dolly.png").code == 0

@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 import yaml
 
-from kinfeas import registry
-from kinfeas.adapters import read_sim2real
 from kinfeas.cli.train_settings import Wishes, read_settings
-from kinfeas.errors import KinfeasError
+from kinfeas.control.adapters import read_sim2real
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.training import train as training
 from tests.cli.conftest import TINY, is_one_line
 from tests.sim2real.policy_cases import write_run

@@ -11,12 +11,13 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RenderCollection
 from stable_baselines3.common import env_checker as sb3_checker
 
-from kinfeas import envs, registry
+from kinfeas import envs
+from kinfeas.control.observation import scaled
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
-from kinfeas.errors import KinfeasError
-from kinfeas.observation import scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(

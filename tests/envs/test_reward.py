@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.control.loop import Step
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig, limit_distance, reward
-from kinfeas.errors import KinfeasError
-from kinfeas.loop import Step
 from kinfeas.robots.robot import PoseTolerance
 
 PAPER = RewardConfig(failure="indicator", action_penalty=0.01, limit_penalty=0.0)

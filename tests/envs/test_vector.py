@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import WorldConfig
-from kinfeas.errors import KinfeasError
 
 SHORT = WorldConfig(max_seconds=0.4, max_failures=1)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import load_robot
 from kinfeas.envs.reward import RewardConfig
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
-from kinfeas.errors import KinfeasError
-from kinfeas.policy import Network
-from kinfeas.registry import load_robot
+from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.network import Network
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
 

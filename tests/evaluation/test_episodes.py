@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from kinfeas.baselines.follow_ee import FollowEe
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 

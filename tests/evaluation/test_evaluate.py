@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas import config, registry
+from kinfeas import config
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import Share, join
 from kinfeas.envs.world import WorldConfig
-from kinfeas.errors import KinfeasError
 from kinfeas.evaluation import evaluate as module
 from kinfeas.evaluation.evaluate import (
     EvaluationConfig,
@@ -18,8 +20,7 @@ from kinfeas.evaluation.evaluate import (
     trial_reachability,
     worker_pool,
 )
-from kinfeas.evaluation.policies import load_policy
-from kinfeas.metrics import Share, join
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.ggr import ggr
 
 KEYS = {

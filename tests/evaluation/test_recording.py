@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from kinfeas import registry, spatial
-from kinfeas.baselines.follow_ee import FollowEe
+from kinfeas.core import registry, spatial
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.forward import forward
+from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.tasks.chain import pick_place
 
 

@@ -2,9 +2,7 @@ import json
 
 import pytest
 
-from kinfeas.adapters import AdapterSpec, read_sim2real
-from kinfeas.evaluation.pictures.sim2real import sim2real_figure
-from kinfeas.evaluation.pictures.style import png
+from kinfeas.control.adapters import AdapterSpec, read_sim2real
 from kinfeas.evaluation.sim2real import (
     ALL,
     AXES,
@@ -15,6 +13,8 @@ from kinfeas.evaluation.sim2real import (
     to_json,
     with_value,
 )
+from kinfeas.viz.pictures.sim2real import sim2real_figure
+from kinfeas.viz.pictures.style import png
 
 ADAPTERS = (
     AdapterSpec("base_noise", {"linear": 0.03}),

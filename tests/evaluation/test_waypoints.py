@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from kinfeas import spatial
+from kinfeas.control.subgoals import tool_pose
+from kinfeas.core import spatial
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.waypoints import A_SUBGOAL, draw_goals, draw_waypoints
-from kinfeas.subgoals import tool_pose
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 

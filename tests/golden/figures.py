@@ -12,20 +12,22 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import onnxruntime
 
-from kinfeas import config, pretrained, registry
-from kinfeas.backend import ObstacleDistances
-from kinfeas.drive import action_size
+from kinfeas import config
+from kinfeas.config.recipes import default_recipe
+from kinfeas.control.drive import action_size
+from kinfeas.control.filters.obstacles import ObstacleFilter
+from kinfeas.core import registry
+from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, run_trial
 from kinfeas.evaluation.physics.evaluate import run_physics
 from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
-from kinfeas.evaluation.policies import load_driver
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.min_obstacle_distance import ObstacleFilter
-from kinfeas.policy import read_network
+from kinfeas.policies import pretrained
+from kinfeas.policies.loading import load_driver
+from kinfeas.policies.network import read_network
 from kinfeas.sim2real.export import export
-from kinfeas.storage.recipes import default_recipe
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train

@@ -8,9 +8,9 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.spatial import Array
 from kinfeas.robots.reading import read_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.spatial import Array
 
 
 class Judge:

@@ -8,12 +8,12 @@ import yaml
 from numba.core.registry import CPUDispatcher
 from scipy.spatial.transform import Rotation
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import rotation, twist_between
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward, jacobian
 from kinfeas.robots.robot import ArmJoint
-from kinfeas.spatial import rotation, twist_between
 
 GOLDEN = yaml.safe_load((Path(__file__).parents[1] / "robots" / "golden_fk.yaml").read_text())
 CASES = [

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas import spatial
-from kinfeas.errors import KinfeasError
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import distance, wrap
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.search import _out_of_reach
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.spatial import distance, wrap
 
 METRES, RADIANS = 1e-4, 1e-3
 
@@ -431,7 +431,7 @@ def test_spread_configurations_cover_the_limits(robot):
 
 AFRESH = """
 import hashlib
-from kinfeas import registry
+from kinfeas.core import registry
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 

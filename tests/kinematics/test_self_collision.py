@@ -5,14 +5,14 @@ import fcl
 import numpy as np
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import rotation
 from kinfeas.kinematics.self_collision import (
     MARGIN,
     build_collision_model,
     checked_links,
     self_collides,
 )
-from kinfeas.spatial import rotation
 
 
 @pytest.fixture(scope="session")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.demonstrations import Demonstration
+from kinfeas.core.spatial import compose, distance, integrate, make_pose, planar_pose
+from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.model import write_model
 from kinfeas.plugins.path import below
-from kinfeas.spatial import compose, distance, integrate, make_pose, planar_pose
 
 KINDS = ("imitation", "gaussian_mixture")
 DT = 0.1

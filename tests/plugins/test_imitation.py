@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
-from kinfeas.motion import Demonstrated
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Demonstrated
+from kinfeas.core.spatial import compose, make_pose, relative
 from kinfeas.plugins.imitation import Imitation
 from kinfeas.plugins.model import read_model, shipped_models
 from kinfeas.plugins.path import tabulate
-from kinfeas.spatial import compose, make_pose, relative
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
 

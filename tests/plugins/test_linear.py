@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import distance, integrate, make_pose, rotation, twist_between
 from kinfeas.plugins.linear import Linear
-from kinfeas.spatial import distance, integrate, make_pose, rotation, twist_between
 from kinfeas.testing import check_motion_generator
 
 DT = 0.1

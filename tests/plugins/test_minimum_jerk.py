@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.spatial import IDENTITY, twist_between
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.spatial import IDENTITY, twist_between
 from tests.plugins.conftest import DT, apart, run, speeds
 from tests.plugins.properties import (
     check_everything,

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas import config, registry
-from kinfeas.errors import KinfeasError
+from kinfeas import config
+from kinfeas.config import strict_yaml
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.plugins import model as module
 from kinfeas.plugins.model import Model, read_model, rounded, shipped_models, write_model
 from kinfeas.plugins.path import tabulate
-from kinfeas.storage import strict_yaml
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import KINDS
 

@@ -3,9 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
+from kinfeas.core.spatial import compose, distance, planar_pose, yaw
 from kinfeas.plugins.model import read_model
 from kinfeas.plugins.path import below, regress, tabulate
-from kinfeas.spatial import compose, distance, planar_pose, yaw
 from tests.plugins.conftest import KINDS, random_poses
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY
+from kinfeas.io.run_log import About, Moment, Recorder
 from kinfeas.plugins.recording import read_recording, resampled
-from kinfeas.record import About, Moment, Recorder
-from kinfeas.spatial import IDENTITY
 from tests.plugins.conftest import door_demonstrations, random_poses
 
 HEADER = "time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw\n"

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.demonstrations import write_demonstration
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose, relative
+from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.plugins.replay import Replay
-from kinfeas.spatial import IDENTITY, compose, relative
 from tests.plugins.conftest import DT, apart, door_demonstrations, run, speeds
 from tests.plugins.properties import (
     check_everything,

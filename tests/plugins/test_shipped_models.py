@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas import registry
+from kinfeas.core import registry
+from kinfeas.core.spatial import compose, distance, integrate, make_pose, planar_pose, relative
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.model import read_model, shipped_models
 from kinfeas.plugins.path import tabulate
 from kinfeas.scenes.demonstrate import demonstrate, load_habits
 from kinfeas.scenes.exercise import EXERCISES, load_exercise
-from kinfeas.spatial import compose, distance, integrate, make_pose, planar_pose, relative
 from tests.plugins.properties import check_arrival
 
 N = 16

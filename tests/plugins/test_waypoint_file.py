@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.plugins.waypoint_file import read_waypoints
 
 YAML = "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n- [1, 2, 4, 0, 0, 0.7071, 0.7071]\n"

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose, relative
 from kinfeas.plugins.waypoints import Waypoints
-from kinfeas.spatial import IDENTITY, compose, relative
 from tests.plugins.conftest import DT, apart, run, speeds
 from tests.plugins.properties import (
     check_everything,

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas import registry
+from kinfeas.core import registry
+from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.fingerprint import fingerprint
-from kinfeas.spatial import make_pose, rotation
 
 # A policy file is refused where these have changed, so they may change with a robot only.
 KNOWN = {

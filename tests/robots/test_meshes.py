@@ -2,7 +2,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.elements import Element
 from kinfeas.robots.meshes import find_mesh
 

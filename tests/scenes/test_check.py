@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, make_pose, rotation
 from kinfeas.robots.tree import Shape
 from kinfeas.scenes.check import _lowest
 from kinfeas.scenes.scene import read_scene
-from kinfeas.spatial import IDENTITY, make_pose, rotation
 
 SHELF = "[-1.0, 0.0, 0.4]"
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from kinfeas.registry import load_robot, names
+from kinfeas.core.registry import load_robot, names
+from kinfeas.core.spatial import IDENTITY, planar_pose
 from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.scenes.scene import read_scene
-from kinfeas.spatial import IDENTITY, planar_pose
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.spatial import distance, relative, rotation, wrap, yaw
 from kinfeas.scenes.demonstrate import demonstrate, load_habits
 from kinfeas.scenes.exercise import EXERCISES, load_exercise
-from kinfeas.spatial import distance, relative, rotation, wrap, yaw
 
 HABITS = load_habits()
 

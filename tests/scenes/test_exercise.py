@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.errors import KinfeasError
+from kinfeas.config import strict_yaml
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import distance, make_pose
 from kinfeas.scenes.exercise import EXERCISES, load_exercise
-from kinfeas.spatial import distance, make_pose
-from kinfeas.storage import strict_yaml
 
 
 @pytest.fixture(params=EXERCISES)

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinfeas.core.spatial import IDENTITY, distance, make_pose, relative, rotation
 from kinfeas.scenes.demonstrate import load_habits
 from kinfeas.scenes.exercise import load_exercise
 from kinfeas.scenes.hand import drift, fine_times, minimum_jerk, pull, reach, samples, scatter
 from kinfeas.scenes.mechanism import AnalyticMechanism
-from kinfeas.spatial import IDENTITY, distance, make_pose, relative, rotation
 
 HABITS = load_habits()
 

@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.scenes.scene import read_scene
 
 SCENE = "{name: own, size: [4, 4], objects: {thing: {urdf: thing.urdf, position: [1, 0, 0.5]}}}"

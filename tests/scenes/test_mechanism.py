@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, distance, make_pose, rotation
 from kinfeas.scenes.mechanism import AnalyticMechanism, MechanismJoint
-from kinfeas.spatial import IDENTITY, distance, make_pose, rotation
 
 HINGE = MechanismJoint("hinge", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 2.0), 0.5, 0.0, 0.0)
 SLIDE = MechanismJoint("slide", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.4), 2.0, 0.0, 0.0)

@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import distance, make_pose, planar_pose, rotation
 from kinfeas.scenes.scene import read_scene
-from kinfeas.spatial import distance, make_pose, planar_pose, rotation
 
 # From the method: metres, in the world.
 HINGE, DOOR_HANDLE, DRAWER_HANDLE = (0.185, 2.829), (-0.130, 2.796, 0.618), (-2.81, 0.015, 0.525)

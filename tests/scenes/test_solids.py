@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.spatial import IDENTITY, planar_pose
 from kinfeas.robots.tree import Shape
 from kinfeas.scenes.solids import Solids
-from kinfeas.spatial import IDENTITY, planar_pose
 
 SIZES = {"box": (0.2, 0.2, 0.2), "cylinder": (0.1, 0.2), "sphere": (0.1,)}
 

@@ -4,11 +4,11 @@ import numpy as np
 import pybullet
 import pytest
 
+from kinfeas.core.spatial import IDENTITY, distance, planar_pose, relative, rotation
 from kinfeas.robots.urdf import parse_urdf
 from kinfeas.scenes import scene as scenes
 from kinfeas.scenes.objects import SceneObject, rest_positions
 from kinfeas.scenes.solids import Solids
-from kinfeas.spatial import IDENTITY, distance, planar_pose, relative, rotation
 
 URDFS = sorted(scenes._FOLDER.glob("*.urdf"))
 MOVING = [("shelf_with_door", "hinge", 1.92), ("shelf_with_drawer", "slide", 0.35)]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.envs.analytic import AnalyticBackend
-from kinfeas.spatial import planar_pose
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.core import registry
+from kinfeas.core.spatial import planar_pose
 
 
 class Recorder(AnalyticBackend):

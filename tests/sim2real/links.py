@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from kinfeas.sim2real.fault import Fault
 from kinfeas.sim2real.link import BaseReading, JointReading
-from kinfeas.sim2real.link_backend import LinkBackend
+from kinfeas.sim2real.link.backend import LinkBackend
+from kinfeas.sim2real.link.fault import Fault
 
 
 class MemoryLink:

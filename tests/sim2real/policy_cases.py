@@ -4,9 +4,9 @@ import json
 
 import onnx
 
-from kinfeas.evaluation.speed import random_network
-from kinfeas.policy import write_network
-from kinfeas.sim2real import policy_about
+from kinfeas.benchmark.speed import random_network
+from kinfeas.policies import onnx_metadata
+from kinfeas.policies.network import write_network
 from kinfeas.sim2real.export import export
 
 TRAINED = {
@@ -39,7 +39,7 @@ def change(path, edit, sign=True):
     model = onnx.load(path)
     edit(model)
     if sign:
-        set_entry(model, "digest", json.loads(policy_about.digest(model.SerializeToString())))
+        set_entry(model, "digest", json.loads(onnx_metadata.digest(model.SerializeToString())))
     path.write_bytes(model.SerializeToString())
 
 

@@ -13,8 +13,8 @@ from xmlrpc.client import ServerProxy
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.ros import ros1_node
 from kinfeas.sim2real.ros.names import read_topics
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.adapters import read_sim2real
-from kinfeas.backend import Resumable
-from kinfeas.storage.recipes import recipes
+from kinfeas.config.recipes import recipes
+from kinfeas.control.adapters import read_sim2real
+from kinfeas.core import registry
+from kinfeas.core.backend import Resumable
 
 PAGE = (Path(__file__).parents[2] / "docs" / "sim2real.md").read_text(encoding="utf-8")
 NAMES = sorted(plugin.name for plugin in registry.plugins("kinfeas.adapters"))

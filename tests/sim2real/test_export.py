@@ -10,14 +10,15 @@ import numpy as np
 import onnx
 import pytest
 
-from kinfeas import pretrained, registry
-from kinfeas.errors import KinfeasError
-from kinfeas.observation import observe, scaled
-from kinfeas.policy import Network, read_network, write_network
+from kinfeas.control.observation import observe, scaled
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.policies import pretrained
+from kinfeas.policies.network import Network, read_network, write_network
+from kinfeas.policies.onnx_file import TOLERANCE, read_policy_file
+from kinfeas.policies.onnx_graph import OPERATORS
+from kinfeas.policies.onnx_metadata import About
 from kinfeas.sim2real.export import GOLDEN_PAIRS, export
-from kinfeas.sim2real.policy_about import About
-from kinfeas.sim2real.policy_file import TOLERANCE, read_policy_file
-from kinfeas.sim2real.policy_graph import OPERATORS
 from tests.sim2real.policy_cases import write_run
 
 PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
@@ -203,7 +204,7 @@ def test_the_page_observes_as_the_loop_does():
 def test_the_page_names_every_entry():
     for field in fields(About):
         assert f"| `kinfeas.{field.name}` |" in PAGE
-    assert "| `kinfeas.schema` |" in PAGE
+    assert "| `kinfeas.config.schema` |" in PAGE
     assert "| `kinfeas.digest` |" in PAGE
 
 

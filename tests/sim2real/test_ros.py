@@ -6,13 +6,13 @@ import time
 import numpy as np
 import pytest
 
-from kinfeas import registry, spatial
+from kinfeas.core import registry, spatial
+from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.record import read_record
+from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import Hosted
 from kinfeas.sim2real.ros.backend import Ros1Backend, Ros2Backend
-from kinfeas.sim2real.watchdog import Watched
 from tests.sim2real.ros_processes import Ros1, Ros2, needs_ros1
 
 LIMIT = 0.3
@@ -21,8 +21,8 @@ LIMIT = 0.3
 
 SILENT = """
 import os
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 backend = registry.build(
     "kinfeas.backends", "ros1", {"robot": registry.load_robot("pr2"), "patience": 0.3}
 )

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.backend import RealTimeBackend
+from kinfeas.core import registry
+from kinfeas.core.backend import RealTimeBackend
+from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import BaseReading, Hosted, Orders
-from kinfeas.sim2real.watchdog import Watched
 from tests.sim2real.links import joints_at
 
 PAGE = Path(__file__).parents[2] / "docs" / "ros.md"

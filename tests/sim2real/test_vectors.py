@@ -1,8 +1,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.spatial import make_pose
 from kinfeas.sim2real.vectors import displaced, length, shortened
-from kinfeas.spatial import make_pose
 
 
 def test_vectors_are_shortened_and_never_turned():

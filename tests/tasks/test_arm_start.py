@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import compose
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.reading import read_robot
-from kinfeas.spatial import compose
 from kinfeas.tasks.arm_start import random_arm
 
 

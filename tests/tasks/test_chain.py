@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import rotation, wrap, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.spatial import rotation, wrap, yaw
 from kinfeas.tasks.chain import door, read_chain
 from kinfeas.tasks.task import MotionSpec
 

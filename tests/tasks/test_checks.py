@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from kinfeas import registry
+from kinfeas.backends.pybullet.stage import task_scene
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY
+from kinfeas.core.start import Start
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.errors import KinfeasError
 from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.sim.stage import task_scene
-from kinfeas.spatial import IDENTITY
-from kinfeas.start import Start
 from kinfeas.tasks.chain import ChainTask, door
 from kinfeas.tasks.checks import CheckedTask, unchecked
 from kinfeas.tasks.ggr import GoalReaching

@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import rotation, yaw
+from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.spatial import rotation, yaw
-from kinfeas.start import Start
 from kinfeas.tasks.ggr import GoalReaching
 from kinfeas.tasks.task import MotionSpec, Subgoal
 

@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.tasks.loading import load_task, task_name
 
 TASK = """

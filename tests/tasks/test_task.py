@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
 
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from kinfeas import registry
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
-from kinfeas.errors import KinfeasError
-from kinfeas.policy import read_network
+from kinfeas.policies.network import read_network
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.learner import explore, make_learner
 from kinfeas.training.state import read_state

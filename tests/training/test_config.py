@@ -2,9 +2,10 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas import config, registry
+from kinfeas import config
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
-from kinfeas.errors import KinfeasError
 from kinfeas.training.config import TrainConfig
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from kinfeas import registry
+from kinfeas.control.observation import scaled
+from kinfeas.core import registry
 from kinfeas.envs.world import World
-from kinfeas.observation import scaled
-from kinfeas.policy import read_network, write_network
+from kinfeas.policies.network import read_network, write_network
 from kinfeas.training.learner import (
     DEVIATION,
     explore,

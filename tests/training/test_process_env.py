@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import resume, train
 

@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.training.run_folder import check_begun, check_new
 
 

@@ -2,7 +2,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.training.state import Tally, checked, loading, read_state, write_state
 
 

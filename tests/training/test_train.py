@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from kinfeas import config, registry
-from kinfeas.errors import KinfeasError
-from kinfeas.policy import read_network
-from kinfeas.storage.folders import alone
+from kinfeas import config
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.folders import alone
+from kinfeas.policies.network import read_network
 from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import network_of
-from kinfeas.training.standing import finished as finished_run
+from kinfeas.training.run_status import finished as finished_run
 from kinfeas.training.train import resume, train
 
 LEARNERS = {

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from stable_baselines3 import SAC
 
-from kinfeas import registry
+from kinfeas.control.observation import CLIP, scaled
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
-from kinfeas.errors import KinfeasError
-from kinfeas.observation import CLIP, scaled
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(AdapterSpec("base_noise"),))

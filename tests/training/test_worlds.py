@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from kinfeas import config, registry
+from kinfeas import config
+from kinfeas.benchmark.speed import random_network
+from kinfeas.core import registry
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
-from kinfeas.evaluation.speed import random_network
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.tasks.loading import load_task
 from kinfeas.training import worlds

@@ -7,24 +7,25 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas import config, registry
-from kinfeas.adapters import execution_of, wrap
+from kinfeas import config
+from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.backends.pybullet.physics import PhysicsConfig
+from kinfeas.backends.pybullet.stage import Stage, task_scene
 from kinfeas.config import Interval
+from kinfeas.config.quantities import PositiveSeconds
+from kinfeas.config.recipes import default_recipe
+from kinfeas.control.adapters import execution_of, wrap
+from kinfeas.control.loop import Rows
+from kinfeas.control.rollout_planner import RolloutConfig
+from kinfeas.control.subgoals import ExecutionConfig, ExecutionSettings
+from kinfeas.core import registry
+from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
 from kinfeas.evaluation.episodes import Watch, run_episodes
 from kinfeas.evaluation.physics.collisions import Encounters
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.loop import Rows
-from kinfeas.metrics import EpisodeRecords
-from kinfeas.policy import Policy
-from kinfeas.quantities import PositiveSeconds
+from kinfeas.policies.network import Policy
 from kinfeas.robots.robot import Robot
-from kinfeas.rollout_planner import RolloutConfig
-from kinfeas.sim.backend import PyBulletBackend
-from kinfeas.sim.physics import PhysicsConfig
-from kinfeas.sim.stage import Stage, task_scene
-from kinfeas.storage.recipes import default_recipe
-from kinfeas.subgoals import ExecutionConfig, ExecutionSettings
 from kinfeas.tasks.task import Task
 
 ROWS = 8

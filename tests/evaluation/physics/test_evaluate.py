@@ -4,10 +4,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from kinfeas import config, registry
+from kinfeas import config
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import AdapterSpec
-from kinfeas.errors import KinfeasError
-from kinfeas.evaluation.policies import load_policy
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
 

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from kinfeas import registry
-from kinfeas.evaluation.policies import load_policy
+from kinfeas.core import registry
+from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")

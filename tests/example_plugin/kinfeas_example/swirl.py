@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from kinfeas.errors import KinfeasError
-from kinfeas.spatial import twist_between
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import twist_between
 
 
 class Swirl:

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.adapters import AdapterSpec, wrap
-from kinfeas.errors import KinfeasError
+from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.acceleration_limit import AccelerationLimit
 
 PARTS = ((slice(0, 3), "linear"), (slice(3, 6), "angular"))

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from kinfeas import registry
-from kinfeas.backend import RobotState, Stochastic
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.backend import RobotState, Stochastic
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.base_noise import BaseNoise
-from kinfeas.sim2real.draws import Range
+from kinfeas.sim2real.adapters.draws import Range
 
 PR2 = registry.load_robot("pr2")
 
@@ -177,7 +177,9 @@ def test_passes_on_the_rest():
 def test_deviations_are_finite_and_not_negative(name, value):
     with pytest.raises(KinfeasError, match=f"{name} is .*, must be a finite number in"):
         registry.build(
-            "kinfeas.adapters", "base_noise", {"backend": Recorder(), "robot": PR2, name: value}
+            "kinfeas.adapters",
+            "base_noise",
+            {"backend": Recorder(), "robot": PR2, name: value},
         )
 
 

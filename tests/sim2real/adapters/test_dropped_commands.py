@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.adapters import AdapterSpec, wrap
-from kinfeas.errors import KinfeasError
+from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.dropped_commands import DroppedCommands
 
 

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from kinfeas.adapters import AdapterSpec, wrap
-from kinfeas.backend import Resumable
-from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.control.subgoals import ExecutionAdapter, ExecutionConfig
+from kinfeas.core.backend import Resumable
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.errors import KinfeasError
 from kinfeas.sim2real.adapters.head_start import HeadStart
-from kinfeas.subgoals import ExecutionAdapter, ExecutionConfig
 from kinfeas.tasks.ggr import ggr
 
 

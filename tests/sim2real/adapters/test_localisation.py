@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.spatial import yaw
 from kinfeas.sim2real.adapters.localisation import Localisation
-from kinfeas.spatial import yaw
 
 STILL = {"drift": 0.0, "turn_drift": 0.0, "jump": 0.0, "turn_jump": 0.0, "rate": 0.0}
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from kinfeas.core.spatial import yaw
 from kinfeas.sim2real.adapters.ee_noise import EeNoise
 from kinfeas.sim2real.adapters.sensor_latency import SensorLatency
-from kinfeas.spatial import yaw
 
 
 def targets(steps, seed=0):

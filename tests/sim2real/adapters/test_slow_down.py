@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from kinfeas.adapters import AdapterSpec, execution_of, wrap
-from kinfeas.envs.analytic import AnalyticBackend
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.adapters import AdapterSpec, execution_of, wrap
+from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.errors import KinfeasError
-from kinfeas.subgoals import ExecutionConfig
 from kinfeas.tasks.ggr import ggr
 
 SLOW = AdapterSpec("slow_down", {"factor": 2.0})

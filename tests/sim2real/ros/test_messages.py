@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros import ros2_messages
 from kinfeas.sim2real.ros.names import read_topics

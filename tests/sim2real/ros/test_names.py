@@ -1,8 +1,8 @@
 import pytest
 import yaml
 
-from kinfeas import registry
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.ros.names import read_topics
 
 PR2 = """

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.fault import Fault
+from kinfeas.core.errors import KinfeasError
+from kinfeas.sim2real.link.fault import Fault
 from kinfeas.sim2real.ros import ros1_node
 from kinfeas.sim2real.ros.ros1_node import MasterWatch
 

@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
-from kinfeas import registry, spatial
-from kinfeas.errors import KinfeasError
+from kinfeas.core import registry, spatial
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings
 from kinfeas.sim2real.ros.link import RosLink
 from kinfeas.sim2real.ros.names import read_topics
@@ -158,7 +158,7 @@ def test_a_domain_that_is_none(monkeypatch, text):
 
 BROKEN = """
 import sys
-from kinfeas.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.ros.ros2_bus import Ros2Bus
 if sys.argv[1] == "missing":
     sys.modules["cyclonedds"] = None

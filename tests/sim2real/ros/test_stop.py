@@ -3,8 +3,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from kinfeas.errors import KinfeasError
-from kinfeas.sim2real.fault import Fault
+from kinfeas.core.errors import KinfeasError
+from kinfeas.sim2real.link.fault import Fault
 from kinfeas.sim2real.ros import stop as ros_stop
 
 

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinfeas import spatial
+from kinfeas.core import spatial
 from kinfeas.sim2real.ros.tf import TfTree, planar
 
 

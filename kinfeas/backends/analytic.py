@@ -1,0 +1,49 @@
+"""The analytic world: commands are carried out exactly and at once."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.backend import RobotState
+from kinfeas.core.spatial import Array, integrate
+
+
+class AnalyticBackend:
+    """n robots without dynamics: the base integrates its twist, the arm is where it is sent."""
+
+    def __init__(self) -> None:
+        """Make an empty world; the first `reset` puts the robots into it."""
+        self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Place robots and return the state of all n; shapes as in `Backend`."""
+        if rows is None:
+            self.state = RobotState(np.array(base_pose), np.array(joint_positions))
+        else:
+            base, joints = self.state.base_pose.copy(), self.state.joint_positions.copy()
+            base[rows], joints[rows] = base_pose, joint_positions
+            self.state = RobotState(base, joints)
+        return self.state
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Move all robots for `dt` seconds and return their state; shapes as in `Backend`."""
+        self.state = RobotState(
+            integrate(self.state.base_pose, base_twist, dt), np.array(joint_targets)
+        )
+        return self.state
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return base poses and joint positions of all robots."""
+        return {"base_pose": self.state.base_pose, "joint_positions": self.state.joint_positions}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+        """Take on a state that `snapshot` returned and return what it measures."""
+        self.state = RobotState(snapshot["base_pose"].copy(), snapshot["joint_positions"].copy())
+        return self.state
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""

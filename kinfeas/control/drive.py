@@ -1,0 +1,91 @@
+"""How a base turns actions into motion: omnidirectional and differential drives."""
+
+import numpy as np
+
+from kinfeas.core.spatial import Array, yaw
+from kinfeas.robots.robot import Base
+
+
+def action_size(base: Base) -> int:
+    """Return how many numbers command the base: 3 (v_x, v_y, omega) or 2 (v, omega)."""
+    return 3 if base.drive == "omnidirectional" else 2
+
+
+def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
+    """Return the world twist that an action stands for.
+
+    Omnidirectional: translate with the old heading, then rotate; the planar speed is clipped by
+    its norm. Differential: rotate, then drive along the new heading.
+
+    Args:
+        base: Drive and velocity limits.
+        base_pose: World pose of the base, shape (n, 7).
+        action: Shares of the limits, clipped to [-1, 1], shape (n, 3) or (n, 2).
+        dt: Duration in seconds for which the twist will hold.
+
+    Returns:
+        Shape (n, 6), m/s and rad/s.
+    """
+    action = np.clip(action, -1.0, 1.0)
+    twist = np.zeros((len(action), 6))
+    heading = yaw(base_pose)
+    twist[:, 5] = action[:, -1] * base.max_rotation
+    if base.drive == "omnidirectional":
+        forward, left = _clip_speed(
+            action[:, 0] * base.max_velocity, action[:, 1] * base.max_velocity, base
+        )
+    else:
+        heading = heading + twist[:, 5] * dt
+        forward = action[:, 0] * base.max_velocity
+        left = np.zeros_like(forward)
+    cosine, sine = np.cos(heading), np.sin(heading)
+    twist[:, 0] = cosine * forward - sine * left
+    twist[:, 1] = sine * forward + cosine * left
+    return twist
+
+
+def carried_out(action: Array) -> Array:
+    """Return commands as `base_twist` carries them out: within [-1, 1], planar speed by its norm.
+
+    Args:
+        action: Shares of the limits, shape (..., 3) or (..., 2).
+    """
+    action = np.clip(action, -1.0, 1.0)
+    action[..., :-1] /= np.maximum(np.linalg.norm(action[..., :-1], axis=-1, keepdims=True), 1.0)
+    return action
+
+
+def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
+    """Return the action that moves the base by a planar world velocity as well as its drive can.
+
+    An omnidirectional base copies it, without rotation. A differential one steers toward it,
+    backwards if it points behind, and drives by the part of it that lies along the new heading.
+
+    Args:
+        base: Drive and velocity limits.
+        base_pose: World pose of the base, shape (n, 7).
+        velocity: Shape (n, 2), m/s.
+        dt: Duration in seconds for which the action will hold.
+
+    Returns:
+        Shape (n, 3) or (n, 2), within [-1, 1].
+    """
+    heading = yaw(base_pose)
+    cosine, sine = np.cos(heading), np.sin(heading)
+    forward = cosine * velocity[:, 0] + sine * velocity[:, 1]
+    left = cosine * velocity[:, 1] - sine * velocity[:, 0]
+    if base.drive == "omnidirectional":
+        forward, left = _clip_speed(forward, left, base)
+        return np.stack([forward, left, np.zeros_like(left)], axis=1) / base.max_velocity
+    # Of the absolute value, since a velocity of -0 would point behind.
+    bearing = np.arctan2(np.where(forward >= 0.0, left, -left), np.abs(forward))
+    turn = np.clip(bearing / dt, -base.max_rotation, base.max_rotation)
+    along = forward * np.cos(turn * dt) + left * np.sin(turn * dt)
+    action = np.stack([along / base.max_velocity, turn / base.max_rotation], axis=1)
+    return np.clip(action, -1.0, 1.0)
+
+
+def _clip_speed(forward: Array, left: Array, base: Base) -> tuple[Array, Array]:
+    speed = np.sqrt(forward * forward + left * left)
+    scale = base.max_velocity / np.maximum(speed, base.max_velocity)
+    return forward * scale, left * scale

@@ -1,0 +1,275 @@
+"""The course of n EEs: motions one after the other, each row at its own sub-goal."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion, tool_pose
+from kinfeas.core import spatial
+from kinfeas.core.checks.motion import CheckedMotion
+from kinfeas.core.motion import State
+from kinfeas.core.rows import Rows, merged, of_rows, with_rows
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Robot
+
+Moves = tuple[Array, list[State]]
+"""Desired EE poses, shape (n, 7), and the state of each generator there."""
+
+_STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets")
+
+
+class MotionSequence:
+    """The desired motion of n EEs through the same sub-goals.
+
+    No row depends on the others: a sub-goal is begun with randomness that its row's seed and the
+    sub-goal's number determine. Arrays are replaced, never written into, since others may hold
+    them.
+
+    Attributes:
+        desired: Desired world pose of the EE, shape (n, 7).
+        sub-goal: Number of the sub-goal that each row is at, shape (n,).
+        waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
+            the motion settles, then those in which it stands still. Below zero, periods until it
+            begins the first one.
+    """
+
+    def __init__(
+        self,
+        subgoals: Sequence[SubgoalMotion],
+        robot: Robot,
+        dt: float,
+        execution: ExecutionConfig | None = None,
+    ) -> None:
+        """Set out the sub-goals; `start` must follow before anything else.
+
+        Args:
+            subgoals: At least one.
+            robot: Whose tool tip `tip` sub-goals move.
+            dt: Control period in seconds.
+            execution: Head start and settling; none by default.
+        """
+        execution = execution or ExecutionConfig()
+        distinct = {
+            id(subgoal.generator): CheckedMotion(subgoal.generator, subgoal.name)
+            for subgoal in subgoals
+        }
+        order = list(distinct)
+        self.subgoals, self.generators = tuple(subgoals), list(distinct.values())
+        self._which = np.array([order.index(id(subgoal.generator)) for subgoal in subgoals])
+        self._dt, self._head_start, self._head_start_jitter = (
+            dt,
+            execution.head_start,
+            execution.head_start_jitter,
+        )
+        grasp_settle_time = _periods(execution.grasp_settle_time * execution.slow_down, dt)
+        self._periods = np.array(
+            [_periods(subgoal.dwell, dt) for subgoal in subgoals], dtype=np.intp
+        )
+        self._grasp_settle_time = np.array(
+            [grasp_settle_time if subgoal.grip else 0 for subgoal in subgoals], dtype=np.intp
+        )
+        tool = tool_pose(robot)
+        self._tips = any(subgoal.frame == "tip" for subgoal in subgoals)
+        self._tool = np.stack(
+            [tool if subgoal.frame == "tip" else spatial.IDENTITY for subgoal in subgoals]
+        )
+        self._ee_in_tool = spatial.relative(
+            np.broadcast_to(spatial.IDENTITY, (len(subgoals), 7)), self._tool
+        )
+        self._demonstrated = any(one.demonstrated for one in self.generators)
+        self.desired: Array = np.empty((0, 7))
+        self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
+        self._seeds = np.empty(0, dtype=np.uint64)
+        self._targets: Array = np.empty((0, len(subgoals), 7))
+        self._states: list[State] = []
+        self._goal: Array | None = None  # until something moves
+
+    def start(
+        self,
+        ee_pose: Array,
+        target_poses: Array,
+        rngs: Sequence[np.random.Generator],
+        rows: Rows | None = None,
+    ) -> None:
+        """Begin the first sub-goal.
+
+        Args:
+            ee_pose: World pose of the EE in m rows, shape (m, 7).
+            target_poses: What their sub-goals head for, shape (m, sub-goals, 7).
+            rngs: One source of randomness for each of them.
+            rows: Which of the n rows begin anew; all of them by default, which also sets n.
+        """
+        none = np.zeros(len(rngs), dtype=np.intp)
+        seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
+        fresh = (ee_pose, none, none - self._head_starts(rngs), seeds, target_poses)
+        if rows is None:
+            self._put(fresh)
+            self._states = [{} for _ in self.generators]
+            rows = np.arange(len(rngs))
+        else:
+            paused = zip(self._held(), fresh, strict=True)
+            self._put(tuple(with_rows(old, rows, new) for old, new in paused))
+        self._begin(rows)
+
+    @property
+    def goal(self) -> Array:
+        """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
+        if self._goal is None:
+            asked = self._ask(lambda generator, state: generator.goal_pose(state))
+            self._goal = self._to_ee(asked)
+        return self._goal
+
+    @property
+    def last(self) -> NDArray[np.bool_]:
+        """Whether each row is at its last sub-goal, shape (n,)."""
+        return self.subgoal == len(self.subgoals) - 1
+
+    @property
+    def stands(self) -> NDArray[np.bool_]:
+        """Whether each row's desired pose stands still now, shape (n,)."""
+        settled = self.waiting <= self._periods[self.subgoal]
+        stands: NDArray[np.bool_] = (self.waiting != 0) & settled
+        return stands
+
+    @property
+    def demonstrated_base(self) -> Array:
+        """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
+        if not self._demonstrated:
+            return np.broadcast_to(np.nan, (len(self.subgoal), 7))
+        return self._ask(lambda generator, state: generator.base_pose(state))
+
+    def ahead(self, dt: float) -> Moves:
+        """Return where the desired EE poses will be in `dt` seconds; nothing moves yet."""
+        frame = self._to_frame(self.desired)
+        stands = self.stands
+        if len(self.generators) == 1 and not stands.any():
+            twist, state = self.generators[0].twist(self._states[0], frame, dt)
+            return self._to_ee(spatial.integrate(frame, twist, dt)), [state]
+        twist, states = np.zeros((len(frame), 6)), list(self._states)
+        for number, generator, rows in self._groups(~stands):
+            state = of_rows(states[number], rows)
+            twist[rows], after = generator.twist(state, frame[rows], dt)
+            states[number] = merged(states[number], rows, after, len(frame))
+        moved = self._to_ee(spatial.integrate(frame, twist, dt))
+        return np.where(stands[:, np.newaxis], self.desired, moved), states
+
+    def move(self, moves: Moves, paused: NDArray[np.bool_] | None = None) -> None:
+        """Go where `ahead` looked, but for the rows that are `paused`, shape (n,)."""
+        desired, states = moves
+        if paused is not None and paused.any():
+            rows = np.flatnonzero(paused)
+            desired = with_rows(desired, rows, self.desired[rows])
+            pairs = zip(states, self._states, strict=True)
+            states = [
+                {key: with_rows(new, rows, old[key][rows]) for key, new in state.items()}
+                for state, old in pairs
+            ]
+        self.desired, self._states, self._goal = desired, states, None
+
+    def advance(
+        self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.bool_]:
+        """End a control period: grasp_settle_time, wait, or begin the next sub-goal.
+
+        Args:
+            arrived: Whether the EE is at the end of its sub-goal, shape (n,).
+            settled: Whether it is as near as a grip needs it, shape (n,); not by default.
+
+        Returns:
+            Whether the motion of a sub-goal that is not the last has just come to its end, shape
+            (n,).
+        """
+        if len(self.subgoals) == 1 and not self._head_start + self._head_start_jitter:
+            return np.zeros(len(self.subgoal), dtype=np.bool_)
+        left = self.waiting - np.sign(self.waiting)
+        ends = arrived & (self.waiting == 0) & ~self.last
+        stand = self._periods[self.subgoal]
+        moved = ends | (self.waiting > stand)
+        left = np.where(ends, stand + self._grasp_settle_time[self.subgoal], left)
+        if settled is not None:
+            left = np.where(settled, np.minimum(left, stand), left)
+        goes_on = ((self.waiting > 0) | ends) & (left == 0)
+        self.waiting = left
+        if goes_on.any():
+            self.subgoal = self.subgoal + goes_on
+            self._begin(np.flatnonzero(goes_on))
+        stops: NDArray[np.bool_] = moved & (left <= stand)
+        return stops
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return everything that the motions go on from, by name."""
+        states = {
+            f"{_STATES}.{number}.{key}": values
+            for number, state in enumerate(self._states)
+            for key, values in state.items()
+        }
+        return dict(zip(_ROWS, self._held(), strict=True)) | states
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what `snapshot` returned."""
+        self._put(tuple(snapshot[key].copy() for key in _ROWS))
+        self._states, self._goal = [{} for _ in self.generators], None
+        for name, values in snapshot.items():
+            kind, _, rest = name.partition(".")
+            if kind == _STATES:
+                number, _, key = rest.partition(".")
+                self._states[int(number)][key] = values.copy()
+
+    def _held(self) -> tuple[NDArray[Any], ...]:
+        return self.desired, self.subgoal, self.waiting, self._seeds, self._targets
+
+    def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
+        self.desired, self.subgoal, self.waiting, self._seeds, self._targets = arrays
+
+    def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
+        """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
+        drawn = [
+            self._head_start_jitter * rng.random() if self._head_start_jitter else 0.0
+            for rng in rngs
+        ]
+        each = [_periods(self._head_start + more, self._dt) for more in drawn]
+        return np.array(each, dtype=np.intp)
+
+    def _begin(self, rows: Rows) -> None:
+        """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""
+        begins = np.zeros(len(self.subgoal), dtype=np.bool_)
+        begins[rows] = True
+        frame = self._to_frame(self.desired)
+        for number, generator, group in self._groups(begins):
+            subgoals = self.subgoal[group]
+            keys = zip(self._seeds[group].tolist(), subgoals.tolist(), strict=True)
+            rngs = [np.random.default_rng(key) for key in keys]
+            state = generator.start(frame[group], self._targets[group, subgoals], rngs)
+            self._states[number] = merged(self._states[number], group, state, len(frame))
+        self._goal = None
+
+    def _ask(self, question: Callable[[CheckedMotion, State], Array]) -> Array:
+        """Return what each row's generator answers, shape (n, 7)."""
+        if len(self.generators) == 1:
+            return question(self.generators[0], self._states[0])
+        answers = np.empty((len(self.subgoal), 7))
+        for number, generator, rows in self._groups(np.ones(len(self.subgoal), dtype=np.bool_)):
+            answers[rows] = question(generator, of_rows(self._states[number], rows))
+        return answers
+
+    def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, CheckedMotion, Rows]]:
+        """Return each generator with its number and those of the `chosen` rows it moves now."""
+        which = np.where(chosen, self._which[self.subgoal], -1)
+        groups = [(i, one, np.flatnonzero(which == i)) for i, one in enumerate(self.generators)]
+        return [group for group in groups if group[2].size]
+
+    def _to_frame(self, ee_pose: Array) -> Array:
+        """Return the pose of the frame that each row's sub-goal moves, shape (n, 7)."""
+        return spatial.compose(ee_pose, self._tool[self.subgoal]) if self._tips else ee_pose
+
+    def _to_ee(self, frame: Array) -> Array:
+        """Return the EE poses that put the moved frames at `frame`, shape (n, 7)."""
+        return spatial.compose(frame, self._ee_in_tool[self.subgoal]) if self._tips else frame
+
+
+def _periods(seconds: float, dt: float) -> int:
+    # Rounding must not make 2 s of 0.1 s 21 periods.
+    return math.ceil(seconds / dt - 1e-6)

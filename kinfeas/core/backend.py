@@ -1,0 +1,193 @@
+"""What moves the robots: the analytic world, PyBullet, a real robot, a test double."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.plugin_errors import PluginErrors, package_of
+from kinfeas.core.spatial import Array
+
+Grip = Literal["close", "open"]
+"""What a gripper does."""
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """What was measured of n robots.
+
+    Attributes:
+        base_pose: World pose of the base frame, shape (n, 7).
+        joint_positions: Arm joints, shape (n, j), radians or metres.
+        base_twist: World twist of the base, shape (n, 6), m/s and rad/s, where it is measured.
+        joint_velocities: Of the arm joints, shape (n, j), per second, where they are measured.
+        age: Seconds since the oldest part of it was measured, shape (n,), where that is known.
+        ee_in_base: EE pose in the base frame, shape (n, 7), where it is not what the joints say.
+        true_state: What really is, where a sensor errs and a simulator knows.
+    """
+
+    base_pose: Array
+    joint_positions: Array
+    base_twist: Array | None = None
+    joint_velocities: Array | None = None
+    age: Array | None = None
+    ee_in_base: Array | None = None
+    true_state: "RobotState | None" = None
+
+
+class Backend(Protocol):
+    """n robots at once; the analytic world has any n, PyBullet and a real robot have n = 1."""
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Put robots at rest and return the state of all n.
+
+        Args:
+            base_pose: World pose of the base, shape (m, 7).
+            joint_positions: Arm joints, shape (m, j).
+            rows: Indices of the m robots to reset; all n by default.
+        """
+        ...
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Command all n robots for `dt` seconds and return what was measured after it.
+
+        Args:
+            base_twist: World twist of the base, shape (n, 6), m/s and rad/s.
+            joint_targets: Joint positions to reach, shape (n, j).
+            dt: Duration in seconds.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of what the backend holds; it may be called twice."""
+        ...
+
+
+class BackendWrapper:
+    """A backend around another one: the base class of adapters and guards.
+
+    Attributes:
+        backend: What is wrapped.
+    """
+
+    backend: Backend
+
+
+@runtime_checkable
+class Stochastic(Protocol):
+    """A backend or adapter that draws random numbers.
+
+    Its randomness belongs to the episode: equal seeds give equal draws, whatever else is in the
+    batch.
+    """
+
+    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
+        """Begin new episodes with one seed each, shape (m,), in the m `rows`."""
+        ...
+
+
+@runtime_checkable
+class SupportsGripper(Protocol):
+    """A backend or adapter whose robots have grippers."""
+
+    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+        """Begin to close or to open the grippers of robots.
+
+        Args:
+            grip: What they do.
+            rows: Indices of the m robots.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ObstacleDistances:
+    """What stands near the bases of n robots: k places each, of which some may be empty.
+
+    Attributes:
+        closest_point: The point of the base that is nearest to a thing, in the base frame, shape
+            (n, k, 2), metres.
+        normal: Horizontal part of the unit vector from there to the thing, in the base frame, shape
+            (n, k, 2).
+        distance: How far the thing is away, shape (n, k), metres: below 0 where both are in one
+            another, inf where there is none.
+
+    Raises:
+        ValueError: If the shapes are others, or something is no number.
+    """
+
+    closest_point: Array
+    normal: Array
+    distance: Array
+
+    def __post_init__(self) -> None:
+        """Check what a backend from outside may have made."""
+        shape = (*self.distance.shape, 2)
+        if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
+            shapes = f"{self.closest_point.shape}, {self.normal.shape} and {self.distance.shape}"
+            raise ValueError(
+                "place, toward and distance must be of the shapes (n, k, 2), (n, k, 2) and (n, k), "
+                f"not {shapes}"
+            )
+        if not (np.isfinite(self.closest_point).all() and np.isfinite(self.normal).all()):
+            raise ValueError("place and toward must be finite")
+        if not (self.distance > -np.inf).all():
+            raise ValueError("distance must be a number, or inf where there is nothing")
+
+
+@runtime_checkable
+class SupportsObstacleDistances(Protocol):
+    """A backend or adapter that knows what stands around its robots."""
+
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return what is nearer than `within` metres to the bases, but for what they handle."""
+        ...
+
+
+@runtime_checkable
+class RealTimeBackend(Protocol):
+    """A backend whose robot moves by a clock of its own: a real one, or a process that plays one.
+
+    It cannot be put anywhere: `reset` leaves the robot where it is and returns its state. `step`
+    sends the command, waits for the end of the control period and returns the newest measurement.
+    """
+
+    def read(self) -> RobotState:
+        """Return the newest measurement, with its age."""
+        ...
+
+    def stop(self) -> None:
+        """Command the base to zero and the arm to stay; it may be called at any time, and twice."""
+        ...
+
+
+@runtime_checkable
+class ArmLimited(Protocol):
+    """A backend that decides itself how fast the arm goes to where it is sent."""
+
+    def limit_arm(self, velocity: Array) -> None:
+        """Let no joint of the arm go faster from now on; shape (j,), rad/s or m/s."""
+        ...
+
+
+@runtime_checkable
+class Resumable(Protocol):
+    """A backend or adapter whose whole state fits into arrays, so that a run can go on from it."""
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state of all n robots by name."""
+        ...
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+        """Take on a state that `snapshot` returned and return what it measures."""
+        ...
+
+
+def plugin_errors(backend: Backend, method: str) -> PluginErrors:
+    """Return the context of a call of one of its methods, in which what it raises names it."""
+    name = type(backend).__name__
+    return PluginErrors(f"backend {name} fails in {method}:", package_of(backend))

@@ -1,0 +1,58 @@
+"""What a motion generator is: the seam that plugins fill in."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from kinfeas.core.spatial import Array
+
+State = dict[str, Array]
+
+
+class MotionGenerator(Protocol):
+    """EE motion toward a target, for n motions at once.
+
+    Pure: the state is passed in and handed back, a dict of arrays with leading axis n, so that a
+    caller can restart single motions or look one step ahead without committing to it. States may
+    share arrays, so whoever restarts single motions writes into copies. A generator is built from
+    keyword parameters and never learns which frame or which robot it drives.
+    """
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions that begin at `ee_pose`; it shares no memory with these.
+
+        Args:
+            ee_pose: World pose of the driven frame, shape (n, 7).
+            target_pose: Goal of the EE, or pose of the handled object, shape (n, 7).
+            rngs: One source of randomness for each motion, n of them.
+        """
+        ...
+
+    def goal_pose(self, state: State) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        ...
+
+    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
+
+        Args:
+            state: State of n motions.
+            ee_pose: Desired world pose that the motion has come to, shape (n, 7).
+            dt: Duration of the step in seconds.
+        """
+        ...
+
+
+@runtime_checkable
+class Demonstrated(Protocol):
+    """What a motion generator has besides if the base was demonstrated along with the EE."""
+
+    def base_pose(self, state: State) -> Array:
+        """Return the world poses at which the base was demonstrated to be now, shape (n, 7).
+
+        Rows of NaN where that is not known.
+        """
+        ...

@@ -1,0 +1,154 @@
+"""Compiled pose arithmetic behind `spatial`: generalized ufuncs, one pose at a time.
+
+`scipy.spatial.transform.Rotation` costs 10 to 100 us a call, twenty calls a step of the loop; these
+cost about one. Quaternions are xyzw; results have w >= 0 and unit length. A pose's result does not
+depend on what else is in the batch.
+"""
+
+import fcntl
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numba import guvectorize, njit
+
+from kinfeas.core import kernel_cache
+
+kernel_cache.settle()  # before the first kernel
+
+_AGAIN, _END = 0.02, time.monotonic() + 60.0
+"""Seconds between two looks at the lock, and when an import waits no longer: who has it hangs."""
+
+# What is not said here, the first caller of a process would decide, and with it the last bits.
+inlined = njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
+
+
+def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
+    """Return a decorator that makes a generalized ufunc, by one process at a time.
+
+    Numba caches such a function in two parts, of which one calls the other by a name that differs
+    from process to process: two processes that filled the cache together would leave parts there
+    that do not fit, and every later process would crash.
+    """
+
+    def compile_alone(function: Callable[..., None]) -> Any:
+        with _alone() as alone:
+            made = guvectorize(signatures, layout, nopython=True, cache=alone)(function)
+        return made.ufunc  # what numba puts around it takes as long as a pose
+
+    return compile_alone
+
+
+@contextmanager
+def _alone() -> Iterator[bool]:
+    """Wait for the user's other processes to leave such a block; yield whether they have."""
+    lock = kernel_cache.open_lock()
+    if lock is None:
+        yield True  # nowhere to write: then there is no cache to fill either
+        return
+    try:
+        while not (taken := _taken(lock)) and time.monotonic() < _END:
+            time.sleep(_AGAIN)
+        yield taken
+    finally:
+        os.close(lock)
+
+
+def _taken(lock: int) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # there are no locks here
+    return True
+
+
+@inlined
+def product(ax, ay, az, aw, bx, by, bz, bw):
+    """Return the unit quaternion of b followed by a, with w >= 0."""
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0.0:
+        scale = -scale
+    return x * scale, y * scale, z * scale, w * scale
+
+
+@inlined
+def _turn(x, y, z, w, vx, vy, vz):
+    """Return the vector v turned by a unit quaternion."""
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    return (
+        vx + w * tx + y * tz - z * ty,
+        vy + w * ty + z * tx - x * tz,
+        vz + w * tz + x * ty - y * tx,
+    )
+
+
+@compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
+def compose(parent, child, out):
+    """Pose `child`, given in `parent`, in the frame of `parent`."""
+    a, b = parent, child
+    x, y, z = _turn(a[3], a[4], a[5], a[6], b[0], b[1], b[2])
+    quaternion = product(a[3], a[4], a[5], a[6], b[3], b[4], b[5], b[6])
+    out[0], out[1], out[2] = a[0] + x, a[1] + y, a[2] + z
+    out[3], out[4], out[5], out[6] = quaternion
+
+
+@compiled(["void(f8[:], f8[:], f8[:])"], "(p),(p)->(p)")
+def relative(pose, frame, out):
+    """`pose` as seen from `frame`."""
+    a, b = frame, pose
+    x, y, z = _turn(-a[3], -a[4], -a[5], a[6], b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    quaternion = product(-a[3], -a[4], -a[5], a[6], b[3], b[4], b[5], b[6])
+    out[0], out[1], out[2] = x, y, z
+    out[3], out[4], out[5], out[6] = quaternion
+
+
+@compiled(["void(f8[:], f8[:], f8, f8[:])"], "(p),(t),()->(p)")
+def integrate(pose, twist, dt, out):
+    """Pose after `dt` seconds of constant world `twist`."""
+    x, y, z = twist[3] * dt, twist[4] * dt, twist[5] * dt
+    angle = math.sqrt(x * x + y * y + z * z)
+    # sin(angle / 2) / angle, by its series where the quotient would lose digits
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-4 else 0.5 - angle * angle / 48.0
+    quaternion = product(
+        x * scale, y * scale, z * scale, math.cos(0.5 * angle), pose[3], pose[4], pose[5], pose[6]
+    )
+    for i in range(3):
+        out[i] = pose[i] + twist[i] * dt
+    out[3], out[4], out[5], out[6] = quaternion
+
+
+@compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)")
+def twist_between(start, end, dt, like, out):
+    """World twist that leads from `start` to `end` in `dt` seconds; `like` only lends its size."""
+    x, y, z, w = product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
+    sine = math.sqrt(x * x + y * y + z * z)
+    # angle / sin(angle / 2), by its series where the quotient would lose digits
+    scale = 2.0 * math.atan2(sine, w) / sine if sine > 1e-4 else 2.0 + sine * sine / 3.0
+    for i in range(3):
+        out[i] = (end[i] - start[i]) / dt
+    out[3], out[4], out[5] = x * scale / dt, y * scale / dt, z * scale / dt
+
+
+@compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p)->(),()")
+def distance(a, b, metres, radians):
+    """Metres between two poses, and the angle between them in [0, pi]."""
+    x, y, z, w = product(a[3], a[4], a[5], a[6], -b[3], -b[4], -b[5], b[6])
+    squared = 0.0
+    for i in range(3):
+        squared += (a[i] - b[i]) * (a[i] - b[i])
+    metres[0] = math.sqrt(squared)
+    radians[0] = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
+
+
+TWIST = np.zeros(6)
+"""Lends its size to `twist_between`."""

@@ -1,0 +1,168 @@
+"""Write a motion generator for one motion; `batched` makes it one for n."""
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ParamSpec, Protocol, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinfeas.core.checks.arrays import instead
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import MotionGenerator, State
+from kinfeas.core.spatial import Array
+
+Parameters = ParamSpec("Parameters")
+
+
+class SingleMotion(Protocol):
+    """EE motion toward a target, for one motion.
+
+    What changes from step to step belongs into the state, not into attributes: all motions of a
+    batch share the object. The state is a dict of numbers and arrays, whose shapes stay the same.
+    """
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rng: np.random.Generator
+    ) -> Mapping[str, ArrayLike]:
+        """Return the state of a motion that begins at `ee_pose`, shape (7,)."""
+        ...
+
+    def goal_pose(self, state: dict[str, Any]) -> Array:
+        """Return the world pose at which the motion ends, shape (7,)."""
+        ...
+
+    def twist(
+        self, state: dict[str, Any], ee_pose: Array, dt: float
+    ) -> tuple[Array, Mapping[str, ArrayLike]]:
+        """Return the world twist for the next `dt` seconds, shape (6,), and the next state."""
+        ...
+
+
+def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, MotionGenerator]:
+    """Return the motion generator for n motions that runs the class `single` row by row.
+
+    A class decorator; the result is a class of the same name, documentation and constructor::
+
+        @batched
+        class Hover:
+            def __init__(self, *, height: float = 0.1) -> None: ...
+            def start(self, ee_pose, target_pose, rng): ...  # (7,), (7,) -> dict
+            def goal_pose(self, state): ...  # -> (7,)
+            def twist(self, state, ee_pose, dt): ...  # -> (6,), dict
+
+    Optional: `base_pose(self, state)`, where the base was demonstrated to be, (7,); else NaN.
+    The class gets its own copy of every array and may write into it. Numbers in the state come
+    back as float64. It costs a Python call a row: write large batches with arrays instead.
+    """
+    if not isinstance(single, type):
+        raise KinfeasError(f"batched takes a class, not {single!r}")
+
+    # Composed, not inherited: inside `single`, self.goal_pose is to mean the one for one motion.
+    @functools.wraps(single.__init__)  # type: ignore[misc]  # `single` is a class
+    def __init__(self: RowByRow, *args: Any, **kwargs: Any) -> None:  # noqa: N807  a constructor
+        self.single = single(*args, **kwargs)
+
+    members = {name: getattr(single, name) for name in ("__doc__", "__module__", "__qualname__")}
+    members |= {"__init__": __init__, "__signature__": inspect.signature(single)}
+    if callable(getattr(single, "base_pose", None)):
+        members["base_pose"] = _base_pose
+    made = type(single.__name__, (RowByRow,), members)
+    return cast("Callable[Parameters, MotionGenerator]", made)
+
+
+class RowByRow:
+    """A motion generator that loops over rows; `batched` makes its constructor.
+
+    Attributes:
+        single: What runs each row.
+    """
+
+    single: SingleMotion
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions; shapes (n, 7), (n, 7), n. No motion has no keys."""
+        rows = zip(ee_pose, target_pose, rngs, strict=True)
+        states = [self.single.start(ee.copy(), target.copy(), rng) for ee, target, rng in rows]
+        return self._stacked("start", states)
+
+    def goal_pose(self, state: State) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        return _poses(self.single.goal_pose, state)
+
+    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+        """Return the world twist, shape (n, 6), and the next state."""
+        steps = [
+            self._pair(self.single.twist(_row(state, i), pose.copy(), dt))
+            for i, pose in enumerate(ee_pose)
+        ]
+        if not steps:
+            return np.zeros((0, 6)), dict(state)
+        return np.stack([twist for twist, _ in steps]), self._stacked(
+            "twist", [after for _, after in steps]
+        )
+
+    def _pair(self, answer: Any) -> tuple[Array, Mapping[str, ArrayLike]]:
+        """Return what a single motion's `twist` answers, in arrays of the right shape."""
+        where = f"{type(self).__name__}.twist"
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise KinfeasError(f"{where} must return a pair: the twist and the next state")
+        twist = np.asarray(answer[0])
+        if got := instead(twist, (6,)):
+            raise KinfeasError(
+                f"{where} must return a twist of shape (6,), m/s and rad/s, not {got}"
+            )
+        return twist, answer[1]
+
+    def _stacked(self, method: str, states: list[Mapping[str, ArrayLike]]) -> State:
+        """Return the states of single motions as one of n."""
+        if not states:
+            return {}
+        where = f"{type(self).__name__}.{method}"
+        rows = [_numbers(state, where) for state in states]
+        shapes = {k: v.shape for k, v in rows[0].items()}
+        if not shapes:
+            raise KinfeasError(f"{where} returned an empty state; it must hold at least the goal")
+        for row in rows:
+            if (other := {k: v.shape for k, v in row.items()}) != shapes:
+                raise KinfeasError(
+                    f"{where} returned states of unlike shapes, {shapes} and {other}; "
+                    "every motion must have the same"
+                )
+        return {k: np.stack([row[k] for row in rows]) for k in shapes}
+
+
+def _base_pose(self: RowByRow, state: State) -> Array:
+    """Return the world poses at which the base was demonstrated to be now, shape (n, 7)."""
+    return _poses(cast("Any", self.single).base_pose, state)
+
+
+def _poses(ask: Callable[[dict[str, Any]], Array], state: State) -> Array:
+    """Return what `ask` answers for the state of each motion, shape (n, 7)."""
+    n = len(next(iter(state.values()), ()))
+    poses = [ask(_row(state, i)) for i in range(n)]
+    return np.stack(poses) if poses else np.zeros((0, 7))
+
+
+def _row(state: State, i: int) -> dict[str, Any]:
+    """Return a copy of the state of motion `i`."""
+    return {k: v[i].copy() for k, v in state.items()}
+
+
+def _numbers(state: object, where: str) -> State:
+    """Return the state of one motion in arrays of its own."""
+    if not isinstance(state, Mapping):
+        kind = type(state).__name__
+        raise KinfeasError(f"{where} must return a state that is a dict of numbers, not a {kind}")
+    rows: State = {}
+    for key, value in state.items():
+        try:
+            rows[key] = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise KinfeasError(
+                f"{where} must return a state of numbers and arrays, and {key!r} is neither"
+            ) from error
+    return rows

@@ -1,0 +1,138 @@
+"""Poses and twists: pure functions on arrays with any leading axes.
+
+A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw). A twist is
+`(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s. Where the
+kernels calculate with them, any other last axis is a `KinfeasError`, and so are leading axes that
+do not fit each other.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core import pose_kernels
+from kinfeas.core.errors import KinfeasError
+
+Array = NDArray[np.float64]
+
+IDENTITY: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+_POSE, _TWIST = (7,), (6,)
+
+
+def rotation(pose: Array) -> Rotation:
+    """Return the orientation of `pose`, shape (..., 7)."""
+    return Rotation.from_quat(pose[..., 3:])
+
+
+def make_pose(position: Array, orientation: Rotation) -> Array:
+    """Return the pose at `position`, shape (..., 3) in metres, turned by `orientation`."""
+    return np.concatenate([position, canonical(orientation.as_quat())], axis=-1)
+
+
+def canonical(quaternion: Array) -> Array:
+    """Return the same rotations as quaternions with w >= 0, shape (..., 4) xyzw."""
+    return np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
+
+
+def compose(parent: Array, child: Array) -> Array:
+    """Return `child`, given in the frame `parent`, in the frame that `parent` is given in.
+
+    Args:
+        parent: Pose, shape (..., 7).
+        child: Pose relative to `parent`, shape (..., 7).
+    """
+    composed: Array = _call(pose_kernels.compose, parent, child)
+    return composed
+
+
+def relative(pose: Array, frame: Array) -> Array:
+    """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
+    seen: Array = _call(pose_kernels.relative, pose, frame)
+    return seen
+
+
+def integrate(pose: Array, twist: Array, dt: float) -> Array:
+    """Return the pose reached from `pose` after `dt` seconds of constant `twist`.
+
+    Args:
+        pose: World pose, shape (..., 7), metres and unit quaternion xyzw.
+        twist: World-axes twist, shape (..., 6), m/s and rad/s.
+        dt: Duration in seconds.
+    """
+    reached: Array = _call(pose_kernels.integrate, pose, twist, dt, last=_TWIST)
+    return reached
+
+
+def twist_between(start: Array, end: Array, dt: float) -> Array:
+    """Return the constant twist that leads from `start` to `end` in `dt` seconds.
+
+    The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
+    """
+    twist: Array = _call(pose_kernels.twist_between, start, end, dt, pose_kernels.TWIST)
+    return twist
+
+
+def distance(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return how far the poses `a` and `b` are apart.
+
+    Args:
+        a: Pose, shape (..., 7).
+        b: Pose, shape (..., 7).
+
+    Returns:
+        Distance in metres and angle in radians in [0, pi], each of shape (...).
+    """
+    metres, radians = _call(pose_kernels.distance, a, b)
+    return metres, radians
+
+
+def planar_pose(x: Array, y: Array, yaw: Array) -> Array:
+    """Return poses on the floor: `x`, `y` in metres, `yaw` in radians, shape (...) -> (..., 7)."""
+    pose = np.zeros((*np.shape(yaw), 7))
+    pose[..., 0], pose[..., 1] = x, y
+    pose[..., 5], pose[..., 6] = np.sin(yaw / 2.0), np.cos(yaw / 2.0)
+    pose[..., 3:] = canonical(pose[..., 3:])
+    return pose
+
+
+def yaw(pose: Array) -> Array:
+    """Return the heading of planar poses, shape (..., 7) -> (...), radians in (-pi, pi]."""
+    return wrap(2.0 * np.arctan2(pose[..., 5], pose[..., 6]))
+
+
+def wrap(angle: Array) -> Array:
+    """Return `angle` in radians, wrapped to (-pi, pi]."""
+    turn = 2.0 * np.pi
+    # A tiny negative number modulo a turn rounds up to a whole turn, which the second one ends.
+    return np.pi - np.mod(np.mod(np.pi - angle, turn), turn)
+
+
+def _call(
+    kernel: Callable[..., Any], one: Array, other: Array, *more: object, last: tuple[int] = _POSE
+) -> Any:
+    """Return what a kernel makes of two arrays and more.
+
+    Args:
+        kernel: Does not look itself, and would read or write past arrays of another last axis.
+        one: Poses, shape (..., 7).
+        other: Poses, too, or twists, as `last` says.
+        more: What else the kernel takes.
+        last: The last axis of `other`.
+
+    Raises:
+        KinfeasError: If the last axes are others, or the leading ones do not broadcast.
+    """
+    shapes = np.shape(one), np.shape(other)
+    if shapes[0][-1:] != _POSE or shapes[1][-1:] != last:
+        kinds = "poses (..., 7)" if last == _POSE else "a pose (..., 7) and a twist (..., 6)"
+        raise KinfeasError(f"the shapes must be those of {kinds}, not {shapes[0]} and {shapes[1]}")
+    try:
+        return kernel(one, other, *more)
+    except ValueError as error:
+        raise KinfeasError(
+            f"the leading axes of the shapes {shapes[0]} and {shapes[1]} do not fit each other"
+        ) from error

@@ -1,0 +1,54 @@
+"""The paper's own figures, to stand beside ours."""
+
+from dataclasses import dataclass, field
+from functools import cache
+
+from kinfeas import config
+from kinfeas.config.recipes import find_recipe
+
+Shares = dict[str, tuple[float, float]]
+"""By policy: per cent of episodes without a failure, and never more than 5 cm off."""
+
+LEARNED = "policy"
+"""What the paper's learned policy is called among them."""
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """The schema of `configs/benchmark/paper.yaml`: by robot and task.
+
+    Attributes:
+        analytic: In the analytic environment.
+        physics: In the physics simulator.
+    """
+
+    analytic: dict[str, dict[str, Shares]] = field(default_factory=dict)
+    physics: dict[str, dict[str, Shares]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PaperFigures:
+    """What the paper reports of one robot, task and policy, in 0-1."""
+
+    success: float
+    within_5cm: float
+
+
+def paper_figures(robot: str, task: str, world: str = "analytic") -> dict[str, PaperFigures]:
+    """Return the paper's figures by policy; none for a robot or a task that it does not know.
+
+    Args:
+        robot: Name of the robot.
+        task: Name of the task.
+        world: `analytic` or `physics`.
+    """
+    shares: Shares = getattr(_table(), world).get(robot, {}).get(task, {})
+    return {
+        policy: PaperFigures(round(success / 100.0, 4), round(within / 100.0, 4))
+        for policy, (success, within) in shares.items()
+    }
+
+
+@cache
+def _table() -> PaperTable:
+    return config.load(PaperTable, find_recipe("benchmark/paper", "benchmark"))

@@ -1,0 +1,165 @@
+"""Reactive whole-body inverse kinematics: one quadratic program over base and arm a step.
+
+Not in the paper, but what everyone asks: why learn? A base that is only led by the next step of
+the EE's motion, and by where the arm's joints would rather be, is what learning has to beat.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from kinfeas.control.drive import action_size
+from kinfeas.control.observation import HORIZON
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, relative
+from kinfeas.kinematics.chain import build_chain
+from kinfeas.policies.network import PolicyInput
+from kinfeas.robots.robot import Robot
+
+_POSITION_COST, _ROTATION_COST = 10.0, 4.0
+"""Of missing the planned EE pose, per metre and per radian."""
+
+_POSTURE_COST, _POSTURE_GAIN = 0.3, 0.05
+"""Of a share of a joint's range off its middle, and the share of the way there of one step."""
+
+_BASE_COST, _TURN_COST = 0.3, 0.1
+"""Of moving the base, per metre and per radian."""
+
+_DAMPING = 1e-6
+"""On all joints, so that those without any other cost stand still."""
+
+_SOLVER = "daqp"
+
+
+@dataclass(frozen=True)
+class WholeBodyQp:
+    """Drives as the base moves in the best next step of the whole body.
+
+    Pink states the step as a quadratic program: bring the EE to the pose planned for it, hold the
+    arm's joints near the middle of their ranges, move the base no more than that takes; all within
+    the limits of position and velocity. Only the base command of its solution is acted upon: the
+    arm is placed by the loop's own IK, as for every policy. Where no step is found the base stands
+    still.
+
+    Attributes:
+        robot: Who moves.
+    """
+
+    robot: Robot
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        joints = policy_input.observation[:, -len(self.robot.arm) :]
+        targets = relative(policy_input.planned, policy_input.base_pose)
+        actions = np.empty((len(joints), action_size(self.robot.base)))
+        for row, (target, q) in enumerate(zip(targets, joints, strict=True)):
+            actions[row] = self._step(target, q)
+        return actions
+
+    def __reduce__(self) -> tuple[type["WholeBodyQp"], tuple[Robot]]:
+        """Leave out what is built when it is first needed."""
+        return WholeBodyQp, (self.robot,)
+
+    @cached_property
+    def _step(self) -> Callable[[Array, Array], Array]:
+        return _make_step(self.robot)
+
+
+def whole_body_qp(robot: Robot) -> WholeBodyQp:
+    """Return the policy for a robot.
+
+    Raises:
+        KinfeasError: If the libraries are missing, or a joint of the arm follows another one.
+    """
+    missing = [name for name in ("pinocchio", "pink", "qpsolvers", _SOLVER) if not find_spec(name)]
+    if missing:
+        raise KinfeasError(f'whole_body_qp needs {", ".join(missing)}: pip install "kinfeas[qp]"')
+    tree = build_chain(robot).tree
+    if len(tree.variable) != len(robot.arm) or not np.all(tree.multiplier == 1.0):
+        raise KinfeasError(
+            f"whole_body_qp cannot drive robot {robot.name!r}: each arm joint must move by itself"
+        )
+    return WholeBodyQp(robot)
+
+
+def build_model(robot: Robot) -> Any:
+    """Return Pinocchio's model of base and arm with the EE as frame `ee`.
+
+    Everything is seen from the base, so that it always stands at the origin. There the two or
+    three joints that carry it move it in just the ways that its drive can: forward, to the left
+    unless the drive is differential, and about itself. All joints have one number each.
+    """
+    import pinocchio as pin
+
+    model, chain = pin.Model(), build_chain(robot)
+    base, tree = robot.base, chain.tree
+    carriers = [pin.JointModelPX(), pin.JointModelPY()][: action_size(base) - 1]
+    carriers.append(pin.JointModelRZ())
+    speeds = [*[base.max_velocity] * (len(carriers) - 1), base.max_rotation]
+    parent = 0
+    for i, (kind, speed) in enumerate(zip(carriers, speeds, strict=True)):
+        bounds = _bounds(speed, -np.inf, np.inf)
+        parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"base_{i}", *bounds)
+    for i, joint in enumerate(robot.arm):
+        kind = pin.JointModelPZ() if tree.prismatic[i] else pin.JointModelRZ()
+        place = pin.SE3(tree.rotation[i], tree.offset[i])
+        bounds = _bounds(joint.velocity, joint.lower, joint.upper)
+        parent = model.addJoint(parent, kind, place, joint.name, *bounds)
+    end = pin.SE3(chain.ee_rotation, chain.ee_offset)
+    model.addFrame(pin.Frame("ee", parent, 0, end, pin.FrameType.OP_FRAME))
+    return model
+
+
+def _bounds(velocity: float, lower: float, upper: float) -> list[Array]:
+    """Return effort, velocity and position limits of a joint as Pinocchio takes them."""
+    return [np.array([limit]) for limit in (np.inf, velocity, lower, upper)]
+
+
+def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
+    """Return what makes an action of the planned EE pose in the base frame and the arm's joints."""
+    import pinocchio as pin
+    from pink import Configuration, solve_ik
+    from pink.exceptions import NoSolutionFound
+    from pink.limits import ConfigurationLimit, VelocityLimit
+    from pink.tasks import FrameTask, PostureTask
+
+    model = build_model(robot)
+    data, carried = model.createData(), action_size(robot.base)
+    lower, upper, speeds = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
+    bounded = np.flatnonzero(np.isfinite(upper))
+    middle = (lower[bounded] + upper[bounded]) / 2.0
+    ee = FrameTask("ee", _POSITION_COST, _ROTATION_COST)
+    posture = PostureTask(_posture_costs(lower, upper, carried), gain=_POSTURE_GAIN)
+    limits = (ConfigurationLimit(model), VelocityLimit(model))
+    rest, q = np.zeros(model.nq), np.zeros(model.nq)
+
+    def step(target: Array, joints: Array) -> Array:
+        q[carried:] = joints
+        np.clip(q, lower, upper, out=q)
+        rest[:] = q
+        rest[bounded] = middle
+        posture.set_target(rest)
+        ee.set_target(pin.XYZQUATToSE3(target))
+        body = Configuration(model, data, q, copy_data=False)
+        try:
+            velocity = solve_ik(
+                body, (ee, posture), HORIZON, _SOLVER, _DAMPING, limits, safety_break=False
+            )
+        except NoSolutionFound:
+            return np.zeros(carried)
+        return np.clip(velocity[:carried] / speeds[:carried], -1.0, 1.0)
+
+    return step
+
+
+def _posture_costs(lower: Array, upper: Array, carried: int) -> Array:
+    """Return what it costs to move the base, and to hold a joint off the middle of its range."""
+    bounded = np.isfinite(upper)
+    costs = np.zeros(len(upper))
+    costs[bounded] = _POSTURE_COST / (upper[bounded] - lower[bounded])
+    costs[: carried - 1], costs[carried - 1] = _BASE_COST, _TURN_COST
+    return costs

@@ -1,0 +1,186 @@
+"""What a base policy is, and the trained network that plays one without torch."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from kinfeas.control.drive import action_size
+from kinfeas.control.observation import scaled, size
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
+from kinfeas.robots.fingerprint import fingerprint
+from kinfeas.robots.robot import Robot
+
+WEIGHTS = "policy.safetensors"
+
+# What reading tensors raises that are cut, foreign, made up, or of a type that NumPy lacks.
+_BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
+
+
+@dataclass(frozen=True)
+class PolicyInput:
+    """All that a policy may look at, for n robots.
+
+    Attributes:
+        observation: What a learned policy sees, shape (n, 21 + j).
+        base_pose: World pose of the base, shape (n, 7).
+        ee_pose: Achieved world pose of the EE, shape (n, 7).
+        desired: Desired world pose of the EE now, shape (n, 7).
+        planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7). Where the motion
+            is slowed down it is nearer than what the observation shows, which is always at full
+            pace.
+        demonstrated_base: World pose at which the base was demonstrated to be now, shape (n, 7);
+            NaN where none was.
+    """
+
+    observation: Array
+    base_pose: Array
+    ee_pose: Array
+    desired: Array
+    planned: Array
+    demonstrated_base: Array
+
+
+class Policy(Protocol):
+    """Moves the base."""
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Network:
+    """A multi-layer perceptron with ReLU between its layers and tanh at its end.
+
+    Each row is computed by itself in a fixed order, so that an action does not depend on what
+    else is in the batch.
+
+    Attributes:
+        scale: Factor on each observed number before it is clipped, shape (inputs,), float32.
+        weights: Of each layer, shape (inputs, outputs), float32.
+        biases: Of each layer, shape (outputs,), float32.
+    """
+
+    scale: NDArray[np.float32]
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, actions)."""
+        return self(policy_input.observation)
+
+    def __call__(self, seen: Array) -> Array:
+        """Return the network's output for observations of shape (n, inputs)."""
+        values = scaled(seen, self.scale)
+        last = len(self.weights) - 1
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            out = np.empty((len(values), len(bias)), dtype=np.float32)
+            _layer(values, weight, bias, i < last, out)
+            values = out
+        return np.tanh(values).astype(np.float64)
+
+    def equals(self, other: "Network") -> bool:
+        """Return whether all numbers of both networks are equal."""
+        pairs = zip((*self.weights, *self.biases), (*other.weights, *other.biases), strict=True)
+        return all(np.array_equal(one, another) for one, another in pairs)
+
+
+def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
+    """Write a network as `policy.safetensors` and `policy.json` into `folder`.
+
+    Args:
+        network: What to write.
+        folder: An existing folder.
+        robot: Whom it was trained for.
+        known: What else is known of it, by the names of `Trained`: settings, steps, figures.
+    """
+    tensors = {"scale": network.scale}
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
+    contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
+    save_file(contiguous, folder / WEIGHTS)
+    layers, kinematics = len(network.weights), fingerprint(robot)
+    write_trained(Trained(robot=robot.name, layers=layers, kinematics=kinematics, **known), folder)
+
+
+def read_network(folder: Path, robot: Robot) -> Network:
+    """Return the network of a training run (its best checkpoint) or of one checkpoint.
+
+    Args:
+        folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
+        robot: Whom it is to drive.
+
+    Raises:
+        KinfeasError: If there is no policy, or a broken one, or one for another robot or for other
+            kinematics.
+    """
+    place = policy_folder(folder)
+    trained = read_trained(place)
+    try:
+        tensors = load_file(place / WEIGHTS)
+        network = Network(
+            tensors["scale"],
+            tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
+            tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
+        )
+    except _BROKEN as error:
+        raise KinfeasError(f"{place}: broken policy: {error}") from error
+    _check_network(network, place)
+    _check_robot(network, trained, robot, place)
+    return network
+
+
+def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
+    wanted = (size(len(robot.arm)), action_size(robot.base))
+    found = (len(network.scale), len(network.biases[-1]))
+    if trained.robot != robot.name or found != wanted:
+        raise KinfeasError(
+            f"{place}: a policy for robot {trained.robot!r} with {found[0]} observed numbers and "
+            f"{found[1]} actions, but robot {robot.name!r} has {wanted[0]} and {wanted[1]}"
+        )
+    if trained.kinematics not in (None, fingerprint(robot)):
+        raise KinfeasError(
+            f"{place}: the kinematics of robot {robot.name!r} are not those that the policy was "
+            "trained with: joints, limits, EE frame, or the base's drive or speed were changed"
+        )
+
+
+def _check_network(network: Network, place: Path) -> None:
+    scale = network.scale
+    if scale.ndim != 1 or scale.dtype != np.float32 or not np.isfinite(scale).all():
+        raise KinfeasError(
+            f"{place}: broken policy: its scale must be finite numbers of 32 bits in one row"
+        )
+    width = len(scale)
+    for weight, bias in zip(network.weights, network.biases, strict=True):
+        fits = weight.ndim == 2 and weight.shape == (width, *bias.shape)
+        finite = np.isfinite(weight).all() and np.isfinite(bias).all()
+        if not (fits and finite and weight.dtype == bias.dtype == np.float32):
+            raise KinfeasError(f"{place}: broken policy: its layers do not fit or are not finite")
+        width = len(bias)
+
+
+@njit(cache=True, error_model="numpy")
+def _layer(values, weight, bias, rectify, out):
+    """Write values @ weight + bias, one row after the other, summed in the order of the inputs."""
+    for i in range(len(values)):
+        row = out[i]
+        for j in range(len(row)):
+            row[j] = bias[j]
+        for k in range(len(weight)):
+            x = values[i, k]
+            if x != 0.0:
+                for j in range(len(row)):
+                    row[j] += x * weight[k, j]
+        if rectify:
+            for j in range(len(row)):
+                row[j] = max(row[j], np.float32(0.0))

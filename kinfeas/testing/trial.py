@@ -1,0 +1,129 @@
+"""Sample motions: what a motion generator is put to, and what it makes of that."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.config.quantities import LONGEST
+from kinfeas.core.checks.arrays import are_unit
+from kinfeas.core.checks.motion import CheckedMotion
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, integrate, make_pose
+
+_MOST_STEPS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a motion generator is put to.
+
+    Attributes:
+        target_poses: World poses to start toward, shape (m, 7), m >= 1; 8 random ones by default.
+        seed: Seed of the random poses and of the randomness that the generator is given.
+        duration: Time in seconds within which every motion has to arrive.
+        dt: Duration of a step in seconds.
+        max_velocity: Speed that no twist may exceed, m/s; None lifts the limit.
+        max_angular_velocity: Angular speed that no twist may exceed, rad/s; None lifts the limit.
+
+    Raises:
+        KinfeasError: If the times are not positive, or make more than a million steps.
+    """
+
+    target_poses: Array | None = None
+    seed: int = 0
+    duration: float = 120.0
+    dt: float = 0.1
+    max_velocity: float | None = 0.1
+    max_angular_velocity: float | None = 0.1
+
+    def __post_init__(self) -> None:
+        """Check that the steps can be counted."""
+        if not (0.0 < self.duration <= LONGEST and 0.0 < self.dt <= LONGEST):
+            raise KinfeasError(
+                f"duration and dt must be times in (0, {LONGEST:g}] s, "
+                f"not {self.duration:g} and {self.dt:g}"
+            )
+        if self.steps > _MOST_STEPS:
+            raise KinfeasError(
+                f"duration / dt must be at most {_MOST_STEPS:,} steps, not {self.steps:,}"
+            )
+
+    @property
+    def steps(self) -> int:
+        """How many steps it takes."""
+        return max(1, round(self.duration / self.dt))
+
+    def poses(self) -> tuple[Array, Array]:
+        """Return where its motions start and what they head for, each of shape (m + 4, 7).
+
+        A motion to each target from a random pose up to 2 m away, and four special ones: from the
+        target itself, a half turn on the spot, a path without a turn, a turn with almost no path.
+
+        Raises:
+            KinfeasError: If `target_poses` has a wrong shape, or poses that are none.
+        """
+        rng = np.random.default_rng(self.seed)
+        given = self.target_poses
+        targets = _random_poses(rng, 8) if given is None else np.array(given, float)
+        if targets.shape[1:] != (7,) or not len(targets):
+            raise KinfeasError(f"target_poses must have shape (m, 7), m >= 1, not {targets.shape}")
+        if not (np.isfinite(targets).all() and are_unit(targets)):
+            raise KinfeasError("target_poses must be finite, with unit quaternions (xyzw)")
+        return _trials(rng, targets)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The motions of a trial, step by step: t steps of n motions.
+
+    Attributes:
+        ee_pose: World poses, the first and the last included, shape (t + 1, n, 7).
+        twist: What led from one to the next, shape (t, n, 6), m/s and rad/s.
+        goal: Where the motions are to end, shape (n, 7).
+        broken: Why they were not followed to their end; None if they were.
+    """
+
+    ee_pose: Array
+    twist: Array
+    goal: Array
+    broken: str | None
+
+
+def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
+    """Return the motions of a trial, as far as they can be followed.
+
+    Raises:
+        KinfeasError: If they cannot even be started.
+    """
+    ee_pose, targets = trial.poses()
+    rngs = [np.random.default_rng([trial.seed, row]) for row in range(len(targets))]
+    state = motion.start(ee_pose.copy(), targets.copy(), rngs)
+    goal, poses, twists, broken = motion.goal_pose(state), [ee_pose], [], None
+    try:
+        for _ in range(trial.steps):
+            twist, state = motion.twist(state, ee_pose, trial.dt)
+            ee_pose = integrate(ee_pose, twist, trial.dt)
+            poses.append(ee_pose)
+            twists.append(twist)
+    except KinfeasError as error:
+        broken = str(error)
+    return Samples(np.stack(poses), np.array(twists).reshape(-1, len(goal), 6), goal, broken)
+
+
+def _trials(rng: np.random.Generator, targets: Array) -> tuple[Array, Array]:
+    """Return starts and targets of shape (m + 4, 7): random motions, then the special ones."""
+    starts = _random_poses(rng, len(targets))
+    starts[:, :3] = targets[:, :3] + rng.uniform(-1.15, 1.15, (len(targets), 3))
+    ends = np.resize(targets, (4, 7))
+    position, orientation = ends[:, :3], Rotation.from_quat(ends[:, 3:])
+    away = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.6], [1e-7, 0.0, 0.0]])
+    turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi], [0.0, 0.0, 0.0], [0.0, 2.5, 0.0]])
+    special = make_pose(position + away, Rotation.from_rotvec(turn) * orientation)
+    return np.concatenate([starts, special]), np.concatenate([targets, ends])
+
+
+def _random_poses(rng: np.random.Generator, n: int) -> Array:
+    """Return poses in a room of 4 x 4 m, turned any way, shape (n, 7)."""
+    position = rng.uniform([-2.0, -2.0, 0.3], [2.0, 2.0, 1.2], (n, 3))
+    return make_pose(position, Rotation.from_quat(rng.normal(size=(n, 4))))

@@ -1,0 +1,93 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinfeas.control.subgoals import tool_pose
+from kinfeas.core import spatial
+from kinfeas.kinematics.forward import forward
+from kinfeas.scenes.scene import read_scene
+
+pytest.importorskip("pybullet")
+
+from kinfeas.backends.pybullet.backend import PyBulletBackend
+
+URDFS = {
+    "bar": """
+<robot name="bar"><link name="bar">
+  <inertial><mass value="0.3"/>
+    <inertia ixx="3e-4" iyy="3e-4" izz="3e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><geometry><box size="0.04 0.04 0.1"/></geometry></collision></link></robot>""",
+    "wall": """
+<robot name="wall"><link name="wall">
+  <inertial><origin xyz="0.1 0.2 0.5"/><mass value="10"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 6 1"/></geometry></collision>
+  </link></robot>""",
+    "chest": """
+<robot name="chest">
+  <link name="chest"><inertial><mass value="10"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.5 0.5 0.5"/></geometry></collision></link>
+  <link name="drawer"><inertial><mass value="2"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="slide" type="prismatic"><parent link="chest"/><child link="drawer"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="0.4" velocity="1" effort="50"/>
+    <dynamics damping="1" friction="3"/></joint></robot>""",
+}
+SCENE = """
+name: small
+size: [10, 10]
+objects:
+  bar: {urdf: bar.urdf, position: [3, 3, 0.05], fixed: false}
+  wall: {urdf: wall.urdf, position: [-3, 0, 0]}
+  chest: {urdf: chest.urdf, position: [0, -4, 0.5]}
+"""
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory):
+    """A bar to grasp, a wall to run into and a drawer to pull."""
+    folder: Path = tmp_path_factory.mktemp("scene")
+    for name, text in URDFS.items():
+        (folder / f"{name}.urdf").write_text(text)
+    (folder / "small.yaml").write_text(SCENE)
+    return read_scene(str(folder / "small.yaml"))
+
+
+@pytest.fixture(scope="session")
+def world(robot, scene):
+    """A world of each robot in turn; every test begins with a reset."""
+    backend = PyBulletBackend(robot, scene)
+    yield backend
+    backend.close()
+
+
+@pytest.fixture
+def begin(world, scene):
+    """A function that resets the world to the home configuration, at the origin by default."""
+
+    def reset(x=0.0, y=0.0, yaw=0.0, joints=None, **poses):
+        world.sims[0].furniture.furnish(scene.with_poses(poses))
+        home = world.sims[0].body.robot.home["home"] if joints is None else joints
+        return world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), home[np.newaxis])
+
+    return reset
+
+
+@pytest.fixture(scope="session")
+def between_fingers(solver):
+    """World pose of the tool tip at home, x along the approach."""
+    ee = forward(solver.chain, solver.robot.home["home"])
+    return spatial.compose(ee, tool_pose(solver.robot))
+
+
+def twist(x=0.0, y=0.0, turn=0.0):
+    return np.array([[x, y, 0.0, 0.0, 0.0, turn]])
+
+
+def stay(world, ticks, base_twist=None, dt=0.02):
+    """Let some control periods pass with the arm where it is sent at home."""
+    home = world.sims[0].body.robot.home["home"][np.newaxis]
+    command = twist() if base_twist is None else base_twist
+    return [world.step(command, home, dt) for _ in range(ticks)]

@@ -1,0 +1,75 @@
+from dataclasses import replace
+
+import pytest
+
+from kinfeas.backends.pybullet.task_check import check_task
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.scenes.scene import read_scene
+from kinfeas.tasks.loading import load_task
+
+
+@pytest.fixture(scope="module")
+def room():
+    return read_scene("room")
+
+
+@pytest.fixture(scope="module")
+def hsr():
+    return registry.load_robot("hsr")
+
+
+@pytest.mark.parametrize("name", ["pick_place", "door", "drawer"])
+def test_shipped_tasks_can_be_done(name, room, hsr):
+    check_task(name, load_task(name).scene, room, hsr)
+
+
+def test_a_joint_may_have_to_move_at_all(room, hsr):
+    done = {"object": "door_shelf", "joint": "hinge", "threshold": 0.0}
+    check_task("door", load_task("door", {"scene": {"done": done}}).scene, room, hsr)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("door", {"done": {"object": "dor"}}, "'scene.done.object': there is no object 'dor'; kno"),
+        ("door", {"done": {"joint": "hing"}}, "'scene.done.joint': object 'door_shelf' has no mov"),
+        (
+            "door",
+            {"done": {"threshold": 2.0}},
+            "'scene.done.beyond' must lie between the lim.*not 2$",
+        ),
+        ("door", {"done": {"threshold": -1.0}}, "'scene.done.beyond' must.*0 and 1.92, not -1$"),
+        (
+            "door",
+            {"grasped_object": {"object": "x"}},
+            "'scene.handled.object': there is no object 'x'",
+        ),
+        (
+            "door",
+            {"grasped_object": {"link": "x"}},
+            "'scene.handled.link': object 'door_shelf' has no li",
+        ),
+        ("pick_place", {"done": {"on": "tabel"}}, "'scene.done.on': there is no other object 'tab"),
+        ("pick_place", {"done": {"on": "box"}}, "'scene.done.on': there is no other object 'box'"),
+        ("pick_place", {"moves": {"bax": {"place": "table"}}}, "'scene.moves.bax': there is no ob"),
+        (
+            "pick_place",
+            {"grasped_object": {"object": "pick_table", "link": "table"}},
+            "'scene.handled': link 'table' of object 'pick_table' cannot move: the object is fixed",
+        ),
+    ],
+)
+def test_what_a_scene_lacks_is_one_sentence(name, changes, message, room, hsr):
+    task = load_task(name, {"scene": changes})
+    with pytest.raises(KinfeasError, match=f"^task 'mine': {message}") as caught:
+        check_task("mine", task.scene, room, hsr)
+    assert "\n" not in str(caught.value)
+
+
+def test_to_take_hold_needs_a_gripper(room, hsr):
+    bare = replace(hsr, gripper=None)
+    message = "^task 'door' takes hold of an object, and robot 'hsr' has no gripper"
+    with pytest.raises(KinfeasError, match=message):
+        check_task("door", load_task("door").scene, room, bare)
+    check_task("door", replace(load_task("door").scene, grasped_object=None), room, bare)

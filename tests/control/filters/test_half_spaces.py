@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from kinfeas.control.filters.half_spaces import project
+
+SLACK = 1e-6
+
+
+def nearest(point, normals, offsets):
+    """Return the point of the half-spaces that is nearest, by an independent way.
+
+    Least distance programming (Lawson and Hanson, "Solving Least Squares Problems", chapter 23).
+    """
+    over = normals @ point - offsets
+    tall = np.vstack([-normals.T, over])
+    target = np.zeros(len(tall))
+    target[-1] = 1.0
+    residual = tall @ nnls(tall, target)[0] - target
+    return point - residual[:-1] / residual[-1]
+
+
+def drawn(seed, rows=40, tries=3, count=4, size=3):
+    """Return points and half-spaces, some of which have the origin on their border."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.0, 1.0, (rows, tries, size))
+    normals = rng.normal(scale=0.2, size=(rows, count, size))
+    return points, normals, np.maximum(rng.uniform(-0.1, 0.2, (rows, count)), 0.0)
+
+
+def put(points, normals, offsets):
+    moved = points.copy()
+    return moved, project(moved, normals, offsets, SLACK)
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 8), size=st.integers(2, 3))
+def test_all_are_within_and_those_that_were_stay_where_they_are(seed, count, size):
+    points, normals, offsets = drawn(seed, count=count, size=size)
+    moved, outside = put(points, normals, offsets)
+    excess = np.einsum("nta,nka->ntk", moved, normals) - offsets[:, np.newaxis]
+    assert excess.max() <= 2.0 * SLACK
+    before = np.einsum("nta,nka->ntk", points, normals) - offsets[:, np.newaxis]
+    np.testing.assert_array_equal(outside, before.max(axis=2) > SLACK)
+    np.testing.assert_array_equal(moved[~outside], points[~outside])
+
+
+@pytest.mark.parametrize(("count", "size"), [(1, 2), (2, 2), (2, 3), (4, 3), (8, 3)])
+def test_points_come_to_the_nearest_place(count, size):
+    points, normals, offsets = drawn(0, count=count, size=size)
+    moved, outside = put(points, normals, offsets)
+    assert outside.sum() > 20
+    away = [
+        np.linalg.norm(moved[row, one] - nearest(points[row, one], normals[row], offsets[row]))
+        for row, one in np.argwhere(outside)
+    ]
+    # Nearly parallel borders may take more rounds than there are.
+    assert np.quantile(away, 0.95) < 1e-3
+    assert max(away) < 0.1
+
+
+def test_a_point_slides_along_a_border():
+    moved, _ = put(np.array([[[0.5, 0.5]]]), np.array([[[0.2, 0.0]]]), np.zeros((1, 1)))
+    np.testing.assert_allclose(moved, [[[0.0, 0.5]]], atol=1e-5)
+
+
+def test_no_row_depends_on_the_others():
+    points, normals, offsets = drawn(1)
+    together, _ = put(points, normals, offsets)
+    for row in range(0, len(points), 7):
+        one = slice(row, row + 1)
+        alone, _ = put(points[one], normals[one], offsets[one])
+        np.testing.assert_array_equal(alone[0], together[row])
+
+
+def test_without_half_spaces_nothing_moves():
+    points = drawn(2)[0]
+    moved, outside = put(points, np.zeros((40, 0, 3)), np.zeros((40, 0)))
+    assert not outside.any()
+    np.testing.assert_array_equal(moved, points)
+
+
+def test_what_is_empty_limits_nothing():
+    points, normals, offsets = drawn(3, count=2)
+    alone, _ = put(points, normals[:, :1], offsets[:, :1])
+    normals[:, 1], offsets[:, 1] = 0.0, np.inf
+    np.testing.assert_array_equal(put(points, normals, offsets)[0], alone)

@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+
+from kinfeas.control.drive import action_size, action_toward, base_twist
+from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
+from kinfeas.robots.robot import Base
+
+OMNI = Base("omnidirectional", 0.2, 1.0, 1.0, 1.0, "base")
+DIFFERENTIAL = Base("differential", 0.2, 0.4, 1.0, 1.0, "base")
+DT = 0.1
+
+
+def headings(*angles):
+    angles = np.array(angles, dtype=float)
+    return planar_pose(np.full(angles.shape, 1.0), np.full(angles.shape, -2.0), angles)
+
+
+def random_bases(n, seed=0):
+    rng = np.random.default_rng(seed)
+    return planar_pose(*rng.uniform(-5.0, 5.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
+
+
+def random_actions(base, n, seed=1):
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, action_size(base)))
+
+
+@pytest.mark.parametrize(("base", "size"), [(OMNI, 3), (DIFFERENTIAL, 2)])
+def test_action_size(base, size):
+    assert action_size(base) == size
+
+
+def test_omnidirectional_translates_with_the_old_heading_then_rotates():
+    twist = base_twist(OMNI, headings(np.pi / 2), np.array([[0.5, 0.0, 1.0]]), DT)
+    np.testing.assert_allclose(twist, [[0.0, 0.1, 0.0, 0.0, 0.0, 1.0]], atol=1e-15)
+    sideways = base_twist(OMNI, headings(0.0), np.array([[0.0, 0.5, 0.0]]), DT)
+    np.testing.assert_allclose(sideways, [[0.0, 0.1, 0.0, 0.0, 0.0, 0.0]], atol=1e-15)
+
+
+def test_differential_rotates_then_drives_along_the_new_heading():
+    twist = base_twist(DIFFERENTIAL, headings(0.3), np.array([[-0.5, 1.0]]), DT)
+    new = 0.3 + 0.4 * DT
+    expected = [[-0.1 * np.cos(new), -0.1 * np.sin(new), 0.0, 0.0, 0.0, 0.4]]
+    np.testing.assert_allclose(twist, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1, 1.0])
+def test_differential_never_moves_sideways(dt):
+    base = random_bases(500)
+    moved = integrate(
+        base, base_twist(DIFFERENTIAL, base, random_actions(DIFFERENTIAL, 500), dt), dt
+    )
+    way, heading = moved[:, :2] - base[:, :2], yaw(moved)
+    sideways = way[:, 1] * np.cos(heading) - way[:, 0] * np.sin(heading)
+    np.testing.assert_allclose(sideways, 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
+def test_limits_hold_and_the_floor_is_kept(base):
+    twist = base_twist(base, random_bases(500), random_actions(base, 500) * 3.0, DT)
+    speed = np.linalg.norm(twist[:, :2], axis=1)
+    assert speed.max() <= base.max_velocity * (1.0 + 1e-12)
+    assert speed.max() > 0.99 * base.max_velocity
+    assert np.abs(twist[:, 5]).max() <= base.max_rotation
+    np.testing.assert_array_equal(twist[:, 2:5], 0.0)
+
+
+def test_speed_is_clipped_by_its_norm():
+    twist = base_twist(OMNI, headings(0.0, 0.0), np.array([[1.0, -1.0, 0.0], [0.6, 0.8, 0.0]]), DT)
+    np.testing.assert_allclose(twist[0, :2], [0.2 / np.sqrt(2.0), -0.2 / np.sqrt(2.0)])
+    np.testing.assert_allclose(twist[1, :2], [0.12, 0.16])
+
+
+@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
+def test_no_action_no_motion(base):
+    twist = base_twist(base, random_bases(10), np.zeros((10, action_size(base))), DT)
+    np.testing.assert_array_equal(twist, 0.0)
+
+
+@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
+def test_turning_the_world_turns_the_twist(base):
+    poses, action = random_bases(100), random_actions(base, 100)
+    turned = planar_pose(poses[:, 0], poses[:, 1], wrap(yaw(poses) + 1.0))
+    plain, other = (base_twist(base, each, action, DT) for each in (poses, turned))
+    cosine, sine = np.cos(1.0), np.sin(1.0)
+    expected = plain[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
+    np.testing.assert_allclose(other[:, :2], expected, atol=1e-14)
+    np.testing.assert_array_equal(other[:, 5], plain[:, 5])
+
+
+def test_omnidirectional_action_toward_is_the_inverse():
+    rng = np.random.default_rng(2)
+    velocity = rng.uniform(-0.14, 0.14, (500, 2))
+    base = random_bases(500)
+    action = action_toward(OMNI, base, velocity, DT)
+    twist = base_twist(OMNI, base, action, DT)
+    np.testing.assert_allclose(twist[:, :2], velocity, atol=1e-14)
+    np.testing.assert_array_equal(twist[:, 5], 0.0)
+
+
+def test_omnidirectional_keeps_the_direction_of_what_is_too_fast():
+    velocity = np.array([[3.0, -4.0]])
+    base = random_bases(1)
+    action = action_toward(OMNI, base, velocity, DT)
+    assert np.abs(action).max() <= 1.0
+    twist = base_twist(OMNI, base, action, DT)
+    np.testing.assert_allclose(twist[:, :2], [[0.12, -0.16]])
+
+
+def test_differential_action_toward_is_the_inverse_where_its_drive_can():
+    rng = np.random.default_rng(3)
+    base = random_bases(500)
+    turn = rng.uniform(-0.4, 0.4, 500) * DT  # as far as it can turn in one step
+    direction = yaw(base) + turn + np.pi * rng.integers(2, size=500)
+    speed = rng.uniform(0.01, 0.2, 500)
+    velocity = speed[:, np.newaxis] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
+    twist = base_twist(DIFFERENTIAL, base, action_toward(DIFFERENTIAL, base, velocity, DT), DT)
+    np.testing.assert_allclose(twist[:, :2], velocity, atol=1e-14)
+
+
+def test_differential_steers_toward_what_lies_ahead_and_backs_up_to_what_lies_behind():
+    velocity = np.array([[0.1, 0.1], [0.1, -0.1], [-0.1, 0.1], [-0.1, -0.1]])
+    action = action_toward(DIFFERENTIAL, headings(0.0, 0.0, 0.0, 0.0), velocity, DT)
+    np.testing.assert_array_equal(np.sign(action), [[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    # It drives by the part along the heading that it will have.
+    turn = 0.4 * DT
+    np.testing.assert_allclose(action[0], [0.1 * (np.cos(turn) + np.sin(turn)) / 0.2, 1.0])
+
+
+@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
+def test_action_toward_stays_within_bounds_and_stands_still_for_nothing(base):
+    velocity = np.random.default_rng(4).normal(size=(500, 2))
+    action = action_toward(base, random_bases(500), velocity, DT)
+    assert action.shape == (500, action_size(base))
+    assert np.abs(action).max() <= 1.0
+    np.testing.assert_array_equal(action_toward(base, random_bases(3), np.zeros((3, 2)), DT), 0.0)
+
+
+@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
+def test_rows_do_not_depend_on_the_batch(base):
+    poses, action = random_bases(67), random_actions(base, 67)
+    velocity = np.random.default_rng(5).normal(scale=0.2, size=(67, 2))
+    twist, toward = base_twist(base, poses, action, DT), action_toward(base, poses, velocity, DT)
+    for i in range(67):
+        row = slice(i, i + 1)
+        np.testing.assert_array_equal(base_twist(base, poses[row], action[row], DT), twist[row])
+        np.testing.assert_array_equal(
+            action_toward(base, poses[row], velocity[row], DT), toward[row]
+        )
+
+
+def test_a_velocity_of_zero_turns_nowhere():
+    pose = headings(*np.linspace(-np.pi, np.pi, 9))
+    for zero in (0.0, -0.0):
+        action = action_toward(DIFFERENTIAL, pose, np.full((9, 2), zero), DT)
+        np.testing.assert_array_equal(action, np.zeros((9, 2)))

@@ -1,0 +1,514 @@
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.loop import Loop
+from kinfeas.control.observation import HORIZON, observe
+from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
+from kinfeas.core import spatial
+from kinfeas.core.backend import RobotState
+from kinfeas.core.checks.adapter import CheckedAdapter
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.plugins.linear import Linear
+
+
+class Recorder:
+    """A backend that writes down what it is told; tests may move its robots behind its back."""
+
+    def __init__(self) -> None:
+        self.resets: list[tuple] = []
+        self.steps: list[tuple] = []
+
+    def reset(self, base_pose, joint_positions, rows=None):
+        self.resets.append((base_pose.copy(), joint_positions.copy(), rows))
+        if rows is None:
+            self.base, self.joints = base_pose.copy(), joint_positions.copy()
+        else:
+            self.base[rows], self.joints[rows] = base_pose, joint_positions
+        return self.state
+
+    def step(self, base_twist, joint_targets, dt):
+        self.steps.append((base_twist.copy(), joint_targets.copy(), dt))
+        self.base = spatial.integrate(self.base, base_twist, dt)
+        self.joints = joint_targets.copy()
+        return self.state
+
+    def close(self):
+        pass
+
+    @property
+    def state(self):
+        return RobotState(self.base.copy(), self.joints.copy())
+
+
+class Noisy(AnalyticBackend):
+    """Remembers the seeds that it is given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.given: list[tuple[list[int], list[int]]] = []
+
+    def seed(self, seeds, rows):
+        self.given.append((seeds.tolist(), rows.tolist()))
+
+
+def rngs(n: int, seed: int = 0) -> Sequence[np.random.Generator]:
+    return [np.random.default_rng((seed, i)) for i in range(n)]
+
+
+def starts(robot, n, seed=0):
+    """Return n episodes from the home configuration to goals one or two metres away."""
+    rng = np.random.default_rng(seed)
+    heading, bearing = rng.uniform(-np.pi, np.pi, (2, n))
+    goal = np.zeros((n, 7))
+    reach = rng.uniform(1.0, 2.0, n)
+    goal[:, 0], goal[:, 1], goal[:, 2] = reach * np.cos(bearing), reach * np.sin(bearing), 0.7
+    goal[:, 3:] = rng.normal(size=(n, 4))
+    goal[:, 3:] /= np.linalg.norm(goal[:, 3:], axis=1, keepdims=True)
+    base = spatial.planar_pose(np.zeros(n), np.zeros(n), heading)
+    return Start(base, np.tile(robot.home["home"], (n, 1)), goal[:, np.newaxis])
+
+
+def make_loop(solver, n, backend=None, dt=HORIZON, seed=0):
+    loop = Loop(solver, [SubgoalMotion(Linear())], backend or AnalyticBackend(), dt)
+    loop.start(starts(solver.robot, n, seed), rngs(n))
+    return loop
+
+
+def actions(loop, n, rng):
+    return rng.uniform(-1.0, 1.0, (n, action_size(loop.robot.base)))
+
+
+def still(loop):
+    return np.zeros((len(loop.desired), action_size(loop.robot.base)))
+
+
+def test_begins_at_the_ee_with_the_start_configuration(solver):
+    loop, start = make_loop(solver, 5), starts(solver.robot, 5)
+    ee = spatial.compose(start.base_pose, forward(solver.chain, start.joint_positions))
+    np.testing.assert_array_equal(loop.desired, ee)
+    np.testing.assert_array_equal(loop.ee_pose, ee)
+    np.testing.assert_allclose(loop.goal, start.target_poses[:, 0], atol=1e-12)
+    np.testing.assert_array_equal(loop.state.base_pose, start.base_pose)
+
+
+def test_actions_cannot_bend_the_trajectory(solver):
+    rng = np.random.default_rng(0)
+    loops = [make_loop(solver, 8) for _ in range(3)]
+    for _ in range(60):
+        for loop, share in zip(loops, (0.0, 0.5, 1.0), strict=True):
+            loop.step(share * actions(loop, 8, rng))
+        for loop in loops[1:]:
+            np.testing.assert_array_equal(loop.desired, loops[0].desired)
+    assert np.abs(loops[2].ee_pose - loops[0].ee_pose).max() > 0.01
+
+
+def test_desired_pose_is_the_generators_integrated(solver):
+    loop, generator = make_loop(solver, 4), Linear()
+    desired = loop.desired.copy()
+    state = generator.start(desired, starts(solver.robot, 4).target_poses[:, 0], rngs(4))
+    for _ in range(30):
+        loop.step(still(loop))
+        twist, state = generator.twist(state, desired, HORIZON)
+        desired = spatial.integrate(desired, twist, HORIZON)
+        np.testing.assert_array_equal(loop.desired, desired)
+
+
+def test_planned_is_the_next_desired_pose(solver):
+    loop = make_loop(solver, 4)
+    for _ in range(10):
+        planned = loop.planned.copy()
+        np.testing.assert_array_equal(loop.policy_input.planned, planned)
+        loop.step(still(loop))
+        np.testing.assert_array_equal(loop.desired, planned)
+
+
+def test_arm_is_placed_relative_to_the_base_that_was_commanded(solver):
+    rng, recorder = np.random.default_rng(0), Recorder()
+    loop = make_loop(solver, 6, recorder)
+    feasible = 0
+    for _ in range(20):
+        before, action = recorder.state.base_pose, 0.3 * actions(loop, 6, rng)
+        step = loop.step(action)
+        twist, targets, dt = recorder.steps[-1]
+        expected = base_twist(loop.robot.base, before, action, dt)
+        np.testing.assert_array_equal(twist, expected)
+        commanded = spatial.integrate(before, twist, dt)
+        ee = spatial.compose(commanded, forward(solver.chain, targets))
+        metres, radians = spatial.distance(ee, loop.desired)
+        np.testing.assert_allclose(
+            metres[step.feasible], step.position_error[step.feasible], atol=1e-9
+        )
+        np.testing.assert_allclose(
+            radians[step.feasible], step.rotation_error[step.feasible], atol=1e-7
+        )
+        feasible += step.feasible.sum()
+    assert feasible > 60
+
+
+def test_what_is_measured_counts_not_what_was_commanded(solver):
+    recorder = Recorder()
+    loop = make_loop(solver, 3, recorder)
+    original = recorder.step
+
+    def slipping(twist, targets, dt):
+        original(twist, targets, dt)
+        recorder.base[:, 0] += 0.01
+        return recorder.state
+
+    recorder.step = slipping
+    step = loop.step(still(loop))
+    ee = spatial.compose(recorder.base, forward(solver.chain, recorder.joints))
+    np.testing.assert_array_equal(loop.ee_pose, ee)
+    np.testing.assert_allclose(
+        step.deviation, np.linalg.norm(ee[:, :3] - loop.desired[:, :3], axis=1), atol=1e-12
+    )
+    expected = observe(
+        recorder.base, forward(solver.chain, recorder.joints), loop.planned, loop.goal,
+        recorder.joints,
+    )  # fmt: skip
+    np.testing.assert_array_equal(loop.observation, expected)
+
+
+def test_infeasible_the_arm_holds_still_and_the_ee_rides_along(solver):
+    recorder = Recorder()
+    loop = make_loop(solver, 3, recorder)
+    loop.step(still(loop))
+    recorder.base[1, :2] += 6.0  # far beyond reach of its desired pose
+    loop.start(  # row 0 begins anew, so that the loop measures
+        Start(*(part[:1] for part in vars(starts(solver.robot, 3)).values())),
+        rngs(1),
+        np.array([0]),
+    )
+    joints, planned = recorder.joints.copy(), loop.planned.copy()
+    action = still(loop)
+    action[:, 0] = 1.0
+    step = loop.step(action)
+    np.testing.assert_array_equal(step.feasible[1], False)
+    np.testing.assert_array_equal(recorder.joints[1], joints[1])
+    np.testing.assert_array_equal(loop.desired, planned)
+    ee = spatial.compose(recorder.base, forward(solver.chain, recorder.joints))
+    np.testing.assert_array_equal(loop.ee_pose, ee)
+    assert step.deviation[1] > 5.0
+    assert not step.joint_jump[1]
+    # Later steps may recover.
+    recorder.base[1, :2] -= 6.0
+    loop.step(still(loop))
+    assert loop.step(still(loop)).feasible[1]
+
+
+def test_restarting_rows_leaves_the_others_alone(solver):
+    rng = np.random.default_rng(1)
+    whole, other = make_loop(solver, 5), make_loop(solver, 5)
+    rows = np.array([3, 1])
+    fresh = starts(solver.robot, 2, seed=7)
+    for i in range(30):
+        action = actions(whole, 5, rng)
+        whole.step(action)
+        other.step(action)
+        if i == 10:
+            other.start(fresh, rngs(2, 7), rows)
+            ee = spatial.compose(fresh.base_pose, forward(solver.chain, fresh.joint_positions))
+            np.testing.assert_array_equal(other.desired[rows], ee)
+            np.testing.assert_allclose(other.goal[rows], fresh.target_poses[:, 0], atol=1e-12)
+        for name in ("desired", "observation", "ee_pose", "planned"):
+            np.testing.assert_array_equal(
+                getattr(whole, name)[[0, 2, 4]], getattr(other, name)[[0, 2, 4]], err_msg=name
+            )
+    assert np.abs(whole.desired[rows] - other.desired[rows]).max() > 0.05
+
+
+def test_restarting_rows_does_not_write_into_what_others_hold(solver):
+    loop = make_loop(solver, 3)
+    loop.step(still(loop))
+    paused = [loop.desired, loop.observation, *loop.sequence.snapshot().values(), loop.planned]
+    before = [array.copy() for array in paused]
+    loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
+    for array, old in zip(paused, before, strict=True):
+        np.testing.assert_array_equal(array, old)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.05])
+def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
+    fine, coarse = make_loop(solver, 4, dt=dt), make_loop(solver, 4)
+    np.testing.assert_array_equal(fine.observation, coarse.observation)
+    for _ in range(round(HORIZON / dt)):
+        fine.step(still(fine))
+    coarse.step(still(coarse))
+    # The motion is a dynamic system of its own time: close, whatever the rate.
+    np.testing.assert_allclose(fine.desired, coarse.desired, atol=1e-3)
+    metres = np.linalg.norm(fine.planned[:, :3] - fine.desired[:, :3], axis=1)
+    coarse_metres = np.linalg.norm(coarse.planned[:, :3] - coarse.desired[:, :3], axis=1)
+    np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
+
+
+def test_control_rate_reaches_the_backend(solver):
+    recorder = Recorder()
+    loop = make_loop(solver, 2, recorder, dt=0.02)
+    action = still(loop)
+    action[:, -1] = 1.0
+    before = recorder.base.copy()
+    loop.step(action)
+    assert recorder.steps[-1][2] == 0.02
+    turned = spatial.wrap(spatial.yaw(recorder.base) - spatial.yaw(before))
+    np.testing.assert_allclose(turned, 0.02 * loop.robot.base.max_rotation)
+
+
+def test_backends_that_draw_get_a_seed_for_each_episode(solver):
+    backend = Noisy()
+    loop = make_loop(solver, 4, backend)
+    ((first, rows),) = backend.given
+    assert rows == [0, 1, 2, 3]
+    assert len(set(first)) == 4
+    loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
+    assert backend.given[-1] == ([first[2]], [1])
+
+
+def test_a_backend_that_cannot_be_saved_is_named(solver):
+    for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'", Recorder())):
+        loop = Loop(solver, [SubgoalMotion(Linear())], backend)
+        with pytest.raises(KinfeasError, match=r"^Recorder cannot be saved in the midst of a run$"):
+            loop.snapshot()
+        with pytest.raises(KinfeasError, match=r"^Recorder cannot go on from a saved run$"):
+            loop.restore({})
+
+
+def test_snapshot_goes_on_to_the_bit(solver):
+    rng = np.random.default_rng(3)
+    loop = make_loop(solver, 4)
+    for _ in range(5):
+        loop.step(actions(loop, 4, rng))
+    saved, rest = loop.snapshot(), [actions(loop, 4, rng) for _ in range(10)]
+    for action in rest:
+        loop.step(action)
+    loop.start(starts(solver.robot, 1, seed=7), rngs(1), np.array([2]))
+    again = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend())
+    again.restore(saved)
+    expected = make_loop(solver, 4)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        expected.step(actions(expected, 4, rng))
+    for action in rest:
+        again.step(action)
+        expected.step(action)
+        np.testing.assert_array_equal(again.observation, expected.observation)
+
+
+def targets_at(loop, *shifts):
+    """Return targets so near to the EE that sub-goals end at once, shape (n, sub-goals, 7)."""
+    poses = np.repeat(loop.desired[:, np.newaxis], len(shifts), axis=1)
+    poses[:, :, 2] += shifts
+    return poses
+
+
+def chained(solver, n, waits, shifts, backend=None):
+    linear = Linear()
+    loop = make_loop(solver, n)
+    start = starts(solver.robot, n)
+    start = Start(start.base_pose, start.joint_positions, targets_at(loop, *shifts))
+    loop = Loop(
+        solver, [SubgoalMotion(linear, "ee", dwell) for dwell in waits], backend or Recorder()
+    )
+    loop.start(start, rngs(n))
+    return loop
+
+
+def test_legs_end_within_25_mm_and_the_last_one_finishes(solver):
+    loop = chained(solver, 2, (0.0, 0.2, 0.0), (-0.01, -0.02, -0.02))
+    seen = [loop.step(still(loop)) for _ in range(5)]
+    assert [int(step.subgoal[0]) for step in seen] == [0, 1, 1, 1, 2]
+    assert [bool(step.finished[0]) for step in seen] == [False] * 4 + [True]
+    goal = targets_at(loop, 0.0)[:, 0]
+    for step in seen:
+        assert np.all(step.goal_distance <= 0.025)
+    np.testing.assert_array_equal(loop.goal[:, :2], goal[:, :2])
+
+
+@pytest.mark.parametrize(
+    ("metres", "degrees", "finished"),
+    [(0.024, 0.0, True), (0.026, 0.0, False), (0.0, 11.9, True), (0.0, 12.1, False)],
+)
+def test_success_is_within_25_mm_and_12_degrees(solver, metres, degrees, finished):
+    recorder = Recorder()
+    loop = chained(solver, 1, (0.0,), (0.0,), recorder)
+    original = recorder.step
+
+    def displaced(twist, targets, dt):
+        original(twist, targets, dt)
+        turn = np.deg2rad(degrees)
+        ee = loop.desired.copy()
+        ee[:, 0] += metres
+        ee = spatial.integrate(ee, np.array([[0, 0, 0, 0, 0, turn]]), 1.0)
+        in_base = forward(solver.chain, recorder.joints)
+        shift = spatial.relative(np.array([spatial.IDENTITY]), in_base)
+        recorder.base = spatial.compose(ee, shift)
+        return recorder.state
+
+    recorder.step = displaced
+    step = loop.step(still(loop))
+    assert step.feasible.all()
+    np.testing.assert_allclose(step.goal_distance, metres, atol=1e-3)
+    assert step.finished == [finished]
+
+
+def test_only_a_feasible_step_ends_a_leg(solver):
+    recorder = Recorder()
+    loop = chained(solver, 1, (0.0,), (0.0,), recorder)
+    recorder.base[:, 0] += 5.0
+    original = recorder.step
+
+    def back(twist, targets, dt):
+        original(twist, targets, dt)
+        recorder.base[:, 0] -= 5.0
+        return recorder.state
+
+    recorder.step = back
+    loop._measured(recorder.state)
+    step = loop.step(still(loop))
+    assert not step.feasible.any()
+    assert np.all(step.goal_distance <= 0.025)
+    assert not step.finished.any()
+
+
+def test_the_base_may_move_while_the_ee_waits(solver):
+    loop = chained(solver, 1, (1.0, 0.0), (0.0, -0.3))
+    loop.step(still(loop))
+    stood, base = loop.desired, loop.state.base_pose
+    action = still(loop)
+    action[:, 0] = 0.3
+    for _ in range(10):
+        np.testing.assert_array_equal(loop.planned, stood)
+        assert loop.step(action).subgoal == [0]
+        np.testing.assert_array_equal(loop.desired, stood)
+    assert np.linalg.norm(loop.state.base_pose - base) > 0.01
+    assert loop.step(action).subgoal == [1]
+    assert loop.desired[0, 2] < stood[0, 2]
+
+
+def test_policies_see_no_demonstrated_base_where_there_is_none(solver):
+    loop = make_loop(solver, 3)
+    assert np.isnan(loop.policy_input.demonstrated_base).all()
+    assert loop.policy_input.demonstrated_base.shape == (3, 7)
+
+
+class Hands(Recorder):
+    """Writes down what the grippers are told, with the number of steps until then."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.grips: list[tuple] = []
+
+    def grip(self, grip, rows):
+        self.grips.append((grip, rows.tolist(), len(self.steps)))
+
+
+def test_grippers_act_where_legs_end(solver):
+    hands, start = Hands(), starts(solver.robot, 2)
+    targets = targets_at(make_loop(solver, 2), -0.01, -0.01)
+    subgoals = [
+        SubgoalMotion(Linear(), dwell=0.2, grip="close"),
+        SubgoalMotion(Linear(), grip="open"),
+    ]
+    loop = Loop(solver, subgoals, hands)
+    loop.start(Start(start.base_pose, start.joint_positions, targets), rngs(2))
+    for _ in range(4):
+        loop.step(still(loop))
+    assert hands.grips[:2] == [("close", [0, 1], 1), ("open", [0, 1], 4)]
+
+
+def test_slowed_down_motions_are_seen_as_they_are_planned(solver):
+    loops = []
+    for execution in (ExecutionConfig(), ExecutionConfig(slow_down=2.0)):
+        loop = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend(), execution=execution)
+        loop.start(starts(solver.robot, 3), rngs(3))
+        loops.append(loop)
+    plain, slow = loops
+    np.testing.assert_array_equal(slow.observation, plain.observation)
+    # What drives without having learned is told the motion as it will be.
+    metres, radians = spatial.distance(slow.desired, slow.planned)
+    full_metres, full_radians = spatial.distance(plain.desired, plain.planned)
+    np.testing.assert_allclose(2.0 * metres, full_metres)
+    np.testing.assert_allclose(2.0 * radians, full_radians)
+    start = plain.desired
+    for loop, steps in ((plain, 5), (slow, 10)):
+        for _ in range(steps):
+            loop.step(still(loop))
+    ways = [spatial.distance(start, loop.desired)[0] for loop in loops]
+    np.testing.assert_allclose(ways[1], ways[0], rtol=0.02)
+
+
+def test_ik_goes_on_from_where_the_arm_was_sent(solver):
+    """An arm that lags behind is no reason to look for another configuration."""
+    recorder = Recorder()
+    loop = make_loop(solver, 1, recorder)
+    expected = make_loop(solver, 1, Recorder())
+    for _ in range(5):
+        loop.step(still(loop))
+        expected.step(still(expected))
+        loop.state = RobotState(loop.state.base_pose, loop.state.joint_positions - 0.05)
+    joint_command, same = (one.backend.steps[-1][1] for one in (loop, expected))
+    np.testing.assert_array_equal(joint_command, same)
+
+
+class Swinging(Recorder):
+    """The first arm is on its way to another configuration, until it is said to be there."""
+
+    there = False
+
+    @property
+    def state(self):
+        joints = self.joints.copy()
+        if not self.there:
+            joints[0, 1] += 1.0
+        return RobotState(self.base.copy(), joints)
+
+
+def test_base_and_motion_stand_still_while_an_arm_swings(solver):
+    backend = Swinging()
+    loop = Loop(
+        solver,
+        [SubgoalMotion(Linear())],
+        backend,
+        execution=ExecutionConfig(arm_settle_timeout=0.5),
+    )
+    loop.start(starts(solver.robot, 2), rngs(2))
+    loop.joint_command = backend.joints.copy()
+    max_joint_step = []
+    for period in range(10):
+        backend.there = period == 7
+        before = loop.desired
+        loop.step(np.ones((2, action_size(solver.robot.base))))
+        twist = backend.steps[-1][0]
+        max_joint_step.append(np.any(loop.desired != before, axis=1).tolist())
+        assert np.any(twist != 0.0, axis=1).tolist() == max_joint_step[-1]
+    paused, free = [False, True], [True, True]
+    # For half a second, and later again, since it was there in between.
+    assert max_joint_step == [paused] * 5 + [free] * 4 + [paused]
+
+
+def test_nobody_waits_for_an_arm_by_default(solver):
+    loop = make_loop(solver, 2, Swinging())
+    before = loop.desired
+    loop.step(still(loop))
+    assert np.all(np.any(loop.desired != before, axis=1))
+
+
+def test_a_backend_that_draws_does_not_change_what_the_course_draws(solver):
+    stood = []
+    for backend in (AnalyticBackend(), Noisy()):
+        loop = Loop(
+            solver, [SubgoalMotion(Linear())], backend, execution=ExecutionConfig(spread=3.0)
+        )
+        loop.start(starts(solver.robot, 6), rngs(6))
+        first, still = loop.desired.copy(), np.zeros(6, dtype=int)
+        for _ in range(32):
+            loop.step(np.zeros((6, loop.action_size)))
+            still += np.all(loop.desired == first, axis=1)
+        stood.append(still.tolist())
+    assert stood[0] == stood[1]
+    assert len(set(stood[0])) > 3

@@ -1,0 +1,299 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.observation import HORIZON
+from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion, tool_pose
+from kinfeas.core import spatial
+from kinfeas.plugins.linear import Linear
+
+
+class Wander:
+    """Moves toward a point near the target that it draws, and counts; the base was shown, too."""
+
+    def start(self, ee_pose, target_pose, rngs):
+        goal = target_pose.copy()
+        goal[:, :3] += np.array([rng.uniform(-0.1, 0.1, 3) for rng in rngs])
+        return {"goal": goal, "count": np.zeros(len(goal)), "begin": ee_pose.copy()}
+
+    def goal_pose(self, state):
+        return state["goal"].copy()
+
+    def twist(self, state, ee_pose, dt):
+        way = spatial.twist_between(ee_pose, state["goal"], 1.0)
+        return 0.5 * way, {**state, "count": state["count"] + 1.0}
+
+    def base_pose(self, state):
+        pose = np.tile(spatial.IDENTITY, (len(state["count"]), 1))
+        pose[:, 0] = state["count"]
+        return pose
+
+
+def rngs(rows, seed=0):
+    return [np.random.default_rng((seed, row)) for row in rows]
+
+
+def poses(n, seed=0):
+    rng = np.random.default_rng(seed)
+    pose = np.concatenate([rng.uniform(-1.0, 1.0, (n, 3)), rng.normal(size=(n, 4))], axis=1)
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    pose[:, 3:] = spatial.canonical(pose[:, 3:])
+    return pose
+
+
+def chain():
+    """Return four sub-goals of two generators and both frames, with and without a wait."""
+    linear = Linear()
+    return [
+        SubgoalMotion(linear, "tip"),
+        SubgoalMotion(Wander(), "ee", dwell=0.3),
+        SubgoalMotion(linear, "ee"),
+        SubgoalMotion(linear, "tip", dwell=5.0),
+    ]
+
+
+def begin(robot, n=6, subgoals=None, dt=HORIZON):
+    subgoals = chain() if subgoals is None else subgoals
+    sequence = MotionSequence(subgoals, robot, dt)
+    sequence.start(
+        poses(n), poses(n * len(subgoals), 1).reshape(n, len(subgoals), 7), rngs(range(n))
+    )
+    return sequence
+
+
+def follow(sequence, steps, arrived=None):
+    """Move on, arriving where a row is near or as told, and return all desired poses."""
+    seen = []
+    for i in range(steps):
+        sequence.move(sequence.ahead(HORIZON))
+        metres, radians = spatial.distance(sequence.desired, sequence.goal)
+        near = (metres < 0.02) & (radians < 0.2)
+        sequence.advance(near if arrived is None else arrived(i))
+        seen.append(sequence.desired)
+    return np.stack(seen)
+
+
+def everyone(sequence):
+    return np.ones(len(sequence.subgoal), dtype=bool)
+
+
+def test_tool_tip_is_ahead_along_the_approach_axis(robot):
+    tool = tool_pose(robot)
+    approach = spatial.rotation(tool).as_matrix()[:, 0]
+    np.testing.assert_allclose(robot.tool_tip, np.linalg.norm(robot.tool_tip) * approach, atol=1e-9)
+    gripper = spatial.compose(np.array([*np.zeros(3), *robot.gripper_rotation]), tool)
+    np.testing.assert_allclose(np.abs(gripper[6]), 1.0, atol=1e-9)
+
+
+def test_tip_legs_lead_the_tip_to_the_target(robot):
+    sequence = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")])
+    target = poses(6, 1)
+    tip = spatial.compose(sequence.goal, np.broadcast_to(tool_pose(robot), (6, 7)))
+    np.testing.assert_allclose(np.stack(spatial.distance(tip, target)), 0.0, atol=1e-7)
+    follow(sequence, 600)
+    assert np.all(spatial.distance(sequence.desired, sequence.goal)[0] < 0.02)
+
+
+def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
+    sequence, linear = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")]), Linear()
+    tool = np.broadcast_to(tool_pose(robot), (6, 7))
+    tip = spatial.compose(sequence.desired, tool)
+    state = linear.start(tip, poses(6, 1), rngs(range(6)))
+    for _ in range(100):
+        twist, state = linear.twist(state, tip, HORIZON)
+        tip = spatial.integrate(tip, twist, HORIZON)
+        sequence.move(sequence.ahead(HORIZON))
+        error = spatial.distance(spatial.compose(sequence.desired, tool), tip)
+        np.testing.assert_allclose(np.stack(error), 0.0, atol=1e-6)
+
+
+def test_looking_ahead_moves_nothing(robot):
+    sequence = begin(robot)
+    follow(sequence, 40)
+    before = sequence.snapshot()
+    first, second = sequence.ahead(HORIZON), sequence.ahead(HORIZON)
+    np.testing.assert_array_equal(first[0], second[0])
+    for key, values in sequence.snapshot().items():
+        np.testing.assert_array_equal(values, before[key], err_msg=key)
+
+
+def test_legs_follow_each_other_from_the_desired_pose(robot):
+    sequence = begin(robot, 1)
+    subgoals, last = [0], sequence.desired
+    for _ in range(3000):
+        sequence.move(sequence.ahead(HORIZON))
+        assert np.linalg.norm(sequence.desired[:, :3] - last[:, :3]) < 0.1  # never a leap
+        metres, radians = spatial.distance(sequence.desired, sequence.goal)
+        sequence.advance((metres < 0.02) & (radians < 0.2))
+        subgoals.append(int(sequence.subgoal[0]))
+        last = sequence.desired
+    assert sorted(set(subgoals)) == [0, 1, 2, 3]
+    assert np.all(np.diff(subgoals) >= 0)
+    assert sequence.last.all()
+
+
+@pytest.mark.parametrize(("dt", "periods"), [(0.1, 20), (0.02, 100), (0.3, 7)])
+def test_a_wait_stands_still_for_its_seconds(robot, dt, periods):
+    linear = Linear()
+    sequence = begin(robot, 2, [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)], dt)
+    sequence.move(sequence.ahead(dt))
+    sequence.advance(np.array([True, False]))
+    assert sequence.waiting.tolist() == [periods, 0]
+    stood = sequence.desired[0]
+    for i in range(periods):
+        assert sequence.subgoal[0] == 0
+        np.testing.assert_array_equal(sequence.ahead(HORIZON)[0][0], stood)
+        before = sequence.desired
+        sequence.move(sequence.ahead(dt))
+        np.testing.assert_array_equal(sequence.desired[0], stood)
+        assert np.linalg.norm(sequence.desired[1] - before[1]) > 0.0
+        sequence.advance(np.array([i % 2 == 0, False]))
+    assert sequence.subgoal.tolist() == [1, 0]
+    sequence.move(sequence.ahead(dt))
+    assert np.linalg.norm(sequence.desired[0] - stood) > 0.0
+
+
+def test_the_wait_of_the_last_leg_does_not_hold_it(robot):
+    sequence = begin(robot, 3, [SubgoalMotion(Linear(), dwell=2.0)])
+    sequence.advance(everyone(sequence))
+    assert sequence.last.all()
+    assert not sequence.waiting.any()
+
+
+def test_no_row_depends_on_the_others(robot):
+    together = begin(robot, 6)
+    expected = follow(together, 900)
+    assert np.all(together.subgoal > 0)
+    for rows in ([4], [5, 0, 2]):
+        sequence = MotionSequence(chain(), robot, HORIZON)
+        sequence.start(poses(6)[rows], poses(24, 1).reshape(6, 4, 7)[rows], rngs(rows))
+        np.testing.assert_array_equal(follow(sequence, 900), expected[:, rows])
+
+
+def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
+    whole, other = begin(robot, 6), begin(robot, 6)
+    follow(whole, 300)
+    follow(other, 300)
+    paused = other.snapshot()
+    copies = {key: values.copy() for key, values in paused.items()}
+    rows = np.array([3, 1])
+    other.start(poses(6)[[0, 5]], poses(24, 1).reshape(6, 4, 7)[[0, 5]], rngs([0, 5]), rows)
+    for key, values in paused.items():
+        np.testing.assert_array_equal(values, copies[key], err_msg=key)
+    kept = [0, 2, 4, 5]
+    seen = follow(other, 300)
+    np.testing.assert_array_equal(seen[:, kept], follow(whole, 300)[:, kept])
+    np.testing.assert_array_equal(seen[:, rows], follow(begin(robot, 6), 300)[:, [0, 5]])
+
+
+def test_randomness_differs_between_rows_and_legs(robot):
+    subgoals = [SubgoalMotion(Wander()), SubgoalMotion(Wander())]
+    sequence = MotionSequence(subgoals, robot, HORIZON)
+    sequence.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
+    first = sequence.goal
+    sequence.advance(everyone(sequence))
+    assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
+
+
+@pytest.mark.parametrize("steps", [1, 250, 700])
+def test_snapshot_goes_on_to_the_bit(robot, steps):
+    sequence, again = begin(robot), MotionSequence(chain(), robot, HORIZON)
+    follow(sequence, steps)
+    again.restore(sequence.snapshot())
+    for key in ("subgoal", "waiting", "goal", "demonstrated_base"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(sequence, key))
+    np.testing.assert_array_equal(follow(again, 500), follow(sequence, 500))
+
+
+def test_the_demonstrated_base_is_known_on_its_legs_only(robot):
+    sequence = begin(robot, 3, [SubgoalMotion(Wander()), SubgoalMotion(Linear())])
+    follow(sequence, 5, lambda _: np.array([False, True, False]))
+    base = sequence.demonstrated_base
+    np.testing.assert_array_equal(base[[0, 2], 0], 5.0)
+    assert np.isnan(base[1]).all()
+
+
+def test_without_demonstrations_there_is_no_base(robot):
+    base = begin(robot, 3, [SubgoalMotion(Linear())]).demonstrated_base
+    assert base.shape == (3, 7)
+    assert np.isnan(base).all()
+
+
+def test_legs_may_share_a_generator(robot):
+    linear = Linear()
+    subgoals = [SubgoalMotion(linear), replace(SubgoalMotion(linear), frame="tip")]
+    assert len(MotionSequence(subgoals, robot, HORIZON).generators) == 1
+    assert len(MotionSequence(chain(), robot, HORIZON).generators) == 2
+
+
+def test_a_head_start_delays_the_first_leg_and_no_other(robot):
+    subgoals = [SubgoalMotion(Linear(), dwell=0.2), SubgoalMotion(Linear())]
+    sequence = MotionSequence(subgoals, robot, HORIZON, ExecutionConfig(head_start=0.5))
+    targets = np.repeat(poses(2, 1)[:, np.newaxis], 2, axis=1)
+    sequence.start(poses(2), targets, rngs(range(2)))
+    seen = follow(sequence, 8, lambda i: np.array([i == 6, False]))
+    assert np.all(seen[:5] == poses(2))
+    assert np.all(np.any(seen[5] != seen[4], axis=1))
+    assert sequence.waiting.tolist() == [1, 0]
+    follow(sequence, 1, lambda _: np.array([False, False]))
+    assert sequence.subgoal.tolist() == [1, 0]
+
+
+def test_a_head_start_is_for_each_episode_alone(robot):
+    sequence = MotionSequence(
+        [SubgoalMotion(Linear())], robot, HORIZON, ExecutionConfig(head_start=0.3)
+    )
+    targets = poses(2, 1)[:, np.newaxis]
+    sequence.start(poses(2), targets, rngs(range(2)))
+    follow(sequence, 3)
+    sequence.start(poses(2)[:1], targets[:1], rngs([0]), np.array([0]))
+    before = sequence.desired
+    (after,) = follow(sequence, 1)
+    assert np.all(after[0] == before[0])
+    assert np.any(after[1] != before[1])
+
+
+@pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
+def test_a_leg_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
+    subgoals = [
+        SubgoalMotion(Linear(), dwell=0.3, grip="close"),
+        SubgoalMotion(Linear(), grip="open"),
+    ]
+    sequence = MotionSequence(
+        subgoals, robot, HORIZON, ExecutionConfig(slow_down=2.0, grasp_settle_time=0.2)
+    )
+    sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    stops, moves = [], []
+    for i in range(7):
+        before = sequence.desired
+        sequence.move(sequence.ahead(HORIZON))
+        moves.append(bool(np.any(sequence.desired != before)))
+        stops.append(bool(sequence.advance(everyone(sequence), np.array([i >= settled_at]))[0]))
+    assert stops == [i == stops_at for i in range(7)]
+    assert moves[: stops_at + 4] == ([True] * (stops_at + 1) + [False] * 3)[: len(moves)]
+
+
+def test_a_leg_without_a_grip_does_not_settle(robot):
+    sequence = MotionSequence(
+        [SubgoalMotion(Linear(), dwell=0.3)] * 2,
+        robot,
+        HORIZON,
+        ExecutionConfig(grasp_settle_time=1.0),
+    )
+    sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    assert sequence.advance(everyone(sequence)).all()
+    assert sequence.stands.all()
+
+
+def test_rows_that_are_held_stay_where_they_are(robot):
+    sequence, paused = begin(robot), np.array([True, False] * 3)
+    for subgoal in range(4):
+        before, moves = sequence.desired, sequence.ahead(HORIZON)
+        sequence.move(moves, paused)
+        np.testing.assert_array_equal(sequence.desired, np.where(paused[:, None], before, moves[0]))
+        np.testing.assert_array_equal(sequence.ahead(HORIZON)[0][paused], moves[0][paused])
+        sequence.advance(everyone(sequence))
+        if subgoal == 1:
+            follow(sequence, 3)

@@ -1,0 +1,94 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from kinfeas.core import kernel_cache
+from kinfeas.core.errors import KinfeasError
+
+USE = """
+import numba
+from kinfeas.core import kernel_cache
+kernel_cache.settle()
+print(numba.config.CACHE_DIR)
+double = numba.njit(cache=True)(kernel_cache._any)
+double()
+"""
+NOWHERE = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
+"""What numba finds where neither the sources nor the home can be written."""
+
+
+@pytest.fixture
+def nowhere(monkeypatch, tmp_path):
+    """Numba with nowhere to cache, and a folder for temporary files."""
+
+    def refuse(**_):
+        def decorate(_):
+            raise RuntimeError("no locator available")
+
+        return decorate
+
+    monkeypatch.setattr(numba, "njit", refuse)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
+    return tmp_path
+
+
+def test_kernels_are_kept_in_the_temporary_folder_where_they_can_be_nowhere_else(tmp_path):
+    environment = {**os.environ, **NOWHERE, "TMPDIR": str(tmp_path), "XDG_CACHE_HOME": os.devnull}
+    done = subprocess.run(
+        [sys.executable, "-c", USE], env=environment, check=True, capture_output=True, text=True
+    )
+    folder = tmp_path / f"kinfeas-{os.getuid()}"
+    assert Path(done.stdout.strip()) == folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert list(folder.rglob("*.nbc"))
+
+
+def test_numba_has_its_way_where_it_can_cache(monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    kernel_cache.settle()
+    assert not numba.config.CACHE_DIR
+
+
+def test_nothing_is_run_that_another_user_may_have_written(nowhere):
+    folder = nowhere / f"kinfeas-{os.getuid()}"
+    folder.mkdir()
+    folder.chmod(0o777)
+    with pytest.raises(KinfeasError, match=r"is not this user's alone.*let NUMBA_CACHE_DIR name"):
+        kernel_cache.settle()
+    folder.rmdir()
+    folder.symlink_to(nowhere)
+    with pytest.raises(KinfeasError, match="is not this user's alone"):
+        kernel_cache.settle()
+    assert not numba.config.CACHE_DIR
+
+
+def test_a_file_in_the_way_is_a_clear_error(nowhere):
+    (nowhere / f"kinfeas-{os.getuid()}").write_text("")
+    with pytest.raises(KinfeasError, match=r"no folder for compiled kernels \(File exists\)"):
+        kernel_cache.settle()
+
+
+def test_the_users_own_folder_for_caches_comes_first(nowhere, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(nowhere / "caches"))
+    kernel_cache.settle()
+    assert Path(numba.config.CACHE_DIR) == nowhere / "caches" / "kinfeas"
+    assert (nowhere / "caches" / "kinfeas").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_lock_is_no_link_to_another_file(nowhere, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(nowhere))
+    (nowhere / "kinfeas").mkdir(mode=0o700)
+    (nowhere / "kinfeas" / "lock").symlink_to(nowhere / "theirs")
+    assert kernel_cache.open_lock() is None
+    assert not (nowhere / "theirs").exists()
+
+
+def test_without_a_folder_there_is_no_lock(nowhere):
+    (nowhere / f"kinfeas-{os.getuid()}").symlink_to(nowhere)
+    assert kernel_cache.open_lock() is None

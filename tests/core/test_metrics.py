@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from kinfeas.core.metrics import EpisodeRecords, summarize, wilson
+
+
+@pytest.mark.parametrize("trials", [1, 2, 10, 50, 500])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.5, 0.9, 1.0])
+def test_wilson_is_scipys(share, trials):
+    hits = round(share * trials)
+    found = wilson(hits, trials)
+    expected = binomtest(hits, trials).proportion_ci(0.95, method="wilson")
+    assert found.value == hits / trials
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_wilson_of_another_confidence():
+    found = wilson(45, 50, z=2.5758293035489)
+    expected = binomtest(45, 50).proportion_ci(0.99, method="wilson")
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_wilson_stays_within_shares_and_narrows():
+    widths = []
+    for trials in (1, 10, 100, 1000):
+        for hits in range(0, trials + 1, max(1, trials // 10)):
+            found = wilson(hits, trials)
+            assert 0.0 <= found.low <= found.value <= found.high <= 1.0
+        widths.append(wilson(trials // 2, trials).high - wilson(trials // 2, trials).low)
+    assert widths == sorted(widths, reverse=True)
+
+
+def test_wilson_needs_a_trial():
+    with pytest.raises(ValueError, match="at least one trial"):
+        wilson(0, 0)
+
+
+def records():
+    """Four episodes: perfect; one failure; strayed but reached; never arrived."""
+    return EpisodeRecords(
+        reached=np.array([True, True, True, False]),
+        failures=np.array([0, 1, 0, 20]),
+        max_deviation=np.array([0.0, 0.05, 0.06, 0.5]),
+        mean_deviation=np.array([0.0, 0.01, 0.02, 0.25]),
+        final_distance=np.array([0.02, 0.02, 0.02, 0.4]),
+        joint_jumps=np.array([0, 1, 0, 5]),
+        steps=np.array([400, 500, 600, 100]),
+    )
+
+
+def test_success_and_within():
+    np.testing.assert_array_equal(records().success, [True, False, True, False])
+    np.testing.assert_array_equal(records().within, [True, True, False, False])
+
+
+def test_ending_far_off_is_not_within():
+    strays = EpisodeRecords(
+        reached=np.array([False]), failures=np.array([0]), max_deviation=np.array([0.0]),
+        mean_deviation=np.array([0.0]), final_distance=np.array([0.051]), joint_jumps=np.array([0]),
+        steps=np.array([1500]),
+    )  # fmt: skip
+    assert not strays.within.any()
+    assert not strays.success.any()
+
+
+def test_summary_of_a_hand_example():
+    low, high = 0.15003898915214947, 0.8499610108478506  # 2 of 4, by scipy
+    assert summarize(records()) == pytest.approx(
+        {
+            "episodes": 4,
+            "success": 0.5,
+            "success_low": low,
+            "success_high": high,
+            "reached": 0.75,
+            "within_5cm": 0.5,
+            "within_5cm_low": low,
+            "within_5cm_high": high,
+            "ik_failures_per_episode": 5.25,
+            "mean_deviation_m": 0.07,
+            "joint_jumps_per_episode": 1.5,
+            "mean_steps": 400.0,
+        }
+    )
+
+
+def test_summary_holds_plain_numbers():
+    assert all(type(value) in (int, float) for value in summarize(records()).values())

@@ -1,0 +1,232 @@
+"""A generator written for one motion becomes one for n."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Demonstrated
+from kinfeas.core.single_motion import batched
+from kinfeas.core.spatial import IDENTITY, Array, make_pose, relative, rotation, twist_between
+from kinfeas.testing import ConformanceError, check_motion_generator
+
+
+class Approach:
+    """Goes to a random spot above the target, straight, at constant speed."""
+
+    def __init__(self, *, height: float = 0.1, speed: float = 0.09) -> None:
+        if height < 0.0:
+            raise KinfeasError(f"height must be at least 0, not {height}")
+        self.height, self.speed = height, speed
+
+    def start(self, ee_pose, target_pose, rng):
+        goal = target_pose.copy()
+        goal[2] += rng.uniform(0.0, self.height)
+        return {"goal": goal, "steps": 0}
+
+    def goal_pose(self, state):
+        return state["goal"]
+
+    def twist(self, state, ee_pose, dt):
+        way = twist_between(ee_pose, self.goal_pose(state), dt)
+        fastest = max(np.linalg.norm(way[:3]), np.linalg.norm(way[3:]), self.speed)
+        state["steps"] += 1
+        return way * self.speed / fastest, state
+
+
+Batched = batched(Approach)
+
+
+def poses(n, seed):
+    rng = np.random.default_rng(seed)
+    turned = np.tile(IDENTITY, (n, 1))
+    turned[:, 3:] = rng.normal(size=(n, 4))
+    return make_pose(rng.uniform(-1.0, 1.0, (n, 3)), rotation(turned))
+
+
+def rngs(n):
+    return [np.random.default_rng(i) for i in range(n)]
+
+
+def test_keeps_the_contract():
+    check_motion_generator(Batched())
+
+
+@pytest.mark.parametrize("n", [1, 5])
+def test_each_row_is_the_single_motion(n):
+    start, target = poses(n, 0), poses(n, 1)
+    single, generator = Approach(), Batched()
+    state = generator.start(start, target, rngs(n))
+    twist, after = generator.twist(state, start, 0.1)
+    assert twist.shape == (n, 6)
+    assert generator.goal_pose(state).shape == (n, 7)
+    for i, rng in enumerate(rngs(n)):
+        alone = single.start(start[i], target[i], rng)
+        assert np.array_equal(generator.goal_pose(state)[i], single.goal_pose(alone))
+        assert np.array_equal(twist[i], single.twist(alone, start[i], 0.1)[0])
+    assert np.array_equal(state["steps"], np.zeros(n))
+    assert np.array_equal(after["steps"], np.ones(n))
+
+
+class Shown(Approach):
+    def base_pose(self, state):
+        return state["goal"] + state["steps"]
+
+
+def test_a_demonstrated_base_is_passed_on():
+    generator, start, target = batched(Shown)(), poses(3, 0), poses(3, 1)
+    assert isinstance(generator, Demonstrated)
+    assert not isinstance(Batched(), Demonstrated)
+    _, state = generator.twist(generator.start(start, target, rngs(3)), start, 0.1)
+    assert np.array_equal(generator.base_pose(state), state["goal"] + 1.0)
+    assert generator.base_pose({}).shape == (0, 7)
+    check_motion_generator(generator)
+
+
+def test_no_motions_are_motions_too():
+    none = np.zeros((0, 7))
+    state = Batched().start(none, none, [])
+    twist, state = Batched().twist(state, none, 0.1)
+    assert twist.shape == (0, 6)
+    assert Batched().goal_pose(state).shape == (0, 7)
+
+
+def test_looks_like_the_class_it_is_made_from():
+    for name in ("__name__", "__qualname__", "__module__", "__doc__"):
+        assert getattr(Batched, name) == getattr(Approach, name)
+    assert inspect.isclass(Batched)
+    assert inspect.signature(Batched) == inspect.signature(Approach)
+    assert list(inspect.signature(Batched).parameters) == ["height", "speed"]
+    assert Batched(height=0.3).single.height == 0.3
+
+
+def test_constructor_errors_come_through():
+    with pytest.raises(KinfeasError, match=r"^height must be at least 0, not -1$"):
+        Batched(height=-1)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'width'"):
+        Batched(width=1)
+
+
+def test_a_class_without_a_constructor_takes_no_parameters():
+    @batched
+    class Still:
+        def start(self, ee_pose, target_pose, rng):
+            return {"goal": ee_pose}
+
+        def goal_pose(self, state):
+            return state["goal"]
+
+        def twist(self, state, ee_pose, dt):
+            return np.zeros(6), state
+
+    assert not inspect.signature(Still).parameters
+    check_motion_generator(Still(), duration=1.0)
+
+
+def test_numbers_in_the_state_are_float64():
+    state = Batched().start(poses(2, 0), poses(2, 1), rngs(2))
+    assert state["steps"].dtype == np.float64
+    assert state["steps"].shape == (2,)
+
+
+def test_state_may_be_written_into_by_the_single_motion_only():
+    generator, start = Batched(), poses(3, 0)
+    state = generator.start(start, poses(3, 1), rngs(3))
+    generator.twist(state, start, 0.1)
+    assert np.array_equal(state["steps"], np.zeros(3))
+
+
+def test_what_is_kept_in_attributes_is_found_out():
+    @batched
+    class Forgetful(Approach):
+        def start(self, ee_pose, target_pose, rng):
+            self.began = ee_pose
+            return super().start(ee_pose, target_pose, rng)
+
+        def twist(self, state, ee_pose, dt):
+            twist, state = super().twist(state, ee_pose, dt)
+            near = relative(ee_pose, self.began)[0] > 0.0
+            return twist * (0.5 if near else 1.0), state
+
+    with pytest.raises(ConformanceError, match="motion generator Forgetful moves"):
+        check_motion_generator(Forgetful())
+
+
+class Growing(Approach):
+    """Has a path that is longer where the way is longer."""
+
+    def start(self, ee_pose: Array, target_pose: Array, rng):
+        points = 2 + int(10 * np.linalg.norm(ee_pose - target_pose))
+        return {"goal": target_pose, "path": np.zeros((points, 3))}
+
+
+class Empty(Approach):
+    def start(self, ee_pose, target_pose, rng):
+        return {}
+
+
+def test_states_of_unlike_shapes_are_refused():
+    with pytest.raises(KinfeasError, match=r"Growing.start returned states of unlike shapes"):
+        batched(Growing)().start(poses(5, 0), poses(5, 1), rngs(5))
+
+
+def test_an_empty_state_is_refused():
+    with pytest.raises(KinfeasError, match=r"Empty.start returned an empty state"):
+        batched(Empty)().start(poses(2, 0), poses(2, 1), rngs(2))
+
+
+def test_only_classes_can_be_batched():
+    with pytest.raises(KinfeasError, match="batched takes a class, not"):
+        batched(Approach())
+
+
+def test_as_many_rngs_as_motions():
+    with pytest.raises(ValueError, match="zip"):
+        Batched().start(poses(2, 0), poses(2, 1), rngs(1))
+
+
+class NoPair(Approach):
+    def twist(self, state, ee_pose, dt):
+        return super().twist(state, ee_pose, dt)[0]
+
+
+class ShortTwist(Approach):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist[:3], state
+
+
+class MixedTwist(Approach):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return [*twist[:5], None], state
+
+
+class WordInState(Approach):
+    def start(self, ee_pose, target_pose, rng):
+        return {**super().start(ee_pose, target_pose, rng), "way": "up"}
+
+
+class NoState(Approach):
+    def start(self, ee_pose, target_pose, rng):
+        return target_pose
+
+
+@pytest.mark.parametrize(
+    ("single", "sentence"),
+    [
+        (NoPair, r"NoPair.twist must return a pair: the twist and the next state"),
+        (ShortTwist, r"ShortTwist.twist must return a twist of shape \(6,\).*not \(3,\)"),
+        (
+            MixedTwist,
+            r"MixedTwist.twist must return a twist of shape \(6,\).*not an array of object",
+        ),
+        (WordInState, r"WordInState.start must return .* and 'way' is neither"),
+        (NoState, r"NoState.start must return a state that is a dict of numbers, not a ndarray"),
+    ],
+)
+def test_what_a_single_motion_answers_is_checked(single, sentence):
+    generator = batched(single)()
+    with pytest.raises(KinfeasError, match=sentence):
+        generator.twist(generator.start(poses(2, 0), poses(2, 1), rngs(2)), poses(2, 0), 0.1)

@@ -1,0 +1,202 @@
+"""Poses form a group, twists lead from one to another, and angles wrap."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import (
+    IDENTITY,
+    canonical,
+    compose,
+    distance,
+    integrate,
+    make_pose,
+    planar_pose,
+    relative,
+    rotation,
+    twist_between,
+    wrap,
+    yaw,
+)
+
+SHAPES = [(), (3,), (2, 3)]
+shapes = st.sampled_from(SHAPES)
+
+
+def random_poses(shape, seed=0):
+    rng = np.random.default_rng(seed)
+    quaternion = rng.normal(size=(*shape, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return np.concatenate([rng.uniform(-3.0, 3.0, (*shape, 3)), canonical(quaternion)], axis=-1)
+
+
+@st.composite
+def poses(draw, shape):
+    position = draw(arrays(float, (*shape, 3), elements=st.floats(-5.0, 5.0)))
+    turn = draw(arrays(float, (*shape, 3), elements=st.floats(-1.8, 1.8)))
+    return integrate(
+        np.broadcast_to(IDENTITY, (*shape, 7)), np.concatenate([position, turn], -1), 1
+    )
+
+
+def assert_same(a, b, tolerance=1e-9):
+    metres, radians = distance(a, b)
+    assert np.shape(a) == np.shape(b)
+    assert np.max(metres) < tolerance
+    assert np.max(radians) < tolerance
+
+
+@given(st.data(), shapes)
+def test_compose_is_associative(data, shape):
+    a, b, c = (data.draw(poses(shape)) for _ in range(3))
+    assert_same(compose(compose(a, b), c), compose(a, compose(b, c)))
+
+
+@given(st.data(), shapes)
+def test_identity_changes_nothing(data, shape):
+    pose = data.draw(poses(shape))
+    none = np.broadcast_to(IDENTITY, pose.shape)
+    assert_same(compose(pose, none), pose)
+    assert_same(compose(none, pose), pose)
+    assert_same(relative(pose, none), pose)
+
+
+@given(st.data(), shapes)
+def test_relative_undoes_compose(data, shape):
+    a, b = data.draw(poses(shape)), data.draw(poses(shape))
+    assert_same(relative(compose(a, b), a), b)
+    assert_same(compose(b, relative(a, b)), a)
+    assert_same(relative(a, a), np.broadcast_to(IDENTITY, a.shape))
+
+
+@given(st.data(), shapes, st.floats(0.01, 10.0))
+def test_twist_between_leads_to_the_end(data, shape, dt):
+    a, b = data.draw(poses(shape)), data.draw(poses(shape))
+    assert_same(integrate(a, twist_between(a, b, dt), dt), b)
+
+
+@given(st.data(), shapes, st.floats(0.01, 1.0))
+def test_integrate_leads_along_the_twist(data, shape, dt):
+    pose = data.draw(poses(shape))
+    twist = data.draw(arrays(float, (*shape, 6), elements=st.floats(-1.7, 1.7)))
+    assert np.allclose(twist_between(pose, integrate(pose, twist, dt), dt), twist, atol=1e-7)
+
+
+@given(st.data(), shapes)
+def test_distance_is_symmetric_and_the_same_in_every_frame(data, shape):
+    a, b, frame = (data.draw(poses(shape)) for _ in range(3))
+    metres, radians = distance(a, b)
+    assert np.shape(metres) == np.shape(radians) == shape
+    assert np.allclose([metres, radians], distance(b, a), atol=1e-9)
+    moved = distance(compose(frame, a), compose(frame, b))
+    assert np.allclose([metres, radians], moved, atol=1e-7)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_pose_is_canonical(shape):
+    a, b = random_poses(shape, 1), random_poses(shape, 2)
+    for pose in (compose(a, b), relative(a, b), integrate(a, b[..., :6], 0.7)):
+        assert np.all(pose[..., 6] >= 0.0)
+        assert np.allclose(np.linalg.norm(pose[..., 3:], axis=-1), 1.0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_canonical_keeps_the_rotation(shape):
+    quaternion = random_poses(shape)[..., 3:]
+    assert np.array_equal(canonical(-quaternion), quaternion)
+    assert np.array_equal(canonical(quaternion), quaternion)
+
+
+def test_a_row_has_the_same_bits_in_any_batch():
+    a, b = random_poses((17,), 1), random_poses((17,), 2)
+    functions = (
+        compose,
+        relative,
+        lambda a, b: integrate(a, b[..., :6], 0.1),
+        lambda a, b: twist_between(a, b, 0.1),
+        lambda a, b: np.stack(distance(a, b), axis=-1),
+        lambda a, b: planar_pose(a[..., 0], a[..., 1], b[..., 2]),
+        lambda a, b: yaw(a),
+    )
+    for function in functions:
+        batch = function(a, b)
+        assert np.array_equal(batch, [function(a[i], b[i]) for i in range(17)])
+        assert np.array_equal(
+            batch, np.concatenate([function(a[i:][:1], b[i:][:1]) for i in range(17)])
+        )
+        assert np.array_equal(batch[3:8], function(a[3:8], b[3:8]))
+
+
+def test_no_poses_are_poses_too():
+    none = np.zeros((0, 7))
+    assert compose(none, none).shape == relative(none, none).shape == (0, 7)
+    assert integrate(none, np.zeros((0, 6)), 0.1).shape == (0, 7)
+    assert twist_between(none, none, 0.1).shape == (0, 6)
+
+
+def test_twists_are_along_the_axes_of_the_world():
+    quarter = make_pose(np.array([1.0, 0.0, 0.0]), rotation(planar_pose(0.0, 0.0, np.pi / 2)))
+    ahead = integrate(quarter, np.array([0.2, 0.0, 0.0, 0.0, 0.0, np.pi / 4]), 2.0)
+    assert np.allclose(ahead[:3], [1.4, 0.0, 0.0])
+    assert np.isclose(yaw(ahead), np.pi)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_yaw_reads_planar_poses(shape):
+    x, y, heading = np.random.default_rng(0).uniform(-9.0, 9.0, (3, *shape))
+    pose = planar_pose(x, y, heading)
+    assert pose.shape == (*shape, 7)
+    assert np.allclose(pose[..., :3], np.stack([x, y, np.zeros(shape)], -1))
+    assert np.all(pose[..., 6] >= 0.0)
+    assert np.allclose(yaw(pose), wrap(heading))
+
+
+@given(arrays(float, st.sampled_from(SHAPES), elements=st.floats(-1e4, 1e4)))
+def test_wrap_ends_within_half_a_turn_of_zero(angle):
+    wrapped = wrap(angle)
+    assert np.shape(wrapped) == angle.shape
+    assert np.all((-np.pi < wrapped) & (wrapped <= np.pi))
+    assert np.allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-9)
+
+
+@pytest.mark.parametrize("turns", [-3.0, -1.0, 1.0, 3.0])
+@pytest.mark.parametrize("toward", [-9.0, 9.0])
+def test_wrap_at_the_seam(turns, toward):
+    assert wrap(turns * np.pi) == pytest.approx(np.pi)
+    assert -np.pi < wrap(np.nextafter(turns * np.pi, toward)) <= np.pi
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (6,), (8,), (2, 3), (7, 1), (0,), (0, 6)])
+@pytest.mark.parametrize("function", [compose, relative, distance, lambda *p: twist_between(*p, 1)])
+def test_what_is_no_pose_is_refused(function, shape):
+    wrong, pose = np.ones(shape), np.broadcast_to(IDENTITY, (*shape[:-1], 7))
+    for arguments in ((wrong, pose), (pose, wrong), (wrong, wrong)):
+        with pytest.raises(KinfeasError, match=r"^the shapes must be those of poses \(\.\.\., 7\)"):
+            function(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("pose", "twist"), [((3,), (6,)), ((7,), (3,)), ((2, 7), (2, 7)), ((), ())]
+)
+def test_what_is_no_twist_is_refused(pose, twist):
+    with pytest.raises(KinfeasError, match=r"a twist \(\.\.\., 6\), not \("):
+        integrate(np.ones(pose), np.ones(twist), 0.1)
+
+
+@pytest.mark.parametrize("function", [compose, relative, distance, lambda *p: twist_between(*p, 1)])
+def test_batches_that_do_not_fit_each_other_are_refused(function):
+    with pytest.raises(KinfeasError, match=r"shapes \(2, 7\) and \(3, 7\) do not fit"):
+        function(np.tile(IDENTITY, (2, 1)), np.tile(IDENTITY, (3, 1)))
+    with pytest.raises(KinfeasError, match=r"shapes \(2, 7\) and \(3, 6\) do not fit"):
+        integrate(np.tile(IDENTITY, (2, 1)), np.zeros((3, 6)), 0.1)
+
+
+def test_lists_are_arrays():
+    first, second = [1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8], [0.5, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]
+    expected = compose(np.array(first), np.array(second))
+    np.testing.assert_array_equal(compose(first, second), expected)
+    with pytest.raises(KinfeasError, match=r"not \(7,\) and \(6,\)"):
+        compose(first, second[:6])

@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+
+from kinfeas import config
+from kinfeas.core import registry
+from kinfeas.evaluation.reachability import measure_path_reachability, measure_reachability
+from kinfeas.kinematics.ik import IkOptions
+from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.ggr import ggr
+
+
+def test_ceilings_are_as_the_method_says(robot):
+    share = measure_reachability(robot, ggr(), 150, 1).share
+    least, most = {"pr2": (0.95, 1.0), "tiago": (0.86, 0.98), "hsr": (0.9, 1.0)}[robot.name]
+    assert least <= share.value <= most
+    assert share.low < share.value < share.high or share.value == 1.0
+
+
+def test_pr2_cannot_reach_as_high_as_the_table_of_the_paper():
+    robot = registry.load_robot("pr2")
+    high = ggr(heights=(1.2, 1.4))
+    assert measure_reachability(robot, high, 60, 1).share.value < 0.5
+
+
+def test_leeway_ends_at_the_goal():
+    robot = registry.load_robot("hsr")
+    task = ggr(heights=(0.05, 1.7))
+    strict = measure_reachability(robot, task, 40, 1).reached
+    exact = measure_reachability(robot, task, 40, 1, IkOptions(pose_tolerance=False)).reached
+    assert exact.sum() < strict.sum() < 40
+    assert not np.any(exact & ~strict)
+
+
+@pytest.mark.parametrize("robot_name", ["tiago"])
+def test_self_collision_lowers_it(robot_name):
+    robot = registry.load_robot(robot_name)
+    free = measure_reachability(robot, ggr(), 120, 3, IkOptions(self_collision=False)).share
+    assert measure_reachability(robot, ggr(), 120, 3).share.value <= free.value
+
+
+def reach(*heights):
+    """Return a task whose sub-goals lead to these heights, one metre ahead."""
+    places = {f"at {z}": {"position": [1.0, 0.0, z]} for z in heights}
+    subgoals = [{"place": name} for name in places]
+    data = {"name": "reach", "places": places, "subgoals": subgoals, "start": {"square": 0.0}}
+    return config.from_mapping(ChainTask, data, "test")
+
+
+def test_every_leg_counts():
+    robot = registry.load_robot("pr2")
+    assert measure_reachability(robot, reach(0.7, 0.9), 2, 0).share.value == 1.0
+    for heights in ((0.7, 3.0), (3.0, 0.7)):
+        found = measure_reachability(robot, reach(*heights), 2, 0)
+        assert found.reached.tolist() == [False, False]
+        assert found.convergence == (0.0,) * 5
+
+
+def test_the_way_asks_for_more(robot):
+    goals = measure_reachability(robot, ggr(), 30, 1)
+    done = []
+    way = measure_path_reachability(robot, ggr(), 30, 1, on_done=done.append)
+    assert not np.any(way.reached & ~goals.reached)
+    assert way.share.value >= goals.share.value - 0.1
+    assert sum(done) == pytest.approx(1.0)
+    assert list(way.convergence) == sorted(way.convergence)

@@ -1,0 +1,169 @@
+import os
+import stat
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import (
+    is_path,
+    is_standard_output,
+    read_file,
+    reading,
+    replaced,
+    replacing,
+    write_file,
+)
+
+
+@pytest.mark.parametrize("name", ["my.yaml", "my.yml", "folder/my.yaml", "./my", "/my"])
+def test_paths(name):
+    assert is_path(name)
+
+
+@pytest.mark.parametrize("name", ["pr2", "my_robot", "my.robot", "yaml", "my.yaml.bak", ""])
+def test_names(name):
+    assert not is_path(name)
+
+
+def test_standard_output_is_told_from_files(tmp_path):
+    for path in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
+        assert is_standard_output(Path(path))
+    for path in ("/dev/stderr", "/dev/null", "/dev/fd/2", tmp_path / "1", "-"):
+        assert not is_standard_output(Path(path))
+
+
+def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):
+    path = tmp_path / "file"
+    for content in (b"1", b"22"):
+        write_file(path, content)
+        assert path.read_bytes() == content
+    (tmp_path / "folder" / "inner").mkdir(parents=True)
+    for wrong in (tmp_path / "folder", tmp_path / "none" / "file", path / "file"):
+        with pytest.raises(KinfeasError, match="cannot be written"):
+            write_file(wrong, b"333")
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["file", "folder"]
+    assert path.read_bytes() == b"22"
+
+
+def test_reads_up_to_a_limit(tmp_path):
+    (tmp_path / "file").write_bytes(b"1234")
+    assert read_file(tmp_path / "file", 4) == b"1234"
+    with pytest.raises(KinfeasError, match="file: too large, at most 3 bytes are allowed"):
+        read_file(tmp_path / "file", 3)
+
+
+def test_what_cannot_be_read_is_named(tmp_path):
+    for wrong, why in (("none", "No such file"), (".", "Is a directory")):
+        with pytest.raises(KinfeasError, match=f"cannot be read: {why}"):
+            read_file(tmp_path / wrong, 9)
+    with pytest.raises(KinfeasError, match="odd: not a text file in UTF-8"), reading(Path("odd")):
+        b"\xff".decode()
+
+
+@pytest.mark.parametrize("name", ["a\0.yaml", "\ud800.yaml"])
+def test_what_can_be_no_name_is_one_sentence(tmp_path, name):
+    with pytest.raises(KinfeasError, match="cannot be read: no file can be called so") as caught:
+        read_file(tmp_path / name, 9)
+    assert str(caught.value).isprintable()
+    with pytest.raises(KinfeasError, match="cannot be written: no file can be called so"):
+        write_file(tmp_path / name, b"1")
+
+
+def test_a_name_of_other_bytes_is_one(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff.yaml")
+    write_file(path, b"1")
+    assert read_file(path, 9) == b"1"
+
+
+def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"old")
+    with (
+        pytest.raises(KinfeasError, match=r"film.gif: cannot be written: full"),
+        replacing(path) as new,
+    ):
+        assert new.name == path.name
+        new.write_bytes(b"ne")
+        raise OSError(28, "full")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+    (tmp_path / "folder").mkdir()
+    target, link = tmp_path / "folder" / "target", tmp_path / "link"
+    link.symlink_to("folder/target")
+    for content in (b"1", b"22"):
+        write_file(link, content)
+        assert target.read_bytes() == content
+        assert link.readlink() == Path("folder/target")
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_links_in_a_circle_are_refused(tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with pytest.raises(KinfeasError, match="a: cannot be written"):
+        write_file(tmp_path / "a", b"1")
+
+
+def test_a_pipe_is_written_to(tmp_path):
+    path, heard = tmp_path / "pipe", []
+    os.mkfifo(path)
+    reader = Thread(target=lambda: heard.append(path.read_bytes()), daemon=True)
+    reader.start()
+    write_file(path, b"content")
+    reader.join(10.0)
+    assert heard == [b"content"]
+    assert stat.S_ISFIFO(path.stat().st_mode)
+
+
+@pytest.mark.parametrize("folder", ["/dev/fd", "/proc/self/fd"])
+def test_an_open_file_is_written_on_where_it_stands(tmp_path, folder):
+    with (tmp_path / "log").open("wb", buffering=0) as file:
+        file.write(b"before, ")
+        write_file(Path(folder, str(file.fileno())), b"content")
+        file.write(b", after")
+    assert (tmp_path / "log").read_bytes() == b"before, content, after"
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]
+
+
+def test_standard_output_is_written_to(capfd):
+    # Not by the names of its device files, which a mistake here would replace.
+    write_file(Path("/dev/fd/1"), b"content")
+    write_file(Path("/dev/fd/2"), b"error")
+    assert capfd.readouterr() == ("content", "error")
+    assert replaced(Path("/dev/stdout")) is replaced(Path("/dev/stderr")) is None
+
+
+def test_a_file_that_is_not_open_is_refused(tmp_path):
+    for wrong in ("999", "99999999999999999999"):
+        with pytest.raises(KinfeasError, match=f"{wrong}: cannot be written"):
+            write_file(Path("/dev/fd") / wrong, b"1")
+
+
+def test_rights_are_kept(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"1")
+    path.chmod(0o640)
+    write_file(path, b"2")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_what_is_write_protected_stays(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    path.write_bytes(b"1")
+    # Nothing is write-protected to root.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(KinfeasError, match="file: cannot be written: Permission denied"):
+        write_file(path, b"2")
+    assert path.read_bytes() == b"1"
+
+
+def test_a_pipe_or_a_device_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null")):
+        with pytest.raises(KinfeasError, match="cannot be read: it is not a regular file"):
+            read_file(path, 10)

@@ -1,0 +1,168 @@
+import resource
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.run_log import About, Moment, Recorder, read_record
+
+JOINTS = ("shoulder", "elbow, the left")
+ABOUT = About("pr2", "door", "pretrained", "analytic", 0.02, JOINTS, "2026-01-02T03:04:05+00:00")
+
+
+def pose(rng):
+    return np.concatenate([rng.normal(size=3), Rotation.random(rng=rng).as_quat()])
+
+
+def moment(seed, **changes):
+    rng = np.random.default_rng(seed)
+    values = {
+        "time": 0.02 * seed, "age": 0.01, "base_pose": pose(rng),
+        "joint_positions": rng.normal(size=2), "desired": pose(rng),
+        "goal": pose(rng), "base_twist": rng.normal(size=6),
+        "joint_targets": rng.normal(size=2), "feasible": bool(seed % 2), "subgoal": seed // 2,
+    }  # fmt: skip
+    return Moment(**{**values, **changes})
+
+
+def write(path, moments, about=ABOUT):
+    with Recorder(path, about) as recorder:
+        for one in moments:
+            recorder.write(one)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "run.csv"
+
+
+def test_reads_back_what_was_written(path):
+    moments = [moment(0, event="start"), moment(1, age=np.nan), moment(2, event='a, "b"\nc')]
+    write(path, moments)
+    record = read_record(path)
+    assert record.about == ABOUT
+    assert record.event == ("start", "", 'a, "b" c')
+    assert record.subgoal.tolist() == [0, 0, 1]
+    assert record.feasible.tolist() == [False, True, False]
+    assert np.isnan(record.age).tolist() == [False, True, False]
+    for name in ("base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"):
+        expected = np.stack([getattr(one, name) for one in moments])
+        np.testing.assert_allclose(getattr(record, name), expected, rtol=1e-8)
+
+
+def test_a_run_that_has_not_begun_leaves_no_file(path):
+    with pytest.raises(KinfeasError, match="no robot"), Recorder(path, ABOUT):
+        raise KinfeasError("no robot")
+    assert not path.exists()
+
+
+def test_each_line_is_in_the_file_at_once(path):
+    with Recorder(path, ABOUT) as recorder:
+        for count in (1, 2):
+            recorder.write(moment(count))
+            assert len(read_record(path).time) == count
+
+
+def test_is_readable_wherever_it_breaks_off(path):
+    write(path, [moment(0), moment(1)])
+    whole = path.read_bytes()
+    second = whole.rindex(b"\n", 0, -1) + 1
+    for end in range(second, len(whole), 7):
+        path.write_bytes(whole[:end])
+        assert len(read_record(path).time) == 1
+    path.write_bytes(whole)
+    assert len(read_record(path).time) == 2
+
+
+@contextmanager
+def full_disk(size):
+    """Let no file grow beyond a size."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_is_one_error_and_leaves_what_was_written(path):
+    with Recorder(path, ABOUT) as recorder:
+        recorder.write(moment(1))
+        with full_disk(path.stat().st_size + 20):
+            with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written"):
+                recorder.write(moment(2))
+            recorder.__exit__()
+    assert read_record(path).time.tolist() == [0.02]
+
+
+def test_a_disk_that_is_full_before_the_run_keeps_no_file(path):
+    with full_disk(20), pytest.raises(KinfeasError, match=r"run\.csv: cannot be written"):
+        Recorder(path, ABOUT)
+    assert not path.exists()
+
+
+def test_never_writes_over_another_record(path):
+    write(path, [moment(0)])
+    with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written: File exists"):
+        Recorder(path, ABOUT)
+
+
+def test_refuses_a_quaternion_that_is_none(path):
+    write(path, [moment(0), moment(1, desired=np.zeros(7))])
+    with pytest.raises(KinfeasError, match="line 4: desired has no unit quaternion"):
+        read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("# kinfeas record 1", "# kinfeas record 9", "not the record of a run"),
+        ('"dt": 0.02', '"dt": -1', "line 1: 'dt' must be a number > 0, not -1"),
+        ('"robot": "pr2", ', "", "line 1: 'robot' is missing; it must be a string"),
+        ('"robot": "pr2"', '"robt": "pr2"', "line 1: unknown key 'robt' .did you mean 'robot'"),
+        ('"task": "door"', '"task": 3', "line 1: 'task' must be a string, not 3"),
+        ('"task": "door",', '"task": "door"', "line 1: broken JSON"),
+        ('["shoulder", "elbow, the left"]', "[]", "line 1: 'joints' must name one joint"),
+        ('["shoulder", "elbow, the left"]', "5", "line 1: 'joints' must be a list"),
+        ("elbow, the left\"]", "wrist\"]", "line 2: not the columns"),
+        ("\n0.0200,", "\nnan,", "line 4: holds a number that is not finite"),
+        ("\n0.0200,", "\n1e300,", r"line 4: holds a number beyond 100,000,000,"),
+        ("\n0.0200,", "\nsoon,", "line 4: could not convert"),
+        ("\n0.0200,", "\n0.0200,1,", "line 4: "),
+    ],
+)  # fmt: skip
+def test_refuses_what_is_broken(path, old, new, message):
+    write(path, [moment(0), moment(1)])
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(KinfeasError, match=message):
+        read_record(path)
+
+
+@pytest.mark.parametrize(("content", "message"), [
+    (b"", "not the record of a run"),
+    (b"\xff\xfe", "not a text file"),
+    (b"time,x\n1,2\n", "not the record of a run"),
+    (b"# kinfeas record 1 " + b"[" * 100_000 + b"\n", "line 1: broken JSON: nested too deeply"),
+])  # fmt: skip
+def test_refuses_other_files(tmp_path, content, message):
+    (tmp_path / "run.csv").write_bytes(content)
+    with pytest.raises(KinfeasError, match=message):
+        read_record(tmp_path / "run.csv")
+
+
+def test_names_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(KinfeasError, match="cannot be written: No such file"):
+        Recorder(tmp_path / "none" / "run.csv", ABOUT)
+
+
+def test_refuses_a_run_without_a_line_and_a_file_that_is_not_there(path, tmp_path):
+    write(path, [moment(0)])
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
+    with pytest.raises(KinfeasError, match="ended before its first step"):
+        read_record(path)
+    with pytest.raises(KinfeasError, match="cannot be read: No such file"):
+        read_record(tmp_path / "none.csv")

@@ -1,0 +1,50 @@
+"""What policies see of robots with random arms on random places."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas.control.observation import HORIZON, observe
+from kinfeas.core.spatial import compose, integrate, planar_pose
+from kinfeas.kinematics.chain import build_chain
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import spread_configurations
+from kinfeas.policies.network import PolicyInput
+
+
+def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None):
+    """Return `count` situations in which the EE is to move by `twist`, (6,), or at random."""
+    rng = np.random.default_rng(seed)
+    if joints is None:
+        joints = spread_configurations(robot, count, seed)
+    if base_pose is None:
+        base_pose = planar_pose(*rng.uniform(-2.0, 2.0, (2, count)), rng.uniform(-3.0, 3.0, count))
+    if twist is None:
+        twist = rng.uniform(-0.1, 0.1, (count, 6))
+    in_base = forward(build_chain(robot), joints)
+    ee = compose(base_pose, in_base)
+    planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
+    seen = observe(base_pose, in_base, planned, planned, joints)
+    return PolicyInput(seen, base_pose, ee, ee, planned, np.full((count, 7), np.nan))
+
+
+def turned_about(policy_input, angle, shift):
+    """Return the same situations elsewhere: turned about the origin, then shifted."""
+    frame = np.array([*shift, 0.0, *Rotation.from_rotvec([0.0, 0.0, angle]).as_quat()])
+
+    def moved(poses):
+        with np.errstate(invalid="ignore"):  # where there is no demonstrated base
+            return compose(np.broadcast_to(frame, poses.shape), poses)
+
+    return PolicyInput(
+        policy_input.observation,
+        moved(policy_input.base_pose),
+        moved(policy_input.ee_pose),
+        moved(policy_input.desired),
+        moved(policy_input.planned),
+        moved(policy_input.demonstrated_base),
+    )
+
+
+def rows_of(policy_input, rows):
+    """Return some of the situations."""
+    return PolicyInput(*(values[rows] for values in vars(policy_input).values()))

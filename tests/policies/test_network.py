@@ -1,0 +1,150 @@
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from kinfeas.control.observation import CLIP
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.policy_metadata import read_trained, write_trained
+from kinfeas.policies.network import Network, PolicyInput, read_network, write_network
+from kinfeas.robots.fingerprint import fingerprint
+
+
+def network(sizes=(28, 256, 256, 3), seed=0):
+    rng = np.random.default_rng(seed)
+    pairs = list(pairwise(sizes))
+    return Network(
+        rng.uniform(0.5, 2.0, sizes[0]).astype(np.float32),
+        tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs),
+        tuple(rng.normal(size=pair[1]).astype(np.float32) * np.float32(0.1) for pair in pairs),
+    )
+
+
+def observations(n, inputs=28, seed=1):
+    return np.random.default_rng(seed).normal(size=(n, inputs))
+
+
+def plain(net, observation):
+    """Return the network's output in double precision by matrix products."""
+    values = np.clip(observation * net.scale.astype(float), -CLIP, CLIP)
+    for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
+        values = np.maximum(values @ weight.astype(float) + bias, 0.0)
+    return np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])
+
+
+def test_is_a_perceptron():
+    net, observation = network(), observations(100)
+    np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+def test_shape_and_bounds(n):
+    action = network()(observations(n) * 100.0)
+    assert action.shape == (n, 3)
+    assert action.dtype == np.float64
+    assert np.all(np.abs(action) <= 1.0)
+
+
+@pytest.mark.parametrize("size", [1, 3, 16, 64, 128])
+def test_no_bit_depends_on_the_batch(size):
+    net, observation = network(), observations(128)
+    together = net(observation)
+    for first in range(0, 128, size):
+        rows = slice(first, first + size)
+        np.testing.assert_array_equal(net(observation[rows]), together[rows])
+    order = np.random.default_rng(2).permutation(128)
+    np.testing.assert_array_equal(net(observation[order]), together[order])
+
+
+@pytest.mark.parametrize("sizes", [(28, 3), (28, 7, 2), (26, 400, 300, 3)])
+def test_any_number_of_layers(sizes):
+    net, observation = network(sizes), observations(10, sizes[0])
+    np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
+    np.testing.assert_array_equal(net(observation[:1]), net(observation)[:1])
+
+
+def test_memory_layout_does_not_matter():
+    net, observation = network(), observations(20)
+    np.testing.assert_array_equal(net(np.asfortranarray(observation)), net(observation))
+
+
+def test_acts_on_the_observation_alone():
+    net, observation = network(), observations(4)
+    nothing = np.full((4, 7), np.nan)
+    np.testing.assert_array_equal(
+        net.act(PolicyInput(observation, nothing, nothing, nothing, nothing, nothing)),
+        net(observation),
+    )
+
+
+@pytest.fixture(scope="module")
+def pr2():
+    return registry.load_robot("pr2")
+
+
+def test_what_is_written_is_read_back(pr2, tmp_path):
+    net = network()
+    write_network(net, tmp_path, pr2, {"steps": 3})
+    found = read_network(tmp_path, pr2)
+    np.testing.assert_array_equal(found.scale, net.scale)
+    np.testing.assert_array_equal(found(observations(9)), net(observations(9)))
+
+
+SCALE = network().scale
+
+
+@pytest.mark.parametrize(
+    "scale",
+    [
+        np.full_like(SCALE, np.nan),
+        np.full_like(SCALE, np.inf),
+        SCALE[:, np.newaxis],
+        SCALE[0],
+        SCALE.astype(np.float64),
+        SCALE.astype(np.int32),
+    ],
+)
+def test_a_broken_scale_is_one_sentence(pr2, tmp_path, scale):
+    write_network(network(), tmp_path, pr2, {})
+    path = tmp_path / "policy.safetensors"
+    save_file({**load_file(path), "scale": np.asarray(scale, order="C")}, path)
+    with pytest.raises(KinfeasError, match="broken policy: its scale must be finite numbers"):
+        read_network(tmp_path, pr2)
+
+
+@pytest.mark.parametrize("layers", [2, 4, 10**9])
+def test_as_many_layers_as_are_told_must_be_there(pr2, tmp_path, layers):
+    write_network(network(), tmp_path, pr2, {})
+    write_trained(replace(read_trained(tmp_path), layers=layers), tmp_path)
+    with pytest.raises(KinfeasError, match=f"^{tmp_path}: "):
+        read_network(tmp_path, pr2)
+
+
+@pytest.mark.parametrize("kind", ["F8_E4M3", "F8_E8M0", "BF16"])
+def test_types_that_numpy_lacks_are_one_sentence(pr2, tmp_path, kind):
+    header = json.dumps({"scale": {"dtype": kind, "shape": [2], "data_offsets": [0, 2]}}).encode()
+    write_network(network(), tmp_path, pr2, {})
+    content = len(header).to_bytes(8, "little") + header + b"\0" * (2 + 2 * (kind == "BF16"))
+    (tmp_path / "policy.safetensors").write_bytes(content)
+    with pytest.raises(KinfeasError, match=f"^{tmp_path}: broken policy: "):
+        read_network(tmp_path, pr2)
+
+
+def test_a_policy_is_for_the_kinematics_that_it_was_trained_with(pr2, tmp_path):
+    write_network(network(), tmp_path, pr2, {})
+    assert read_trained(tmp_path).kinematics == fingerprint(pr2)
+    faster = replace(pr2, base=replace(pr2.base, max_velocity=1.0))
+    with pytest.raises(KinfeasError, match=f"^{tmp_path}: the kinematics of robot 'pr2' are not"):
+        read_network(tmp_path, faster)
+    assert read_network(tmp_path, replace(pr2, pose_tolerance=None))
+
+
+def test_a_policy_from_before_kinematics_were_told_is_read(pr2, tmp_path):
+    write_network(network(), tmp_path, pr2, {})
+    write_trained(replace(read_trained(tmp_path), kinematics=None), tmp_path)
+    assert "kinematics" not in (tmp_path / "policy.json").read_text()
+    assert read_network(tmp_path, pr2)

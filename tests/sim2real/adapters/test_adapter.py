@@ -1,0 +1,264 @@
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.adapters import AdapterSpec, read_sim2real, wrap
+from kinfeas.core import registry
+from kinfeas.core.backend import (
+    ObstacleDistances,
+    RealTimeBackend,
+    Resumable,
+    RobotState,
+    Stochastic,
+    SupportsGripper,
+    SupportsObstacleDistances,
+)
+from kinfeas.core.spatial import planar_pose
+from kinfeas.sim2real.adapters.adapter import Adapter
+from kinfeas.sim2real.adapters.base_noise import BaseNoise
+from kinfeas.sim2real.adapters.command_latency import CommandLatency
+
+NAMES = sorted(plugin.name for plugin in registry.plugins("kinfeas.adapters"))
+HARSH = read_sim2real("harsh").adapters
+
+NOTHING = {
+    "base_noise": {"linear": 0, "angular": 0},
+    "joint_noise": {"deviation": 0},
+    "ee_noise": {"linear": 0, "angular": 0},
+    "localisation": {"drift": 0, "turn_drift": 0, "jump": 0, "turn_jump": 0},
+    "command_latency": {"seconds": 0},
+    "sensor_latency": {"seconds": 0},
+    "dropped_commands": {"share": 0},
+    "actuator_lag": {"base": 0, "arm": 0},
+    "acceleration_limit": {"linear": 1e9, "angular": 1e9},
+    "velocity_clamp": {"linear": 1e9, "angular": 1e9, "joints": 1e9},
+    "joint_limit_clamp": {"margin": 0},
+    "head_start": {"seconds": 0},
+    "slow_down": {"factor": 1},
+}
+"""Parameters of each adapter with which it does nothing."""
+
+
+class Doll(AnalyticBackend):
+    """A backend that can all there is."""
+
+    def __init__(self):
+        super().__init__()
+        self.told, self.seeded, self.closed = [], [], 0
+
+    def seed(self, seeds, rows):
+        self.seeded.append((seeds.tolist(), rows.tolist()))
+
+    def grip(self, grip, rows):
+        self.told.append((grip, rows.tolist()))
+
+    def obstacle_distances(self, within):
+        self.told.append(within)
+        return ObstacleDistances(np.zeros((1, 0, 2)), np.zeros((1, 0, 2)), np.zeros((1, 0)))
+
+    def read(self):
+        return self.state
+
+    def stop(self):
+        self.told.append("stop")
+
+    def close(self):
+        self.closed += 1
+
+
+class Bare:
+    """A backend that can no more than it must."""
+
+    def reset(self, base_pose, joint_positions, rows=None):
+        return RobotState(base_pose, joint_positions)
+
+    def step(self, base_twist, joint_targets, dt):
+        return RobotState(np.zeros((len(base_twist), 7)), joint_targets)
+
+    def close(self):
+        pass
+
+
+def built(name, robot, backend=None, **parameters):
+    given = {"backend": backend or AnalyticBackend(), "robot": robot, **parameters}
+    return registry.build("kinfeas.adapters", name, given)
+
+
+def poses(n, seed=0):
+    rng = np.random.default_rng(seed)
+    return planar_pose(*rng.uniform(-2.0, 2.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
+
+
+def on_reset(backend, robot, seeds, rows=None):
+    """Begin episodes whose start depends on their seed alone."""
+    places = np.arange(len(seeds)) if rows is None else np.array(rows)
+    backend.seed(np.array(seeds, dtype=np.uint64), places)
+    base = np.concatenate([poses(1, seed) for seed in seeds])
+    joints = np.stack([configuration(robot, seed) for seed in seeds])
+    return backend.reset(base, joints, None if rows is None else places)
+
+
+def configuration(robot, seed):
+    rng = np.random.default_rng((seed, 1))
+    lower = [max(joint.lower, -np.pi) for joint in robot.arm]
+    upper = [min(joint.upper, np.pi) for joint in robot.arm]
+    return rng.uniform(lower, upper)
+
+
+def go(backend, robot, seeds, steps, dt=0.05, first=0):
+    """Return numbers seen after steps whose commands depend on seed and step alone."""
+    seen = []
+    for step in range(first, first + steps):
+        rngs = [np.random.default_rng((seed, 2, step)) for seed in seeds]
+        twist = np.zeros((len(seeds), 6))
+        twist[:, [0, 1, 5]] = [rng.normal(scale=0.1, size=3) for rng in rngs]
+        targets = np.stack([configuration(robot, seed + 100 * step) for seed in seeds])
+        seen.append(flat(backend.step(twist, targets, dt)))
+    return np.stack(seen)
+
+
+def flat(state):
+    fields = [state.base_pose, state.joint_positions, state.ee_in_base]
+    return np.concatenate([values for values in fields if values is not None], axis=1)
+
+
+def test_all_are_held_to_the_same():
+    assert set(NOTHING) == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_with_nothing_to_do_it_is_the_identity_to_the_bit(name, pr2):
+    adapter, plain = built(name, pr2, **NOTHING[name]), AnalyticBackend()
+    plain.seed = lambda *_: None
+    first = [flat(on_reset(one, pr2, [3, 4, 5])) for one in (adapter, plain)]
+    found, expected = (go(one, pr2, [3, 4, 5], 6) for one in (adapter, plain))
+    # Where an EE is measured by itself, it comes after the rest.
+    np.testing.assert_array_equal(first[0][:, : first[1].shape[1]], first[1])
+    np.testing.assert_array_equal(found[..., : expected.shape[-1]], expected)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_can_what_its_backend_can(name, pr2):
+    doll = Doll()
+    adapter = built(name, pr2, doll)
+    for protocol in (
+        Stochastic,
+        SupportsGripper,
+        SupportsObstacleDistances,
+        RealTimeBackend,
+        Resumable,
+    ):
+        assert isinstance(adapter, protocol)
+    adapter.grip("close", np.array([1]))
+    adapter.stop()
+    adapter.close()
+    adapter.seed(np.array([7], dtype=np.uint64), np.array([0]))
+    assert adapter.obstacle_distances(0.5).distance.shape == (1, 0)
+    assert doll.told == [("close", [1]), "stop", 0.5]
+    assert (doll.closed, doll.seeded) == (1, [([7], [0])])
+    assert adapter.read() is doll.state
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_and_no_more(name, pr2):
+    adapter = built(name, pr2, Bare())
+    for protocol in (SupportsGripper, SupportsObstacleDistances, RealTimeBackend, Resumable):
+        assert not isinstance(adapter, protocol)
+
+
+@pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
+def test_rows_do_not_depend_on_the_batch(adapters, pr2):
+    def run(seeds):
+        backend = wrap(AnalyticBackend(), adapters, pr2)
+        return np.concatenate([flat(on_reset(backend, pr2, seeds))[np.newaxis],
+                               go(backend, pr2, seeds, 12)])  # fmt: skip
+
+    together = run([0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(run([3]), together[:, [3]])
+    np.testing.assert_array_equal(run([4, 1]), together[:, [4, 1]])
+
+
+@pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
+def test_new_episodes_leave_the_others_alone(adapters, pr2):
+    backend, alone = (wrap(AnalyticBackend(), adapters, pr2) for _ in "ab")
+    on_reset(backend, pr2, [0, 1, 2])
+    before = go(backend, pr2, [0, 1, 2], 9)
+    state = flat(on_reset(backend, pr2, [8], rows=[1]))
+    np.testing.assert_array_equal(state[[0, 2]], before[-1][[0, 2]])
+    np.testing.assert_array_equal(state[1], flat(on_reset(alone, pr2, [8]))[0])
+    after = []
+    for step in range(9):
+        # Each row goes on at a step of its own.
+        rngs = [np.random.default_rng((seed, 2, step + more)) for seed, more in ((0, 9), (8, 0))]
+        twist = np.zeros((3, 6))
+        twist[:2, [0, 1, 5]] = [rng.normal(scale=0.1, size=3) for rng in rngs]
+        targets = np.stack(
+            [configuration(pr2, 100 * (step + 9)), configuration(pr2, 8 + 100 * step)] * 2
+        )[:3]
+        after.append(flat(backend.step(twist, targets, 0.05)))
+    np.testing.assert_array_equal(np.stack(after)[:, 1], go(alone, pr2, [8], 9)[:, 0])
+    whole = wrap(AnalyticBackend(), adapters, pr2)
+    on_reset(whole, pr2, [0])
+    np.testing.assert_array_equal(np.stack(after)[:, 0], go(whole, pr2, [0], 18)[9:, 0])
+
+
+@pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
+def test_goes_on_from_a_snapshot_to_the_bit(adapters, pr2):
+    twice = [*adapters, *adapters]
+    backend, other = (wrap(AnalyticBackend(), twice, pr2) for _ in "ab")
+    on_reset(backend, pr2, [5, 6])
+    last = go(backend, pr2, [5, 6], 7)[-1]
+    saved = backend.snapshot()
+    kept = {name: values.copy() for name, values in saved.items()}
+    expected = go(backend, pr2, [5, 6], 7, first=7)
+    for name, values in saved.items():
+        np.testing.assert_array_equal(values, kept[name])
+    np.testing.assert_array_equal(flat(other.restore(saved)), last)
+    np.testing.assert_array_equal(go(other, pr2, [5, 6], 7, first=7), expected)
+
+
+def test_one_more_in_the_list_leaves_the_draws_of_others_alone(rig, drive):
+    twists = drive(5, n=3)
+    alone, within = rig(BaseNoise, n=3), rig(BaseNoise, n=3)
+    around = CommandLatency(within.adapter, within.robot, seconds=0.0)
+    around.seed(np.arange(3, dtype=np.uint64), np.arange(3))
+    around.reset(poses(3), within.joints)
+    alone.run(twists)
+    for twist in twists:
+        around.step(twist, within.joints, 0.1)
+    np.testing.assert_array_equal(within.passed, alone.passed)
+
+
+def test_twice_in_a_list_draws_twice(rig):
+    once = rig(BaseNoise, n=2000, linear=1.0)
+    twice = BaseNoise(once.adapter, once.robot, linear=1.0)
+    twice.seed(np.arange(2000, dtype=np.uint64), np.arange(2000))
+    twice.reset(poses(2000), once.joints)
+    twice.step(np.zeros((2000, 6)), once.joints, 0.1)
+    assert np.std(once.passed[0, :, 0]) == pytest.approx(np.sqrt(2.0), rel=0.06)
+
+
+def test_ranges_are_drawn_for_each_episode(rig):
+    many = rig(BaseNoise, n=400, linear=[0.1, 0.3], angular=0.0)
+    drawn = many.adapter.number("linear")[:, 0]
+    assert 0.1 <= drawn.min() < 0.11
+    assert 0.29 < drawn.max() <= 0.3
+    few = rig(BaseNoise, n=3, first_seed=7, linear=[0.1, 0.3], angular=0.0)
+    np.testing.assert_array_equal(few.adapter.number("linear")[:, 0], drawn[7:10])
+    many.run(np.zeros((20, 6)))
+    np.testing.assert_array_equal(many.adapter.number("linear")[:, 0], drawn)
+
+
+def test_an_episode_may_begin_without_a_seed(pr2):
+    one, other = (BaseNoise(AnalyticBackend(), pr2) for _ in "ab")
+    one.reset(poses(2), np.zeros((2, 7)))
+    on_reset(other, pr2, [0, 0])
+    found, expected = (each.normal(3) for each in (one, other))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_backend_of_few_words_is_enough(pr2):
+    adapter = Adapter(Bare(), pr2)
+    base, joints = np.zeros((2, 7)), np.zeros((2, 7))
+    assert adapter.reset(base, joints).base_pose is base
+    assert adapter.step(np.zeros((2, 6)), joints, 0.1).joint_positions is joints

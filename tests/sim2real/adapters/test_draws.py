@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from kinfeas.config import Interval
+from kinfeas.sim2real.adapters.draws import Range, normal, once, read_range, salt, uniform
+
+
+def seeds(n, first=0):
+    return np.arange(first, first + n, dtype=np.uint64)
+
+
+def steps(n, value=0):
+    return np.full(n, value, dtype=np.uint64)
+
+
+@pytest.mark.parametrize(("draw", "law"), [(normal, "norm"), (uniform, "uniform")])
+def test_draws_follow_their_law_in_each_column(draw, law):
+    found = draw(seeds(20_000), steps(20_000), 12)
+    for column in found.T:
+        assert kstest(column, law).pvalue > 1e-3
+    correlations = np.corrcoef(found.T) - np.eye(12)
+    assert np.abs(correlations).max() < 5.0 / np.sqrt(20_000)
+
+
+@pytest.mark.parametrize("draw", [normal, uniform])
+def test_rows_and_steps_are_on_their_own(draw):
+    together = draw(seeds(5), steps(5, 3), 4)
+    for row in range(5):
+        alone = draw(seeds(1, row), steps(1, 3), 4)
+        np.testing.assert_array_equal(alone[0], together[row])
+    assert np.intersect1d(together, draw(seeds(5), steps(5, 4), 4)).size == 0
+
+
+def test_what_is_drawn_once_has_no_part_in_what_is_drawn_in_steps():
+    for step in range(3):
+        drawn = uniform(seeds(50), steps(50, step), 3)
+        assert np.intersect1d(once(seeds(50), 3), drawn).size == 0
+
+
+def test_salts_differ_by_name_and_number_and_none_keeps_the_seeds():
+    assert salt("", 0) == 0
+    assert len({int(salt(name, i)) for name in ("", "A", "B") for i in range(3)}) == 9
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (2, Range(2.0, 2.0)),
+        (0.5, Range(0.5, 0.5)),
+        ([1, 3], Range(1.0, 3.0)),
+    ],
+)
+def test_a_number_is_a_range_of_no_width(value, expected):
+    assert read_range("x", value, Interval(low=0.0)) == expected
+
+
+@pytest.mark.parametrize("value", [0.1, 1 / 3, 0.015])
+def test_a_number_is_drawn_to_the_bit(value):
+    np.testing.assert_array_equal(Range(value, value).draw(once(seeds(9), 1)), value)
+
+
+def test_a_range_is_drawn_evenly():
+    drawn = Range(2.0, 4.0).draw(once(seeds(5000), 1)[:, 0])
+    assert kstest(drawn, "uniform", args=(2.0, 2.0)).pvalue > 1e-3
+
+
+@pytest.mark.parametrize(
+    "value", ["much", True, None, [1], [1, 2, 3], [1, "a"], -1, np.nan, np.inf]
+)
+def test_what_is_no_number_is_refused(value):
+    with pytest.raises(ValueError, match=r"x is .*, must be a finite number >= 0 or a range \[low"):
+        read_range("x", value, Interval(low=0.0))
+
+
+def test_a_range_ascends():
+    with pytest.raises(ValueError, match="a range must ascend"):
+        read_range("x", [2, 1], Interval(low=0.0))

@@ -1,0 +1,319 @@
+"""The conformance test lets good motion generators pass and catches each kind of bad one."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import twist_between
+from kinfeas.testing import RULES, ConformanceError, check_motion_generator, examine
+from kinfeas.testing.trial import Trial
+
+
+class Good:
+    """A plain motion at constant speed; each bad generator below breaks one rule of it."""
+
+    def start(self, ee_pose, target_pose, rngs):
+        jitter = np.array([rng.uniform(-0.01, 0.01, 3) for rng in rngs]).reshape(-1, 3)
+        goal = target_pose.copy()
+        goal[:, :3] += jitter
+        return {"goal": goal, "time": np.zeros(len(goal))}
+
+    def goal_pose(self, state):
+        return state["goal"]
+
+    def twist(self, state, ee_pose, dt):
+        way = twist_between(ee_pose, state["goal"], dt)
+        speed = np.maximum(*(np.linalg.norm(part, axis=-1) for part in (way[:, :3], way[:, 3:])))
+        share = np.minimum(1.0, 0.099 / np.maximum(speed, 1e-12))
+        return way * share[:, np.newaxis], {**state, "time": state["time"] + dt}
+
+
+class StateIsAList(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return [target_pose]
+
+
+class StateIsEmpty(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return {}
+
+
+class StateHoldsAFloat(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return {**super().start(ee_pose, target_pose, rngs), "clock": 0.0}
+
+
+class StateLacksRows(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return {**super().start(ee_pose, target_pose, rngs), "clock": np.zeros(1)}
+
+
+class StateChangesKeys(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist, {**state, "last": twist}
+
+
+class StateChangesType(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        state = super().start(ee_pose, target_pose, rngs)
+        return {**state, "time": np.zeros(len(ee_pose), dtype=int)}
+
+
+class KeepsTheTarget(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return {"goal": target_pose, "time": np.zeros(len(target_pose))}
+
+
+class WritesIntoTheTarget(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        target_pose[:, 2] += 0.1
+        return super().start(ee_pose, target_pose, rngs)
+
+
+class OwnRandomness(Good):
+    def __init__(self):
+        self.rng = np.random.default_rng(0)
+
+    def start(self, ee_pose, target_pose, rngs):
+        return super().start(ee_pose, target_pose, [self.rng] * len(rngs))
+
+
+class SharesRandomness(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return super().start(ee_pose, target_pose, [copy.deepcopy(rngs[0])] * len(rngs))
+
+
+class GoalOfWrongShape(Good):
+    def goal_pose(self, state):
+        return state["goal"][:, :3]
+
+
+class GoalNotOfUnitLength(Good):
+    def goal_pose(self, state):
+        return state["goal"] * 2.0
+
+
+class GoalInWxyz(Good):
+    def goal_pose(self, state):
+        return state["goal"][:, [0, 1, 2, 6, 3, 4, 5]]
+
+
+class MovingGoal(Good):
+    def goal_pose(self, state):
+        goal = state["goal"].copy()
+        goal[:, 0] += 1e-3 * state["time"]
+        return goal
+
+
+class NoPair(Good):
+    def twist(self, state, ee_pose, dt):
+        return super().twist(state, ee_pose, dt)[0]
+
+
+class TwistOfWrongShape(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist[:, :3], state
+
+
+class TwistIsAList(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist.tolist(), state
+
+
+class NanAtTheGoal(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        return {"goal": target_pose.copy()}
+
+    def twist(self, state, ee_pose, dt):
+        way = twist_between(ee_pose, state["goal"], dt)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = 0.05 / np.linalg.norm(way[:, :3], axis=-1, keepdims=True)
+            return np.clip(way * share, -0.05, 0.05), state
+
+
+class TooFast(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * [2.0, 2.0, 2.0, 1.0, 1.0, 1.0], state
+
+
+class TurnsTooFast(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * [1.0, 1.0, 1.0, 2.0, 2.0, 2.0], state
+
+
+class WritesIntoTheState(Good):
+    def twist(self, state, ee_pose, dt):
+        state["time"] += dt
+        return super().twist(state, ee_pose, dt)
+
+
+class WritesIntoThePose(Good):
+    def twist(self, state, ee_pose, dt):
+        answer = super().twist(state, ee_pose, dt)
+        ee_pose[:, :3] += answer[0][:, :3] * dt
+        return answer
+
+
+class RemembersCalls(Good):
+    def __init__(self):
+        self.calls = 0
+
+    def twist(self, state, ee_pose, dt):
+        self.calls += 1
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * (1.0 - 0.5 / self.calls), state
+
+
+class RemembersTheLongRun(Good):
+    """Slows down once and for all, too late for two calls in a row to show it."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def twist(self, state, ee_pose, dt):
+        self.calls += 1
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * (1.0 if self.calls < 600 else 0.9), state
+
+
+class RemembersTheStart(Good):
+    def start(self, ee_pose, target_pose, rngs):
+        self.height = target_pose[0, 2]
+        return super().start(ee_pose, target_pose, rngs)
+
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * min(1.0, 0.5 + self.height), state
+
+
+class WaitsForTheSlowest(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * np.linalg.norm(twist, axis=-1).min(), state
+
+
+class NeverArrives(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        return twist * 0.01, state
+
+
+class LeavesAgain(Good):
+    def twist(self, state, ee_pose, dt):
+        twist, state = super().twist(state, ee_pose, dt)
+        twist[state["time"] > 100.0] = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
+        return twist, state
+
+
+BAD = {
+    StateIsAList: "must return a state from start that is a dict of numeric arrays, not a list",
+    StateIsEmpty: "must return a state from start that holds at least the goal",
+    StateHoldsAFloat: "a dict of numeric arrays, and 'clock' is not",
+    StateLacksRows: r"of leading axis 12, and 'clock' has shape \(1,\)",
+    StateChangesKeys: r"changes the keys, shapes or types of its state: \['last'\]",
+    StateChangesType: r"changes the keys, shapes or types of its state: \['time'\]",
+    KeepsTheTarget: "keeps the poses that start is given in its state; it must copy them",
+    WritesIntoTheTarget: "writes into the poses that start is given",
+    OwnRandomness: "starts differently the second time, from the same poses and rngs",
+    SharesRandomness: "starts a motion differently alone than in a batch",
+    GoalOfWrongShape: r"array of shape \(12, 7\) from goal_pose, not \(12, 3\)",
+    GoalNotOfUnitLength: "returns a goal_pose whose quaternion is not of unit length",
+    GoalInWxyz: "ends .* from its goal_pose",
+    MovingGoal: "moves its goal_pose during the motion",
+    NoPair: "must return a pair from twist: the twist and the next state",
+    TwistOfWrongShape: r"array of shape \(12, 6\) from twist, not \(12, 3\)",
+    TwistIsAList: r"array of shape \(12, 6\) from twist, not list",
+    NanAtTheGoal: "returns numbers from twist that are not finite",
+    TooFast: "moves at 0.198 m/s; at most 0.1 m/s is allowed",
+    TurnsTooFast: "moves at 0.198 rad/s; at most 0.1 rad/s is allowed",
+    WritesIntoTheState: "writes into the state that twist is given",
+    WritesIntoThePose: "writes into the ee_pose that twist is given",
+    RemembersCalls: "answers the same twist call differently twice",
+    RemembersTheLongRun: "moves differently once a single motion of the batch starts again",
+    RemembersTheStart: "moves differently once a single motion of the batch starts again",
+    WaitsForTheSlowest: "moves a motion differently alone than in a batch",
+    NeverArrives: r"ends .* m and .* degrees from its goal_pose after 120 s \(motion 0\)",
+    LeavesAgain: "ends 1.0.* m and 0.0 degrees from its goal_pose",
+}
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.02])
+def test_a_good_generator_passes(dt):
+    check_motion_generator(Good(), dt=dt)
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_each_rule_is_checked(bad):
+    with pytest.raises(ConformanceError, match=BAD[bad]) as caught:
+        check_motion_generator(bad())
+    assert str(caught.value).startswith(f"motion generator {bad.__name__} ")
+    assert isinstance(caught.value, KinfeasError)
+
+
+def test_limits_can_be_lifted():
+    check_motion_generator(TooFast(), max_velocity=None)
+    check_motion_generator(TurnsTooFast(), max_angular_velocity=None)
+
+
+def test_the_time_allowed_can_be_set():
+    with pytest.raises(ConformanceError, match="after 5 s"):
+        check_motion_generator(Good(), duration=5.0)
+
+
+def test_targets_can_be_given():
+    check_motion_generator(Good(), target_poses=np.array([[1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0]]))
+
+
+@pytest.mark.parametrize("shape", [(), (7,), (2, 6), (0, 7)])
+def test_targets_of_a_wrong_shape_are_refused(shape):
+    with pytest.raises(KinfeasError, match="target_poses must have shape"):
+        check_motion_generator(Good(), target_poses=np.zeros(shape))
+
+
+def test_examine_tells_all_rules_of_a_good_generator():
+    steps = []
+    findings = examine(Good(), Trial(duration=30.0, dt=0.1), on_step=lambda: steps.append(1))
+    assert len(steps) == 300
+    assert [one.rule for one in findings] == list(RULES)
+    assert all(one.checked for one in findings)
+    assert [one.rule for one in findings if one.broken] in ([], ["arrival"])
+    assert all(one.kept for one in examine(Good()))
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_examine_finds_what_the_test_raises(bad):
+    broken = [one.broken for one in examine(bad(), name="mine") if one.broken]
+    with pytest.raises(ConformanceError) as caught:
+        check_motion_generator(bad())
+    assert str(caught.value).replace(bad.__name__, "mine") in broken
+
+
+def test_examine_goes_on_after_a_light_fault_and_stops_at_a_grave_one():
+    by_rule = {one.rule: one for one in examine(TooFast())}
+    assert by_rule["velocity"].broken
+    assert by_rule["arrival"].kept
+    by_rule = {one.rule: one for one in examine(TwistOfWrongShape())}
+    assert by_rule["form"].broken
+    assert not by_rule["arrival"].checked
+
+
+def test_examine_tells_what_is_no_generator():
+    form, *others = examine(object(), name="mine")
+    assert form.broken.endswith("object lacks start, goal_pose, twist")
+    assert not any(one.checked for one in others)
+
+
+def test_examine_tells_what_the_generators_own_code_raises():
+    class Raises(Good):
+        def twist(self, state, ee_pose, dt):
+            return state["gaol"]
+
+    form = examine(Raises())[0]
+    assert form.broken.startswith("motion generator Raises fails in twist: KeyError: 'gaol'")

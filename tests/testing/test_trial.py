@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from kinfeas.core.checks.motion import CheckedMotion
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import distance
+from kinfeas.plugins.linear import Linear
+from kinfeas.testing.trial import Trial, sample_motions
+
+
+class Fades(Linear):
+    """Loses itself on the way."""
+
+    def start(self, ee_pose, target_pose, rngs):
+        return {**super().start(ee_pose, target_pose, rngs), "left": np.full(len(ee_pose), 3.0)}
+
+    def twist(self, state, ee_pose, dt):
+        twist, after = super().twist(state, ee_pose, dt)
+        nothing = np.where(after["left"] > 0.0, 0.0, np.nan)
+        return twist + nothing[:, np.newaxis], {**after, "left": after["left"] - 1.0}
+
+
+def test_the_same_seed_the_same_poses():
+    for one, other in zip(Trial(seed=3).poses(), Trial(seed=3).poses(), strict=True):
+        assert np.array_equal(one, other)
+    assert not np.array_equal(Trial(seed=3).poses()[0], Trial(seed=4).poses()[0])
+
+
+def test_motions_lead_from_their_starts_to_their_goals():
+    trial = Trial(duration=90.0)
+    samples = sample_motions(CheckedMotion(Linear()), trial)
+    assert samples.ee_pose.shape == (901, 12, 7)
+    assert samples.twist.shape == (900, 12, 6)
+    assert np.array_equal(samples.ee_pose[0], trial.poses()[0])
+    metres, radians = distance(samples.ee_pose[-1], samples.goal)
+    assert samples.broken is None
+    assert metres.max() < 0.01
+    assert radians.max() < 0.05
+
+
+def test_motions_that_break_are_shown_as_far_as_they_came():
+    samples = sample_motions(CheckedMotion(Fades(), "fades"), Trial())
+    assert samples.ee_pose.shape == (4, 12, 7)
+    assert samples.broken == "motion generator fades returns numbers from twist that are not finite"
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ({"duration": np.inf}, r"must be times in \(0, 100000\] s, not inf and 0.1"),
+        ({"duration": np.nan}, "not nan and 0.1"),
+        ({"dt": 0.0}, "not 120 and 0"),
+        ({"duration": 1e4, "dt": 1e-6}, "at most 1,000,000 steps, not 10,000,000,000"),
+    ],
+)
+def test_steps_that_nobody_can_count_are_refused(times, message):
+    with pytest.raises(KinfeasError, match=message):
+        Trial(**times)
+
+
+@pytest.mark.parametrize("target", [0.0, np.nan, 1.0, np.r_[np.inf, 0, 0, 0, 0, 0, 1]])
+def test_targets_that_are_no_poses_are_not_the_generators_fault(target):
+    with pytest.raises(KinfeasError, match="target_poses must be finite, with unit quaternions"):
+        Trial(np.full((1, 7), target)).poses()
+
+
+def test_targets_of_a_wrong_shape():
+    with pytest.raises(KinfeasError, match="target_poses must have shape"):
+        Trial(np.zeros((2, 6))).poses()
