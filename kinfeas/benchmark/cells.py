@@ -35,8 +35,8 @@ Result = dict[str, Any]
 _CEILING_FIGURES = ("success", "low", "high")
 
 _FIGURES = (
-    "episodes", "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m", "joint_jumps_per_episode",
-    "mean_steps",
+    "episodes", "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
+    "joint_jumps_per_episode", "mean_steps",
 )  # fmt: skip
 """Of a policy, those that tables and pictures show."""
 

@@ -74,7 +74,7 @@ def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
 
 
 def time_ours(robot: Robot, targets: Targets, self_collision: bool, repeats: int = 5) -> IkTiming:
-    """Return what our solver, with its usual options but without pose tolerance, makes of `targets`."""
+    """Return the timing of our solver on `targets`, without pose tolerance."""
     solver = IkSolver(robot, IkOptions(self_collision=self_collision, pose_tolerance=False))
     solution = solver.solve(targets.pose, targets.seed)
     seconds = best_of(repeats, lambda: solver.solve(targets.pose, targets.seed))

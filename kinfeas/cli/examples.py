@@ -5,7 +5,7 @@ EXAMPLES = {
     "train": (
         "kinfeas train --robot pr2 --minutes 3 --out runs/pr2",
         "kinfeas train --resume runs/pr2",
-        "kinfeas train --robot hsr --steps 500000 --adapters harsh --set learner.net_arch=[128,128]",
+        "kinfeas train --robot hsr --adapters harsh --set learner.net_arch=[128,128]",
     ),
     "evaluate": (
         "kinfeas evaluate --policy runs/pr2",
@@ -30,7 +30,7 @@ EXAMPLES = {
         "kinfeas deploy pretrained --goal 1.5 0.3 0.8",
         "kinfeas deploy pr2.onnx --task door --adapters pr2_like",
         "kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9 --seconds 10 "
-        "--set slow_down=4 --set guards.max_linear_velocity=0.05 --set guards.max_angular_velocity=0.2",
+        "--set slow_down=4 --set guards.max_linear_velocity=0.05",
     ),
     "fit": ("kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml",),
     "export": (

@@ -186,7 +186,7 @@ def _type(kind: Any) -> str:
 
 
 def _task(name: str, found: list[Parameter]) -> dict[str, Any]:
-    """Return the parameters of a task by name or path, its fields if none were found, and sub-goals."""
+    """Return parameters and sub-goals of a task by name or path; its fields if none were found."""
     from kinfeas.tasks.checks import unchecked
     from kinfeas.tasks.loading import load_task
 

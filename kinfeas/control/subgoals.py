@@ -1,6 +1,4 @@
-"""What a motion sequence is made of: sub-goals, how near to their ends is there, and the pace of a
-robot.
-"""
+"""Sub-goals, their tolerances, and how motions are executed."""
 
 import math
 from dataclasses import dataclass

@@ -107,7 +107,7 @@ def evaluate(
 
 
 def trial_reachability(trial: Trial, on_done: Callable[[float], None] | None = None) -> Share:
-    """Return the share of a trial's goals that some base pose reaches; see `measure_reachability`."""
+    """Return the share of a trial's goals that some base pose reaches."""
     found = measure_reachability(
         trial.robot, trial.task, trial.episodes, trial.seed, trial.world.ik, on_done
     )

@@ -55,7 +55,7 @@ def measure_reachability(
     ik: IkOptions | None = None,
     on_done: OnDone | None = None,
 ) -> Reachability:
-    """Return in which of episodes 0 to `episodes` - 1 some base pose reaches the goal of each sub-goal.
+    """Return in which of the first episodes some base pose reaches the goals of all sub-goals.
 
     A robot with pose tolerance has to come as near to the goals as success asks for; all others
     have to reach them exactly, free of self-collision like every solution.
@@ -79,7 +79,7 @@ def measure_path_reachability(
     ik: IkOptions | None = None,
     on_done: OnDone | None = None,
 ) -> Reachability:
-    """Return as `measure_reachability`, where some base pose has to reach the poses on the way, too.
+    """Return as `measure_reachability`, with the poses on the way to be reached as well.
 
     A robot with pose tolerance has it there. That the base can move from the one base pose to the
     next is not asked for. Arguments as in `measure_reachability`.

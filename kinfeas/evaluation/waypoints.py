@@ -24,7 +24,7 @@ _PERIODS = 1500
 
 
 def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return the world poses of the EE at the ends of all sub-goals, shape (episodes, sub-goals, 7).
+    """Return the EE poses at the ends of all sub-goals, shape (episodes, sub-goals, 7).
 
     Args:
         solver: The robot's kinematics.
@@ -44,7 +44,7 @@ def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
 
 
 def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return `A_SUBGOAL` desired EE poses for each sub-goal, shape (episodes, sub-goals * A_LEG, 7).
+    """Return desired EE poses along each sub-goal, shape (episodes, sub-goals * A_SUBGOAL, 7).
 
     They are evenly spaced in time and end where the sub-goal counts as ended; a sub-goal begins
     there, as it does for an EE that follows without an error. Arguments as in `draw_goals`.
@@ -76,7 +76,7 @@ def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> MotionSequ
 
 
 def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]]:
-    """Yield the desired poses after each period, shape (n, 7), and the sub-goals they are part of."""
+    """Yield the desired poses after each period, shape (n, 7), and their sub-goals."""
     left = np.full(len(sequence.subgoal), _PERIODS)
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
@@ -93,8 +93,7 @@ def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]
 
 
 def _spread(subgoal: NDArray[np.intp], number: int) -> NDArray[np.intp]:
-    """Return `A_SUBGOAL` of the moments at which `sub-goal`, shape (t,), is `number`, the last
-    among them.
+    """Return `A_SUBGOAL` moments at which `subgoal`, shape (t,), is `number`, the last included.
 
     The first one is not: an episode begins at a pose that the arm is at.
     """

@@ -36,9 +36,7 @@ class Reachability:
 
 
 def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
-    """Return how IK searches at goals, where a robot's pose tolerance is not for more than success
-    asks.
-    """
+    """Return the IK options at goals, where success limits a robot's pose tolerance."""
     if robot.pose_tolerance is None or not ik.pose_tolerance:
         return ik
     return replace(

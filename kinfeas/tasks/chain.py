@@ -129,7 +129,7 @@ class ChainTask:
         return self.toward(targets, solver, rng)
 
     def toward(self, targets: Array, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return a random start of an episode whose sub-goals lead to `targets`, shape (sub-goals, 7)."""
+        """Return a random start of an episode that leads to `targets`, shape (sub-goals, 7)."""
         x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
         bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
         heading = bearing + rng.uniform(-self.start.heading, self.start.heading)

@@ -50,20 +50,20 @@ class SuccessCondition:
 
     Attributes:
         object: Name of an object of the scene.
-        on: Name of the object that it stands on.
+        parent: Name of the object that it stands on.
         joint: Its joint.
         threshold: Position that the joint has passed, rad or m; downwards if below 0.
     """
 
     object: str
-    on: str | None = None
+    parent: str | None = None
     joint: str | None = None
     threshold: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that it says one of the two."""
-        if (self.on is None) == (self.joint is None):
-            raise ValueError("one of 'on' and 'joint' must be given, and not both")
+        if (self.parent is None) == (self.joint is None):
+            raise ValueError("one of 'parent' and 'joint' must be given, and not both")
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,12 @@ class TaskScene:
 
     Attributes:
         name: The scene, by its name or the path of its YAML.
-        done: When the task is done.
+        success: When the task has succeeded.
         grasped_object: What the gripper takes hold of; nothing by default.
         moves: Where objects stand that an episode puts elsewhere, by their names.
     """
 
     name: str
-    done: SuccessCondition
+    success: SuccessCondition
     grasped_object: GraspedObject | None = None
     moves: dict[str, Move] = field(default_factory=dict)

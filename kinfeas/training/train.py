@@ -222,7 +222,7 @@ class _Run:
         progress.add(steps, (infos[row]["is_success"] for row in ended))
 
     def _evaluate(self, judge: PeriodicEvaluator, logs: Logs) -> None:
-        """PeriodicEvaluator the policy on fixed episodes; keep it if none was better."""
+        """Evaluate the policy on fixed episodes; keep it if none was better."""
         self._losses()
         network = network_of(self.learner, self.env.scale)
         if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
@@ -246,7 +246,7 @@ class _Run:
             logs.write(self._row() | judged)
 
     def _judge_afresh(self) -> None:
-        """PeriodicEvaluator the best policy on episodes that did not choose it, which flatter it."""
+        """Evaluate the best policy on episodes that did not choose it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:

@@ -83,7 +83,7 @@ class WorldVecEnv(EpisodesVecEnv):
     """n episodes in one world, which moves in a thread of its own; see `Batch`."""
 
     def __init__(self, world: World, num_envs: int, action_repeat: int = 1) -> None:
-        """Put `num_envs` episodes at a time into `world`; an action holds for `action_repeat` periods.
+        """Put `num_envs` episodes into `world`; an action holds for `action_repeat` periods.
 
         Raises:
             KinfeasError: If `num_envs` is less than 1.

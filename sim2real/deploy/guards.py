@@ -210,7 +210,8 @@ class Guarded(Passing):
         if not abs(jump) <= self.guards.max_clock_skew:
             sign = "-" if jump < 0.0 else "+"
             raise Fault(
-                f"the system's clock was set by {sign}{beyond(abs(jump), self.guards.max_clock_skew)} s"
+                f"the system's clock was set by {sign}"
+                f"{beyond(abs(jump), self.guards.max_clock_skew)} s"
             )
         return elapsed
 

@@ -49,16 +49,15 @@ def preview(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) 
         return ""
     share = max(planned, loop.robot.base.max_velocity) / guards.max_linear_velocity
     return (
-        f"guards.max_linear_velocity slows down the base alone, to {guards.max_linear_velocity:g} m/s; the hand, which is to "
+        f"guards.max_linear_velocity slows down the base alone, to "
+        f"{guards.max_linear_velocity:g} m/s; the hand, which is to "
         f"move at up to {execution_of:.2g} m/s, may leave it behind: "
         f"--set slow_down={math.ceil(share - _ROUNDING)} slows it down as much"
     )
 
 
 def subgoal_poses(sequence: MotionSequence) -> Array:
-    """Return the world poses of the EE at the ends of all sub-goals of one robot, shape (sub-goals,
-    7).
-    """
+    """Return one robot's EE poses at the ends of all sub-goals, shape (sub-goals, 7)."""
     return np.concatenate([sequence.goal for _ in _each_subgoal(sequence)])
 
 

@@ -24,8 +24,7 @@ _OFF = 0.02  # rad or m by which a joint may stand beside where the kinematics h
 
 
 class LinkBackend:
-    """One robot that moves by its own clock; it is `RealTimeBackend`, `SupportsGripper` and
-    `ArmLimited`.
+    """One robot that moves by its own clock: a `RealTimeBackend` with a gripper.
 
     Attributes:
         robot: Who moves.

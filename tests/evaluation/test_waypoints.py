@@ -29,7 +29,7 @@ def test_tips_come_to_the_targets(robot, solver):
 
 @pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
 def test_waypoints_are_on_the_way_of_the_world(robot, solver, task):
-    """Desired poses do not depend on the base, but a sub-goal ends where the achieved EE arrives."""
+    """Desired poses do not depend on the base; a sub-goal ends where the achieved EE arrives."""
     world = World(robot, task, WorldConfig(max_failures=10**6), seed=5)
     world.start([0, 1])
     found = draw_waypoints(solver, task, 2, 5)[:, :A_SUBGOAL]

@@ -137,8 +137,9 @@ def test_least_that_a_file_needs(exact_solver, tmp_path):
 def test_files_that_lie_beside_a_task_are_found_from_anywhere(tmp_path, monkeypatch):
     motion = "{generator: waypoints, parameters: {file: way.yaml}}"
     place = "a: {position: [1, 2, 3]}"
-    scene = "{name: kitchen.yaml, done: {object: box, joint: lid}}"
-    text = f"{{name: b, places: {{{place}}}, subgoals: [{{place: a, motion: {motion}}}], scene: {scene}}}"
+    scene = "{name: kitchen.yaml, success: {object: box, joint: lid}}"
+    subgoals = f"[{{place: a, motion: {motion}}}]"
+    text = f"{{name: b, places: {{{place}}}, subgoals: {subgoals}, scene: {scene}}}"
     path = write(tmp_path, text)
     (tmp_path / "way.yaml").touch()
     elsewhere = tmp_path / "elsewhere"
@@ -271,11 +272,14 @@ def test_tasks_without_a_scene_move_nothing(tmp_path, exact_solver):
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
-        ("{name: room}", "'scene.done' is missing"),
-        ("{name: room, done: {object: box}}", "one of 'on' and 'joint'"),
-        ("{name: room, done: {object: box, on: a, joint: b}}", "one of 'on' and 'joint'"),
+        ("{name: room}", "'scene.success' is missing"),
+        ("{name: room, success: {object: box}}", "one of 'parent' and 'joint'"),
         (
-            "{name: room, done: {object: box, on: a}, moves: {box: {place: tea}}}",
+            "{name: room, success: {object: box, parent: a, joint: b}}",
+            "one of 'parent' and 'joint'",
+        ),
+        (
+            "{name: room, success: {object: box, parent: a}, moves: {box: {place: tea}}}",
             "no sub-goal leads to 'tea'; known are cup",
         ),
     ],

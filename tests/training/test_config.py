@@ -80,7 +80,8 @@ def test_a_run_without_an_end_is_refused(tiny):
     "override",
     [
         "learner.algorithm=ppo", "learner.gamma=1.5", "learner.net_arch=[0]", "num_envs=0",
-        "learner.net_arch=[2049]", "learner.net_arch=[8,8,8,8,8,8,8,8,8]", "learner.learning_rate=1.1",
+        "learner.net_arch=[2049]", "learner.net_arch=[8,8,8,8,8,8,8,8,8]",
+        "learner.learning_rate=1.1",
         "learner.batch_size=99999999", "learner.gradient_steps=99999999", "num_envs=65537",
         "action_repeat=1001", "schedule.evaluations=99999", "schedule.evaluation_episodes=99999999",
         "seed=4294967296",

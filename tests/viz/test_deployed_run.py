@@ -23,7 +23,8 @@ def record(t=40, event=REACHED):
     return Record(
         About("pr2", "two", "pretrained", "analytic", 0.02, joints, "now"),
         0.02 * np.arange(t), np.full(t, np.nan), pose, home, pose + 0.0, goal,
-        np.zeros((t, 6)), home, np.arange(t) % 7 > 0, subgoal, ("start", *[""] * (t - 2), event)[-t:],
+        np.zeros((t, 6)), home, np.arange(t) % 7 > 0, subgoal,
+        ("start", *[""] * (t - 2), event)[-t:],
     )  # fmt: skip
 
 

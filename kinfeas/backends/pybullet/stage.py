@@ -107,7 +107,7 @@ class Stage:
         furniture, grasp = simulation.furniture, simulation.grasp
         if self._known is None or furniture is None:
             return None
-        done = self._known.done
+        done = self._known.success
         if done.joint is not None:
             position = furniture.joint_position(done.object, done.joint)
             return position < done.threshold if done.threshold < 0.0 else position > done.threshold
@@ -115,7 +115,7 @@ class Stage:
         held = grasp.held if grasp else None
         if held is not None and held[0] == furniture.bodies[done.object]:
             return False
-        return furniture.stands(done.object, str(done.on))
+        return furniture.stands(done.object, str(done.parent))
 
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return another start; a task that moves furniture leads to where `first` does."""

@@ -33,7 +33,7 @@ def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:
                 f"task {name!r} takes hold of an object, and robot {robot.name!r} has no gripper: "
                 "its YAML file lacks 'gripper'"
             )
-    _check_outcome(known.done, scene, f"{where}.done")
+    _check_outcome(known.success, scene, f"{where}.success")
 
 
 def _check_handled(grasped_object: GraspedObject, scene: Scene, where: str) -> None:
@@ -46,24 +46,24 @@ def _check_handled(grasped_object: GraspedObject, scene: Scene, where: str) -> N
     )
     if one.fixed and moving_joint(one.urdf, grasped_object.link) is None:
         raise KinfeasError(
-            f"{where}': link {grasped_object.link!r} of object {grasped_object.object!r} cannot move: the "
-            "object is fixed, and no joint is above the link"
+            f"{where}': link {grasped_object.link!r} of object {grasped_object.object!r} cannot "
+            "move: the object is fixed, and no joint is above the link"
         )
 
 
 def _check_outcome(done: SuccessCondition, scene: Scene, where: str) -> None:
     _need(done.object, scene.objects, f"{where}.object': there is no object")
-    if done.on is not None:
+    if done.parent is not None:
         others = [name for name in scene.objects if name != done.object]
-        _need(done.on, others, f"{where}.on': there is no other object")
+        _need(done.parent, others, f"{where}.parent': there is no other object")
     if done.joint is not None:
         joints = free_joints(scene.objects[done.object].urdf)
         _need(done.joint, joints, f"{where}.joint': object {done.object!r} has no moving joint")
         lower, upper = joints[done.joint].lower, joints[done.joint].upper
         if not (lower < done.threshold if done.threshold < 0.0 else done.threshold < upper):
             raise KinfeasError(
-                f"{where}.beyond' must lie between the limits of joint {done.joint!r}, {lower:g} "
-                f"and {upper:g}, not {done.threshold:g}"
+                f"{where}.threshold' must lie between the limits of joint {done.joint!r}, "
+                f"{lower:g} and {upper:g}, not {done.threshold:g}"
             )
 
 

@@ -43,7 +43,7 @@ class FeasibilityFilter:
         paused: NDArray[np.bool_] | None = None,
         limits: VelocityConstraints | None = None,
     ) -> tuple[Array, IkSolution]:
-        """Return what `KinematicStep` does, for the commands nearest to `action` that arms can follow.
+        """Return base twists and arm solutions for the feasible commands nearest to `action`.
 
         Args:
             action: Wanted base commands; these and the others are as for `KinematicStep`.

@@ -85,7 +85,8 @@ class ObstacleFilter:
         *_, self._innermost = chain(backend)
         if not isinstance(backend, SupportsObstacleDistances):
             raise KinfeasError(
-                f"min_obstacle_distance={metres:g} needs a backend that knows what stands around the base, and "
+                f"min_obstacle_distance={metres:g} needs a backend that measures distances to "
+                f"obstacles, and "
                 f"{type(self._innermost).__name__} does not: only 0 is allowed"
             )
         self._backend, self._metres, self._dt = backend, metres, dt

@@ -95,7 +95,7 @@ def test_moves_what_the_episode_moves(stage, solver):
 
 def test_the_task_is_done_when_the_world_says_so(stage, solver):
     begin(stage, solver, 5)
-    done, backend = stage.task.scene.done, stage.backend
+    done, backend = stage.task.scene.success, stage.backend
     if done.joint is None:
         table = backend.sims[0].furniture.link_pose("place_table", "table")
         on_top = spatial.compose(table, np.array([0.0, 0.0, 0.64, 0.0, 0.0, 0.0, 1.0]))
@@ -115,7 +115,7 @@ def test_the_task_is_done_when_the_world_says_so(stage, solver):
 
 def test_what_the_hand_holds_is_not_put_down(stage, solver, monkeypatch):
     begin(stage, solver, 5)
-    done, backend = stage.task.scene.done, stage.backend
+    done, backend = stage.task.scene.success, stage.backend
     if done.joint is not None:
         pytest.skip("a door may be held open")
     monkeypatch.setattr(backend.sims[0].furniture, "stands", lambda *_: True)

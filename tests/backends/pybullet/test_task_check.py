@@ -32,31 +32,51 @@ def test_a_joint_may_have_to_move_at_all(room, hsr):
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("door", {"done": {"object": "dor"}}, "'scene.done.object': there is no object 'dor'; kno"),
-        ("door", {"done": {"joint": "hing"}}, "'scene.done.joint': object 'door_shelf' has no mov"),
         (
             "door",
-            {"done": {"threshold": 2.0}},
-            "'scene.done.beyond' must lie between the lim.*not 2$",
+            {"success": {"object": "dor"}},
+            "'scene.success.object': there is no object 'dor'; kno",
         ),
-        ("door", {"done": {"threshold": -1.0}}, "'scene.done.beyond' must.*0 and 1.92, not -1$"),
+        (
+            "door",
+            {"success": {"joint": "hing"}},
+            "'scene.success.joint': object 'door_shelf' has no mov",
+        ),
+        (
+            "door",
+            {"success": {"threshold": 2.0}},
+            "'scene.success.threshold' must lie between the lim.*not 2$",
+        ),
+        (
+            "door",
+            {"success": {"threshold": -1.0}},
+            "'scene.success.threshold' must.*0 and 1.92, not -1$",
+        ),
         (
             "door",
             {"grasped_object": {"object": "x"}},
-            "'scene.handled.object': there is no object 'x'",
+            "'scene.grasped_object.object': there is no object 'x'",
         ),
         (
             "door",
             {"grasped_object": {"link": "x"}},
-            "'scene.handled.link': object 'door_shelf' has no li",
+            "'scene.grasped_object.link': object 'door_shelf' has no li",
         ),
-        ("pick_place", {"done": {"on": "tabel"}}, "'scene.done.on': there is no other object 'tab"),
-        ("pick_place", {"done": {"on": "box"}}, "'scene.done.on': there is no other object 'box'"),
+        (
+            "pick_place",
+            {"success": {"parent": "tabel"}},
+            "'scene.success.parent': there is no other object 'tab",
+        ),
+        (
+            "pick_place",
+            {"success": {"parent": "box"}},
+            "'scene.success.parent': there is no other object 'box'",
+        ),
         ("pick_place", {"moves": {"bax": {"place": "table"}}}, "'scene.moves.bax': there is no ob"),
         (
             "pick_place",
             {"grasped_object": {"object": "pick_table", "link": "table"}},
-            "'scene.handled': link 'table' of object 'pick_table' cannot move: the object is fixed",
+            "'scene.grasped_object': link 'table' of object 'pick_table' cannot move: the object is fixed",
         ),
     ],
 )

@@ -111,21 +111,21 @@ def test_as_near_as_counts_as_there_is_within_reach(solvers):
     ],
 )
 def test_a_hand_that_outruns_the_base_is_warned_of(solvers, speed, slow_down, warns):
-    guards, far = Guards(speed=speed), goal(4.0, 0.0, 0.8)
+    guards, far = Guards(max_linear_velocity=speed), goal(4.0, 0.0, 0.8)
     warning, _ = seen(solvers["hsr"], far, guards, ExecutionConfig(slow_down=slow_down))
     assert bool(warning) is warns
 
 
 def test_the_warning_says_what_slows_the_hand_down_as_much(solvers):
-    warning, _ = seen(solvers["hsr"], goal(4.0, 0.0, 0.8), Guards(speed=0.05))
+    warning, _ = seen(solvers["hsr"], goal(4.0, 0.0, 0.8), Guards(max_linear_velocity=0.05))
     assert warning == (
-        "guards.max_linear_velocity slows down the base alone, to 0.05 m/s; the hand, which is to move at up to "
-        "0.1 m/s, may leave it behind: --set slow_down=4 slows it down as much"
+        "guards.max_linear_velocity slows down the base alone, to 0.05 m/s; the hand, which is to "
+        "move at up to 0.1 m/s, may leave it behind: --set slow_down=4 slows it down as much"
     )
 
 
 def test_a_look_draws_nothing(solvers):
     task = load_task("ggr", {})
-    looked = seen(solvers["pr2"], task, Guards(speed=0.01))
+    looked = seen(solvers["pr2"], task, Guards(max_linear_velocity=0.01))
     assert looked[0]
     assert looked[1] == seen(solvers["pr2"], task, Guards(reach=False))[1]
