@@ -127,10 +127,12 @@ def execution_of(backend: Backend, execution: ExecutionConfig) -> ExecutionConfi
     for link in chain(backend):
         if isinstance(link, ExecutionAdapter):
             subject = f"adapter {type(link).__name__}"
-            with PluginErrors(f"{subject} fails in pace:", package_of(link)):
+            with PluginErrors(f"{subject} fails in execution:", package_of(link)):
                 answer: Any = link.execution(execution)
             if not isinstance(answer, ExecutionConfig):
                 got = type(answer).__name__
-                raise KinfeasError(f"{subject} must return a ExecutionConfig from pace, not {got}")
+                raise KinfeasError(
+                    f"{subject} must return an ExecutionConfig from execution, not {got}"
+                )
             execution = answer
     return execution

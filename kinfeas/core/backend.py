@@ -130,11 +130,11 @@ class ObstacleDistances:
         if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
             shapes = f"{self.closest_point.shape}, {self.normal.shape} and {self.distance.shape}"
             raise ValueError(
-                "place, toward and distance must be of the shapes (n, k, 2), (n, k, 2) and (n, k), "
-                f"not {shapes}"
+                "closest_point, normal and distance must be of the shapes (n, k, 2), (n, k, 2) and "
+                f"(n, k), not {shapes}"
             )
         if not (np.isfinite(self.closest_point).all() and np.isfinite(self.normal).all()):
-            raise ValueError("place and toward must be finite")
+            raise ValueError("closest_point and normal must be finite")
         if not (self.distance > -np.inf).all():
             raise ValueError("distance must be a number, or inf where there is nothing")
 

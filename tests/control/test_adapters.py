@@ -130,9 +130,9 @@ def lost(execution):
     [
         (
             lambda execution: None,
-            "^adapter Pacer must return a ExecutionConfig from pace, not NoneType$",
+            "^adapter ExecutionChanger must return an ExecutionConfig",
         ),
-        (lost, r"^adapter Pacer fails in pace: KeyError: 'pace' \(test_adapters.py, line \d+\)$"),
+        (lost, "^adapter ExecutionChanger fails in execution: KeyError: 'execution'"),
         (
             lambda execution: replace(execution, head_start=np.nan),
             "^head_start must be a number >= 0 in all, n",

@@ -502,7 +502,10 @@ def test_a_backend_that_draws_does_not_change_what_the_course_draws(solver):
     stood = []
     for backend in (AnalyticBackend(), Noisy()):
         loop = Loop(
-            solver, [SubgoalMotion(Linear())], backend, execution=ExecutionConfig(spread=3.0)
+            solver,
+            [SubgoalMotion(Linear())],
+            backend,
+            execution=ExecutionConfig(head_start_jitter=3.0),
         )
         loop.start(starts(solver.robot, 6), rngs(6))
         first, still = loop.desired.copy(), np.zeros(6, dtype=int)

@@ -19,7 +19,7 @@ from kinfeas.io.demonstrations import (
     write_demonstration,
 )
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "demonstrations.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "demonstrations.md"
 FIELDS = ("time", "ee_pose", "base_pose", "object_pose")
 
 

@@ -25,7 +25,7 @@ TRAINED = Trained(
     command="kinfeas train",
     benchmark={"door": {"success": 0.5}},
 )
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def write(folder, **changes):
@@ -119,6 +119,6 @@ def test_a_best_checkpoint_was_judged(tmp_path, missing):
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_a_shipped_file_is_written_as_it_is(tmp_path, name):
-    shipped = ROOT / "kinfeas" / "pretrained" / name
+    shipped = ROOT / "kinfeas" / "policies" / "pretrained" / name
     write_trained(read_trained(shipped), tmp_path)
     assert (tmp_path / "policy.json").read_bytes() == (shipped / "policy.json").read_bytes()

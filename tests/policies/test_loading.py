@@ -3,7 +3,6 @@ import pickle
 
 import numpy as np
 import pytest
-from tests.policies.baselines.policy_inputs import policy_inputs
 
 from kinfeas.benchmark.speed import random_network
 from kinfeas.control.drive import action_size
@@ -16,6 +15,7 @@ from kinfeas.policies.baselines.geometric_modulation import GeometricModulation
 from kinfeas.policies.baselines.whole_body_qp import WholeBodyQp
 from kinfeas.policies.loading import BASELINES, QUICK_BASELINES, load_policy
 from kinfeas.policies.network import write_network
+from tests.policies.baselines.policy_inputs import policy_inputs
 
 
 @pytest.fixture

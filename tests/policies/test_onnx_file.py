@@ -42,7 +42,7 @@ def observations(network, n, seed=5):
 
 
 def test_acts_as_the_training_policy(robot, tmp_path):
-    network, path = write_policy_file(robot, tmp_path, hidden=256)
+    network, path = write_policy_file(robot, tmp_path, net_arch=256)
     policy = read_policy_file(path, robot)
     seen = observations(network, 200) * 2.0
     np.testing.assert_allclose(policy(seen), network(seen), rtol=0.0, atol=TOLERANCE)
@@ -60,7 +60,7 @@ def test_shape_and_bounds(path, pr2, n):
 
 
 def test_no_bit_depends_on_the_batch(pr2, tmp_path):
-    network, path = write_policy_file(pr2, tmp_path, hidden=256)
+    network, path = write_policy_file(pr2, tmp_path, net_arch=256)
     policy, seen = read_policy_file(path, pr2), observations(network, 64)
     together = policy(seen)
     for count in (1, 3, 16):

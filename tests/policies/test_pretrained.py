@@ -14,7 +14,7 @@ def made(root: Path, *names: str) -> Path:
     for name in names:
         robot = registry.load_robot(name)
         (root / name).mkdir()
-        write_network(random_network(robot, hidden=4), root / name, robot, {})
+        write_network(random_network(robot, net_arch=4), root / name, robot, {})
     return root
 
 

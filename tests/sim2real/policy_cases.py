@@ -19,17 +19,17 @@ TRAINED = {
 """What a run's `policy.json` tells of its training."""
 
 
-def write_run(robot, folder, hidden=8, extra=None):
+def write_run(robot, folder, net_arch=8, extra=None):
     """Write an untrained policy as a training run does and return it."""
     folder.mkdir(parents=True, exist_ok=True)
-    network = random_network(robot, hidden)
+    network = random_network(robot, net_arch)
     write_network(network, folder, robot, TRAINED if extra is None else extra)
     return network
 
 
-def write_policy_file(robot, folder, hidden=8):
+def write_policy_file(robot, folder, net_arch=8):
     """Export an untrained policy; return the training policy and the path of the file."""
-    network = write_run(robot, folder / "run", hidden)
+    network = write_run(robot, folder / "run", net_arch)
     export(folder / "run", robot, folder / "policy.onnx")
     return network, folder / "policy.onnx"
 

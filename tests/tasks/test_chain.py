@@ -164,12 +164,12 @@ def test_files_that_lie_beside_a_task_are_found_from_anywhere(tmp_path, monkeypa
         ("subgoals: [{offset: [0, 0, 1]}]", "'subgoals.0.place' is missing"),
         ("subgoals: [{place: cup, weight: 2}]", "unknown key 'subgoals.0.weight'"),
         (
-            "subgoals: [{place: cup, wait: -1}]",
-            r"'subgoals.0.wait' must be a number in \[0, 100000\], not -1",
+            "subgoals: [{place: cup, dwell: -1}]",
+            r"'subgoals.0.dwell' must be a number in \[0, 100000\], not -1",
         ),
         (
-            "subgoals: [{place: cup, wait: 1e300}]",
-            r"wait' must be a number in \[0, 100000\], not 1e",
+            "subgoals: [{place: cup, dwell: 1e300}]",
+            r"dwell' must be a number in \[0, 100000\], not 1e",
         ),
         (
             "subgoals: [{place: cup, offset: [0, 0, 1e300]}]",

@@ -105,17 +105,17 @@ class ObstacleFilter:
         Raises:
             KinfeasError: If a backend from outside fails, or says nothing of the kind.
         """
-        with plugin_errors(self._innermost, "near"):
+        with plugin_errors(self._innermost, "obstacle_distances"):
             obstacle_distances: Any = self._backend.obstacle_distances(self._look)
         name = type(self._innermost).__name__
         if not isinstance(obstacle_distances, ObstacleDistances):
             got = type(obstacle_distances).__name__
             raise KinfeasError(
-                f"backend {name} must return a ObstacleDistances from near, not {got}"
+                f"backend {name} must return ObstacleDistances from obstacle_distances, not {got}"
             )
         if len(obstacle_distances.distance) != n:
             got = str(len(obstacle_distances.distance))
-            raise KinfeasError(f"backend {name} must say what is near to {n} robots, not to {got}")
+            raise KinfeasError(f"backend {name} must measure {n} robots, not {got}")
         way = np.maximum(obstacle_distances.distance - self._metres, 0.0)
         most = np.minimum(np.sqrt(self._brakes * way), way / (2.0 * self._dt))
         normal = _toward(obstacle_distances, len(self._full))

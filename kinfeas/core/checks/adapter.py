@@ -13,7 +13,7 @@ from kinfeas.core.plugin_errors import PluginErrors, package_of
 from kinfeas.core.spatial import Array
 
 _METHODS = ("reset", "step", "close", "restore")
-_PASSED_ON = ("seed", "grip", "near", "read", "stop", "snapshot")
+_PASSED_ON = ("seed", "grip", "obstacle_distances", "read", "stop", "snapshot")
 """What some backends can beside that, whose answers are not looked at."""
 
 

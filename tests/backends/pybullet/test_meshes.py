@@ -9,7 +9,7 @@ from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "own_robot"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "own_robot"
 CORNERS = ((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
 STL = bytes(80) + struct.pack("<I", 4) + b"".join(
     struct.pack("<12fH", 0, 0, 1, *(x for i in range(4) if i != left for x in CORNERS[i]), 0)

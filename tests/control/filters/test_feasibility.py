@@ -57,7 +57,7 @@ def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene, feasibil
 def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene, feasibility_filter):
     action, base_pose, *rest = scene
     twist, arm = feasibility_filter(*scene)
-    others, helped = feasibility_filter.others, 0
+    others, helped = feasibility_filter.candidates, 0
     for row in np.flatnonzero(~follows(solver, *scene)):
         alone = [np.repeat(values[[row]], len(others), axis=0) for values in (base_pose, *rest)]
         able = others[follows(solver, others, *alone)]

@@ -218,10 +218,7 @@ def test_what_looks_ahead_sees_nothing_in_its_way():
 
 def test_a_backend_that_sees_nothing_is_refused():
     robot = registry.load_robot("hsr")
-    sentence = (
-        r"^min_obstacle_distance=0.05 needs a backend that knows what stands around the base, and "
-        r"AnalyticBackend does not: only 0 is allowed$"
-    )
+    sentence = "min_obstacle_distance=0.05 needs a backend .* AnalyticBackend does not"
     for backend in (AnalyticBackend(), Passing(AnalyticBackend())):
         with pytest.raises(KinfeasError, match=sentence):
             loop_among(robot, backend, 1)
@@ -241,28 +238,30 @@ class Blind(Pillars):
 @pytest.mark.parametrize(
     ("answer", "sentence"),
     [
-        (lambda: None, r"^backend Blind must return a ObstacleDistances from near, not NoneType$"),
-        (lambda: 1 / 0, r"^backend Blind fails in near: ZeroDivisionError: "),
+        (
+            lambda: None,
+            r"^backend Blind must return ObstacleDistances from obstacle_distances, not NoneType$",
+        ),
+        (lambda: 1 / 0, r"^backend Blind fails in obstacle_distances: ZeroDivisionError: "),
         (
             lambda: ObstacleDistances(np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), np.zeros((2, 1))),
-            r"^backend Blind must say what is near to 1 robots, not to 2$",
+            r"^backend Blind must measure 1 robots, not 2$",
         ),
         (
             lambda: ObstacleDistances(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1)),
-            r"fails in near: ValueError: place, toward and distance must be of the shapes \(n, k, "
-            r"2\), \(n, k, 2\) and \(n, k\), not \(1, 2\), \(1, 2\) and \(1,\) ",
+            "fails in obstacle_distances: ValueError: closest_point, normal and distance must be ",
         ),
         (
             lambda: ObstacleDistances(
                 np.full((1, 1, 2), np.nan), np.zeros((1, 1, 2)), np.zeros((1, 1))
             ),
-            "fails in near: ValueError: place and toward must be finite ",
+            "fails in obstacle_distances: ValueError: closest_point and normal must be finite ",
         ),
         (
             lambda: ObstacleDistances(
                 np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), np.full((1, 1), np.nan)
             ),
-            "fails in near: ValueError: distance must be a number, or inf where there is nothing ",
+            "fails in obstacle_distances: ValueError: distance must be a number",
         ),
     ],
 )
@@ -275,7 +274,7 @@ def test_what_is_no_answer_is_said_in_one_sentence(answer, sentence):
 
 
 def test_the_scan_of_the_documentation_keeps_a_round_base_clear():
-    page = (Path(__file__).parents[1] / "docs" / "deploy.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "deploy.md").read_text(encoding="utf-8")
     space: dict[str, object] = {}
     exec(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1], space)
     hsr, angles = registry.load_robot("hsr"), np.linspace(-1.5, 1.5, 181)

@@ -61,8 +61,8 @@ class Able(Around):
     def grip(self, grip, rows):
         self.answer("grip", None)
 
-    def near(self, within):
-        return self.answer("near", within)
+    def obstacle_distances(self, within):
+        return self.answer("obstacle_distances", within)
 
     def read(self):
         return self.answer("read", self.backend.state)
