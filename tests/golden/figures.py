@@ -72,7 +72,7 @@ def obstacle_filter(robot, count=300, obstacles=3):
     commands = rng.uniform(-1.0, 1.0, (count, 4, action_size(base)))
 
     class Around:
-        def near(self, within):
+        def obstacle_distances(self, within):
             found = np.where(distances < within, distances, np.inf)
             return ObstacleDistances(0.3 * directions, directions, found)
 
