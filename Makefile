@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test docs lint format clean
+.PHONY: help install demo test docs lint layers format clean
 
 help:  ## Show the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -17,16 +17,24 @@ install: $(STAMP)  ## Build .venv with the tested versions
 demo: $(STAMP)  ## Train a PR2 base policy for two minutes, evaluate it and write a report
 	$(BIN)/kinfeas demo
 
-test: $(STAMP) lint  ## Check style and types, then run all tests
+test: $(STAMP) lint  ## Check style, types and layers, then run all tests
 	$(BIN)/python -m pytest
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
 
-lint: $(STAMP)  ## Check style and types
+lint: $(STAMP)  ## Check style, types and layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@$(MAKE) --no-print-directory layers
+
+# On a copy in which every package lies below kinfeas, as installed.
+layers: $(STAMP)
+	@rm -rf build/layers && mkdir -p build/layers
+	@cp -r kinfeas build/layers && cp -r plugins scenes sim2real configs build/layers/kinfeas
+	cd build/layers && "$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" \
+		--no-cache --no-logo
 
 format: $(STAMP)  ## Format the code and mend what ruff can mend
 	$(BIN)/ruff check --fix .

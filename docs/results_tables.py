@@ -12,7 +12,7 @@ import io
 import json
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,41 +32,39 @@ IMAGES = DOCS / "images"
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
-AIDS = {
-    "pr2": ("feasibility_filter", "yielding:pretrained"),
-    "tiago": ("looking ahead and yielding", "rollout_planner:yielding:pretrained"),
-    "hsr": ("looking ahead", "rollout_planner:sac"),
+FILTERS = {
+    "pr2": ("feasibility filter", "feasibility_filter:pretrained"),
+    "tiago": (
+        "rollout planner and feasibility filter",
+        "rollout_planner:feasibility_filter:pretrained",
+    ),
+    "hsr": ("rollout planner", "rollout_planner:sac"),
 }
-"""What helps each robot, in words, and the policy that has this help."""
+"""The best filters of each robot, in words, and the policy with them."""
 ROWS = {
-    "**{}**, ours": "sac",
-    "**{}**, ours, {aid}": "",
-    "{}, `whole_body_qp`": "whole_body_qp",
-    "{}, `follow_ee_feedback`": "follow_ee_feedback",
+    "**{}**, ours": ("sac", "success"),
+    "**{}**, {filters}": ("", "success"),
+    "{}, paper": ("sac", "paper_success"),
+    "{}, `whole_body_qp`": ("whole_body_qp", "success"),
+    "{}, ceiling": ("sac", "ceiling"),
 }
-"""Policies of the README's rows by their heads; none where the robot's aid says which."""
-JUMPS = {
-    "{}, arm jumps an episode, ours": "sac",
-    "{}, arm jumps an episode, {aid}": "",
-}
-ANY_START = "any start"
-"""The variant of `ggr_restricted` that begins where the paper's program does."""
+"""Policies and figures of the README's rows by their heads; no policy: the one with filters."""
 PHYSICS = {
     ("head_start", "pretrained"): "{}, 3 s head start",
     ("", "pretrained"): "{}",
-    ("", "rollout_planner:pretrained"): "{}, looking ahead",
-    ("no_objects", "pretrained"): "{}, without objects",
+    ("", "rollout_planner:pretrained"): "{}, rollout planner",
+    ("no_objects", "pretrained"): "{}, no objects",
     ("", "follow_ee"): "{}, `follow_ee`",
     ("", "follow_ee_feedback"): "{}, `follow_ee_feedback`",
     ("", "geometric_modulation"): "{}, `geometric_modulation`",
     ("", "demonstrated_base"): "{}, `demonstrated_base`",
 }
 IN_PYBULLET = {
-    "pr2": (("head_start", "pretrained"),),
-    "tiago": (("", "pretrained"), ("", "rollout_planner:pretrained")),
-    "hsr": (("", "pretrained"),),
+    "pr2": ("head_start", "pretrained"),
+    "tiago": ("", "rollout_planner:pretrained"),
+    "hsr": ("", "pretrained"),
 }
-"""Variants and policies of the README's rows with physics."""
+"""Variant and policy of the README's rows with physics."""
 PICTURES = ("learning_curves", "examples-tiago", "workspace")
 COLOURS = 128
 
@@ -114,36 +112,25 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
     tables = re.search(r"World: analytic;.*(?=\n## How to make it again)", table, re.DOTALL)
     assert tables is not None
     deeper = re.sub(r"^## ", "### ", tables.group(), flags=re.MULTILINE).rstrip()
-    place = re.compile(r"World: analytic;.*?(?=\n\n## How they learn)", re.DOTALL)
+    place = re.compile(r"World: analytic;.*?(?=\n\n## Learning curves)", re.DOTALL)
     filled, count = place.subn(lambda _: deeper, page, count=1)
-    return _found(filled, count, "results.md: no tables before 'How they learn'")
+    return _found(filled, count, "results.md: no tables before 'Learning curves'")
 
 
 def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) -> str:
     """Return the README with the rows of its tables filled anew."""
-    cells = of_variant(record, "")
     for robot, name in ROBOTS.items():
-        aid, aided = AIDS[robot]
-        for rows, entry in ((ROWS, _share), (JUMPS, _jumps)):
-            for head, policy in rows.items():
-                values = [entry(cells, robot, task, policy or aided) for task in TASKS]
-                page = _fill(page, head.format(name, aid=aid), values)
-        began = of_variant(record, ANY_START)
-        values = [_share(began, robot, task, "pretrained") for task in TASKS]
-        page = _fill(page, f"**{name}**, ours, {ANY_START}", values)
-        for head, values in _physics_rows(physics, robot):
-            page = _fill(page, head, values)
-    return page
-
-
-def _physics_rows(record: Sequence[Entry], robot: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield heads and values of the README's rows with physics of a robot; the paper's last."""
-    name = ROBOTS[robot]
-    for variant, policy in IN_PYBULLET[robot]:
-        cells = of_variant(record, variant)
+        filters, filtered = FILTERS[robot]
+        cells = of_variant(record, "")
+        for head, (policy, key) in ROWS.items():
+            values = [_share(cells[robot, task, policy or filtered], key) for task in TASKS]
+            page = _fill(page, head.format(name, filters=filters), values)
+        variant, policy = IN_PYBULLET[robot]
+        cells = of_variant(physics, variant)
         head = PHYSICS[variant, policy].format(f"**{name}** in PyBullet")
-        yield head, [_share(cells, robot, task, policy) for task in TASKS]
-    yield f"{name} in PyBullet, paper", [_paper(cells[robot, task, policy]) for task in TASKS]
+        for row, key in ((head, "success"), (f"{name} in PyBullet, paper", "paper_success")):
+            page = _fill(page, row, [_share(cells[robot, task, policy], key) for task in TASKS])
+    return page
 
 
 def fill_physics(page: str, record: Sequence[Entry]) -> str:
@@ -174,22 +161,9 @@ def _found(filled: str, places: int, complaint: str) -> str:
     return filled
 
 
-def _paper(cell: Entry) -> str:
-    return f"{100 * cell['paper_success']:.1f} ({100 * cell['paper_within_5cm']:.1f})"
-
-
-def _share(cells: Cells, robot: str, task: str, policy: str) -> str:
-    if (robot, task, policy) not in cells:
-        return ""
-    cell = cells[robot, task, policy]
-    text = f"{100 * cell['success']:.1f} ({100 * cell['within_5cm']:.1f})"
-    return text if policy in BASELINES else f"**{text}**"
-
-
-def _jumps(cells: Cells, robot: str, task: str, policy: str) -> str:
-    if (robot, task, policy) not in cells:
-        return ""
-    return f"{cells[robot, task, policy]['joint_jumps_per_episode']:.2f}"
+def _share(cell: Entry, key: str) -> str:
+    text = f"{100 * cell[key]:.1f}"
+    return f"**{text}**" if key == "success" and cell["policy"] not in BASELINES else text
 
 
 def _physics_row(name: str, cell: Entry) -> str:

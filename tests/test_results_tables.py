@@ -14,7 +14,7 @@ PHYSICS = (DOCS / "physics.md").read_text()
 RESULTS = (DOCS / "results.md").read_text()
 STUDY = json.loads((DOCS / "figures" / "study.json").read_text())
 IN_PYBULLET = json.loads((DOCS / "figures" / "physics.json").read_text())
-NEW = {"success": 0.1234, "within_5cm": 0.5678, "joint_jumps_per_episode": 9.87}
+NEW = {"success": 0.1234, "paper_success": 0.456, "ceiling": 0.789}
 
 
 def test_the_pages_hold_what_the_record_says():
@@ -26,16 +26,16 @@ def test_the_pages_hold_what_the_record_says():
 def test_every_row_of_the_readme_is_filled():
     record, physics = ([{**cell, **NEW} for cell in cells] for cells in (STUDY, IN_PYBULLET))
     filled = SCRIPT["fill_readme"](README, record, physics)
-    assert "| **PR2** in PyBullet, 3 s head start | **12.3 (56.8)** |" in filled
-    assert "| **TIAGo** in PyBullet, looking ahead | **12.3 (56.8)** |" in filled
+    assert "| **PR2** in PyBullet, 3 s head start | **12.3** |" in filled
+    assert "| **TIAGo** in PyBullet, rollout planner | **12.3** |" in filled
     for robot, name in SCRIPT["ROBOTS"].items():
-        aid, _ = SCRIPT["AIDS"][robot]
-        assert f"| **{name}**, ours | **12.3 (56.8)** |" in filled
-        assert f"| {name}, `whole_body_qp` | 12.3 (56.8) |" in filled
-        assert f"| **{name}**, ours, {aid} | **12.3 (56.8)** |" in filled
-        assert f"| {name} in PyBullet, paper | " in filled
-        assert f"| {name}, arm jumps an episode, ours | 9.87 |" in filled
-        assert f"| {name}, arm jumps an episode, {aid} | 9.87 |" in filled
+        filters, _ = SCRIPT["FILTERS"][robot]
+        assert f"| **{name}**, ours | **12.3** |" in filled
+        assert f"| **{name}**, {filters} | **12.3** |" in filled
+        assert f"| {name}, `whole_body_qp` | 12.3 |" in filled
+        assert f"| {name}, paper | 45.6 |" in filled
+        assert f"| {name}, ceiling | 78.9 |" in filled
+        assert f"| {name} in PyBullet, paper | 45.6 |" in filled
 
 
 def test_a_study_takes_the_place_of_its_own_cells_alone():
@@ -51,8 +51,8 @@ def test_a_row_whose_name_has_changed_is_an_error():
 
 
 def test_pages_without_their_tables_are_errors():
-    changed = RESULTS.replace("## How they learn", "## Learning")
-    with pytest.raises(SystemExit, match=r"results\.md: no tables before 'How they learn'; its fi"):
+    changed = RESULTS.replace("## Learning curves", "## Learning")
+    with pytest.raises(SystemExit, match=r"results\.md: no tables before 'Learning curves'; its"):
         SCRIPT["fill_results"](changed, STUDY)
     changed = PHYSICS.replace("| robot | task |", "| who | task |")
     with pytest.raises(SystemExit, match=r"physics\.md: no table that begins with 'robot' and"):

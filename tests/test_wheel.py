@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -92,7 +93,7 @@ def test_wheel_holds_the_data_beside_the_code(wheel):
         *(ROOT / "kinfeas" / "tasks").glob("*.yaml"),
         *(ROOT / "kinfeas" / "templates").rglob("*.txt"),
         *(ROOT / "configs").rglob("*.yaml"),
-        *(ROOT / "kinfeas" / "pretrained").glob("*/policy.*"),
+        *(ROOT / "kinfeas" / "policies" / "pretrained").glob("*/policy.*"),
         *(ROOT / "plugins" / "models").glob("*.yaml"),
         *(ROOT / "scenes").glob("*.yaml"),
         ROOT / "kinfeas" / "py.typed",
@@ -105,6 +106,17 @@ def test_wheel_holds_the_data_beside_the_code(wheel):
     for robot in ("pr2", "tiago", "hsr"):
         assert {f"kinfeas/robots/{robot}.yaml", f"kinfeas/robots/{robot}.urdf"} <= names
     assert any(name.startswith("kinfeas/configs/train/") for name in names)
+
+
+def test_wheel_is_told_of_every_folder_with_modules():
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = {"kinfeas": "kinfeas", **setup["package-dir"]}
+    present = {
+        ".".join((package, *path.parent.relative_to(ROOT / folder).parts))
+        for package, folder in folders.items()
+        for path in (ROOT / folder).rglob("*.py")
+    }
+    assert sorted(setup["packages"]) == sorted(present)
 
 
 def test_wheel_leaks_no_other_top_level_name(wheel):

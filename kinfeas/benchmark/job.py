@@ -13,7 +13,7 @@ W = TypeVar("W", WorldConfig, PhysicsSettings)
 CEILING = "ceiling"
 """What takes the place of a policy where the ceiling of a task is to be found."""
 
-FEASIBILITY_FILTER = "yielding:"
+FEASIBILITY_FILTER = "feasibility_filter:"
 """What stands before what a policy is called in the table if the base yields for it."""
 
 
@@ -26,7 +26,7 @@ class Job:
         task: Name or YAML file.
         parameters: Its keyword parameters.
         variant: What is different about them.
-        policy: What the policy is called in the table, after `rollout_planner:` and `yielding:` as
+        policy: What the policy is called in the table, after `rollout_planner:` and `feasibility_filter:` as
             it does so; `ceiling` for the ceiling.
         source: What `load_driver` takes.
         training_seed: Seed that it was trained with, if it was and that is known.

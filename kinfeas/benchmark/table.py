@@ -28,8 +28,8 @@ class Cell:
         robot: Name of the robot.
         variant: What is different about the task; empty if nothing is.
         task: Name of the task; of a YAML file, what the file is called without its suffix.
-        policy: `sac`, `td3`, `pretrained`, or a baseline; `yielding:sac` for one whose base
-            yields, `rollout_planner:sac` for one that looks ahead, `rollout_planner:yielding:sac`
+        policy: `sac`, `td3`, `pretrained`, or a baseline; `feasibility_filter:sac` for one whose base
+            yields, `rollout_planner:sac` for one that looks ahead, `rollout_planner:feasibility_filter:sac`
             for both.
         world: Where it was measured.
         seeds: How many policies, each from another training seed, it is the mean of.

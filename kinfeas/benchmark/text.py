@@ -15,18 +15,16 @@ TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 
 _LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
 
-_AIDS = {"feasibility_filter": "feasibility_filter", "rollout_planner": "looking ahead"}
-"""What stands before the name of a policy, in words."""
+_AIDS = {"feasibility_filter": "feasibility filter", "rollout_planner": "rollout planner"}
+"""Prefixes of a policy's name, in words."""
 
 _HOW = """\
-Each cell: per cent of episodes that reach the goal **without a single kinematic failure**, in \
-brackets the share in which the end-effector never strays more than 5 cm and ends at the goal. \
-`±` is the standard deviation over training seeds. The *ceiling* is the share of goals that the \
-end-effector reaches from some base pose, with its 95 % interval: no policy can beat it. Rows in \
-italics are the paper's own, from its own program; its row "follow / demonstrated" stands below \
-the baseline that it means. Its `ggr_restricted` begins harder than ours: its program also takes \
-arm configurations that touch the robot itself at these heights, and all others beyond them. So do \
-tables of "any start"."""
+Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \
+brackets: EE deviation below 5 cm throughout, and goal reached. `±` is the standard deviation over \
+training seeds. The *ceiling* is the percentage of goals that are reachable from at least one base \
+pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program. Its \
+`ggr_restricted` has harder start configurations: in self-collision at these heights, and any \
+others beyond them. Tables "any start" use these starts, too."""
 
 
 _CAPTIONS = {
@@ -51,7 +49,7 @@ def to_markdown(
     for robot, variant in groups(cells):
         own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
         lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
-    lines += ["## Arm jumps an episode", "", _JUMPS, "", *_jump_table(cells), ""]
+    lines += ["## Joint jumps per episode", "", _JUMPS, "", *_jump_table(cells), ""]
     for name in pictures:
         caption = _CAPTIONS.get(name, "An episode of each task")
         lines += [f"![{caption}]({name})", "", f"*{caption}.*", ""]
@@ -76,7 +74,7 @@ def page(
     return "\n".join([*opening, *lines, *closing])
 
 
-_JUMPS = "Steps in which an arm joint would have to move faster than it can."
+_JUMPS = "Steps in which an arm joint would exceed its velocity limit."
 
 
 def groups(cells: Sequence[Cell]) -> list[tuple[str, str]]:

@@ -56,8 +56,8 @@ def test_everything_is_written(shipped, tmp_path, monkeypatch):
     assert len(entries) == len(findings.cells) == 10
     text = (tmp_path / "table.md").read_text()
     assert "learned, pretrained" in text
-    assert "learned, pretrained, looking ahead**" in text
-    assert "learned, pretrained, looking ahead and yielding**" in text
+    assert "learned, pretrained, rollout planner**" in text
+    assert "learned, pretrained, rollout planner and feasibility filter**" in text
     for path in pictures:
         assert f"({path.name})" in text
 

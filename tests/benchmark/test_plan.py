@@ -45,9 +45,9 @@ def test_what_is_aided_is_a_row_of_its_own():
     jobs = plan_jobs(small_study("policies=either", "robots=[pr2]", "tasks=[ggr]", aids), runs)
     aided = [job for job in jobs if ":" in job.policy]
     assert [(job.policy, job.source, job.world.feasibility_filter) for job in aided] == [
-        ("yielding:sac", "run-sac", True),
+        ("feasibility_filter:sac", "run-sac", True),
         ("rollout_planner:sac", "rollout_planner:run-sac", False),
-        ("rollout_planner:yielding:sac", "rollout_planner:run-sac", True),
+        ("rollout_planner:feasibility_filter:sac", "rollout_planner:run-sac", True),
     ]
     assert not any(job.world.feasibility_filter for job in jobs if job not in aided)
     assert not any(job.variant for job in aided)
@@ -58,7 +58,7 @@ def test_an_aid_helps_the_robots_and_tasks_that_it_names():
     jobs = plan_jobs(small_study("aids=[{yields: true, robots: [pr2], tasks: [ggr]}]"), [])
     aided = [job for job in jobs if ":" in job.policy]
     assert {(job.robot, job.task, job.policy) for job in aided} == {
-        ("pr2", "ggr", "yielding:pretrained")
+        ("pr2", "ggr", "feasibility_filter:pretrained")
     }
 
 
@@ -95,7 +95,7 @@ def test_a_row_may_have_no_tasks():
     ("aid", "policy"),
     [
         ("rollout_planner: true", "rollout_planner:pretrained"),
-        ("yields: true", "yielding:pretrained"),
+        ("yields: true", "feasibility_filter:pretrained"),
     ],
 )
 def test_what_is_aided_stands_in_the_plain_row(aid, policy):
@@ -103,7 +103,9 @@ def test_what_is_aided_stands_in_the_plain_row(aid, policy):
     aided = [job for job in jobs if job.policy == policy]
     assert {(job.robot, job.task) for job in aided} == {("hsr", "ggr")}
     assert {job.variant for job in aided if job.physical} == {""}
-    assert {job.world.feasibility_filter for job in aided} == {policy == "yielding:pretrained"}
+    assert {job.world.feasibility_filter for job in aided} == {
+        policy == "feasibility_filter:pretrained"
+    }
     assert {job.physical for job in aided} == {True, False}
 
 

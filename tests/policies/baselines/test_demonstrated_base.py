@@ -2,13 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 from kinfeas.control.drive import base_twist
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
 from kinfeas.policies.baselines.demonstrated_base import DemonstratedBase, demonstrated_base
 from kinfeas.policies.baselines.follow_ee import FollowEe
+from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 
 def seen(robot, count=20, seed=0):

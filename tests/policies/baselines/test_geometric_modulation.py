@@ -3,12 +3,12 @@ import pickle
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.spatial import relative, wrap, yaw
 from kinfeas.policies.baselines.geometric_modulation import GeometricModulation, modulated
+from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 SHAPE = np.array([[-0.1, 0.05, 0.9, 1.0, 0.3, 0.4]])
 

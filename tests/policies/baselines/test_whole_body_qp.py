@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.observation import HORIZON
@@ -14,6 +13,7 @@ from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.policies.baselines import whole_body_qp as module
 from kinfeas.policies.baselines.whole_body_qp import WholeBodyQp, build_model, whole_body_qp
 from kinfeas.robots.tree import Mimic
+from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 pin = pytest.importorskip("pinocchio")
 pytest.importorskip("pink")
