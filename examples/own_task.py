@@ -1,4 +1,4 @@
-"""Describe a task as a chain of places, in code, and see which robots can do it."""
+"""Define a task of several sub-goals in Python and evaluate it with several robots."""
 
 import argparse
 import math
@@ -14,13 +14,13 @@ WATER_PLANTS = ChainTask(
     name="water_plants",
     start=BaseStart(square=1.0),
     places={
-        # Metres and radians; of a pair a number in between is drawn for each episode.
+        # Metres and radians; a pair is drawn uniformly for each episode.
         "tap": Place(position=(1.2, (-0.3, 0.3), 0.9)),
         "plant": Place(position=((-0.8, -0.6), 1.2, (0.6, 0.8)), rpy=(0.0, 0.0, math.pi / 2.0)),
     },
     legs=(
         ChainLeg(place="tap", offset=(-0.1, 0.0, 0.0), frame="tip", wait=2.0),
-        # A waypoint above the plant, then slowly down to it.
+        # A sub-goal above the plant, then slowly down to it.
         ChainLeg(place="plant", offset=(0.0, 0.0, 0.15), frame="tip"),
         ChainLeg(
             place="plant",
@@ -32,7 +32,7 @@ WATER_PLANTS = ChainTask(
 
 
 def main() -> None:
-    """Run some episodes for each robot; docs/tasks.md shows the same as a YAML file."""
+    """Evaluate each robot; docs/tasks.md describes the YAML format of tasks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=2)
     parser.add_argument("--robots", nargs="+", default=["pr2", "hsr"])
