@@ -1,4 +1,4 @@
-"""Deploy a policy from code: a world, sim-to-real adapters, guards, and a record of the run."""
+"""Deploy a policy from Python with an adapter, guards and a record of the run."""
 
 import argparse
 import tempfile
@@ -18,7 +18,7 @@ from kinfeas.tasks.task import MotionSpec
 
 
 def main() -> None:
-    """Reach a goal with noise on the base, then read what was recorded."""
+    """Reach a goal with base noise, then read the record."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
     given = parser.parse_args()

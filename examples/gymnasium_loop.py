@@ -1,4 +1,4 @@
-"""Step the environment by hand, alone and many side by side."""
+"""Step one environment and a vector of environments."""
 
 import argparse
 
@@ -10,7 +10,7 @@ from kinfeas.control.observation import FIELDS
 
 
 def main() -> None:
-    """Let random actions fail."""
+    """Run random actions in one environment and zero actions in 64."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--robot", default="tiago")

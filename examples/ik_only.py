@@ -1,4 +1,4 @@
-"""Use the batched inverse kinematics alone: solve, check, and ask what can be reached at all."""
+"""Use the batched inverse kinematics: solve, check and compute reachability."""
 
 import argparse
 import time
@@ -14,7 +14,7 @@ from kinfeas.tasks.loading import load_task
 
 
 def main() -> None:
-    """Solve random poses, then measure the ceiling of random goals."""
+    """Solve random poses, then measure the reachability of random goals."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="hsr", help="a name, or the path of a robot's YAML")
     parser.add_argument("--poses", type=int, default=1000)
@@ -26,7 +26,7 @@ def main() -> None:
     joints = spread_configurations(robot, given.poses)
     joints = joints[~self_collides(solver.collision, joints)]
     poses, seeds = forward(solver.chain, joints), joints[::-1].copy()
-    solver.solve(poses[:1], seeds[:1])  # compiles, or loads what was compiled before
+    solver.solve(poses[:1], seeds[:1])  # compiles the kernels or loads them from the cache
     began = time.perf_counter()
     solution = solver.solve(poses, seeds)
     seconds = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""Write a motion generator, register it in code, and let the trained PR2 carry it."""
+"""Define a motion generator, register it, and evaluate the pretrained PR2 policy with it."""
 
 import argparse
 
@@ -14,17 +14,17 @@ from kinfeas.testing import check_motion_generator
 
 @batched
 class Wave:
-    """Straight to the target, swaying sideways on the way."""
+    """A line to the target with a sideways oscillation."""
 
     def __init__(self, *, speed: float = 0.06, sway: float = 0.05) -> None:
         self.speed, self.sway = speed, sway
 
     def start(self, ee_pose, target_pose, rng):
-        """Return the state: whatever the motion has to remember."""
+        """Return the initial state of the motion."""
         return {"goal": target_pose, "time": 0.0}
 
     def goal_pose(self, state):
-        """Return where the motion ends."""
+        """Return the final pose of the motion."""
         return state["goal"]
 
     def twist(self, state, ee_pose, dt):

@@ -20,7 +20,7 @@ WATER_PLANTS = ChainTask(
     },
     subgoals=(
         ChainSubgoal(place="tap", offset=(-0.1, 0.0, 0.0), frame="tip", dwell=2.0),
-        # A waypoint above the plant, then slowly down to it.
+        # A sub-goal above the plant, then slowly down to it.
         ChainSubgoal(place="plant", offset=(0.0, 0.0, 0.15), frame="tip"),
         ChainSubgoal(
             place="plant",

@@ -1,4 +1,4 @@
-"""Train a base policy, set it beside two baselines, and show that a run is a folder."""
+"""Train a base policy and compare it with two baselines."""
 
 import argparse
 import tempfile
@@ -16,7 +16,7 @@ from kinfeas.training.train import train
 
 
 def main() -> None:
-    """Train for some steps, which 200,000 make worth while, and evaluate."""
+    """Train for some steps (200,000 give a useful policy) and evaluate."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--episodes", type=int, default=4)

@@ -1,7 +1,7 @@
 """What a policy file says of itself, in the metadata of the ONNX file.
 
 Each field of `About` is one entry, `kinfeas.FIELD`, whose value is JSON. Beside them stand
-`kinfeas.config.schema`, the version of all this, and `kinfeas.digest`, the hash of everything else.
+`kinfeas.schema`, the version of all this, and `kinfeas.digest`, the hash of everything else.
 """
 
 import hashlib

@@ -204,7 +204,7 @@ def test_the_page_observes_as_the_loop_does():
 def test_the_page_names_every_entry():
     for field in fields(About):
         assert f"| `kinfeas.{field.name}` |" in PAGE
-    assert "| `kinfeas.config.schema` |" in PAGE
+    assert "| `kinfeas.schema` |" in PAGE
     assert "| `kinfeas.digest` |" in PAGE
 
 
