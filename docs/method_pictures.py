@@ -13,8 +13,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from kinfeas.control.observation import FIELDS
-from kinfeas.control.subgoals import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core import registry
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.reachability import reachable

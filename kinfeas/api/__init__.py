@@ -20,8 +20,8 @@ from kinfeas.config.schema import Interval, Place, convert
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
+    from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.policies.network import Policy
     from kinfeas.training.progress import Progress
 
 __all__ = ["Run", "evaluate", "export", "load_policy", "train"]

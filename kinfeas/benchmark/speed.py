@@ -20,9 +20,10 @@ from kinfeas.benchmark.ik_speed import (
 from kinfeas.benchmark.timing import best_of, one_core, peak_memory_mb
 from kinfeas.control import drive, observation
 from kinfeas.core import registry
+from kinfeas.core.policy import Policy
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.follow_ee import FollowEe
-from kinfeas.policies.network import Network, Policy
+from kinfeas.policies.network import Network
 from kinfeas.robots.robot import Robot
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}

@@ -99,7 +99,7 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
 
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
-    policy = RolloutPlanner(trained, config.rollout_planner) if wishes.rollout_planner else trained
+    policy = RolloutPlanner(trained, config.rollout) if wishes.rollout_planner else trained
     warm_up(solver, policy, task, wishes.dt, adapters)
     if wishes.backend == _WORLD:
         from kinfeas.backends.pybullet.stage import Stage, task_scene
@@ -110,7 +110,7 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         backend = build_backend(wishes.backend, config.backend, robot=robot)
     # A world without a clock waits for a look, and so comes out the same each time.
     if wishes.rollout_planner and (wishes.real_time or isinstance(backend, RealTimeBackend)):
-        policy = RolloutPlannerThread(trained, config.rollout_planner)
+        policy = RolloutPlannerThread(trained, config.rollout)
     return Setup(
         solver=solver,
         policy=policy,

@@ -10,9 +10,9 @@ from kinfeas.cli.output import check_file_path, progress, say_written, status
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
+    from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import Trial
     from kinfeas.evaluation.physics.world import PhysicsTrial
-    from kinfeas.policies.network import Policy
     from kinfeas.viz.physics.film import Filmed
 
 

@@ -138,7 +138,7 @@ def check_rollout_planner(overrides: list[str] | None, *, wanted: bool) -> None:
     """
     from kinfeas.config import assigned
 
-    if not wanted and "rollout_planner" in assigned(overrides or ()):
+    if not wanted and "rollout" in assigned(overrides or ()):
         raise KinfeasError("--set rollout.KEY needs --rollout-planner")
 
 

@@ -14,8 +14,6 @@ from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON, observe
 from kinfeas.control.subgoals import (
-    GOAL_METRES,
-    GOAL_RADIANS,
     GRASP_METRES,
     RECONFIGURATION_SECONDS,
     ExecutionConfig,
@@ -25,13 +23,14 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
 from kinfeas.core.checks.adapter import unchecked
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.rows import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.joints import joint_jumps, joint_way
-from kinfeas.policies.network import PolicyInput
 
 __all__ = ["Loop", "Rows", "Step"]
 

@@ -16,9 +16,6 @@ from kinfeas.robots.robot import Robot
 
 Frame = Literal["ee", "tip"]
 
-GOAL_METRES, GOAL_RADIANS = 0.025, float(np.deg2rad(12.0))
-"""How near to the end of a sub-goal, on a feasible step, is there."""
-
 GRASP_METRES, GRASP_SETTLE_TIME = 0.005, 5.0
 """How near a gripper comes to the end of a sub-goal before it acts, and how long it may take."""
 

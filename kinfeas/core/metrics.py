@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array
 
+GOAL_METRES, GOAL_RADIANS = 0.025, float(np.deg2rad(12.0))
+"""Tolerances of a goal, which must be reached on a feasible step."""
+
 WITHIN = 0.05
 """Metres that the EE may stray in an episode that counts as within 5 cm."""
 

@@ -7,13 +7,13 @@ from typing import Literal
 from kinfeas import config
 from kinfeas.control.adapters import AdapterSpec, wrap
 from kinfeas.core.metrics import Share
+from kinfeas.core.policy import Policy
 from kinfeas.core.registry import build, load_robot
 from kinfeas.evaluation import evaluate as analytic
 from kinfeas.evaluation.evaluate import EvaluationConfig, Summary, Trial
 from kinfeas.evaluation.physics.evaluate import evaluate_physics
 from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
 from kinfeas.policies.loading import load_driver
-from kinfeas.policies.network import Policy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 
@@ -46,12 +46,12 @@ def make_trial(
         physics = physics_config(robot, overrides)
         check_adapters(physics.world.adapters, robot)
         task = load_task(task_name, physics.task)
-        driver = load_driver(policy, robot, physics.rollout_planner)
+        driver = load_driver(policy, robot, physics.rollout)
         return PhysicsTrial(robot, task, episodes, seed, physics.world), driver
     settings = config.from_mapping(EvaluationConfig, {}, "settings", overrides)
     check_adapters(settings.world.adapters, robot)
     task = load_task(task_name, settings.task)
-    driver = load_driver(policy, robot, settings.rollout_planner)
+    driver = load_driver(policy, robot, settings.rollout)
     return Trial(robot, task, episodes, seed, settings.world), driver
 
 

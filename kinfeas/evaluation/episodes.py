@@ -7,8 +7,8 @@ import numpy as np
 from kinfeas.control.loop import Rows
 from kinfeas.control.rollout_planner import RolloutPlanner
 from kinfeas.core.metrics import EpisodeRecords
+from kinfeas.core.policy import Policy
 from kinfeas.envs.world import Transition, World
-from kinfeas.policies.network import Policy
 
 BATCH = 256
 """Episodes side by side; no figure depends on it."""

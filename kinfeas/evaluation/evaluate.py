@@ -12,10 +12,10 @@ from functools import partial
 from kinfeas.control.rollout_planner import RolloutConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, join, summarize
+from kinfeas.core.policy import Policy
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import BATCH, run_episodes
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.policies.network import Policy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import Task
 
@@ -63,12 +63,12 @@ class EvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
-        rollout_planner: How far and how widely a policy looks that looks ahead.
+        rollout: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)
-    rollout_planner: RolloutConfig = field(default_factory=RolloutConfig)
+    rollout: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def evaluate(

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from kinfeas.control.loop import Rows
 from kinfeas.core import spatial
+from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
-from kinfeas.policies.network import Policy
 
 
 @dataclass(frozen=True, eq=False)

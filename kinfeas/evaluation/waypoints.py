@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.subgoals import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core import spatial
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.subgoals import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.metrics import Share, wilson
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Share, wilson
 from kinfeas.core.spatial import Array, planar_pose, relative, rotation
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations

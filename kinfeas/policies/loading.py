@@ -10,7 +10,7 @@ from kinfeas.policies import pretrained
 
 if TYPE_CHECKING:
     from kinfeas.control.rollout_planner import RolloutConfig
-    from kinfeas.policies.network import Policy
+    from kinfeas.core.policy import Policy
     from kinfeas.robots.robot import Robot
 
 

@@ -1,9 +1,9 @@
-"""What a base policy is, and the trained network that plays one without torch."""
+"""The trained network of a base policy, evaluated without torch."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 from kinfeas.control.drive import action_size
 from kinfeas.control.observation import scaled, size
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
 from kinfeas.robots.fingerprint import fingerprint
@@ -23,38 +24,6 @@ WEIGHTS = "policy.safetensors"
 
 # What reading tensors raises that are cut, foreign, made up, or of a type that NumPy lacks.
 _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
-
-
-@dataclass(frozen=True)
-class PolicyInput:
-    """All that a policy may look at, for n robots.
-
-    Attributes:
-        observation: What a learned policy sees, shape (n, 21 + j).
-        base_pose: World pose of the base, shape (n, 7).
-        ee_pose: Achieved world pose of the EE, shape (n, 7).
-        desired: Desired world pose of the EE now, shape (n, 7).
-        planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7). Where the motion
-            is slowed down it is nearer than what the observation shows, which is always at full
-            pace.
-        demonstrated_base: World pose at which the base was demonstrated to be now, shape (n, 7);
-            NaN where none was.
-    """
-
-    observation: Array
-    base_pose: Array
-    ee_pose: Array
-    desired: Array
-    planned: Array
-    demonstrated_base: Array
-
-
-class Policy(Protocol):
-    """Moves the base."""
-
-    def act(self, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import numpy as np
 
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
 from kinfeas.policies import onnx_metadata
-from kinfeas.policies.network import PolicyInput
 from kinfeas.policies.onnx_graph import INPUT, OUTPUT, check_graph
 from kinfeas.policies.onnx_metadata import About
 from kinfeas.robots.robot import Robot

@@ -22,7 +22,7 @@ class DeployConfig(ExecutionSettings):
         task: Keyword parameters of the task.
         backend: Keyword parameters of the backend, beside those that every robot gives it.
         ik: How hard IK searches.
-        rollout_planner: How far and how widely it looks, if it looks ahead.
+        rollout: How far and how widely it looks, if it looks ahead.
     """
 
     guards: Guards = field(default_factory=Guards)
@@ -30,7 +30,7 @@ class DeployConfig(ExecutionSettings):
     task: dict[str, object] = field(default_factory=dict)
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
-    rollout_planner: RolloutConfig = field(default_factory=RolloutConfig)
+    rollout: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:

@@ -9,9 +9,9 @@ from typing import Protocol, runtime_checkable
 from kinfeas.control.adapters import AdapterSpec
 from kinfeas.control.subgoals import ExecutionConfig
 from kinfeas.core.backend import Backend, RealTimeBackend
+from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies.network import Policy
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.guards import Clocks
 from kinfeas.sim2real.deploy.rate import Timing

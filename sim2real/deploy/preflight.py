@@ -10,9 +10,9 @@ import numpy as np
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.subgoals import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward

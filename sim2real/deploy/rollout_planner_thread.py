@@ -8,9 +8,9 @@ import numpy as np
 
 from kinfeas.control.loop import Loop
 from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner, State
+from kinfeas.core.policy import Policy, PolicyInput
 from kinfeas.core.rows import Rows
 from kinfeas.core.spatial import Array
-from kinfeas.policies.network import Policy, PolicyInput
 
 _TURN = 5e-4
 """Seconds."""

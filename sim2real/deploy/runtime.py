@@ -23,11 +23,11 @@ from kinfeas.sim2real.deploy.deployment import Code, Outcome, Setup, TaskWithObj
 from kinfeas.sim2real.deploy.goal_task import begin
 from kinfeas.sim2real.deploy.guards import Guarded, check_action
 from kinfeas.sim2real.deploy.preflight import preview
+from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import StopCall, Watchdog, Watched
 from kinfeas.sim2real.link.fault import Fault
-from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.tasks.task import build_subgoals
 
 __all__ = ["Code", "Outcome", "Setup", "deploy"]

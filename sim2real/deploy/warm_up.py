@@ -8,10 +8,10 @@ from kinfeas.control.adapters import AdapterSpec
 from kinfeas.control.loop import Loop
 from kinfeas.control.rollout_planner import RolloutPlanner
 from kinfeas.core import registry, spatial
+from kinfeas.core.policy import Policy
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies.network import Policy
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.tasks.task import Task, build_subgoals

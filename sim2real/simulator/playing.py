@@ -9,9 +9,9 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.plugin_errors import PluginErrors, package_of
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.link import Hosted, RobotLink
 from kinfeas.sim2real.link.fault import Fault
-from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.simulator.simulated_robot import Role, SimulatedRobot
 
 _CATCH_UP = 10  # ticks of physics in one period at most, when the machine is late

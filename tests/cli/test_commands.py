@@ -56,7 +56,7 @@ def test_how_far_and_widely_to_look_ahead_can_be_set(tmp_path, monkeypatch, worl
     short = ["--world", world, "--episodes", "1", "--set", "world.max_seconds=0.2"]
     for more in ([], chosen):
         kinfeas("evaluate", "--policy", "follow_ee", "--rollout-planner", *short, *more)
-    assert seen == [RolloutConfig(), RolloutConfig(seconds=2.0, tries=8)]
+    assert seen == [RolloutConfig(), RolloutConfig(horizon=2.0, num_samples=8)]
 
 
 def test_to_look_ahead_by_option_and_by_name_is_the_same(tmp_path):

@@ -9,8 +9,8 @@ from kinfeas.control.adapters import AdapterSpec, chain, execution_of, read_sim2
 from kinfeas.control.subgoals import ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.policies.network import PolicyInput
 from kinfeas.tasks.ggr import ggr
 
 LADDER = ("ideal", "paper", "pr2_like", "harsh")

@@ -43,7 +43,7 @@ def episodes(robot, task, count, *settings, planner=""):
     """Return the records of episodes of the pretrained policy in the analytic world."""
     known = registry.load_robot(robot)
     chosen = config.from_mapping(EvaluationConfig, {}, "settings", settings)
-    policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.rollout_planner)
+    policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.rollout)
     trial = Trial(known, load_task(task, {}), count, SEED, chosen.world)
     return _records(run_trial(trial, policy))
 
@@ -52,7 +52,7 @@ def physics(robot, task, count, *settings):
     """Return the records of episodes of the pretrained policy in PyBullet."""
     known = registry.load_robot(robot)
     chosen = physics_config(known, settings)
-    policy = load_driver(pretrained.NAME, known, chosen.rollout_planner)
+    policy = load_driver(pretrained.NAME, known, chosen.rollout)
     trial = PhysicsTrial(known, load_task(task, {}), count, SEED, chosen.world)
     records = run_physics(trial, policy)
     return {

@@ -9,8 +9,9 @@ from safetensors.numpy import load_file, save_file
 from kinfeas.control.observation import CLIP
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
 from kinfeas.io.policy_metadata import read_trained, write_trained
-from kinfeas.policies.network import Network, PolicyInput, read_network, write_network
+from kinfeas.policies.network import Network, read_network, write_network
 from kinfeas.robots.fingerprint import fingerprint
 
 

@@ -13,8 +13,8 @@ from kinfeas.control.drive import action_size
 from kinfeas.control.observation import HORIZON, size
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
 from kinfeas.policies import onnx_file as policy_file
-from kinfeas.policies.network import PolicyInput
 from kinfeas.policies.onnx_file import TOLERANCE, read_policy_file
 from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
 

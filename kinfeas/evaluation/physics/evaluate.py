@@ -9,9 +9,9 @@ import numpy as np
 
 from kinfeas.backends.pybullet.stage import has_scene
 from kinfeas.core.metrics import Metrics, Share, join, summarize, wilson
+from kinfeas.core.policy import Policy
 from kinfeas.evaluation.evaluate import Summary, worker_pool
 from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsTrial, PhysicsWorld
-from kinfeas.policies.network import Policy
 
 _SHARES = 4  # of the episodes for each process
 

@@ -20,11 +20,11 @@ from kinfeas.control.rollout_planner import RolloutConfig
 from kinfeas.control.subgoals import ExecutionConfig, ExecutionSettings
 from kinfeas.core import registry
 from kinfeas.core.metrics import EpisodeRecords
+from kinfeas.core.policy import Policy
 from kinfeas.envs.world import AdapterSpec, Transition, World, WorldConfig
 from kinfeas.evaluation.episodes import Watch, run_episodes
 from kinfeas.evaluation.physics.collisions import Encounters
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.policies.network import Policy
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import Task
 
@@ -213,12 +213,12 @@ class PhysicsEvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
-        rollout_planner: How far and how widely a policy looks that looks ahead.
+        rollout: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: PhysicsSettings = field(default_factory=PhysicsSettings)
-    rollout_planner: RolloutConfig = field(default_factory=RolloutConfig)
+    rollout: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvaluationConfig:

@@ -8,9 +8,9 @@ from kinfeas import config
 from kinfeas.config.recipes import default_recipe
 from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, wrap, yaw
 from kinfeas.policies.baselines.follow_ee import FollowEe
-from kinfeas.policies.network import PolicyInput
 from kinfeas.robots.robot import Base, Robot
 
 _SLOWEST = 0.05

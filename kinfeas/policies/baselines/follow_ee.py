@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
-from kinfeas.policies.network import PolicyInput
 from kinfeas.robots.robot import Base
 
 

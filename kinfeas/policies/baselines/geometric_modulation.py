@@ -11,9 +11,9 @@ import numpy as np
 
 from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, wrap, yaw
 from kinfeas.policies.baselines.reach_ellipses import ReachEllipses, approach, fit_ellipses, turned
-from kinfeas.policies.network import PolicyInput
 from kinfeas.robots.robot import Robot
 
 _RHO_INNER, _RHO_OUTER = 1.9, 0.1

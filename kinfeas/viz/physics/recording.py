@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.pybullet.camera import Moment, keep_moment
 from kinfeas.control.loop import Rows
+from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.io.run_log import TASK_DONE
-from kinfeas.policies.network import Policy
 
 _RATE = 25.0  # moments kept per second, at most
 

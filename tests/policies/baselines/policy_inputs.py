@@ -4,11 +4,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.control.observation import HORIZON, observe
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import compose, integrate, planar_pose
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import spread_configurations
-from kinfeas.policies.network import PolicyInput
 
 
 def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None):

@@ -3,9 +3,9 @@ import pytest
 
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import integrate, planar_pose
 from kinfeas.policies.baselines.follow_ee import FollowEe
-from kinfeas.policies.network import PolicyInput
 
 
 def policy_input(velocity, lag=(0.0, 0.0), heading=0.7):
