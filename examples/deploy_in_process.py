@@ -11,6 +11,7 @@ from kinfeas.core import registry
 from kinfeas.io.run_log import About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.runtime import Setup, deploy
 from kinfeas.sim2real.deploy.warm_up import warm_up
@@ -23,7 +24,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     given = parser.parse_args()
 
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     solver, dt = IkSolver(robot), 0.02
     noise = AdapterSpec("base_noise", {"linear": 0.015, "angular": 0.015})
     policy = load_policy("pretrained", robot)

@@ -5,11 +5,12 @@ import time
 
 import numpy as np
 
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 
@@ -21,7 +22,7 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=20)
     given = parser.parse_args()
 
-    robot = registry.load_robot(given.robot)
+    robot = load_robot(given.robot)
     solver = IkSolver(robot)
     joints = spread_configurations(robot, given.poses)
     joints = joints[~self_collides(solver.collision, joints)]

@@ -8,6 +8,7 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.single_motion import batched
 from kinfeas.evaluation.evaluate import Trial, evaluate
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 
@@ -30,13 +31,13 @@ class Wave:
     def twist(self, state, ee_pose, dt):
         """Return the twist for the next `dt` seconds, and the next state."""
         rest = spatial.twist_between(ee_pose, state["goal"], 1.0)
-        execution = max(
+        duration = max(
             np.linalg.norm(rest[:3]) / self.speed, np.linalg.norm(rest[3:]) / 0.1, dt, 1.0
         )
         sideways = np.array([-rest[1], rest[0], 0.0])
         far = min(np.linalg.norm(sideways), 1.0)
         sideways *= self.sway * far / max(np.linalg.norm(sideways), 1e-9)
-        twist = rest / execution
+        twist = rest / duration
         twist[:3] += sideways * np.sin(0.5 * state["time"])
         return twist, {**state, "time": state["time"] + dt}
 
@@ -48,7 +49,7 @@ def main() -> None:
     episodes = parser.parse_args().episodes
     check_motion_generator(Wave(), duration=150.0)
     registry.register("kinfeas.motion_generators", "wave", Wave)
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     task = load_task("ggr", {"motion": {"generator": "wave"}, "distance": [1.0, 1.5]})
     figures = evaluate(Trial(robot, task, episodes), load_policy("pretrained", robot))
     print(f"{episodes} episodes, success {figures['success']:.2f}")

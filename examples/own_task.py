@@ -3,10 +3,10 @@
 import argparse
 import math
 
-from kinfeas.core import registry
 from kinfeas.evaluation.evaluate import Trial, evaluate
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import BaseStart, ChainSubgoal, ChainTask, Place
 from kinfeas.tasks.task import MotionSpec
 
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=["pr2", "hsr"])
     given = parser.parse_args()
     for name in given.robots:
-        robot = registry.load_robot(name)
+        robot = load_robot(name)
         ceiling = measure_reachability(robot, WATER_PLANTS, given.episodes, seed=1).share
         trial = Trial(robot, WATER_PLANTS, given.episodes)
         figures = evaluate(trial, load_policy("pretrained", robot), "pretrained", ceiling)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from kinfeas.config import load
 from kinfeas.config.recipes import default_recipe
-from kinfeas.core import registry
 from kinfeas.evaluation.evaluate import Trial, evaluate
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train
@@ -39,7 +39,7 @@ def main() -> None:
         progress = train(config, out)
         print(f"{progress.steps} steps in {progress.seconds:.1f} s")
         print("the run holds", ", ".join(sorted(path.name for path in out.iterdir())))
-        robot = registry.load_robot(config.robot)
+        robot = load_robot(config.robot)
         trial = Trial(robot, load_task(config.task), given.episodes)
         for name in (str(out), "follow_ee", "follow_ee_feedback"):
             figures = evaluate(trial, load_policy(name, robot))

@@ -168,8 +168,8 @@ def _check_world(study: "BenchmarkConfig", name: str, world: WorldName) -> None:
 def _plans(study: "BenchmarkConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
     """Return the training runs that are to be there, after a check of all policies' names."""
     from kinfeas.benchmark.trainings import to_train
-    from kinfeas.core.registry import load_robot
     from kinfeas.policies import pretrained
+    from kinfeas.robots.loading import load_robot
 
     if taken:
         return []

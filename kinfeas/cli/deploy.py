@@ -136,10 +136,10 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     feasibility_filter=false (true for pr2 and tiago; whether the base takes the nearest command
     that the arm can follow where it cannot follow the policy's), min_obstacle_distance=0 m (what
     the base keeps from what stands around, where the backend knows that), [bold]ik.KEY[/],
-    [bold]rollout.KEY[/] (seconds=6 s that are tried out, every=0.5 s, tries=32, spread=0.8,
-    jump=0.1, stray=0.1), and the parameters [bold]generator.KEY[/], [bold]task.KEY[/] and
-    [bold]backend.KEY[/], which [bold]kinfeas plugins info NAME[/] lists. An unknown KEY is answered
-    by those that there are.
+    [bold]rollout.KEY[/] (horizon=6 s, replan_interval=0.5 s, num_samples=32, noise_std=0.8,
+    jump_cost=0.1, deviation_cost=0.1), and the parameters [bold]generator.KEY[/],
+    [bold]task.KEY[/] and [bold]backend.KEY[/], which [bold]kinfeas plugins info NAME[/] lists. An
+    unknown KEY is answered by those that there are.
 
     Guards: reach=true refuses a goal that no base pose is found for. The run is stopped beyond
     max_age=0.2 s of a measurement, max_period=0.2 s, max_clock_skew=0.1 s, max_distance=20 m,

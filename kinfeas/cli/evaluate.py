@@ -108,9 +108,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
     Settings: [bold]world.KEY[/], [bold]task.KEY[/], the task's own parameters, such as
-    [bold]task.orientation=so3[/], and [bold]rollout.KEY[/] (seconds=6 s that are tried out,
-    every=0.5 s, tries=32, spread=0.8, jump=0.1, stray=0.1). An unknown KEY, of
-    [bold]world.ik.KEY[/] and [bold]world.physics.KEY[/] too, is answered by those that there are.
+    [bold]task.orientation=so3[/], and [bold]rollout.KEY[/] (horizon=6 s,
+    replan_interval=0.5 s, num_samples=32, noise_std=0.8, jump_cost=0.1, deviation_cost=0.1). An
+    unknown KEY, of [bold]world.ik.KEY[/] and [bold]world.physics.KEY[/] too, is answered by those
+    that there are.
 
     The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik,
     feasibility_filter=false (whether the base yields where the arm could not follow), and reward,

@@ -182,7 +182,7 @@ def check_robot(name: str | None) -> None:
 
 def read_robot(name: str) -> "Robot":
     """Return the robot that `--robot` names."""
-    from kinfeas.core.registry import load_robot
+    from kinfeas.robots.loading import load_robot
 
     return load_robot(name)
 

@@ -24,7 +24,7 @@ def physics_assignments(
         KinfeasError: If an option is out of range, or --set says something of the same setting.
     """
     from kinfeas.config import assigned
-    from kinfeas.evaluation.physics.world import PhysicsSettings
+    from kinfeas.envs.physics import PhysicsSettings
 
     numbers = {"--head-start": ("head_start", head_start), "--slow-down": ("slow_down", slow_down)}
     options.check_settings(PhysicsSettings, numbers)

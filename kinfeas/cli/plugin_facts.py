@@ -14,6 +14,7 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.plugin_errors import PluginErrors
 from kinfeas.core.registry import GROUPS, Plugin
+from kinfeas.robots.loading import check_no_urdf, load_robot
 
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 # What the program itself gives.
@@ -44,7 +45,7 @@ def summary(plugin: Plugin) -> tuple[str, str | None]:
     try:
         loaded = _load(plugin)
         if plugin.group == "kinfeas.robots":
-            robot = registry.load_robot(plugin.name)
+            robot = load_robot(plugin.name)
             return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
         with _plugin_errors(plugin):
             return read_docstring(loaded).summary, None
@@ -93,7 +94,7 @@ def facts_of_file(path: str) -> dict[str, Any]:
     Raises:
         KinfeasError: If it describes neither, or is broken.
     """
-    registry.check_no_urdf(path)
+    check_no_urdf(path)
     keys = strict_yaml.read(Path(path)).keys()
     if "subgoals" in keys:
         from kinfeas.tasks.loading import task_name
@@ -210,7 +211,7 @@ def _subgoal(subgoal: Any) -> dict[str, Any]:
 
 
 def _robot(name: str) -> dict[str, Any]:
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     joints = [
         {
             "name": joint.name,

@@ -46,7 +46,7 @@ class RolloutConfig:
         replan_interval: Seconds between looks.
         num_samples: Deviations from the policy that are tried where it would fail; the first is
             none.
-        spread: Their standard deviation, in units of the action.
+        noise_std: Their standard deviation, in units of the action.
         jump_cost: What an arm jump costs, in kinematic failures.
         deviation_cost: What a feasible step costs that leaves the EE more than 5 cm off, as pose
             tolerance allows, in kinematic failures.
@@ -55,7 +55,7 @@ class RolloutConfig:
     horizon: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
     replan_interval: PositiveSeconds = 0.5
     num_samples: Annotated[int, Interval(low=1, high=1000)] = 32
-    spread: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
+    noise_std: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
     jump_cost: Share = 0.1
     deviation_cost: Share = 0.1
 
@@ -184,5 +184,5 @@ def _deviations(size: int, rollout: RolloutConfig) -> Array:
 
     The first of them is 0, the policy alone.
     """
-    deviations: Array = ndtri(spread(rollout.num_samples, size)) * rollout.spread
+    deviations: Array = ndtri(spread(rollout.num_samples, size)) * rollout.noise_std
     return deviations

@@ -8,12 +8,14 @@ from kinfeas import config
 from kinfeas.control.adapters import AdapterSpec, wrap
 from kinfeas.core.metrics import Share
 from kinfeas.core.policy import Policy
-from kinfeas.core.registry import build, load_robot
+from kinfeas.core.registry import build
+from kinfeas.envs.physics import physics_config
 from kinfeas.evaluation import evaluate as analytic
 from kinfeas.evaluation.evaluate import EvaluationConfig, Summary, Trial
 from kinfeas.evaluation.physics.evaluate import evaluate_physics
-from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
+from kinfeas.evaluation.physics.world import PhysicsTrial
 from kinfeas.policies.loading import load_driver
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 

@@ -12,12 +12,12 @@ from kinfeas.cli.plugin_facts import fields_of
 from kinfeas.config import strict_yaml
 from kinfeas.config.recipes import default_recipe
 from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation import evaluate as evaluate_module
-from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.policies.network import write_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.sim2real.deploy.guard_config import Guards
 
@@ -83,7 +83,7 @@ def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch)
 
 
 def test_evaluate_a_trained_policy_on_another_robot_and_task(tmp_path):
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     write_network(random_network(robot, hidden=8), tmp_path, robot, {})
     options = ["--robot", "tiago", "--task", "ggr_restricted", "--seed", "7"]
     result = kinfeas("evaluate", "--policy", str(tmp_path), *options, *SHORT)
@@ -91,7 +91,7 @@ def test_evaluate_a_trained_policy_on_another_robot_and_task(tmp_path):
 
 
 def test_evaluate_a_robot_by_its_path():
-    path = str(registry.load_robot("pr2").urdf_path.with_suffix(".yaml"))
+    path = str(load_robot("pr2").urdf_path.with_suffix(".yaml"))
     assert kinfeas("evaluate", "--policy", "follow_ee", "--robot", path, *SHORT).exit_code == 0
 
 
@@ -162,11 +162,12 @@ def test_help_tells_the_settings_that_robots_have_of_their_own(monkeypatch, comm
     monkeypatch.setenv("COLUMNS", "2000")
     shown = CliRunner().invoke(app, [command, "--help"]).output
     own = {name: strict_yaml.read(default_recipe(folder, name)) for name in ("pr2", "tiago", "hsr")}
-    paces = {name: data.get("world", data) for name, data in own.items()}
-    slow = [f"{execution['slow_down']:g} for {name}" for name, execution in paces.items()
-            if execution.get("slow_down", 1.0) != 1.0]  # fmt: skip
+    execution = {name: data.get("world", data) for name, data in own.items()}
+    slow = [f"{keys['slow_down']:g} for {name}" for name, keys in execution.items()
+            if keys.get("slow_down", 1.0) != 1.0]  # fmt: skip
     assert f"slow_down=1 ({', '.join(slow)})" in shown
-    assert f"true for {' and '.join(name for name in paces if paces[name].get('yields'))}" in shown
+    filtered = [name for name, keys in execution.items() if keys.get("feasibility_filter")]
+    assert f"true for {' and '.join(filtered)}" in shown
 
 
 def test_evaluate_with_physics(tmp_path):
@@ -279,7 +280,7 @@ def test_speed(tmp_path, monkeypatch):
 
 
 def test_speed_times_the_policy_of_a_run(tmp_path, monkeypatch):
-    robot, timed = registry.load_robot("pr2"), []
+    robot, timed = load_robot("pr2"), []
     network = random_network(robot, hidden=4)
     write_network(network, tmp_path, robot, {})
     monkeypatch.setattr(

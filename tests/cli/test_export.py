@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from tests.cli.conftest import is_one_line
 from tests.sim2real.policy_cases import change, set_entry, write_run
 
@@ -10,7 +10,7 @@ from tests.sim2real.policy_cases import change, set_entry, write_run
 @pytest.fixture
 def run(tmp_path):
     """A training run of the PR2."""
-    write_run(registry.load_robot("pr2"), tmp_path / "run" / "checkpoints" / "best")
+    write_run(load_robot("pr2"), tmp_path / "run" / "checkpoints" / "best")
     return tmp_path / "run"
 
 

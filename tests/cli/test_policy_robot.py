@@ -5,8 +5,8 @@ import sys
 import pytest
 
 from kinfeas.cli.policy_robot import DEFAULT, check_policy, robot_of
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from tests.cli.conftest import is_one_line
 from tests.sim2real.policy_cases import write_policy_file, write_run
 
@@ -55,20 +55,20 @@ finally:
 
 @pytest.mark.parametrize("extra", [{}, {"config": {"robot": "hsr"}}])
 def test_a_run_and_its_file_name_their_robot(tmp_path, extra):
-    write_run(registry.load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best", extra=extra)
+    write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best", extra=extra)
     assert robot_of(str(tmp_path / "run")) == "hsr"
     assert robot_of(f"rollout_planner:{tmp_path / 'run'}") == "hsr"
 
 
 def test_a_file_names_the_robot_of_its_training(tmp_path):
-    _, path = write_policy_file(registry.load_robot("pr2"), tmp_path)
+    _, path = write_policy_file(load_robot("pr2"), tmp_path)
     assert robot_of(str(path)) == "pr2"
 
 
 def test_a_robot_by_path_must_be_there(tmp_path):
     yaml = tmp_path / "mine.yaml"
     extra = {"config": {"robot": str(yaml)}}
-    write_run(registry.load_robot("hsr"), tmp_path / "run", extra=extra)
+    write_run(load_robot("hsr"), tmp_path / "run", extra=extra)
     with pytest.raises(KinfeasError, match=f"of {yaml}, which is not there: .* with --robot$"):
         robot_of(str(tmp_path / "run"))
     yaml.touch()
@@ -79,7 +79,7 @@ def test_a_robot_by_path_must_be_there(tmp_path):
 def test_the_yaml_of_its_robot_is_not_written_over(kinfeas, tmp_path, line):
     yaml = tmp_path / "mine.yaml"
     yaml.touch()
-    write_run(registry.load_robot("hsr"), tmp_path / "run", extra={"config": {"robot": str(yaml)}})
+    write_run(load_robot("hsr"), tmp_path / "run", extra={"config": {"robot": str(yaml)}})
     outcome = kinfeas(*line.split(), "--json", "mine.yaml")
     assert is_one_line(outcome)
     assert "must differ, but both name mine.yaml" in outcome.err
@@ -100,7 +100,7 @@ def test_a_folder_that_is_no_run(tmp_path):
 
 
 def test_needs_neither_torch_nor_onnx(tmp_path):
-    _, path = write_policy_file(registry.load_robot("pr2"), tmp_path)
+    _, path = write_policy_file(load_robot("pr2"), tmp_path)
     code = f"""
 import sys
 from kinfeas.cli.policy_robot import robot_of

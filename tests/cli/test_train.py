@@ -10,8 +10,8 @@ import yaml
 
 from kinfeas.cli.train_settings import Wishes, read_settings
 from kinfeas.control.adapters import read_sim2real
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.training import train as training
 from tests.cli.conftest import TINY, is_one_line
 from tests.sim2real.policy_cases import write_run
@@ -227,7 +227,7 @@ finally:
 
 
 def test_a_run_goes_on_from_a_policy_with_its_robot(tmp_path):
-    write_run(registry.load_robot("hsr"), tmp_path, extra={"config": {"robot": "hsr"}})
+    write_run(load_robot("hsr"), tmp_path, extra={"config": {"robot": "hsr"}})
     settings = read_settings(Wishes(init=str(tmp_path)), None, [])
     recipe = read_settings(Wishes("hsr"), None, [])
     learner = replace(recipe.learner, net_arch=(8, 8))

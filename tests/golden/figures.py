@@ -16,17 +16,18 @@ from kinfeas import config
 from kinfeas.config.recipes import default_recipe
 from kinfeas.control.drive import action_size
 from kinfeas.control.filters.obstacles import ObstacleFilter
-from kinfeas.core import registry
 from kinfeas.core.backend import ObstacleDistances
+from kinfeas.envs.physics import physics_config
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, run_trial
 from kinfeas.evaluation.physics.evaluate import run_physics
-from kinfeas.evaluation.physics.world import PhysicsTrial, physics_config
+from kinfeas.evaluation.physics.world import PhysicsTrial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import pretrained
 from kinfeas.policies.loading import load_driver
 from kinfeas.policies.network import read_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.export import export
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
@@ -41,7 +42,7 @@ SEED = 1
 
 def episodes(robot, task, count, *settings, planner=""):
     """Return the records of episodes of the pretrained policy in the analytic world."""
-    known = registry.load_robot(robot)
+    known = load_robot(robot)
     chosen = config.from_mapping(EvaluationConfig, {}, "settings", settings)
     policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.rollout)
     trial = Trial(known, load_task(task, {}), count, SEED, chosen.world)
@@ -50,7 +51,7 @@ def episodes(robot, task, count, *settings, planner=""):
 
 def physics(robot, task, count, *settings):
     """Return the records of episodes of the pretrained policy in PyBullet."""
-    known = registry.load_robot(robot)
+    known = load_robot(robot)
     chosen = physics_config(known, settings)
     policy = load_driver(pretrained.NAME, known, chosen.rollout)
     trial = PhysicsTrial(known, load_task(task, {}), count, SEED, chosen.world)
@@ -65,7 +66,7 @@ def physics(robot, task, count, *settings):
 
 def obstacle_filter(robot, count=300, obstacles=3):
     """Return commands, and what the obstacle filter makes of them among random obstacles."""
-    base, rng = registry.load_robot(robot).base, np.random.default_rng(SEED)
+    base, rng = load_robot(robot).base, np.random.default_rng(SEED)
     angles = rng.uniform(-np.pi, np.pi, (count, obstacles))
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=2)
     distances = rng.uniform(-0.02, 0.4, (count, obstacles))
@@ -82,7 +83,7 @@ def obstacle_filter(robot, count=300, obstacles=3):
 
 def ik(robot, count=1000):
     """Return IK solutions from unrelated joint positions (cold) and from near the target (warm)."""
-    known = registry.load_robot(robot)
+    known = load_robot(robot)
     solver, rng = IkSolver(known), np.random.default_rng(SEED)
     lower, upper = known.finite_joint_limits
     goal, cold = (rng.uniform(lower, upper, (count, len(lower))) for _ in range(2))
@@ -110,7 +111,7 @@ def policy(robot, count=8, steps=5):
 
     The actions are those of the network and those of its ONNX export in onnxruntime.
     """
-    known = registry.load_robot(robot)
+    known = load_robot(robot)
     folder = pretrained.find(robot)
     network, observations = read_network(folder, known), []
     for task in TASKS:
@@ -141,7 +142,7 @@ def training(robot, steps=20_000):
     with TemporaryDirectory() as temporary:
         out = Path(temporary) / "run"
         progress = train(chosen, out)
-        network = read_network(out / "checkpoints" / "last", registry.load_robot(robot))
+        network = read_network(out / "checkpoints" / "last", load_robot(robot))
     # The other layers follow by their sums: any change of them changes the first layer as well.
     layers = zip(network.weights, network.biases, strict=True)
     return {
