@@ -13,11 +13,11 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from kinfeas.control.observation import FIELDS
-from kinfeas.core import registry
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.reachability import reachable
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.viz.pictures.projection import Painted, draw_floor, draw_solids, look
 from kinfeas.viz.pictures.solids import robot_faces
@@ -120,7 +120,7 @@ def outline(axes: Axes, robot: Robot, base: Array, joints: Array) -> None:
 
 def seen() -> Figure:
     """Return the picture of an observation."""
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     hand = make_pose(np.array([0.75, -0.15, 0.8]), Rotation.from_euler("z", 0.2))
     base, joints = stance(robot, hand)
     figure = Figure(figsize=(9.6, 4.4), layout="constrained")
@@ -187,7 +187,7 @@ def feasible() -> Figure:
     above, below = figure.subplots(2, 3, height_ratios=(0.75, 1.0))
     hand = make_pose(np.array([0.0, 0.0, 0.8]), Rotation.identity())
     for name, side, plan in zip(ROBOTS, above, below, strict=True):
-        robot = registry.load_robot(name)
+        robot = load_robot(name)
         pose = in_gripper_convention(robot, hand)
         view = look(np.deg2rad(25.0), np.deg2rad(25.0))
         base, joints = stance(robot, pose)
@@ -258,7 +258,7 @@ def earned() -> Figure:
     cost.set_title("A failure costs")
     cost.legend(loc="lower left", bbox_to_anchor=(0.0, 0.12))
     for name, colour in zip(ROBOTS, (BASE, GOAL, EE), strict=True):
-        robot = registry.load_robot(name)
+        robot = load_robot(name)
         ceiling.plot(HEIGHTS, 100 * reached(robot), "o-", color=colour, ms=4, lw=2.0, label=name)
         low, high = robot.goal_heights["ggr"]
         place = -6.0 - 5.0 * ROBOTS.index(name)

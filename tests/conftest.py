@@ -14,9 +14,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
-from kinfeas.core import registry
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.policies.baselines.reach_ellipses import fit_ellipses
+from kinfeas.robots.loading import load_robot
 
 # Numba compiles within the first example, and a busy machine takes long over any.
 settings.register_profile("kinfeas", deadline=None, derandomize=True)
@@ -41,7 +41,7 @@ def in_the_foreground():
 @pytest.fixture(scope="session", params=["pr2", "tiago", "hsr"])
 def robot(request):
     """Each shipped robot in turn."""
-    return registry.load_robot(request.param)
+    return load_robot(request.param)
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +58,7 @@ def exact_solver(robot):
 
 @cache
 def _fitted(name):
-    return fit_ellipses(registry.load_robot(name))
+    return fit_ellipses(load_robot(name))
 
 
 @pytest.fixture(scope="session")

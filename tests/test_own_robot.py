@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.envs.interface import make_world
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import RobotSpec
 from kinfeas.sim2real.ros.names import read_topics
 
@@ -20,14 +21,14 @@ PAGE = (ROOT / "docs" / "own_robot.md").read_text()
 
 
 def test_loads():
-    robot = registry.load_robot(YAML)
+    robot = load_robot(YAML)
     assert robot.base.drive == "differential"
     assert len(robot.arm) == 8
     assert robot.gripper is not None
 
 
 def test_few_configurations_touch_themselves_and_home_does_not():
-    solver = IkSolver(registry.load_robot(YAML))
+    solver = IkSolver(load_robot(YAML))
     home = solver.robot.home["home"][np.newaxis]
     assert not self_collides(solver.collision, home).any()
     spread = spread_configurations(solver.robot, 1000)
@@ -35,7 +36,7 @@ def test_few_configurations_touch_themselves_and_home_does_not():
 
 
 def test_ik_finds_what_forward_kinematics_made():
-    solver = IkSolver(registry.load_robot(YAML))
+    solver = IkSolver(load_robot(YAML))
     spread = spread_configurations(solver.robot, 1000)
     free = spread[~self_collides(solver.collision, spread)]
     poses = forward(solver.chain, free)
@@ -64,5 +65,5 @@ def test_the_page_explains_every_key():
 
 def test_the_topics_of_the_page_are_those_of_the_file():
     assert f"```yaml\n{TOPICS.read_text()}```" in PAGE
-    topics = read_topics(registry.load_robot(YAML), 2, str(TOPICS))
+    topics = read_topics(load_robot(YAML), 2, str(TOPICS))
     assert len(topics.joints.controllers) == 2

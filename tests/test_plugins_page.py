@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from kinfeas.cli.main import app
 from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.reading import read_robot
 from kinfeas.templates.distribution import write_distribution
 from kinfeas.testing import check_motion_generator
@@ -78,7 +79,7 @@ def test_every_command_runs(followed):
 def test_what_the_blocks_offer_does_what_the_page_says(followed):
     for name in ("arc", "fast_arc"):
         check_motion_generator(registry.build("kinfeas.motion_generators", name, {}))
-    assert registry.load_robot("porter").base.drive == "differential"
+    assert load_robot("porter").base.drive == "differential"
     assert read_robot(Path("porter/kinfeas_porter/porter.yaml")).name == "porter"
     for path in (*Path().glob("*/test_*.py"), Path("use_lagging.py")):
         for name, thing in runpy.run_path(str(path)).items():

@@ -15,8 +15,8 @@ from kinfeas import config
 from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
 from kinfeas.config.recipes import default_recipe
-from kinfeas.core import registry
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros.names import read_topics
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
@@ -113,7 +113,7 @@ def test_the_task_of_the_page_on_tasks(tmp_path):
     path = tmp_path / "tidy_up.yaml"
     path.write_text(re.search(r"^```yaml\n(.*?)^```$", page, re.M | re.S).group(1))
     task = load_task(str(path))
-    start = task.sample(IkSolver(registry.load_robot("pr2")), np.random.default_rng(0))
+    start = task.sample(IkSolver(load_robot("pr2")), np.random.default_rng(0))
     assert start.target_poses.shape == (3, 7)
     assert [subgoal.wait for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
 
@@ -122,7 +122,7 @@ def test_the_topics_of_the_page_on_ros_are_those_of_tiago(tmp_path):
     page = (ROOT / "docs" / "ros.md").read_text()
     path = tmp_path / "mine.yaml"
     path.write_text(re.search(r"^```yaml\n(.*?)^```$", page, re.M | re.S).group(1))
-    tiago = registry.load_robot("tiago")
+    tiago = load_robot("tiago")
     assert read_topics(tiago, 2, str(path)) == read_topics(tiago, 2)
 
 

@@ -19,6 +19,7 @@ import importlib.util, sys
 from pathlib import Path
 import kinfeas
 from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 
 assert Path(kinfeas.__file__).is_relative_to(sys.prefix), kinfeas.__file__
 for bare in ("plugins", "scenes", "sim2real", "configs"):
@@ -29,7 +30,7 @@ for group in registry.GROUPS:
             loaded = registry.load(group, plugin.name)
             print(group, plugin.name, sys.modules[loaded.__module__].__file__)
 for robot in registry.names("kinfeas.robots"):
-    print("robot", robot, registry.load_robot(robot).name)
+    print("robot", robot, load_robot(robot).name)
 """
 
 

@@ -14,18 +14,19 @@ from kinfeas.benchmark.identity import identities
 from kinfeas.benchmark.job import CEILING, Job
 from kinfeas.benchmark.records import to_lists
 from kinfeas.benchmark.samples import WorkspaceSamples
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import summarize
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.evaluation.physics.evaluate import is_judged, physics_figures, run_part
-from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings, PhysicsTrial
+from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsTrial
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import write_file, writing
 from kinfeas.policies.loading import BASELINES, load_driver, load_policy
 from kinfeas.policies.network import Network
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import Task
@@ -94,12 +95,12 @@ def check_baselines(jobs: Sequence[Job]) -> None:
     """
     for source, robot in dict.fromkeys((job.source, job.robot) for job in jobs):
         if source in BASELINES:
-            load_policy(source, registry.load_robot(robot))
+            load_policy(source, load_robot(robot))
 
 
 def compute(job: Job) -> Result:
     """Return what a job finds: its figures, and for a learned policy samples of the workspace."""
-    robot, task = registry.load_robot(job.robot), load_task(job.task, job.parameters)
+    robot, task = load_robot(job.robot), load_task(job.task, job.parameters)
     if isinstance(job.world, PhysicsSettings):
         return _compute_part(job, robot, task, job.world)
     if job.policy == CEILING:

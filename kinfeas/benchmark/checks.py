@@ -6,6 +6,7 @@ from kinfeas.backends.pybullet.stage import task_scene
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import is_path
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.tasks.task import build_subgoals
 
@@ -14,7 +15,7 @@ def check_robots(robots: Sequence[str]) -> None:
     """Raise if two robots have one name: the tables would not tell them apart."""
     taken: dict[str, str] = {}
     for robot in robots:
-        name = registry.load_robot(robot).name
+        name = load_robot(robot).name
         if (other := taken.setdefault(name, robot)) != robot:
             raise KinfeasError(
                 f"'robots' must not hold two of one name, and {other} and {robot} are both {name!r}"

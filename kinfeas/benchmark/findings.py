@@ -20,13 +20,13 @@ from kinfeas.benchmark.study import BenchmarkConfig
 from kinfeas.benchmark.table import Cell, tabulate, to_json
 from kinfeas.benchmark.text import to_markdown
 from kinfeas.benchmark.workspace import Covered, covered, workspace_figure
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.paper import LEARNED, paper_figures
 from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.io.files import write_file, writing
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.viz.pictures.episodes import episodes_figure
 from kinfeas.viz.pictures.style import failures_text, png
@@ -103,7 +103,7 @@ def write_pictures(findings: Findings, out: Path) -> list[Path]:
         pictures["workspace"] = png(workspace_figure(spaces), 90)
     for robot in findings.study.robots:
         if shown := _examples(findings, robot):
-            known = registry.load_robot(robot)
+            known = load_robot(robot)
             titles = [_title(task, recording) for task, recording in shown.items()]
             figure = episodes_figure(known, list(shown.values()), titles)
             pictures[f"examples-{known.name}"] = png(figure, 80)
@@ -129,7 +129,7 @@ def figures_of_runs(findings: Findings) -> dict[Path, dict[str, Any]]:
 
 def _ordered(findings: Findings) -> list[Run]:
     """Return the runs in the order of the study's robots."""
-    names = [registry.load_robot(robot).name for robot in findings.study.robots]
+    names = [load_robot(robot).name for robot in findings.study.robots]
     return sorted(findings.runs, key=lambda run: names.index(run.robot))
 
 
@@ -156,7 +156,7 @@ def _spaces(findings: Findings) -> list[Covered]:
         ]
         if own:
             of_kind = [result for policy, result in own if policy == own[0][0]]
-            found.append(covered(registry.load_robot(robot), of_kind))
+            found.append(covered(load_robot(robot), of_kind))
     return found
 
 
@@ -166,7 +166,7 @@ def _examples(findings: Findings, robot: str) -> dict[str, Recording]:
     It is episode 0 of the first task, 1 of the second and so on: equal numbers are alike.
     """
     shown: dict[str, Recording] = {}
-    known = registry.load_robot(robot)
+    known = load_robot(robot)
     for job, result in zip(findings.jobs, findings.results, strict=True):
         if job.robot != robot or "workspace" not in result or job.variant:
             continue

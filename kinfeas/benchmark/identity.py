@@ -14,10 +14,10 @@ from kinfeas import __version__, config
 from kinfeas.backends.pybullet.stage import task_scene
 from kinfeas.benchmark.job import CEILING, Job
 from kinfeas.control.rollout_planner import RolloutConfig
-from kinfeas.core import registry
 from kinfeas.io.files import is_path, reading
 from kinfeas.policies.loading import BASELINES, ROLLOUT_PLANNER, load_policy
 from kinfeas.policies.network import Network
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.loading import load_task
@@ -40,7 +40,7 @@ def identity(job: Job) -> dict[str, Any]:
     Raises:
         KinfeasError: If its robot, its task or its policy cannot be read.
     """
-    robot = registry.load_robot(job.robot)
+    robot = load_robot(job.robot)
     return {
         "format": _FORMAT,
         "version": __version__,

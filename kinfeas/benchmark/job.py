@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig
-from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.tasks.loading import task_name
 
 W = TypeVar("W", WorldConfig, PhysicsSettings)
@@ -26,8 +26,8 @@ class Job:
         task: Name or YAML file.
         parameters: Its keyword parameters.
         variant: What is different about them.
-        policy: What the policy is called in the table, after `rollout_planner:` and `feasibility_filter:` as
-            it does so; `ceiling` for the ceiling.
+        policy: Name of the policy in the table, with `rollout_planner:` and `feasibility_filter:`
+            before it where they are on; `ceiling` for the ceiling.
         source: What `load_driver` takes.
         training_seed: Seed that it was trained with, if it was and that is known.
         episodes: How many.

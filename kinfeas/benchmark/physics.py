@@ -7,11 +7,12 @@ from kinfeas.benchmark.cells import Result
 from kinfeas.benchmark.job import Job
 from kinfeas.benchmark.records import from_lists
 from kinfeas.benchmark.table import Cell, common, interval, mean_of
-from kinfeas.core import registry
 from kinfeas.core.metrics import Share, join
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.evaluation.physics.evaluate import PhysicsMetrics, is_judged, physics_figures
-from kinfeas.evaluation.physics.world import PhysicsSettings, PhysicsTrial
+from kinfeas.evaluation.physics.world import PhysicsTrial
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 
@@ -79,7 +80,7 @@ def tabulate_physics(
     without = {(cell.robot, cell.task, cell.policy): cell for cell in analytic}
     cells = []
     for (robot, task, _, policy), sources in groups.items():
-        beside = without[registry.load_robot(robot).name, task, policy]
+        beside = without[load_robot(robot).name, task, policy]
         cells.append(_cell(list(sources.values()), beside))
     robots = list(dict.fromkeys(cell.robot for cell in cells))
     # All rows of learned policies together, before the baselines.
@@ -91,7 +92,7 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
     job, world = sources[0][0][0], sources[0][0][0].world
     assert isinstance(world, PhysicsSettings)
     episodes = sum(part.episodes for part, _ in sources[0])
-    trial = PhysicsTrial(registry.load_robot(job.robot), load_task(job.task), episodes)
+    trial = PhysicsTrial(load_robot(job.robot), load_task(job.task), episodes)
     judged = is_judged(replace(trial, settings=world))
     figures = [
         physics_figures(join([from_lists(result["records"]) for _, result in parts]), judged=judged)

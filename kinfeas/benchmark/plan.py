@@ -7,10 +7,10 @@ from kinfeas.benchmark.job import CEILING, Job, world_for
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.study import PLAIN, BenchmarkConfig, PhysicsBenchmark, row_settings
 from kinfeas.benchmark.trainings import takes_pretrained
-from kinfeas.core import registry
 from kinfeas.envs.world import WorldConfig
 from kinfeas.policies import pretrained
 from kinfeas.policies.loading import BASELINES, ROLLOUT_PLANNER
+from kinfeas.robots.loading import load_robot
 
 PART = 20
 """Episodes that are run and kept together: all that a stop can lose of a cell."""
@@ -68,7 +68,7 @@ def plan_jobs(study: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
 
 def _learned(study: BenchmarkConfig, runs: Sequence[Run], robot: str) -> list[Source]:
     """Return for each learned policy of a robot its name, what `load_policy` takes, its seed."""
-    name = registry.load_robot(robot).name
+    name = load_robot(robot).name
     own = [run for run in runs if run.robot == name]
     if not own and takes_pretrained(study, robot):
         return [(pretrained.NAME, pretrained.NAME, None)]

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinfeas import config
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import worker_pool
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run_status import finished
@@ -52,7 +52,7 @@ def read_run(folder: Path) -> Run:
     if not (folder / "config.yaml").is_file():
         raise KinfeasError(f"{folder}: not a training run: there is no config.yaml in it")
     settings = config.load(TrainConfig, folder / "config.yaml")
-    robot = registry.load_robot(settings.robot).name
+    robot = load_robot(settings.robot).name
     return Run(folder, robot, settings.learner.algorithm, settings.seed, task_name(settings.task))
 
 

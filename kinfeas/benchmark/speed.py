@@ -24,6 +24,7 @@ from kinfeas.core.policy import Policy
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.policies.network import Network
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
@@ -76,7 +77,7 @@ def measure_speed(
         effort: How much is measured.
         on_part: Called with the name of each part when it begins.
     """
-    effort, known = effort or Effort(), registry.load_robot(robot)
+    effort, known = effort or Effort(), load_robot(robot)
     network = network or random_network(known)
     parts: dict[str, Callable[[], Iterator[Figure]]] = {
         "inverse kinematics": lambda: measure_ik(known, effort),

@@ -10,12 +10,12 @@ from kinfeas.benchmark.job import FEASIBILITY_FILTER
 from kinfeas.config import Interval, no_such
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import find_recipe
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.physics import PhysicsSettings, physics_config
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation.evaluate import evaluation_world
-from kinfeas.evaluation.physics.world import PhysicsSettings, physics_config
 from kinfeas.policies.loading import BASELINES, ROLLOUT_PLANNER
+from kinfeas.robots.loading import load_robot
 
 Seed = Annotated[int, Interval(low=0)]
 
@@ -223,7 +223,7 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
     named += [robot for variant in study.variants for robot in variant.robots]
     named += [robot for aid in study.aids for robot in aid.robots or ()]
     for robot in dict.fromkeys(named):
-        registry.load_robot(robot)
+        load_robot(robot)
     check_robots(study.robots)
     check_names(study.tasks)
     judged = [task for tasks in study.baselines.values() for task in tasks]
@@ -248,7 +248,7 @@ def row_settings(physics: PhysicsBenchmark, row: PhysicsRow, robot: str) -> Phys
     """
     said = [*physics.settings, *row.settings]
     with config.plugin_errors("the settings of 'physics':"):
-        known = physics_config(registry.load_robot(robot), said)
+        known = physics_config(load_robot(robot), said)
     if ignored := sorted(config.assigned(said).keys() - {"world"}):
         raise KinfeasError(
             f"the settings of 'physics' in a study may be world.KEY=VALUE, not {ignored[0]}.KEY"
@@ -262,7 +262,7 @@ def restricted(study: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfi
     Raises:
         KinfeasError: If the study lacks one of these robots.
     """
-    robots = {registry.load_robot(robot).name: robot for robot in study.robots}
+    robots = {load_robot(robot).name: robot for robot in study.robots}
     if unknown := sorted(set(names) - set(robots)):
         raise KinfeasError(
             f"the study has no robot {unknown[0]!r}, only: {', '.join(sorted(robots))}; "

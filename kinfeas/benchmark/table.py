@@ -9,10 +9,10 @@ from scipy import stats
 
 from kinfeas.benchmark.cells import Result
 from kinfeas.benchmark.job import CEILING, Job
-from kinfeas.core import registry
 from kinfeas.core.metrics import Share, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.policies import pretrained
+from kinfeas.robots.loading import load_robot
 
 WORLD = "analytic"
 
@@ -28,9 +28,9 @@ class Cell:
         robot: Name of the robot.
         variant: What is different about the task; empty if nothing is.
         task: Name of the task; of a YAML file, what the file is called without its suffix.
-        policy: `sac`, `td3`, `pretrained`, or a baseline; `feasibility_filter:sac` for one whose base
-            yields, `rollout_planner:sac` for one that looks ahead, `rollout_planner:feasibility_filter:sac`
-            for both.
+        policy: `sac`, `td3`, `pretrained`, or a baseline; `feasibility_filter:sac` with the
+            feasibility filter, `rollout_planner:sac` with the rollout planner,
+            `rollout_planner:feasibility_filter:sac` with both.
         world: Where it was measured.
         seeds: How many policies, each from another training seed, it is the mean of.
         training_seeds: These seeds, as far as they are known.
@@ -138,7 +138,7 @@ def _cell(group: Sequence[tuple[Job, Result]], ceiling: dict[str, float]) -> Cel
     job = group[0][0]
     figures = [result["figures"] for _, result in group]
     # A variant is not what the paper measured.
-    known = {} if job.variant else paper_figures(registry.load_robot(job.robot).name, job.task)
+    known = {} if job.variant else paper_figures(load_robot(job.robot).name, job.task)
     paper = known.get(_IN_PAPER.get(job.policy, job.policy))
     seeds = [one.training_seed for one, _ in group]
     return Cell(**common(job, figures, seeds, ceiling, paper), world=WORLD)
@@ -162,7 +162,7 @@ def common(
     """
     success = interval([found["success"] for found in figures], job.episodes)
     return {
-        "robot": registry.load_robot(job.robot).name,
+        "robot": load_robot(job.robot).name,
         "variant": job.variant,
         "task": job.task_name,
         "policy": job.policy,

@@ -6,9 +6,9 @@ from pathlib import Path
 from kinfeas import config
 from kinfeas.benchmark.study import BenchmarkConfig, Training
 from kinfeas.config.recipes import default_recipe, find_recipe
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 
 
@@ -19,7 +19,7 @@ def settings_of(training: Training, seed: int) -> TrainConfig:
         KinfeasError: If its recipe or its settings are wrong.
     """
     path = (
-        default_recipe("train", registry.load_robot(training.robot).name)
+        default_recipe("train", load_robot(training.robot).name)
         if training.recipe is None
         else find_recipe(training.recipe, "train")
     )
@@ -71,10 +71,10 @@ def takes_pretrained(study: BenchmarkConfig, robot: str) -> bool:
     """Return whether a study judges the policy that comes with the package for `robot`."""
     if study.policies == "train":
         return False
-    return study.policies == "pretrained" or registry.load_robot(robot).name in pretrained.robots()
+    return study.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
 
 
 def run_name(settings: TrainConfig) -> str:
     """Return ROBOT-ALGORITHM-SEED."""
-    robot = registry.load_robot(settings.robot).name
+    robot = load_robot(settings.robot).name
     return f"{robot}-{settings.learner.algorithm}-{settings.seed}"

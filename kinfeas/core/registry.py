@@ -4,23 +4,19 @@ Everything is looked up lazily and one name at a time, so that a broken plugin d
 """
 
 import reprlib
-import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kinfeas.config.schema import no_such
 from kinfeas.core.checks.parameters import check_names, in_types, signature_of
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.plugin_errors import PluginErrors
 from kinfeas.io.files import is_path
-
-if TYPE_CHECKING:
-    from kinfeas.robots.robot import Robot
 
 GROUPS = {
     "kinfeas.motion_generators": "motion generator",
@@ -142,45 +138,6 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
             built = factory(**typed)
     _check_methods(built, group, str(subject))
     return built
-
-
-def load_robot(name_or_path: str) -> "Robot":
-    """Return the robot of a YAML file (`my/robot.yaml`) or of an entry point (`pr2`).
-
-    Raises:
-        KinfeasError: If there is no such robot, its YAML or URDF is wrong, or a URDF is named in
-            place of the YAML.
-    """
-    check_no_urdf(name_or_path)
-    path = Path(name_or_path) if is_path(name_or_path) else _robot_yaml(name_or_path)
-    # Late, for it takes NumPy, SciPy and Numba along, which a wrong name can do without.
-    from kinfeas.robots.reading import read_robot
-
-    return read_robot(path)
-
-
-def _robot_yaml(name: str) -> Path:
-    built = build("kinfeas.robots", name, {})
-    if not isinstance(built, Path):
-        raise KinfeasError(f"robot {name!r} must return the Path of its YAML, not {built!r}")
-    return built
-
-
-def check_no_urdf(name_or_path: object) -> None:
-    """Check that what is to name a robot is no URDF, nor what becomes one.
-
-    Raises:
-        KinfeasError: If it is; it tells the command that makes the YAML.
-    """
-    path = Path(str(name_or_path))
-    if path.suffix.lower() not in (".urdf", ".xacro"):
-        return
-    urdf, first = path, ""
-    if path.suffix.lower() == ".xacro":
-        urdf = path.with_suffix("" if path.stem.endswith(".urdf") else ".urdf")
-        first = f"{shlex.join(['xacro', str(path)])} > {shlex.quote(str(urdf))} and then "
-    command = shlex.join(["kinfeas", "robot", str(urdf), "--out", "FOLDER"])
-    raise KinfeasError(f"{path}: a robot is a YAML file, which {first}{command} writes")
 
 
 def from_anywhere(name_or_path: str) -> str:

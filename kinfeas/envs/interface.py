@@ -9,10 +9,10 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.control.observation import FIELDS, HORIZON
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World, WorldConfig
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 _FARTHEST = 1000.0
@@ -40,7 +40,7 @@ def make_world(
         KinfeasError: If there is no such robot or task, or a parameter is wrong.
     """
     return World(
-        registry.load_robot(robot),
+        load_robot(robot),
         load_task(task, task_parameters),
         config or WorldConfig(),
         seed=0,

@@ -11,17 +11,12 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.pybullet.camera import take_picture
 from kinfeas.backends.pybullet.contacts import Contacts
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.interface import check_reset
+from kinfeas.envs.physics import PhysicsSettings, make_physics_world, make_stage, physics_config
 from kinfeas.envs.reward import RewardConfig
-from kinfeas.evaluation.physics.world import (
-    PhysicsSettings,
-    make_physics_world,
-    make_stage,
-    physics_config,
-)
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 _BEYOND = 0.1
@@ -81,7 +76,7 @@ class PhysicsMotionEnv(BaseMotionEnv):
         if not isinstance(reward, RewardConfig | None):
             raise KinfeasError(f"reward must be RewardConfig or None, not {reward!r}")
         self.render_mode = render_mode
-        known = registry.load_robot(robot)
+        known = load_robot(robot)
         settings = world or replace(
             physics_config(known).world, feasibility_filter=False, min_obstacle_distance=0.0
         )

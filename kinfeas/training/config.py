@@ -14,8 +14,8 @@ from kinfeas.config.quantities import (
     PositiveShare,
     Share,
 )
+from kinfeas.envs.physics import PhysicsChanges
 from kinfeas.envs.world import WorldConfig
-from kinfeas.evaluation.physics.world import PhysicsChanges
 
 MOST_LAYERS, MOST_TRANSITIONS = 8, 65_536
 

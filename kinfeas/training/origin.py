@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import Network, read_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 
 
@@ -43,7 +43,7 @@ def first_policy(config: TrainConfig, scale: NDArray[np.float32]) -> Network:
 
 
 def _load(config: TrainConfig) -> Network:
-    init, robot = config.init, registry.load_robot(config.robot)
+    init, robot = config.init, load_robot(config.robot)
     assert init is not None
     if init == pretrained.NAME:
         return read_network(pretrained.find(robot.name), robot)

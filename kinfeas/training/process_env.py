@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.batch import StepResult
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.process_world import serve
@@ -35,7 +35,7 @@ class ProcessVecEnv(EpisodesVecEnv):
         Raises:
             KinfeasError: If a world cannot be built.
         """
-        super().__init__(registry.load_robot(config.robot), config.num_envs)
+        super().__init__(load_robot(config.robot), config.num_envs)
         context = multiprocessing.get_context("spawn")
         self._pipes: list[Connection] = []
         self._processes = []

@@ -5,19 +5,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from kinfeas.core import registry
 from kinfeas.core.metrics import EpisodeRecords
+from kinfeas.envs.physics import PhysicsChanges, PhysicsSettings, make_physics_world, make_stage
 from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.physics.evaluate import run_physics
-from kinfeas.evaluation.physics.world import (
-    PhysicsChanges,
-    PhysicsSettings,
-    PhysicsTrial,
-    make_physics_world,
-    make_stage,
-)
+from kinfeas.evaluation.physics.world import PhysicsTrial
 from kinfeas.policies.network import Network
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 
@@ -41,7 +36,7 @@ PeriodicEvaluator = Callable[[Network, int], EpisodeRecords]
 def analytic_world(config: TrainConfig) -> World:
     """Return the analytic world that a run learns in."""
     task = load_task(config.task, config.task_parameters)
-    world = World(registry.load_robot(config.robot), task, config.world, config.seed)
+    world = World(load_robot(config.robot), task, config.world, config.seed)
     world.stream = TRAINING
     return world
 
@@ -53,7 +48,7 @@ def physics_world(config: TrainConfig) -> World:
         KinfeasError: If PyBullet is not installed, or the task's scene is broken.
     """
     assert config.physics is not None
-    robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
+    robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
     stage = make_stage(robot, task, config.physics)
     world = make_physics_world(robot, stage, config.world, config.physics.execution, config.seed)
     world.stream = TRAINING
@@ -75,7 +70,7 @@ def analytic_judge(
     task = load_task(config.task, config.task_parameters)
     ik = config.world.ik.thorough()
     judged = replace(config.world, max_failures=MAX_FAILURES, adapters=(), ik=ik)
-    robot = registry.load_robot(config.robot)
+    robot = load_robot(config.robot)
     world = World(robot, task, judged, config.seed + offset)
     world.start([0])
     network.act(world.loop.policy_input)
@@ -98,7 +93,7 @@ def physics_judge(config: TrainConfig, offset: int = EVALUATION_SEED) -> Periodi
         max_seconds=world.max_seconds,
         ik=world.ik.thorough(),
     )
-    robot, task = registry.load_robot(config.robot), load_task(config.task, config.task_parameters)
+    robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
     trial = PhysicsTrial(robot, task, 1, config.seed + offset, settings)
 
     def judge(network: Network, episodes: int) -> EpisodeRecords:

@@ -8,7 +8,7 @@ from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import planar_pose
 from kinfeas.core.start import episode_rng
-from kinfeas.evaluation.physics.world import physics_config
+from kinfeas.envs.physics import physics_config
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene

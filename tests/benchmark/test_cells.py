@@ -9,12 +9,12 @@ from kinfeas.benchmark.cells import compute, run_jobs
 from kinfeas.benchmark.identity import identity
 from kinfeas.benchmark.job import CEILING, Job
 from kinfeas.benchmark.speed import random_network
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.evaluation.evaluate import evaluation_world
-from kinfeas.evaluation.physics.world import PhysicsSettings
 from kinfeas.policies.loading import BASELINES
 from kinfeas.policies.network import write_network
+from kinfeas.robots.loading import load_robot
 
 WORLD = replace(evaluation_world(), max_seconds=3.0)
 
@@ -26,7 +26,7 @@ def job(policy="follow_ee", source=None, **changes):
 
 @pytest.fixture
 def run(tmp_path):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     folder = tmp_path / "run"
     folder.mkdir()
     write_network(random_network(robot, net_arch=4), folder, robot, {})
@@ -107,7 +107,7 @@ def test_everything_that_matters_tells_cells_apart(changes):
 def test_other_weights_are_another_cell(run):
     before = identity(job("sac", str(run)))
     assert identity(job("td3", str(run))) == before
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     write_network(random_network(robot, net_arch=5), run, robot, {})
     assert identity(job("sac", str(run))) != before
 

@@ -16,10 +16,10 @@ from kinfeas.benchmark.findings import (
 from kinfeas.benchmark.plan import plan_jobs
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.speed import random_network
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import write_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.viz.pictures.episodes import episodes_figure
 from tests.benchmark.benchmark_cases import figures, small_study
 
@@ -27,7 +27,7 @@ from tests.benchmark.benchmark_cases import figures, small_study
 @pytest.fixture
 def shipped(tmp_path, monkeypatch):
     for name in ("pr2", "hsr"):
-        robot, folder = registry.load_robot(name), tmp_path / "shipped" / name
+        robot, folder = load_robot(name), tmp_path / "shipped" / name
         folder.mkdir(parents=True)
         write_network(random_network(robot, net_arch=4), folder, robot, {})
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path / "shipped")

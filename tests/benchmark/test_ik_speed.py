@@ -88,7 +88,7 @@ def test_the_arm_that_others_load_is_ours(robot, solver, cold):
 def test_pybullet_says_nothing_of_itself():
     code = """
 from kinfeas.benchmark.peers import pybullet_peer
-from kinfeas.core.registry import load_robot
+from kinfeas.robots.loading import load_robot
 assert pybullet_peer(load_robot("pr2"))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,8 +14,9 @@ from kinfeas.benchmark.records import to_lists
 from kinfeas.benchmark.study import BenchmarkConfig, read_benchmark
 from kinfeas.benchmark.table import tabulate, to_json
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.evaluation.evaluate import evaluation_world
-from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsSettings
+from kinfeas.evaluation.physics.world import PhysicsRecords
 from tests.benchmark.benchmark_cases import PHYSICS_STUDY, physics_plan
 
 

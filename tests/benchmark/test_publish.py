@@ -9,17 +9,17 @@ from kinfeas.benchmark.publish import publish, train_command
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.speed import random_network
 from kinfeas.cli.train_settings import Wishes, read_settings
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.fingerprint import fingerprint
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 
 
 def made(folder, seed, success):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     settings = config.from_mapping(TrainConfig, {"seed": seed}, "made")
     best = folder / f"run-{seed}" / "checkpoints" / "best"
     best.mkdir(parents=True)
@@ -36,7 +36,7 @@ def test_the_best_seed_is_published(tmp_path):
     for _ in "twice":
         assert publish(runs, figures, target) == {"pr2": target / "pr2"}
     assert pretrained.find("pr2", target) == target / "pr2"
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     network = read_network(target / "pr2", robot)
     assert network.weights[0].shape[1] == 5
     about = json.loads((target / "pr2" / "policy.json").read_text())

@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark.samples import EVERY, MOST, WorkspaceSamples, thinned
-from kinfeas.core import registry
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 
 
 @pytest.fixture(scope="module")
 def seen():
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     world = World(robot, ggr(), WorldConfig(max_failures=9, max_seconds=10.0), seed=1)
     samples = WorkspaceSamples()
     return run_episodes(world, load_policy("follow_ee", robot), 6, watch=samples), samples.kept()

@@ -13,9 +13,9 @@ from kinfeas.benchmark.speed import (
     random_network,
 )
 from kinfeas.control import drive, observation
-from kinfeas.core import registry
 from kinfeas.envs.world import WorldConfig
 from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.progress import Progress
 
 KEYS = {
@@ -67,7 +67,7 @@ def test_training_is_timed_by_the_robot_s_own_recipe(monkeypatch):
 
 
 def test_ended_episodes_are_followed_by_others(monkeypatch):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     monkeypatch.setattr(speed, "WorldConfig", lambda: WorldConfig(max_seconds=0.4))
     assert environment_rate(robot, FollowEe(robot.base), batch=3, steps=20, repeats=1) > 0.0
 

@@ -11,6 +11,7 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 
 LADDER = ("ideal", "paper", "pr2_like", "harsh")
@@ -18,7 +19,7 @@ LADDER = ("ideal", "paper", "pr2_like", "harsh")
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 def test_the_ladder_is_what_is_shipped():
@@ -28,7 +29,7 @@ def test_the_ladder_is_what_is_shipped():
 @pytest.mark.parametrize("name", LADDER)
 def test_each_rung_suits_any_robot(name):
     for robot in ("pr2", "tiago", "hsr"):
-        backend = wrap(AnalyticBackend(), read_sim2real(name).adapters, registry.load_robot(robot))
+        backend = wrap(AnalyticBackend(), read_sim2real(name).adapters, load_robot(robot))
         assert len(list(chain(backend))) == 1 + len(read_sim2real(name).adapters)
         assert isinstance(list(chain(backend))[-1], AnalyticBackend)
 

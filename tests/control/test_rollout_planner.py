@@ -6,11 +6,11 @@ import pytest
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
 from kinfeas.core.metrics import WITHIN
-from kinfeas.core.registry import load_robot
 from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.policies.loading import load_driver, load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 EPISODES = 8

@@ -7,6 +7,7 @@ import pytest
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import Plugin
+from kinfeas.robots.loading import load_robot
 
 MOTIONS, ROBOTS = "kinfeas.motion_generators", "kinfeas.robots"
 
@@ -115,7 +116,7 @@ def test_unknown_name_lists_what_there_is(sound):
     text = message(registry.load, MOTIONS, "wav")
     assert text.startswith("unknown motion generator 'wav' (did you mean 'wave'?); known are ")
     assert "linear" in text
-    assert message(registry.load_robot, "pr3").startswith("unknown robot 'pr3' (did you mean 'pr2'")
+    assert message(load_robot, "pr3").startswith("unknown robot 'pr3' (did you mean 'pr2'")
 
 
 def test_unknown_group():
@@ -243,13 +244,13 @@ def test_name_claimed_twice_names_both(sound, install):
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_load_robot_by_name_and_by_file_alike(name):
-    by_name = registry.load_robot(name)
+    by_name = load_robot(name)
     path = Path(registry.load("kinfeas.robots", name)())
-    assert by_name.name == registry.load_robot(str(path)).name == name
-    assert registry.load_robot(path).name == name
+    assert by_name.name == load_robot(str(path)).name == name
+    assert load_robot(path).name == name
 
 
-@pytest.mark.parametrize("use", [registry.load_robot, lambda name: registry.load(ROBOTS, name)])
+@pytest.mark.parametrize("use", [load_robot, lambda name: registry.load(ROBOTS, name)])
 @pytest.mark.parametrize("name", [None, 3, ["pr2"]])
 def test_what_is_no_name_is_refused_with_what_is_allowed(use, name):
     with pytest.raises(KinfeasError, match=r"robot must be one of .*pr2.* or the path of .*, not"):
@@ -258,8 +259,8 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(use, name):
 
 @pytest.mark.parametrize("name", ["absent.yaml", "absent.yml", "./pr2", "some/robot"])
 def test_load_robot_takes_a_path_for_a_file(name):
-    assert name.removeprefix("./") in message(registry.load_robot, name)
-    assert "unknown robot" not in message(registry.load_robot, name)
+    assert name.removeprefix("./") in message(load_robot, name)
+    assert "unknown robot" not in message(load_robot, name)
 
 
 @pytest.mark.parametrize(
@@ -275,12 +276,12 @@ def test_load_robot_takes_a_path_for_a_file(name):
     ],
 )
 def test_a_urdf_in_place_of_the_yaml_is_told_the_way(name, way):
-    assert f"a robot is a YAML file, {way}" in message(registry.load_robot, name)
+    assert f"a robot is a YAML file, {way}" in message(load_robot, name)
 
 
 def test_load_robot_reads_the_file_that_an_outside_plugin_names(sound):
-    assert "my_robot.yaml" in message(registry.load_robot, "mine")
-    assert message(registry.load_robot, "text") == (
+    assert "my_robot.yaml" in message(load_robot, "mine")
+    assert message(load_robot, "text") == (
         "robot 'text' must return the Path of its YAML, not 'my_robot.yaml'"
     )
 

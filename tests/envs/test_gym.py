@@ -18,6 +18,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(
@@ -136,7 +137,7 @@ def test_an_episode_is_the_same_alone_and_beside_others(name):
 
 def test_an_episode_is_the_same_in_the_training_adapter(name):
     n = 3
-    robot, task = registry.load_robot(name), registry.build("kinfeas.tasks", "ggr", {})
+    robot, task = load_robot(name), registry.build("kinfeas.tasks", "ggr", {})
     env = WorldVecEnv(World(robot, task, NOISY, SEED), n)
     size = env.world.action_size
     seen, step = env.reset(), 0

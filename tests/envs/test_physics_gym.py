@@ -12,8 +12,8 @@ from kinfeas.envs.world import WorldConfig
 
 pytest.importorskip("pybullet")
 
+from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.physics_gym import PhysicsMotionEnv
-from kinfeas.evaluation.physics.world import PhysicsSettings
 
 
 def make(**arguments):

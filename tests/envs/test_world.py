@@ -9,11 +9,11 @@ import pytest
 
 from kinfeas import config
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.registry import load_robot
 from kinfeas.envs.reward import RewardConfig
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
 from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.policies.network import Network
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import Share, join
 from kinfeas.envs.world import WorldConfig
@@ -21,6 +20,7 @@ from kinfeas.evaluation.evaluate import (
     worker_pool,
 )
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 
 KEYS = {
@@ -33,7 +33,7 @@ KEYS = {
 def trial():
     world = replace(evaluation_world(), max_seconds=6.0)
     near = ggr(distance=(0.5, 0.8))
-    return Trial(registry.load_robot("pr2"), near, episodes=20, seed=3, world=world)
+    return Trial(load_robot("pr2"), near, episodes=20, seed=3, world=world)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def policy(trial):
 
 def test_policies_are_judged_in_an_exact_and_patient_world():
     assert evaluation_world() == replace(WorldConfig(), max_failures=99)
-    assert Trial(registry.load_robot("pr2"), ggr()).world == evaluation_world()
+    assert Trial(load_robot("pr2"), ggr()).world == evaluation_world()
 
 
 def test_the_summary_holds_what_is_asked_for(trial, policy):

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.core import registry
 from kinfeas.evaluation.reachability import measure_path_reachability, measure_reachability
 from kinfeas.kinematics.ik import IkOptions
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
 
@@ -17,13 +17,13 @@ def test_ceilings_are_as_the_method_says(robot):
 
 
 def test_pr2_cannot_reach_as_high_as_the_table_of_the_paper():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     high = ggr(heights=(1.2, 1.4))
     assert measure_reachability(robot, high, 60, 1).share.value < 0.5
 
 
 def test_leeway_ends_at_the_goal():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     task = ggr(heights=(0.05, 1.7))
     strict = measure_reachability(robot, task, 40, 1).reached
     exact = measure_reachability(robot, task, 40, 1, IkOptions(pose_tolerance=False)).reached
@@ -33,7 +33,7 @@ def test_leeway_ends_at_the_goal():
 
 @pytest.mark.parametrize("robot_name", ["tiago"])
 def test_self_collision_lowers_it(robot_name):
-    robot = registry.load_robot(robot_name)
+    robot = load_robot(robot_name)
     free = measure_reachability(robot, ggr(), 120, 3, IkOptions(self_collision=False)).share
     assert measure_reachability(robot, ggr(), 120, 3).share.value <= free.value
 
@@ -47,7 +47,7 @@ def reach(*heights):
 
 
 def test_every_leg_counts():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     assert measure_reachability(robot, reach(0.7, 0.9), 2, 0).share.value == 1.0
     for heights in ((0.7, 3.0), (3.0, 0.7)):
         found = measure_reachability(robot, reach(*heights), 2, 0)

@@ -8,11 +8,12 @@ from kinfeas.evaluation.recording import record_episodes
 from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import pick_place
 
 
 def world(max_seconds=6.0):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     task = registry.build("kinfeas.tasks", "ggr", {})
     return World(robot, task, WorldConfig(max_failures=99, max_seconds=max_seconds), seed=4)
 
@@ -52,7 +53,7 @@ def test_the_ee_is_where_the_joints_put_it(recordings):
 
 
 def test_the_goals_are_those_of_the_legs_begun():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     place = World(robot, pick_place(), WorldConfig(max_failures=99), seed=1)
     (one,) = record_episodes(place, FollowEe(robot.base, feedback=True), 1)
     assert one.reached

@@ -1,14 +1,14 @@
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import bare_stand, find_arm
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
 
 
 @pytest.mark.parametrize("name", ["tiago", "hsr"])
 def test_finds_the_arms_of_shipped_robots(name):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     arm = find_arm(robot.urdf, None, name)
     assert [joint.name for joint in arm.joints] == [joint.name for joint in robot.arm]
     assert arm.hand in robot.urdf.rigid[robot.ee_frame]
@@ -16,7 +16,7 @@ def test_finds_the_arms_of_shipped_robots(name):
 
 
 def test_two_arms_have_to_be_told_apart():
-    urdf = registry.load_robot("pr2").urdf
+    urdf = load_robot("pr2").urdf
     hands = "r_gripper_palm_link or l_gripper_palm_link"
     with pytest.raises(KinfeasError, match=f"pr2: there are several arms: .* {hands}"):
         find_arm(urdf, None, "pr2")
@@ -119,5 +119,5 @@ def test_an_arm_on_a_single_body_may_have_no_base(changed, changes, stand):
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_shipped_robots_have_a_base(name):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     assert not bare_stand(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core import registry
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.hand import read_hand
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
 
 
@@ -20,7 +20,7 @@ def axes(hand):
 
 @pytest.mark.parametrize("name", ["pr2", "hsr"])
 def test_shipped_hands_point_where_their_files_say(name):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     hand = read_hand(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))
     found, known = (
         Rotation.from_quat(quaternion).inv().as_matrix()

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core import registry
 from kinfeas.core.spatial import IDENTITY, make_pose
 from kinfeas.importer.placed import Placed, link_pose
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
 
 POSE = make_pose(np.array([0.1, -0.2, 0.3]), Rotation.from_euler("xyz", [0.3, 0.5, -0.8]))
@@ -38,7 +38,7 @@ def test_a_shape_goes_as_far_as_its_farthest_point(kind, size, direction):
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_links_are_where_forward_kinematics_has_them(name):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     home = robot.home["home"]
     positions = {joint.name: at for joint, at in zip(robot.arm, home, strict=True)}
     expected = forward(build_chain(robot), home[np.newaxis])[0]

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.hand import read_hand
@@ -21,6 +20,7 @@ from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.reading import read_robot
 from kinfeas.robots.spec import PoseTolerance
 from kinfeas.robots.urdf import parse_urdf
@@ -30,7 +30,7 @@ HEIGHTS = np.arange(6.0)
 
 @pytest.fixture(params=["tiago", "hsr"])
 def robot(request):
-    return registry.load_robot(request.param)
+    return load_robot(request.param)
 
 
 def test_shipped_robots_have_no_more_pairs_to_leave_out(robot):
@@ -79,7 +79,7 @@ def test_a_band_is_the_largest_range_of_heights(share, least, band):
 @pytest.mark.slow
 def test_useful_heights_are_those_of_the_robots_file():
     told = []
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     heights = useful_heights(robot, told.append)
     assert sum(told) == pytest.approx(1.0)
     low, high = robot.goal_heights["ggr_restricted"]
@@ -90,7 +90,7 @@ def test_useful_heights_are_those_of_the_robots_file():
 
 def test_lengths_in_millimetres_are_one_sentence():
     """Of that many heights the trial would take a day."""
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     lift = replace(robot.urdf.joints["torso_lift_joint"], origin=np.array([0, 0, 790, 0, 0, 0, 1]))
     urdf = replace(robot.urdf, joints=robot.urdf.joints | {lift.name: lift})
     with pytest.raises(KinfeasError, match=r"tiago: the hand gets 79\d m high, at most 100 are"):
@@ -101,7 +101,7 @@ def test_leeway_makes_no_height_useful(monkeypatch):
     """A goal counts within the same distance for every robot."""
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4,))
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     wide = replace(robot, pose_tolerance=PoseTolerance(position=1.0, rotation=3.0))
     shares = [useful_heights(one).share for one in (robot, wide)]
     np.testing.assert_array_equal(*shares)
@@ -148,7 +148,7 @@ def test_fingers_stand_still_and_keep_no_links_apart(changed, drafted):
 
 
 def test_the_home_of_an_arm_with_less_freedom_is_off_its_limits():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     lower, upper = robot.finite_joint_limits
     home = comfortable(robot)
     assert np.all((home - lower > 0.02 * (upper - lower)) & (upper - home > 0.02 * (upper - lower)))

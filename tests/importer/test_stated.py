@@ -1,10 +1,10 @@
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.importer.arm import find_arm
 from kinfeas.importer.hand import read_hand
 from kinfeas.importer.stated import stated
 from kinfeas.importer.text import Guesses, robot_yaml
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
 
 LIMITS = 'lower="-2" upper="2"'
@@ -51,7 +51,7 @@ def test_what_stands_for_no_speed_is_guessed(changed, velocity, guess):
 
 
 def test_a_joint_that_is_followed_from_off_the_way_stands_still():
-    urdf = registry.load_robot("pr2").urdf
+    urdf = load_robot("pr2").urdf
     arm = find_arm(urdf, "r_gripper_r_finger_tip_link", "pr2")
     told = stated("pr2", urdf, arm, read_hand(urdf, arm), "omnidirectional")
     assert "r_gripper_r_finger_joint" not in told.arm  # which follows the other finger's

@@ -8,11 +8,11 @@ import yaml
 from numba.core.registry import CPUDispatcher
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation, twist_between
 from kinfeas.kinematics.chain import build_chain
 from kinfeas.kinematics.forward import forward, jacobian
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import ArmJoint
 
 GOLDEN = yaml.safe_load((Path(__file__).parents[1] / "robots" / "golden_fk.yaml").read_text())
@@ -65,7 +65,7 @@ def test_odd_axes_origins_and_followers_are_pinocchios(odd_robot, odd_judge, dra
 
 @pytest.mark.parametrize(("name", "joints", "case"), CASES)
 def test_golden_poses(name, joints, case):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     arm = tuple(ArmJoint(joint, -9.0, 9.0, 1.0, continuous=False) for joint in joints)
     for frame, expected in case["frames"].items():
         chain = build_chain(replace(robot, arm=arm, ee_frame=frame))

@@ -432,10 +432,11 @@ def test_spread_configurations_cover_the_limits(robot):
 AFRESH = """
 import hashlib
 from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 
-solver = IkSolver(registry.load_robot("tiago"), IkOptions(self_collision=False))
+solver = IkSolver(load_robot("tiago"), IkOptions(self_collision=False))
 joints = spread_configurations(solver.robot, 200)
 found = solver.solve(forward(solver.chain, joints), joints[::-1])
 print(hashlib.sha256(found.joint_positions.tobytes()).hexdigest())

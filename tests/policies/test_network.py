@@ -7,12 +7,12 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from kinfeas.control.observation import CLIP
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import Network, read_network, write_network
 from kinfeas.robots.fingerprint import fingerprint
+from kinfeas.robots.loading import load_robot
 
 
 def network(sizes=(28, 256, 256, 3), seed=0):
@@ -84,7 +84,7 @@ def test_acts_on_the_observation_alone():
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 def test_what_is_written_is_read_back(pr2, tmp_path):

@@ -11,17 +11,17 @@ from onnx import TensorProto, helper, numpy_helper
 
 from kinfeas.control.drive import action_size
 from kinfeas.control.observation import HORIZON, size
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.policies import onnx_file as policy_file
 from kinfeas.policies.onnx_file import TOLERANCE, read_policy_file
+from kinfeas.robots.loading import load_robot
 from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
 
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_needs_neither_torch_nor_onnx_and_says_nothing(path):
 import sys
 from pathlib import Path
 import numpy as np
-from kinfeas.core.registry import load_robot
+from kinfeas.robots.loading import load_robot
 from kinfeas.policies.onnx_file import read_policy_file
 
 read_policy_file(Path({str(path)!r}), load_robot("pr2"))(np.zeros((1, 28)))
@@ -130,7 +130,7 @@ def refused(path, robot, match):
 
 
 def test_another_robot(path):
-    refused(path, registry.load_robot("hsr"), "for robot 'pr2', not for 'hsr'")
+    refused(path, load_robot("hsr"), "for robot 'pr2', not for 'hsr'")
 
 
 def test_a_robot_of_the_same_name_with_other_kinematics(path, pr2):

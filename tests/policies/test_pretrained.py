@@ -4,15 +4,15 @@ from pathlib import Path
 import pytest
 
 from kinfeas.benchmark.speed import random_network
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network, write_network
+from kinfeas.robots.loading import load_robot
 
 
 def made(root: Path, *names: str) -> Path:
     for name in names:
-        robot = registry.load_robot(name)
+        robot = load_robot(name)
         (root / name).mkdir()
         write_network(random_network(robot, net_arch=4), root / name, robot, {})
     return root
@@ -43,7 +43,7 @@ def test_a_name_is_no_path(tmp_path, name):
 @pytest.mark.parametrize("name", pretrained.robots())
 def test_each_shipped_policy_is_whole(name):
     folder = pretrained.find(name)
-    assert read_network(folder, registry.load_robot(name))
+    assert read_network(folder, load_robot(name))
     about = json.loads((folder / "policy.json").read_text())
     assert about["command"].startswith("kinfeas train ")
     assert {"config", "seed", "benchmark", "evaluation"} <= about.keys()

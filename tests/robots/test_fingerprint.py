@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.fingerprint import fingerprint
+from kinfeas.robots.loading import load_robot
 
 # A policy file is refused where these have changed, so they may change with a robot only.
 KNOWN = {
@@ -17,7 +17,7 @@ KNOWN = {
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 def test_stays_what_it_is(robot):

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.registry import load_robot, names
+from kinfeas.core.registry import names
 from kinfeas.core.spatial import IDENTITY, planar_pose
+from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.scenes.scene import read_scene
 

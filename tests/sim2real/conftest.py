@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core import registry
 from kinfeas.core.spatial import planar_pose
+from kinfeas.robots.loading import load_robot
 
 
 class Recorder(AnalyticBackend):
@@ -59,7 +59,7 @@ class Rig:
 @pytest.fixture(scope="session")
 def pr2():
     """A robot with continuous joints."""
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,8 @@ from xmlrpc.client import ServerProxy
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros import ros1_node
 from kinfeas.sim2real.ros.names import read_topics
 
@@ -106,7 +106,7 @@ class Bus:
         self.folder, self.env = folder, os.environ | env
         self.started: list[Process] = []
         self._robot = None
-        topics = read_topics(registry.load_robot("pr2"), self.version).base
+        topics = read_topics(load_robot("pr2"), self.version).base
         self.listener = self.run(_LISTEN, topics.command, topics.odometry, str(self.version))
 
     def run(self, code: str, *arguments: str) -> Process:

@@ -18,6 +18,7 @@ from kinfeas.policies.network import Network, read_network, write_network
 from kinfeas.policies.onnx_file import TOLERANCE, read_policy_file
 from kinfeas.policies.onnx_graph import OPERATORS
 from kinfeas.policies.onnx_metadata import About
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.export import GOLDEN_PAIRS, export
 from tests.sim2real.policy_cases import write_run
 
@@ -26,7 +27,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 @pytest.mark.parametrize("hidden", [1, 8, 256])

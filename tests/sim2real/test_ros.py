@@ -10,6 +10,7 @@ from kinfeas.core import registry, spatial
 from kinfeas.io.run_log import read_record
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import Hosted
 from kinfeas.sim2real.ros.backend import Ros1Backend, Ros2Backend
@@ -22,9 +23,10 @@ LIMIT = 0.3
 SILENT = """
 import os
 from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from kinfeas.core.errors import KinfeasError
 backend = registry.build(
-    "kinfeas.backends", "ros1", {"robot": registry.load_robot("pr2"), "patience": 0.3}
+    "kinfeas.backends", "ros1", {"robot": load_robot("pr2"), "patience": 0.3}
 )
 here = os.environ["ROS_MASTER_URI"]
 for uri in ("http://127.0.0.1:9", here):
@@ -94,7 +96,7 @@ def test_what_is_missing_is_said_at_once(bus):
 @needs_physics
 def test_reaches_a_goal_over_the_link(bus, tmp_path):
     robot, record = bus.robot(), tmp_path / "record.csv"
-    pr2 = registry.load_robot("pr2")
+    pr2 = load_robot("pr2")
     ee = forward(IkSolver(pr2).chain, pr2.home["home"][np.newaxis])[0]
     # Where the robot of an earlier test has left the EE, the goal is farther away.
     goal = [f"{value:.4f}" for value in ee[:3] + np.array([0.1, -0.1, 0.05])]

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.backend import RealTimeBackend
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import BaseReading, Hosted, Orders
 from tests.sim2real.links import joints_at
@@ -40,7 +40,7 @@ def orders():
 
 @pytest.fixture
 def robots_end(udp, orders):
-    pr2 = registry.load_robot("pr2")
+    pr2 = load_robot("pr2")
     link = udp.UdpBackend.robot_link(pr2)
     link.open(Orders(*(orders[name].append for name in ("drive", "move", "grip"))))
     yield link
@@ -55,7 +55,7 @@ def wait(condition):
 
 
 def test_carries_everything_both_ways(udp, orders, robots_end):
-    pr2 = registry.load_robot("pr2")
+    pr2 = load_robot("pr2")
     backend = udp.UdpBackend(pr2, seconds=0.25)
     assert isinstance(backend, RealTimeBackend)
     assert isinstance(backend, Watched)

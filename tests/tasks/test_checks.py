@@ -13,6 +13,7 @@ from kinfeas.core.start import Start
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask, door
 from kinfeas.tasks.checks import CheckedTask, unchecked
 from kinfeas.tasks.ggr import GoalReaching
@@ -24,7 +25,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.fixture(scope="module")
 def pr2():
-    return IkSolver(registry.load_robot("pr2"))
+    return IkSolver(load_robot("pr2"))
 
 
 @dataclass(frozen=True)

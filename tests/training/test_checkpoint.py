@@ -12,6 +12,7 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
 from kinfeas.policies.network import read_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.learner import explore, make_learner
 from kinfeas.training.state import read_state
@@ -29,7 +30,7 @@ class Toy:
     def __init__(self, config, robot="pr2"):
         task = registry.build("kinfeas.tasks", "ggr", {})
         self.config = config.learner
-        self.env = WorldVecEnv(World(registry.load_robot(robot), task, config.world, 1), 4)
+        self.env = WorldVecEnv(World(load_robot(robot), task, config.world, 1), 4)
         self.learner = make_learner(config.learner, self.env, 0)
         self.seen = self.env.reset()
 
@@ -167,16 +168,16 @@ def run(tiny, tmp_path_factory):
 
 @pytest.mark.parametrize("place", [".", "checkpoints/best", "checkpoints/last"])
 def test_a_run_and_its_checkpoints_are_policies(run, place):
-    assert read_network(run / place, registry.load_robot("pr2")).weights[0].shape == (28, 16)
+    assert read_network(run / place, load_robot("pr2")).weights[0].shape == (28, 16)
 
 
 def test_the_policy_of_another_robot_is_a_clear_error(run):
     with pytest.raises(KinfeasError, match=r"a policy for robot 'pr2' .* but robot 'hsr' has"):
-        read_network(run, registry.load_robot("hsr"))
+        read_network(run, load_robot("hsr"))
 
 
 def test_a_truncated_or_foreign_policy_is_a_clear_error(run, tmp_path):
-    best, robot = run / "checkpoints" / "best", registry.load_robot("pr2")
+    best, robot = run / "checkpoints" / "best", load_robot("pr2")
     contents = {path.name: path.read_bytes() for path in best.iterdir()}
     assert set(contents) == {"policy.json", "policy.safetensors"}
     for name, content in contents.items():
@@ -212,7 +213,7 @@ def test_resuming_unpickles_nothing(run, monkeypatch):
     ):
         monkeypatch.setattr(owner, name, refuse)
     assert resume(run).steps == 640
-    read_network(run, registry.load_robot("pr2"))
+    read_network(run, load_robot("pr2"))
 
 
 FORBIDDEN = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}

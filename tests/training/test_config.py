@@ -6,6 +6,7 @@ from kinfeas import config
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -24,7 +25,7 @@ def test_there_are_recipes():
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_recipe_loads_and_makes_a_world(path):
     recipe = load(path)
-    robot = registry.load_robot(recipe.robot)
+    robot = load_robot(recipe.robot)
     task = registry.build("kinfeas.tasks", recipe.task, recipe.task_parameters)
     assert World(robot, task, recipe.world, recipe.seed).start([0]).shape[0] == 1
     assert config.from_mapping(TrainConfig, config.to_mapping(recipe), "again") == recipe

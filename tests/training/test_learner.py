@@ -8,6 +8,7 @@ from kinfeas.control.observation import scaled
 from kinfeas.core import registry
 from kinfeas.envs.world import World
 from kinfeas.policies.network import read_network, write_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.learner import (
     DEVIATION,
     explore,
@@ -21,7 +22,7 @@ from kinfeas.training.vec_env import WorldVecEnv
 
 @pytest.fixture(scope="module")
 def env(tiny):
-    robot, task = registry.load_robot("pr2"), registry.build("kinfeas.tasks", "ggr", {})
+    robot, task = load_robot("pr2"), registry.build("kinfeas.tasks", "ggr", {})
     return WorldVecEnv(World(robot, task, tiny().world, 0), 8)
 
 

@@ -14,10 +14,10 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from kinfeas import config
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.folders import alone
 from kinfeas.policies.network import read_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.training import checkpoint, logs, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
@@ -125,7 +125,7 @@ def test_a_run_leaves_what_it_should(whole):
     assert [int(row["steps"]) for row in judged] == [800, 1600]
     assert_monotone(out)
     assert state(out)["progress"]["steps"] == 1600
-    network = read_network(out, registry.load_robot("pr2"))
+    network = read_network(out, load_robot("pr2"))
     assert [len(bias) for bias in network.biases] == [16, 16, 3]
 
 
@@ -582,7 +582,7 @@ def test_senseless_numbers_are_a_clear_error(half, digest, key, value, message):
 
 
 def test_a_robot_that_was_changed_since_is_a_clear_error(tiny, tmp_path, digest):
-    shipped, mine, out = registry.load_robot("pr2"), tmp_path / "mine.yaml", tmp_path / "run"
+    shipped, mine, out = load_robot("pr2"), tmp_path / "mine.yaml", tmp_path / "run"
     text = (shipped.urdf_path.with_name("pr2.yaml")).read_text()
     mine.write_text(text.replace("urdf: pr2.urdf", f"urdf: {shipped.urdf_path}"))
     train(tiny(f"robot={mine}", "schedule.steps=80"), out)
@@ -606,7 +606,7 @@ def test_the_state_of_a_writer_killed_between_its_renames_is_found(half):
     checkpoints = half / "checkpoints"
     for name in ("last", "best"):
         (checkpoints / name).rename(checkpoints / f".{name}.old")
-    assert read_network(half, registry.load_robot("pr2")).biases
+    assert read_network(half, load_robot("pr2")).biases
     assert resume(half).steps == 1600
     assert {path.name for path in checkpoints.iterdir()} >= {"last"}
 

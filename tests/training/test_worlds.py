@@ -5,10 +5,10 @@ import pytest
 
 from kinfeas import config
 from kinfeas.benchmark.speed import random_network
-from kinfeas.core import registry
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.kinematics.ik import IkOptions
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training import worlds
 from kinfeas.training.config import LAST_SEED, TrainConfig
@@ -25,7 +25,7 @@ def goal(world, episode):
 
 def judged(settings, seed):
     """Return the goals of the first episodes of an evaluation, shape (4, 7)."""
-    robot, task = registry.load_robot(settings.robot), load_task(settings.task)
+    robot, task = load_robot(settings.robot), load_task(settings.task)
     world = World(robot, task, evaluation_world(), seed)
     return np.stack([goal(world, episode) for episode in range(EPISODES)])
 
@@ -80,7 +80,7 @@ def test_what_counts_as_a_solution_is_the_run_s_where_it_is_judged(monkeypatch, 
     judged = []
     monkeypatch.setattr(worlds, "run_episodes", lambda world, *_: judged.append(world.config.ik))
     settings = tiny(f"world.ik={IK}")
-    network = random_network(registry.load_robot(settings.robot))
+    network = random_network(load_robot(settings.robot))
     worlds.analytic_judge(settings, network)(network, 1)
     assert judged == [IkOptions(**SOLVED)]
 

@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import REACHED, About, Record
+from kinfeas.robots.loading import load_robot
 from kinfeas.viz.deployed_run import recording, replay_figure, scene_of
 from kinfeas.viz.pages.deployed_run import moments, replay_html
 from kinfeas.viz.pictures.style import png
 
-PR2 = registry.load_robot("pr2")
+PR2 = load_robot("pr2")
 
 
 def record(t=40, event=REACHED):

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from kinfeas.backends.pybullet.arm_drive import cubic
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from tests.backends.pybullet.conftest import twist
 
 NUMBER = st.floats(-2.0, 2.0)
@@ -85,7 +85,7 @@ def test_no_joint_is_faster_than_its_limit(world, begin):
 
 
 def test_a_continuous_joint_takes_the_shorter_way():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     world, home = PyBulletBackend(robot), robot.home["home"].copy()
     home[-1] = 3.0
     base = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
@@ -100,7 +100,7 @@ def test_a_continuous_joint_takes_the_shorter_way():
 
 
 def test_without_its_springs_the_pr2_could_not_carry_its_arm():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     world = PyBulletBackend(robot)
     joints = np.array([[0.0, 0.0, 0.0, -0.2, 0.0, -0.2, 0.0]])
     world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), joints)
@@ -117,7 +117,7 @@ def test_without_its_springs_the_pr2_could_not_carry_its_arm():
 
 
 def test_a_joint_without_effort_is_refused():
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     joints = dict(robot.urdf.joints)
     joints["arm_3_joint"] = replace(joints["arm_3_joint"], effort=0.0)
     weak = replace(robot, urdf=replace(robot.urdf, joints=joints))

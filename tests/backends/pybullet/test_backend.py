@@ -9,6 +9,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
 from tests.backends.pybullet.conftest import stay, twist
 
 DT = 0.02
@@ -217,7 +218,7 @@ def test_refuses_what_it_cannot_do(world, begin):
 
 
 def test_a_world_that_is_gone_is_one_sentence():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     world, home = PyBulletBackend(robot), robot.home["home"][np.newaxis]
     world.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), home)
     world.close()

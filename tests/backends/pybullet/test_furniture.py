@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from tests.backends.pybullet.conftest import stay
 
@@ -71,7 +71,7 @@ def test_the_shipped_room_stands_still(robot):
 
 @pytest.fixture(scope="module")
 def room_world():
-    world = PyBulletBackend(registry.load_robot("hsr"), read_scene("room"))
+    world = PyBulletBackend(load_robot("hsr"), read_scene("room"))
     yield world
     world.close()
 

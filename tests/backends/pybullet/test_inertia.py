@@ -15,8 +15,8 @@ from kinfeas.backends.pybullet.inertia import (
     write_inertia,
 )
 from kinfeas.backends.pybullet.robot_urdf import physics_urdf
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 
 FINGER = (
     '<robot name="r"><link name="finger"><inertial><origin xyz="-0.01 0 0"/><mass value="0.08"/>'
@@ -52,7 +52,7 @@ def test_what_a_body_can_have_stays_as_it_is(squares, seed):
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_shipped_robots_are_left_alone(name):
-    xml = ElementTree.fromstring(physics_urdf(registry.load_robot(name))[0])
+    xml = ElementTree.fromstring(physics_urdf(load_robot(name))[0])
     before = ElementTree.tostring(xml)
     mend_inertias(xml, name)
     assert ElementTree.tostring(xml) == before

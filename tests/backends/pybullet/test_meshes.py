@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_robot"
 CORNERS = ((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
@@ -35,7 +35,7 @@ def own_robot(rover, mesh, kind):
     text = f'{text[:start]}<{kind}><geometry><mesh filename="{mesh}"/></geometry>{text[end:]}'
     rover.with_name("scout.urdf").write_text(text)
     rover.with_name("scout.yaml").write_text((EXAMPLE / "scout.yaml").read_text())
-    return registry.load_robot(str(rover.with_name("scout.yaml")))
+    return load_robot(str(rover.with_name("scout.yaml")))
 
 
 @pytest.mark.parametrize("kind", ["visual", "collision"])

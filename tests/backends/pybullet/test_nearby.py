@@ -5,11 +5,12 @@ from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.nearby import Surroundings
 from kinfeas.control.loop import Loop
 from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.backend import SupportsObstacleDistances
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
 from tests.backends.pybullet.conftest import stay, twist
 
 WALL = -2.95
@@ -76,7 +77,7 @@ def test_what_lies_beneath_is_not_in_the_way(world, begin):
 
 
 def test_a_floor_and_nothing_else():
-    backend = PyBulletBackend(registry.load_robot("hsr"))
+    backend = PyBulletBackend(load_robot("hsr"))
     try:
         assert isinstance(backend, SupportsObstacleDistances)
         home = backend.sims[0].body.robot.home["home"]

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place
 from kinfeas.tasks.loading import load_task
@@ -17,13 +18,13 @@ from kinfeas.backends.pybullet.stage import Stage, task_scene
 
 def build(name):
     task = load_task(name)
-    backend = PyBulletBackend(registry.load_robot("tiago"), task_scene(task))
+    backend = PyBulletBackend(load_robot("tiago"), task_scene(task))
     return Stage(task, backend)
 
 
 @pytest.fixture(scope="module")
 def solver():
-    return IkSolver(registry.load_robot("tiago"))
+    return IkSolver(load_robot("tiago"))
 
 
 @pytest.fixture(scope="module", params=["pick_place", "door", "drawer"])

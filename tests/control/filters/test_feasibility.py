@@ -7,13 +7,14 @@ from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.control.subgoals import ExecutionConfig
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.joints import joint_jumps
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 DT, ROWS = 0.5, 64
@@ -99,7 +100,7 @@ def test_rows_that_stand_still_are_left_alone(solver, scene, feasibility_filter)
 
 @pytest.mark.parametrize("policy", ["follow_ee_feedback", "pretrained"])
 def test_an_arm_jumps_less_if_the_base_yields(policy):
-    tiago, joint_jumps_of = registry.load_robot("tiago"), []
+    tiago, joint_jumps_of = load_robot("tiago"), []
     for feasibility_filter in (False, True):
         world = World(
             tiago, load_task("ggr"), WorldConfig(feasibility_filter=feasibility_filter), seed=1
@@ -115,5 +116,5 @@ def test_a_world_yields_if_it_or_its_pace_says_so(asks):
         WorldConfig(feasibility_filter=asks == "world"),
         ExecutionConfig(slow_down=2.0, feasibility_filter=asks == "execution"),
     )
-    world = World(registry.load_robot("tiago"), load_task("ggr"), config, 0, execution=execution)
+    world = World(load_robot("tiago"), load_task("ggr"), config, 0, execution=execution)
     assert world.loop.execution == ExecutionConfig(slow_down=2.0, feasibility_filter=True)

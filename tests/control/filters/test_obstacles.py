@@ -12,7 +12,7 @@ from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.control.loop import Loop
 from kinfeas.control.rollout_planner import RolloutPlanner
 from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
@@ -20,6 +20,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.joints import joint_jumps
 from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.passing import Passing
 
 KEPT, DT, RADIUS = 0.05, 0.1, 0.3
@@ -103,7 +104,7 @@ def test_far_from_everything_commands_stay_as_they_are(robot):
 
 
 def test_a_base_slides_along_what_is_in_its_way():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     backend = Pillars(*([1.0, y] for y in np.linspace(-1.0, 3.0, 81)))
     loop = loop_among(robot, backend, 1)
     backend.state.base_pose[:] = spatial.planar_pose(np.array([0.6]), np.zeros(1), np.zeros(1))
@@ -135,7 +136,7 @@ def test_it_looks_as_far_as_the_fastest_base_takes_to_brake(robot):
 
 def test_a_base_turns_aside_before_it_leaves_its_way():
     """Its corner is in the way of a pillar: it turns the corner away, and drives on."""
-    hsr = registry.load_robot("hsr")
+    hsr = load_robot("hsr")
     corner = ObstacleDistances(
         np.array([[[0.3, 0.3]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]])
     )
@@ -147,7 +148,7 @@ def test_a_base_turns_aside_before_it_leaves_its_way():
 
 
 def test_where_it_cannot_turn_fast_enough_it_leaves_its_way():
-    hsr = registry.load_robot("hsr")
+    hsr = load_robot("hsr")
     corner = ObstacleDistances(
         np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]]), np.array([[KEPT]])
     )
@@ -205,7 +206,7 @@ def test_held_commands_are_carried_out_as_they_are(robot):
 
 
 def test_what_looks_ahead_sees_nothing_in_its_way():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
 
     class Still:
         def act(self, policy_input):
@@ -217,7 +218,7 @@ def test_what_looks_ahead_sees_nothing_in_its_way():
 
 
 def test_a_backend_that_sees_nothing_is_refused():
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     sentence = "min_obstacle_distance=0.05 needs a backend .* AnalyticBackend does not"
     for backend in (AnalyticBackend(), Passing(AnalyticBackend())):
         with pytest.raises(KinfeasError, match=sentence):
@@ -266,7 +267,7 @@ class Blind(Pillars):
     ],
 )
 def test_what_is_no_answer_is_said_in_one_sentence(answer, sentence):
-    hsr = registry.load_robot("hsr")
+    hsr = load_robot("hsr")
     for backend in (Blind(answer), Passing(Blind(answer))):
         min_obstacle_distance = ObstacleFilter(hsr.base, backend, KEPT, DT)
         with pytest.raises(KinfeasError, match=sentence):
@@ -277,7 +278,7 @@ def test_the_scan_of_the_documentation_keeps_a_round_base_clear():
     page = (Path(__file__).parents[3] / "docs" / "deploy.md").read_text(encoding="utf-8")
     space: dict[str, object] = {}
     exec(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1], space)
-    hsr, angles = registry.load_robot("hsr"), np.linspace(-1.5, 1.5, 181)
+    hsr, angles = load_robot("hsr"), np.linspace(-1.5, 1.5, 181)
     wall = 0.5 / np.cos(angles[:, np.newaxis]) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     obstacle_distances = space["near_to_disc"](wall, RADIUS, 1.0)
     assert obstacle_distances.distance.min() == pytest.approx(0.5 - RADIUS)

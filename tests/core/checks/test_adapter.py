@@ -19,6 +19,7 @@ from kinfeas.core.backend import (
 from kinfeas.core.checks.adapter import CheckedAdapter, unchecked
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY
+from kinfeas.robots.loading import load_robot
 
 BASE, TWIST, JOINTS = np.tile(IDENTITY, (2, 1)), np.zeros((2, 6)), np.zeros((2, 7))
 ROWS = np.array([0])
@@ -201,7 +202,7 @@ def test_goes_on_from_a_snapshot_of_any_number_of_robots():
 def test_only_what_comes_from_outside_is_looked_at(monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.adapters", "around", Around)
-    robot, world = registry.load_robot("pr2"), AnalyticBackend()
+    robot, world = load_robot("pr2"), AnalyticBackend()
     adapter = wrap(world, [AdapterSpec("around")], robot)
     assert isinstance(adapter, CheckedAdapter)
     assert isinstance(unchecked(adapter), Around)

@@ -5,27 +5,23 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import AdapterSpec
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")
 
+from kinfeas.envs.physics import PhysicsSettings, physics_config
 from kinfeas.evaluation.physics.evaluate import evaluate_physics, run_physics
-from kinfeas.evaluation.physics.world import (
-    PhysicsSettings,
-    PhysicsTrial,
-    PhysicsWorld,
-    physics_config,
-)
+from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 
 
 @pytest.fixture(scope="module")
 def trial():
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     near = ggr(distance=(0.5, 0.8))
     settings = physics_config(robot, ["world.max_seconds=4"]).world
     return PhysicsTrial(robot, near, episodes=3, seed=3, settings=settings)
@@ -48,22 +44,21 @@ def assert_equal(one, other):
 
 def test_the_pr2_is_slowed_down_and_others_are_not():
     slow = {
-        name: physics_config(registry.load_robot(name)).world.slow_down
-        for name in ("pr2", "tiago", "hsr")
+        name: physics_config(load_robot(name)).world.slow_down for name in ("pr2", "tiago", "hsr")
     }
     assert slow == {"pr2": 2.0, "tiago": 1.0, "hsr": 1.0}
 
 
 def test_the_pr2_keeps_clear_of_furniture_and_others_do_not():
     kept = {
-        name: physics_config(registry.load_robot(name)).world.min_obstacle_distance
+        name: physics_config(load_robot(name)).world.min_obstacle_distance
         for name in ("pr2", "tiago", "hsr")
     }
     assert kept == {"pr2": 0.03, "tiago": 0.0, "hsr": 0.0}
 
 
 def test_time_limits_are_in_motion_time():
-    settings = physics_config(registry.load_robot("pr2"), ["world.max_seconds=15"]).world
+    settings = physics_config(load_robot("pr2"), ["world.max_seconds=15"]).world
     assert settings.world.max_seconds == 15
     assert settings.execution.slow_down == 2.0
 
@@ -152,7 +147,7 @@ def test_refuses_what_it_does_not_know(trial):
 
 @pytest.mark.parametrize("name", ["drawer", "pick_place"])
 def test_an_episode_is_the_same_to_the_bit_in_any_row(name):
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     settings = physics_config(robot, ["world.max_seconds=3"]).world
     policy, parts = load_policy("pretrained", robot), []
     for episodes in (range(3), range(2, 3)):

@@ -5,13 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")
 
-from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld, physics_config
+from kinfeas.envs.physics import physics_config
+from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 
 SECONDS = 2.0
 
@@ -19,7 +20,7 @@ SECONDS = 2.0
 @pytest.fixture(scope="module", params=["pr2", "hsr"])
 def started(request):
     """A robot in the full room, in the midst of a task."""
-    robot = registry.load_robot(request.param)
+    robot = load_robot(request.param)
     world = PhysicsWorld(
         PhysicsTrial(robot, load_task("door"), settings=physics_config(robot).world)
     )

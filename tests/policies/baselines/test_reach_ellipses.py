@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.registry import load_robot
 from kinfeas.core.spatial import make_pose, planar_pose, relative
 from kinfeas.policies.baselines.reach_ellipses import ReachEllipses, approach, fit_ellipses
+from kinfeas.robots.loading import load_robot
 
 
 def test_the_fit_is_the_same_each_time(robot, ellipses):

@@ -5,10 +5,11 @@ from scipy.stats import kstest
 from kinfeas.core import registry
 from kinfeas.core.backend import RobotState, Stochastic
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.adapters.base_noise import BaseNoise
 from kinfeas.sim2real.adapters.draws import Range
 
-PR2 = registry.load_robot("pr2")
+PR2 = load_robot("pr2")
 
 
 class Recorder:

@@ -1,18 +1,19 @@
 import numpy as np
 import pytest
 
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
 from kinfeas.tasks.task import MotionSpec
 
 
 @pytest.fixture(scope="module")
 def pr2():
-    return IkSolver(registry.load_robot("pr2"))
+    return IkSolver(load_robot("pr2"))
 
 
 def test_begins_at_the_origin_with_the_ee_turned_as_it_is(pr2):

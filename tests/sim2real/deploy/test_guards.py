@@ -11,6 +11,7 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.joints import joint_way
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.guards import Clocks, Guarded, check_action
@@ -18,7 +19,7 @@ from kinfeas.sim2real.link.drive_limits import to_drive
 from kinfeas.sim2real.link.fault import Fault
 
 DT = 0.02
-ROBOTS = {name: registry.load_robot(name) for name in ("pr2", "tiago", "hsr")}
+ROBOTS = {name: load_robot(name) for name in ("pr2", "tiago", "hsr")}
 
 
 class Time:

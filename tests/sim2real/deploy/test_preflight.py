@@ -5,11 +5,12 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.reachability import reachable
 from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.preflight import preview, subgoal_poses, top_speed
@@ -19,7 +20,7 @@ from kinfeas.tasks.task import MotionSpec, build_subgoals
 
 @pytest.fixture(scope="module")
 def solvers():
-    return {name: IkSolver(registry.load_robot(name)) for name in ("pr2", "tiago", "hsr")}
+    return {name: IkSolver(load_robot(name)) for name in ("pr2", "tiago", "hsr")}
 
 
 def goal(*position, rpy=None):
@@ -39,7 +40,7 @@ def sequence(*targets, generator=None):
     poses = np.tile(spatial.IDENTITY, (1, len(targets), 1))
     poses[0, :, :3] = targets
     begun = MotionSequence(
-        [SubgoalMotion(generator or Linear())] * len(targets), registry.load_robot("pr2"), 1
+        [SubgoalMotion(generator or Linear())] * len(targets), load_robot("pr2"), 1
     )
     begun.start(spatial.IDENTITY[np.newaxis], poses, [np.random.default_rng(0)])
     return begun

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
-from kinfeas.core.registry import load_robot
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.tasks.loading import load_task
 

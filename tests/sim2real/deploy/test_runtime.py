@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import network as policy
 from kinfeas.policies import pretrained
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.goal_task import make_goal_task
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.guards import Clocks
@@ -120,7 +121,7 @@ class SlowDrive(Drive):
 
 @pytest.fixture(scope="module")
 def pr2():
-    return IkSolver(registry.load_robot("pr2"))
+    return IkSolver(load_robot("pr2"))
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +212,7 @@ def test_goes_through_a_chain_of_sub_goals(run, trained, tmp_path):
 
 
 def test_time_that_is_over_ends_a_run_that_kept_its_rate(run):
-    robot = RealTimeRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(load_robot("pr2"))
     outcome, record = run(robot, Drive(), seconds=0.4)
     assert outcome.code is Code.TIME_OVER
     assert outcome.timing.p50 == pytest.approx(DT, abs=0.01)
@@ -228,7 +229,7 @@ def test_time_that_is_over_ends_a_run_that_kept_its_rate(run):
     (ConnectionError, "the bus is gone"),
 ])  # fmt: skip
 def test_a_robot_in_trouble_is_stopped_in_time(run, trouble, reason):
-    robot = RealTimeRobot(registry.load_robot("pr2"), trouble)
+    robot = RealTimeRobot(load_robot("pr2"), trouble)
     outcome, record = run(robot, Drive())
     assert outcome.code is Code.FAULT
     assert re.match(reason, outcome.reason)
@@ -238,7 +239,7 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, trouble, reason):
 
 
 def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, capsys):
-    robot = RealTimeRobot(registry.load_robot("pr2"), KeyError)
+    robot = RealTimeRobot(load_robot("pr2"), KeyError)
     outcome, record = run(robot, Drive())
     assert (outcome.code, outcome.reason) == (Code.FAULT, "KeyError: 'the bus is gone'")
     assert robot.stopped_after(robot.commands[robot.after][0]) < 0.3
@@ -247,7 +248,7 @@ def test_a_bug_stops_the_base_before_anybody_hears_of_it(run, capsys):
 
 
 def test_time_is_over_by_the_clock_even_if_periods_are_missed(run):
-    robot = RealTimeRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(load_robot("pr2"))
     began = time.monotonic()
     outcome, _ = run(robot, SlowDrive(), seconds=0.5)
     assert outcome.code is Code.TIME_OVER
@@ -258,7 +259,7 @@ def test_time_is_over_by_the_clock_even_if_periods_are_missed(run):
 def test_a_stall_is_ended_by_the_watchdog_and_then_by_the_guards(run, tmp_path, monkeypatch):
     (tmp_path / "stand_in.py").write_text(STAND_IN)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    robot = WatchedRobot(registry.load_robot("pr2"))
+    robot = WatchedRobot(load_robot("pr2"))
     robot.path = str(tmp_path / "stops")
     outcome, record = run(robot, Drive(at=10, do=lambda: time.sleep(0.5)))
     assert outcome.code is Code.FAULT
@@ -272,7 +273,7 @@ def test_a_stall_is_ended_by_the_watchdog_and_then_by_the_guards(run, tmp_path, 
 def test_a_watchdog_that_stalls_ends_the_run(run, tmp_path, monkeypatch):
     (tmp_path / "stand_in.py").write_text(STAND_IN)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    robot, stalled = WatchedRobot(registry.load_robot("pr2")), []
+    robot, stalled = WatchedRobot(load_robot("pr2")), []
     robot.path = str(tmp_path / "stops")
     begin = Watchdog.__enter__
 
@@ -305,7 +306,7 @@ def test_looking_ahead_ends_with_the_run(run, trained):
     (Guards(watchdog=None), False),  # as the user wants it
 ])  # fmt: skip
 def test_a_robot_without_a_watchdog_is_said_to_have_none(run, capsys, guards, warns):
-    run(RealTimeRobot(registry.load_robot("pr2")), Drive(), seconds=0.1, guards=guards)
+    run(RealTimeRobot(load_robot("pr2")), Drive(), seconds=0.1, guards=guards)
     line = "no watchdog: nothing stops the base if this process dies or hangs, for LiveRobot has no"
     assert capsys.readouterr().err == (f"{line} stop_call\n" if warns else "")
 
@@ -318,7 +319,7 @@ def test_a_simulated_world_ends_with_its_process_and_needs_no_watchdog(run, caps
 def test_a_clock_that_is_set_stops_the_base(run):
     ahead = [0.0]
     clocks = Clocks(time.monotonic, lambda: time.time() + ahead[0])
-    robot = RealTimeRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(load_robot("pr2"))
     driver = Drive(at=10, do=lambda: ahead.__setitem__(0, 60.0))
     outcome, _ = run(robot, driver, clocks=clocks)
     assert (outcome.code, outcome.reason) == (Code.FAULT, "the system's clock was set by +60.00 s")
@@ -342,7 +343,7 @@ def test_a_world_without_a_clock_may_be_slow(run):
 ])  # fmt: skip
 def test_signals_end_a_run_cleanly(run, number, code):
     before = signal.getsignal(number)
-    robot = RealTimeRobot(registry.load_robot("pr2"))
+    robot = RealTimeRobot(load_robot("pr2"))
     outcome, record = run(robot, Drive(at=5, do=lambda: os.kill(os.getpid(), number)))
     assert outcome.code is code
     assert outcome.code == 128 + number
@@ -356,7 +357,7 @@ def test_signals_end_a_run_cleanly(run, number, code):
     ((0.0, 0.0), "the policy's action has the shape"),
 ])  # fmt: skip
 def test_a_policy_that_fails_stops_the_base(run, action, reason):
-    outcome, _ = run(RealTimeRobot(registry.load_robot("pr2")), Drive(action=action))
+    outcome, _ = run(RealTimeRobot(load_robot("pr2")), Drive(action=action))
     assert outcome.code is Code.FAULT
     assert outcome.reason.startswith(reason)
 
@@ -373,7 +374,7 @@ def test_an_arm_that_cannot_follow_stops_the_base(run):
 
 
 def test_a_run_that_cannot_begin_is_an_error(run):
-    robot = RealTimeRobot(registry.load_robot("pr2"), "nan", after=-1)
+    robot = RealTimeRobot(load_robot("pr2"), "nan", after=-1)
     with pytest.raises(KinfeasError, match="not finite"):
         run(robot, Drive())
     assert robot.closed

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from kinfeas.control import drive
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.backend import ArmLimited, RealTimeBackend, SupportsGripper
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.command_guard import CommandGuard
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.link import BaseReading, JointReading
@@ -20,7 +21,7 @@ DT = 0.002
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 def still(robot):

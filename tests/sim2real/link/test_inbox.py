@@ -3,7 +3,7 @@ import time
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import robot_names
 from kinfeas.sim2real.link.inbox import Inbox
@@ -12,7 +12,7 @@ from tests.sim2real.links import joints_at
 
 @pytest.fixture(scope="module")
 def pr2():
-    return registry.load_robot("pr2")
+    return load_robot("pr2")
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros import ros2_messages
 from kinfeas.sim2real.ros.names import read_topics
@@ -98,7 +98,7 @@ def test_seconds_come_back(kind, seconds):
 @needs_ros1
 def test_pr2s_gripper_needs_no_package():
     messages = ros1_message_classes()
-    gripper = read_topics(registry.load_robot("pr2"), 1).gripper
+    gripper = read_topics(load_robot("pr2"), 1).gripper
     kind = ros_messages.gripper_type(messages, gripper)
     assert kind._md5sum == "680acaff79486f017132a7f198d40f08"
     opened = ros_messages.gripper_command(messages, gripper, "open")
@@ -153,7 +153,7 @@ def test_joint_states_may_lack_velocities_but_not_positions(messages):
 
 
 def test_pr2s_own_gripper_message_is_refused_in_ros_2(tmp_path):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     path = tmp_path / "topics.yaml"
     path.write_text(
         "base: {command: /cmd_vel}\ngripper: {command: /gripper, kind: pr2}\njoints:\n"

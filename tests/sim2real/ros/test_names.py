@@ -1,8 +1,8 @@
 import pytest
 import yaml
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros.names import read_topics
 
 PR2 = """
@@ -33,7 +33,7 @@ def test_every_shipped_robot_has_its_names(robot, version):
 
 @pytest.mark.parametrize(("version", "topic"), [(1, "command"), (2, "joint_trajectory")])
 def test_tiagos_torso_has_a_controller_of_its_own(version, topic):
-    controllers = read_topics(registry.load_robot("tiago"), version).joints.controllers
+    controllers = read_topics(load_robot("tiago"), version).joints.controllers
     assert [one.command for one in controllers] == [
         f"/torso_controller/{topic}",
         f"/arm_controller/{topic}",
@@ -42,7 +42,7 @@ def test_tiagos_torso_has_a_controller_of_its_own(version, topic):
 
 
 def test_ones_own_file(tmp_path, version):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     path = tmp_path / "mine.yaml"
     path.write_text(PR2 % ", ".join(joint.name for joint in robot.arm))
     topics = read_topics(robot, version, str(path))
@@ -50,7 +50,7 @@ def test_ones_own_file(tmp_path, version):
 
 
 def test_joints_may_have_other_names(tmp_path):
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     arm = [joint.name for joint in robot.arm]
     data = yaml.safe_load(PR2 % ", ".join(["lift", *arm[1:]]))
     data["joints"]["names"] = {"arm_lift_joint": "lift"}
@@ -68,7 +68,7 @@ def test_joints_may_have_other_names(tmp_path):
     ],
 )
 def test_controllers_share_the_arm_among_them(tmp_path, joints, said):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     path = tmp_path / "mine.yaml"
     path.write_text(PR2 % ", ".join(joints([joint.name for joint in robot.arm])))
     with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers' must hold.*{said}"):
@@ -79,7 +79,7 @@ def test_controllers_share_the_arm_among_them(tmp_path, joints, said):
     ("options", "said"), [((), "--set backend.topics=FILE"), (("--names FILE",), "--names FILE")]
 )
 def test_an_unknown_name_lists_what_there_is(options, said):
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     known = "known are hsr, pr2, tiago, or a YAML file"
     with pytest.raises(KinfeasError, match=f"^unknown topics 'pr3'.*{known}: {said}$"):
         read_topics(robot, 2, "pr3", *options)

@@ -10,6 +10,7 @@ import pytest
 
 from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings
 from kinfeas.sim2real.ros.link import RosLink
 from kinfeas.sim2real.ros.names import read_topics
@@ -47,7 +48,7 @@ def eventually(condition, seconds=20.0):
 @pytest.fixture(params=[("false", "odometry"), ("true", "tf")], ids=["plain", "stamped-tf"])
 def ends(request, tmp_path):
     """Our end, the robot's end, and what each of them was handed."""
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     path = tmp_path / "topics.yaml"
     joints = ", ".join(joint.name for joint in robot.arm[1:])
     path.write_text(TOPICS % (*request.param, joints))
@@ -71,7 +72,7 @@ def test_commands_arrive(ends):
     eventually(lambda: ours.waits_for() is None)
     eventually(lambda: ours._publishers["/gripper/joint_trajectory"].listeners())
     ours.check()
-    arm = [joint.name for joint in registry.load_robot("tiago").arm]
+    arm = [joint.name for joint in load_robot("tiago").arm]
     positions = dict(zip(arm, np.linspace(0.1, 0.8, 8).tolist(), strict=True))
     ours.drive(np.array([0.1, -0.2, 0.3]))
     ours.move(positions, 0.25)
@@ -135,7 +136,7 @@ def test_the_watchdogs_call_stops_the_base(ends):
 
 
 def test_a_robot_that_is_not_there_is_one_sentence():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     backend = registry.build("kinfeas.backends", "ros2", {"robot": robot, "patience": 0.2})
     with pytest.raises(
         KinfeasError, match=r"no pose of the base came from /odom within 0\.2 s; is"

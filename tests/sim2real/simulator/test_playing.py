@@ -4,6 +4,7 @@ import pytest
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link.fault import Fault
 
 pytest.importorskip("pybullet")
@@ -99,11 +100,11 @@ def test_a_backend_whose_end_for_the_robot_is_broken_is_one_sentence(monkeypatch
     monkeypatch.setattr(Hosting, "answer", answer)
     registry.register("kinfeas.backends", "hosting", Hosting)
     with pytest.raises(KinfeasError, match=f"^backend 'hosting' {sentence}"):
-        robot_link("hosting", registry.load_robot("pr2"))
+        robot_link("hosting", load_robot("pr2"))
 
 
 def test_a_backend_must_be_on_a_bus():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     with pytest.raises(KinfeasError, match="backend 'analytic' is on no bus that a robot can be"):
         robot_link("analytic", robot)
     with pytest.raises(KinfeasError, match="unknown backend 'ros3'"):

@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")
@@ -9,7 +9,7 @@ from kinfeas.sim2real.simulator.spawn import set_stage
 
 
 def test_begins_as_an_episode_of_a_task_does():
-    robot = registry.load_robot("pr2")
+    robot = load_robot("pr2")
     task = load_task("drawer", {})
     places = []
     for number in (0, 0, 1):

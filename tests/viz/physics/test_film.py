@@ -6,15 +6,16 @@ import pytest
 from PIL import Image
 
 from kinfeas.control.adapters import AdapterSpec
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 pytest.importorskip("pybullet")
 
 from kinfeas.backends.pybullet.camera import link_poses, show_moment
-from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld, physics_config
+from kinfeas.envs.physics import physics_config
+from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.viz.pages.film import film_html, label
 from kinfeas.viz.physics.film import check_film_path, count_pictures, make_film, write_film
 from kinfeas.viz.physics.recording import record
@@ -24,7 +25,7 @@ from kinfeas.viz.pictures.style import FAILURE
 @pytest.fixture(scope="module")
 def film():
     """Three seconds of a TIAGo that begins to fail."""
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     settings = physics_config(robot, ["world.max_seconds=3"]).world
     trial = PhysicsTrial(robot, load_task("door"), 1, 1, settings)
     world = PhysicsWorld(trial)
@@ -45,7 +46,7 @@ def test_a_recording_holds_the_episode(film):
 
 
 def test_the_same_episode_is_recorded_again(film):
-    robot = registry.load_robot("tiago")
+    robot = load_robot("tiago")
     settings = physics_config(robot, ["world.max_seconds=1"]).world
     trial = PhysicsTrial(robot, load_task("door"), 1, 1, settings)
     world = PhysicsWorld(trial)
@@ -58,7 +59,7 @@ def test_the_same_episode_is_recorded_again(film):
 
 def test_paths_are_the_true_ones_whatever_sensors_say():
     """Base and EE are where the pictures show them, in the midst of a policy's errors."""
-    robot = registry.load_robot("hsr")
+    robot = load_robot("hsr")
     lost = AdapterSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
     settings = replace(physics_config(robot, ["world.max_seconds=1"]).world, adapters=(lost,))
     trial = PhysicsTrial(robot, load_task("ggr"), 1, 1, settings)

@@ -10,6 +10,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.robots.loading import load_robot
 from kinfeas.viz.pictures.episodes import episodes_figure, moments
 from kinfeas.viz.pictures.learning_curve import apart, learning_curve, read_metrics
 from kinfeas.viz.pictures.style import FAILURE, png
@@ -28,7 +29,7 @@ def run(tmp_path):
 
 
 def recorded(name):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     task = registry.build("kinfeas.tasks", "ggr", {})
     world = World(robot, task, WorldConfig(max_failures=9, max_seconds=15.0), seed=1)
     return robot, record_episodes(world, FollowEe(robot.base), 2)

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
+from kinfeas.robots.loading import load_robot
 from kinfeas.viz.pictures.robot import robot_figure
 from kinfeas.viz.pictures.style import png
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_draws_the_robot_from_two_sides(name):
-    robot = registry.load_robot(name)
+    robot = load_robot(name)
     figure = robot_figure(robot)
     assert len(figure.axes) == 2
     assert name in figure.get_suptitle()
