@@ -31,10 +31,9 @@ lint: $(STAMP)  ## Check style, types and layers
 
 # On a copy in which every package lies below kinfeas, as installed.
 layers: $(STAMP)
-	@rm -rf build/layers && mkdir -p build/layers
-	@cp -r kinfeas build/layers && cp -r plugins scenes sim2real configs build/layers/kinfeas
-	cd build/layers && "$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" \
-		--no-cache --no-logo
+	@copy=$$(mktemp -d) && trap 'rm -rf "$$copy"' EXIT && cp -r kinfeas "$$copy" && \
+		cp -r plugins scenes sim2real configs "$$copy/kinfeas" && cd "$$copy" && \
+		"$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" --no-cache --no-logo
 
 format: $(STAMP)  ## Format the code and mend what ruff can mend
 	$(BIN)/ruff check --fix .

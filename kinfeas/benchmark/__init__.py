@@ -1,1 +1,1 @@
-"""The benchmark: a study, what has to be run for it, and the tables and plots that come of it."""
+"""Benchmarks of policies and of speed: jobs, tables, plots. May import all but the command line."""

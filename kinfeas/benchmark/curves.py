@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from kinfeas.benchmark.runs import Run
-from kinfeas.benchmark.text import TITLES
 from kinfeas.core.spatial import Array
+from kinfeas.evaluation.paper import TITLES
 from kinfeas.viz.pictures.learning_curve import apart, read_metrics
 from kinfeas.viz.pictures.style import BASE, EE, FAINT, INK, STYLE
 

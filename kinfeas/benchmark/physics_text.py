@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from kinfeas.benchmark.physics import PhysicsCell
 from kinfeas.benchmark.text import (
     NOTHING,
-    TITLES,
     ceiling_entry,
     entries_of,
     episodes_of,
@@ -16,6 +15,7 @@ from kinfeas.benchmark.text import (
     table,
     tasks_of,
 )
+from kinfeas.evaluation.paper import TITLES
 
 _INDENT = "&nbsp;&nbsp;"
 

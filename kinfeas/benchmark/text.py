@@ -4,14 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
 from kinfeas.benchmark.table import WORLD, Cell
-from kinfeas.evaluation.paper import LEARNED, paper_figures
+from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
 
 C = TypeVar("C", bound=Cell)
 
 NOTHING = "-"
 """What stands where nothing was measured."""
 
-TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 
 _LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kinfeas.benchmark.samples import thinned
-from kinfeas.benchmark.text import TITLES
 from kinfeas.core.spatial import Array
+from kinfeas.evaluation.paper import TITLES
 from kinfeas.robots.robot import Robot
 from kinfeas.viz.pictures.projection import Painted, View, draw_solids, look
 from kinfeas.viz.pictures.solids import robot_faces

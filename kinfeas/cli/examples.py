@@ -37,9 +37,9 @@ EXAMPLES = {
         "kinfeas export runs/pr2 --out pr2.onnx",
         "kinfeas export --check pr2.onnx --robot pr2",
     ),
-    "robot": (
-        "kinfeas robot fetch.urdf --out robots --picture fetch.png",
-        "kinfeas robot tiago_dual.urdf --ee arm_left_tool_link --name tiago_left --out robots",
+    "robot import": (
+        "kinfeas robot import fetch.urdf --out robots --picture fetch.png",
+        "kinfeas robot import tiago_dual.urdf --ee arm_left_tool_link --name left --out robots",
     ),
     "simulate": ("kinfeas simulate --backend ros2 --robot pr2 --task door",),
     "speed": ("kinfeas speed --robot hsr",),

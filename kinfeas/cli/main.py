@@ -48,7 +48,6 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "view": view.view,
     },
     "Robots": {
-        "robot": robot.robot,
         "export": export.export,
         "deploy": deploy.deploy,
         "simulate": simulate.simulate,
@@ -64,6 +63,7 @@ for _panel, _commands in _PANELS.items():
             epilog=epilog(_name),
         )(_command)
 app.add_typer(plugins.app, name="plugins", rich_help_panel="Motions and scenes")
+app.add_typer(robot.app, name="robot", rich_help_panel="Robots")
 
 
 def main() -> None:

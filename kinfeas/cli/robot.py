@@ -1,4 +1,4 @@
-"""`kinfeas robot`: the files of a robot, from its URDF."""
+"""`kinfeas robot import`: the files of a robot, from its URDF."""
 
 import shlex
 from collections.abc import Iterator
@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
+from kinfeas.cli.commands import Command, Group
+from kinfeas.cli.docstrings import unwrapped
+from kinfeas.cli.examples import epilog
 from kinfeas.cli.output import (
     check_file_path,
     check_outputs,
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
     from kinfeas.robots.robot import Robot
 
 
-def robot(  # noqa: PLR0913, PLR0917 - each option is an argument
+def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     urdf: Annotated[
         Path,
         typer.Argument(metavar="FILE.urdf", help="URDF of a mobile manipulator, meshes or not."),
@@ -188,3 +191,9 @@ def _show(draft: "Draft", path: Path, *, drive_given: bool) -> None:
     print_table("guesses, to be checked", ["key", "value"], [list(row) for row in found.items()])
     typer.echo(f"look through it: {path}")
     typer.echo(f"what it can reach: kinfeas ceiling --robot {shlex.quote(str(path))}")
+
+
+app = typer.Typer(cls=Group, no_args_is_help=True, help="Make the files of a robot.")
+app.command("import", cls=Command, help=unwrapped(import_urdf), epilog=epilog("robot import"))(
+    import_urdf
+)

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Poses, twists, errors, the plugin registry and the protocols. Imports config and io alone."""

@@ -1,1 +1,1 @@
-"""Evaluation: episodes, metrics, pictures and speed."""
+"""Evaluation of policies: episodes, reachability, adapters. May import envs and sim2real."""

@@ -6,6 +6,9 @@ from functools import cache
 from kinfeas import config
 from kinfeas.config.recipes import find_recipe
 
+TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
+"""Names of the shipped robots in tables and pictures."""
+
 Shares = dict[str, tuple[float, float]]
 """By policy: per cent of episodes without a failure, and never more than 5 cm off."""
 

@@ -1,1 +1,1 @@
-"""A robot's files from its URDF: primitives for its meshes, and a YAML file to look through."""
+"""Robot YAML files from vendors' URDFs. May import kinematics and control."""

@@ -1,1 +1,1 @@
-"""Files: reading and writing them whole, and the formats that are safe to read."""
+"""Files: folders, tables, run logs, demonstrations, policy metadata. Imports core and config."""

@@ -1,1 +1,1 @@
-"""Batched kinematics: forward kinematics, Jacobian, self-collision, inverse kinematics, ceiling."""
+"""Batched kinematics: chains, IK, self-collision, reachability. May import robots."""

@@ -42,5 +42,5 @@ def check_no_urdf(name_or_path: object) -> None:
     if path.suffix.lower() == ".xacro":
         urdf = path.with_suffix("" if path.stem.endswith(".urdf") else ".urdf")
         first = f"{shlex.join(['xacro', str(path)])} > {shlex.quote(str(urdf))} and then "
-    command = shlex.join(["kinfeas", "robot", str(urdf), "--out", "FOLDER"])
+    command = shlex.join(["kinfeas", "robot", "import", str(urdf), "--out", "FOLDER"])
     raise KinfeasError(f"{path}: a robot is a YAML file, which {first}{command} writes")

@@ -1,1 +1,1 @@
-"""Tasks: where episodes begin and where the EE has to go."""
+"""Tasks: goal reaching and chains of sub-goals. May import control."""

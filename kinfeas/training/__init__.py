@@ -1,1 +1,1 @@
-"""Training with Stable-Baselines3: the only place that imports torch."""
+"""Training runs with Stable-Baselines3; the only package that imports torch."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Pictures, films and pages. May import training and evaluation."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Policies on robots: runtime, guards, watchdog and preflight checks."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""A simulated robot behind the topics of a real one."""

@@ -9,7 +9,7 @@ from kinfeas.cli import main
 
 TINY = (
     "--set", "num_envs=8", "--set", "learner.batch_size=16", "--set", "learner.net_arch=[8]",
-    "--set", "learner.buffer_size=1000", "--set", "learner.random_steps=16",
+    "--set", "learner.buffer_size=1000", "--set", "learner.learning_starts=16",
     "--set", "schedule.evaluations=1", "--set", "schedule.evaluation_episodes=2",
     "--set", "schedule.final_episodes=2",
     "--set", "learner.gradient_steps=1",

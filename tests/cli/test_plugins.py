@@ -124,7 +124,9 @@ def test_info_on_files(kinfeas, tmp_path):
     assert "other.yaml: describes no robot, which has the key 'urdf', and no task" in outcome.err
     outcome = kinfeas("plugins", "info", "./fetch.urdf")
     assert is_one_line(outcome)
-    assert "fetch.urdf: a robot is a YAML file, which kinfeas robot fetch.urdf" in outcome.err
+    assert (
+        "fetch.urdf: a robot is a YAML file, which kinfeas robot import fetch.urdf" in outcome.err
+    )
 
 
 def test_check_lists_every_rule_and_draws(kinfeas, tmp_path):

@@ -11,11 +11,11 @@ from tests.importer.conftest import ARM, STUCK
 
 @pytest.fixture
 def robot(kinfeas, tmp_path, monkeypatch):
-    """Return a function that runs `kinfeas robot dolly.urdf ARGUMENTS`, with few goals."""
+    """Return a function that runs `kinfeas robot import dolly.urdf ARGUMENTS`, with few goals."""
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
     (tmp_path / "dolly.urdf").write_text(ARM)
-    return lambda *arguments: kinfeas("robot", "dolly.urdf", *arguments)
+    return lambda *arguments: kinfeas("robot", "import", "dolly.urdf", *arguments)
 
 
 def test_writes_a_robot_that_other_commands_take(robot, kinfeas, tmp_path):
@@ -116,7 +116,7 @@ def test_bad_input_is_one_line(robot, tmp_path, arguments, message):
 
 
 def test_a_urdf_that_is_not_there_is_one_line(kinfeas):
-    outcome = kinfeas("robot", "none.urdf", "--out", "new")
+    outcome = kinfeas("robot", "import", "none.urdf", "--out", "new")
     assert outcome.code == 2
     assert is_one_line(outcome)
     assert "none.urdf: cannot be read" in outcome.err

@@ -53,7 +53,7 @@ def test_a_robot_by_path_and_a_recipe_by_path(kinfeas, tmp_path):
 
     for file in (pr2(), pr2().with_suffix(".urdf")):
         shutil.copy(file, tmp_path / file.name)
-    (tmp_path / "recipe.yaml").write_text("robot: ./pr2.yaml\nenvironments: 8\n")
+    (tmp_path / "recipe.yaml").write_text("robot: ./pr2.yaml\nnum_envs: 8\n")
     outcome = kinfeas("train", "--config", "recipe.yaml", "--steps", "16", "--out", "run", *TINY)
     assert outcome.code == 0, outcome.err
     assert f"--robot {tmp_path / 'pr2.yaml'}" in outcome.out

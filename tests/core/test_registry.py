@@ -266,13 +266,16 @@ def test_load_robot_takes_a_path_for_a_file(name):
 @pytest.mark.parametrize(
     ("name", "way"),
     [
-        ("scout.urdf", "which kinfeas robot scout.urdf --out FOLDER writes"),
-        ("./my bot.URDF", "which kinfeas robot 'my bot.URDF' --out FOLDER writes"),
+        ("scout.urdf", "which kinfeas robot import scout.urdf --out FOLDER writes"),
+        ("./my bot.URDF", "which kinfeas robot import 'my bot.URDF' --out FOLDER writes"),
         (
             "bots/a.urdf.xacro",
-            "which xacro bots/a.urdf.xacro > bots/a.urdf and then kinfeas robot bots/a.urdf --out",
+            "xacro bots/a.urdf.xacro > bots/a.urdf and then kinfeas robot import bots/a.urdf --out",
         ),
-        ("a.xacro", "which xacro a.xacro > a.urdf and then kinfeas robot a.urdf --out FOLDER"),
+        (
+            "a.xacro",
+            "which xacro a.xacro > a.urdf and then kinfeas robot import a.urdf --out FOLDER",
+        ),
     ],
 )
 def test_a_urdf_in_place_of_the_yaml_is_told_the_way(name, way):

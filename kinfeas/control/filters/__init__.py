@@ -1,1 +1,1 @@
-"""TODO."""
+"""Command filters: feasibility and obstacle distance."""

@@ -1,1 +1,1 @@
-"""What plugins keep to: the rules of motion generators, a trial of them, and checks at work."""
+"""Checks of what plugins return: shapes, finiteness, parameters."""

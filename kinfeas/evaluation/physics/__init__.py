@@ -1,1 +1,1 @@
-"""The PyBullet world: episodes in it, environments, films, and a robot behind a bus."""
+"""Evaluation in the PyBullet world."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Films of episodes in PyBullet."""

@@ -12,9 +12,9 @@ from PIL import Image
 
 from kinfeas.backends.pybullet.camera import paint_floor, show_moment, take_picture
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.benchmark.text import TITLES
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
+from kinfeas.evaluation.paper import TITLES
 from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.io.files import replacing
 from kinfeas.viz.physics.framing import Framing, frame

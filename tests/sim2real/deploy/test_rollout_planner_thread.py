@@ -13,7 +13,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.tasks.loading import load_task
 
-FAR = RolloutConfig(seconds=10.0, every=0.5, tries=8)
+FAR = RolloutConfig(horizon=10.0, replan_interval=0.5, num_samples=8)
 
 
 @pytest.fixture(autouse=True)
