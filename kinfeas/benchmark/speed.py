@@ -172,11 +172,11 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     yield Figure("training, all cores, end to end", rate, "steps/s", "train_steps_per_s")
 
 
-def random_network(robot: Robot, net_arch: int = 256) -> Network:
+def random_network(robot: Robot, width: int = 256) -> Network:
     """Return an untrained network of two hidden layers that fits `robot`."""
     rng = np.random.default_rng(0)
     joints = len(robot.arm)
-    sizes = (observation.size(joints), net_arch, net_arch, drive.action_size(robot.base))
+    sizes = (observation.size(joints), width, width, drive.action_size(robot.base))
     return Network(
         scale=observation.scale(joints).astype(np.float32),
         weights=tuple(

@@ -84,7 +84,7 @@ def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch)
 
 def test_evaluate_a_trained_policy_on_another_robot_and_task(tmp_path):
     robot = load_robot("tiago")
-    write_network(random_network(robot, hidden=8), tmp_path, robot, {})
+    write_network(random_network(robot, width=8), tmp_path, robot, {})
     options = ["--robot", "tiago", "--task", "ggr_restricted", "--seed", "7"]
     result = kinfeas("evaluate", "--policy", str(tmp_path), *options, *SHORT)
     assert "ggr_restricted, robot tiago, 3 episodes of seed 7" in " ".join(result.output.split())
@@ -225,7 +225,7 @@ def test_the_analytic_world_has_no_such_options(option):
 TASK = """
 name: fetch
 places: {cup: {position: [1.5, [-1, 1], 0.8]}}
-subgoals: [{place: cup, offset: [-0.2, 0, 0], frame: tip}, {place: cup, frame: tip, wait: 1}]
+subgoals: [{place: cup, offset: [-0.2, 0, 0], frame: tip}, {place: cup, frame: tip, dwell: 1}]
 """
 
 
@@ -281,7 +281,7 @@ def test_speed(tmp_path, monkeypatch):
 
 def test_speed_times_the_policy_of_a_run(tmp_path, monkeypatch):
     robot, timed = load_robot("pr2"), []
-    network = random_network(robot, hidden=4)
+    network = random_network(robot, width=4)
     write_network(network, tmp_path, robot, {})
     monkeypatch.setattr(
         speed_module, "measure_speed", lambda robot, network, on_part: timed.append(network) or []

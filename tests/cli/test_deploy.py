@@ -155,7 +155,7 @@ def test_guards_come_from_a_file_and_from_the_command_line(kinfeas, tmp_path):
      "backend 'pybullet': the parameter 'scene' follows from the run"),
     (("--backend", "pybullet", *GOAL[2:], "--set", "backend.physics={gravity: -1}"),
      "'physics.gravity' must be a number >= 0, not -1"),
-    (("--backend", "ros1", *GOAL[2:], "--set", "backend.arm_settle_timeout=soon"),
+    (("--backend", "ros1", *GOAL[2:], "--set", "backend.patience=soon"),
      "'patience' must be a finite number, not 'soon'"),
     ((*GOAL, "--set", "rollout.num_samples=8"), "--set rollout.KEY needs --rollout-planner"),
     ((*GOAL, "--rollout-planner", "--set", "rollout.num_samples=0"),
