@@ -28,7 +28,7 @@ TRAINING = (ROOT / "docs" / "training.md").read_text()
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Whose Python blocks another test runs, since they need files or stand in a row.
 RUN_ELSEWHERE = {
-    "demonstrations.md": "test_demonstrations.py",
+    "demonstrations.md": "io/test_demonstrations.py",
     "export.md": "sim2real/test_export.py",
     "plugins.md": "test_plugins_page.py",
     "ros.md": "sim2real/test_udp_example.py",
@@ -115,7 +115,7 @@ def test_the_task_of_the_page_on_tasks(tmp_path):
     task = load_task(str(path))
     start = task.sample(IkSolver(load_robot("pr2")), np.random.default_rng(0))
     assert start.target_poses.shape == (3, 7)
-    assert [subgoal.wait for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
+    assert [subgoal.dwell for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
 
 
 def test_the_topics_of_the_page_on_ros_are_those_of_tiago(tmp_path):

@@ -54,7 +54,7 @@ def train(  # noqa: PLR0913 - the options of the command
     minutes: float | None = None,
     steps: int | None = None,
     algorithm: Literal["sac", "td3"] | None = None,
-    sim2real: str | Path | None = None,
+    adapters: str | Path | None = None,
     world: WorldName = "analytic",
     init: str | Path | None = None,
     processes: int | None = None,
@@ -74,7 +74,7 @@ def train(  # noqa: PLR0913 - the options of the command
         minutes: Wall-clock minutes in all.
         steps: Environment steps in all.
         algorithm: The learning algorithm.
-        sim2real: Adapters by name or YAML file.
+        adapters: Adapters by name or YAML file.
         world: With physics, or without.
         init: Policy to start from: the folder of a run, or `pretrained`.
         processes: Worlds side by side with physics.
@@ -92,7 +92,7 @@ def train(  # noqa: PLR0913 - the options of the command
     if processes is not None and _world(world) == "analytic":
         raise KinfeasError("processes needs world='pybullet'")
     wishes = Wishes(
-        _name(robot), _name(task), seed, minutes, steps, algorithm, _name(sim2real),
+        _name(robot), _name(task), seed, minutes, steps, algorithm, _name(adapters),
         True if _world(world) == "pybullet" else None, _name(init), processes,
     )  # fmt: skip
     chosen = read_settings(wishes, _name(config), _assignments(settings))
@@ -111,7 +111,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
     episodes: int | None = None,
     seed: int = 1,
     rollout_planner: bool = False,
-    sim2real: str | Path | None = None,
+    adapters: str | Path | None = None,
     processes: int = 1,
     settings: Mapping[str, object] | None = None,
     on_done: Callable[[int], None] | None = None,
@@ -128,7 +128,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         episodes: How many; by default 500, with physics 50.
         seed: Of all episodes.
         rollout_planner: Whether the policy looks ahead.
-        sim2real: Adapters by name or YAML file.
+        adapters: Adapters by name or YAML file.
         processes: How many processes share the episodes.
         settings: Keys such as `world.dt` and their values, as `--set` has them.
         on_done: Called with the number of episodes that have just ended.
@@ -144,7 +144,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
     if rollout_planner:
         name = ROLLOUT_PLANNER + name.removeprefix(ROLLOUT_PLANNER)
     names = (name, _name(robot) or robot_of(name), str(task))
-    adapters = () if sim2real is None else options.read_adapters(str(sim2real))
+    specs = () if adapters is None else options.read_adapters(str(adapters))
     count = by_name.EPISODES[_world(world)] if episodes is None else episodes
     for key, value, low, high in (
         ("episodes", count, 1, MOST_EPISODES),
@@ -153,9 +153,9 @@ def evaluate(  # noqa: PLR0913 - the options of the command
     ):
         convert(Annotated[int, Interval(low=low, high=high)], value, Place(key))
     trial, driver = by_name.make_trial(names, world, count, seed, _assignments(settings))
-    by_name.check_adapters(adapters, trial.robot)
+    by_name.check_adapters(specs, trial.robot)
     ceiling = by_name.ceiling_of(trial)
-    trial = by_name.within(trial, adapters)
+    trial = by_name.within(trial, specs)
     return by_name.run_evaluation(trial, driver, name, ceiling, processes, on_done)
 
 

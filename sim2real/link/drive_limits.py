@@ -15,14 +15,14 @@ class DriveLimits:
 
     Attributes:
         max_linear_velocity: m/s.
-        rotation: rad/s.
+        max_angular_velocity: rad/s.
         acceleration: m/s^2.
         rotation_acceleration: rad/s^2.
         sideways: Whether it can drive in any direction.
     """
 
     max_linear_velocity: float
-    rotation: float
+    max_angular_velocity: float
     acceleration: float
     rotation_acceleration: float
     sideways: bool
@@ -50,7 +50,7 @@ class DriveLimits:
         if not self.sideways:
             wanted[1] = 0.0
         wanted[:2] = _shorten(wanted[:2], self.max_linear_velocity)
-        wanted[2] = np.clip(wanted[2], -self.rotation, self.rotation)
+        wanted[2] = np.clip(wanted[2], -self.max_angular_velocity, self.max_angular_velocity)
         change = wanted - before
         change[:2] = _shorten(change[:2], self.acceleration * dt)
         most = self.rotation_acceleration * dt

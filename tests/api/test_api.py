@@ -73,7 +73,7 @@ def test_figures_are_those_of_the_command(tmp_path, monkeypatch):
     figures = kinfeas.evaluate(
         "follow_ee",
         robot="tiago",
-        sim2real="ideal",
+        adapters="ideal",
         episodes=2,
         rollout_planner=True,
         settings={"world.max_seconds": 1},

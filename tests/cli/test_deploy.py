@@ -308,7 +308,7 @@ def test_the_end_of_a_leg_out_of_reach_is_refused(kinfeas, tmp_path):
     place = "{position: [1.5, 0, %s], rpy: [0, 0, 0]}"
     places = f"places: {{low: {place % 0.8}, high: {place % 2.2}}}"
     (tmp_path / "up.yaml").write_text(
-        f"name: up\n{places}\nlegs: [{{place: low}}, {{place: high}}]"
+        f"name: up\n{places}\nsubgoals: [{{place: low}}, {{place: high}}]"
     )
     done = kinfeas("deploy", "pretrained", "--backend", "analytic", "--task", "up.yaml")
     assert is_one_line(done)

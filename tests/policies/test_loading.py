@@ -51,7 +51,7 @@ def test_baselines_survive_the_way_to_a_worker_process(fitted, robot, name):
 
 
 def test_a_trained_policy_by_its_folder(robot, tmp_path):
-    network = random_network(robot, net_arch=8)
+    network = random_network(robot, width=8)
     write_network(network, tmp_path, robot, {})
     seen = np.random.default_rng(0).normal(size=(3, len(network.scale)))
     np.testing.assert_array_equal(load_policy(str(tmp_path), robot)(seen), network(seen))
@@ -63,7 +63,7 @@ def test_an_unknown_name_lists_what_there_is(robot):
 
 
 def test_an_empty_name_is_not_the_folder_that_one_is_in(robot, tmp_path, monkeypatch):
-    write_network(random_network(robot, net_arch=8), tmp_path, robot, {})
+    write_network(random_network(robot, width=8), tmp_path, robot, {})
     monkeypatch.chdir(tmp_path)
     with pytest.raises(KinfeasError, match=r"name of the policy is empty; known are .*follow_ee"):
         load_policy("", robot)
@@ -73,7 +73,7 @@ def test_the_policy_that_comes_with_the_package(robot, tmp_path, monkeypatch):
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     with pytest.raises(KinfeasError, match=f"no pretrained policy for robot '{robot.name}'"):
         load_policy("pretrained", robot)
-    network = random_network(robot, net_arch=8)
+    network = random_network(robot, width=8)
     (tmp_path / robot.name).mkdir()
     write_network(network, tmp_path / robot.name, robot, {})
     seen = np.random.default_rng(0).normal(size=(3, len(network.scale)))
@@ -94,7 +94,7 @@ def test_a_folder_that_is_no_run(robot, tmp_path):
 
 
 def test_a_broken_policy(robot, tmp_path):
-    write_network(random_network(robot, net_arch=8), tmp_path, robot, {})
+    write_network(random_network(robot, width=8), tmp_path, robot, {})
     for path in tmp_path.glob("*.safetensors"):
         path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(KinfeasError, match="broken policy"):
@@ -102,7 +102,7 @@ def test_a_broken_policy(robot, tmp_path):
 
 
 def test_a_policy_of_another_robot(robot, tmp_path):
-    write_network(random_network(robot, net_arch=8), tmp_path, robot, {})
+    write_network(random_network(robot, width=8), tmp_path, robot, {})
     (path,) = tmp_path.glob("*.json")
     path.write_text(json.dumps(json.loads(path.read_text()) | {"robot": "other"}))
     with pytest.raises(KinfeasError, match="'other'"):

@@ -14,7 +14,7 @@ def made(root: Path, *names: str) -> Path:
     for name in names:
         robot = load_robot(name)
         (root / name).mkdir()
-        write_network(random_network(robot, net_arch=4), root / name, robot, {})
+        write_network(random_network(robot, width=4), root / name, robot, {})
     return root
 
 

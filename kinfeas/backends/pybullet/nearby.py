@@ -42,8 +42,8 @@ class _Shape:
 class _Thing:
     """What is in the way: in world coordinates, all but its height as in `ObstacleDistances`."""
 
-    place: Array
-    toward: Array
+    closest_point: Array
+    normal: Array
     distance: float
     height: float
 
@@ -62,7 +62,7 @@ class Surroundings:
         self._body = body
         self._shapes = _shapes(body)
 
-    def near(
+    def obstacle_distances(
         self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()
     ) -> ObstacleDistances:
         """Return what is near to what the arm does not carry, as a batch of one.
@@ -80,10 +80,10 @@ class Surroundings:
                 things += [*closest, *self._before_corners(nearest, within, handled)]
         x, y, heading = self._body.planar()
         to_base = _turn(heading)
-        place = np.array([one.place for one in things]).reshape(1, -1, 2)
-        toward = np.array([one.toward for one in things]).reshape(1, -1, 2)
+        points = np.array([one.closest_point for one in things]).reshape(1, -1, 2)
+        normals = np.array([one.normal for one in things]).reshape(1, -1, 2)
         distance = np.array([[one.distance for one in things]])
-        return ObstacleDistances((place - [x, y]) @ to_base, toward @ to_base, distance)
+        return ObstacleDistances((points - [x, y]) @ to_base, normals @ to_base, distance)
 
     def _closest(
         self, other: int, within: float, handled: Collection[tuple[int, int]]
@@ -107,8 +107,8 @@ class Surroundings:
             return []
         x, y, heading = self._body.planar()
         places = np.concatenate(corners) @ _turn(heading).T + [x, y]
-        ahead = thing.toward / np.linalg.norm(thing.toward)
-        places = places[(thing.place - places) @ ahead <= _AS_NEAR]
+        ahead = thing.normal / np.linalg.norm(thing.normal)
+        places = places[(thing.closest_point - places) @ ahead <= _AS_NEAR]
         height = np.full((len(places), 1), thing.height)
         begins, ends = (
             np.hstack([places + way * ahead, height]).tolist() for way in (_OUTSIDE, within)

@@ -130,7 +130,7 @@ class Simulation:
         """Return what is nearer than `within` metres to the base, but for what it handles."""
         bodies = self.furniture.bodies.values() if self.furniture else ()
         with self.physics.connected():
-            return self._surroundings.near(bodies, within, self._spared())
+            return self._surroundings.obstacle_distances(bodies, within, self._spared())
 
     def contacts(self) -> Contacts:
         """Return what the robot touches now, but for the link that it handles."""

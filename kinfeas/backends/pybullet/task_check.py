@@ -27,16 +27,16 @@ def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:
     for moved in known.moves:
         _need(moved, scene.objects, f"{where}.moves.{moved}': there is no object")
     if known.grasped_object is not None:
-        _check_handled(known.grasped_object, scene, f"{where}.handled")
+        _check_grasped_object(known.grasped_object, scene, f"{where}.grasped_object")
         if robot.gripper is None:
             raise KinfeasError(
                 f"task {name!r} takes hold of an object, and robot {robot.name!r} has no gripper: "
                 "its YAML file lacks 'gripper'"
             )
-    _check_outcome(known.success, scene, f"{where}.success")
+    _check_success(known.success, scene, f"{where}.success")
 
 
-def _check_handled(grasped_object: GraspedObject, scene: Scene, where: str) -> None:
+def _check_grasped_object(grasped_object: GraspedObject, scene: Scene, where: str) -> None:
     _need(grasped_object.object, scene.objects, f"{where}.object': there is no object")
     one = scene.objects[grasped_object.object]
     _need(
@@ -51,19 +51,23 @@ def _check_handled(grasped_object: GraspedObject, scene: Scene, where: str) -> N
         )
 
 
-def _check_outcome(done: SuccessCondition, scene: Scene, where: str) -> None:
-    _need(done.object, scene.objects, f"{where}.object': there is no object")
-    if done.parent is not None:
-        others = [name for name in scene.objects if name != done.object]
-        _need(done.parent, others, f"{where}.parent': there is no other object")
-    if done.joint is not None:
-        joints = free_joints(scene.objects[done.object].urdf)
-        _need(done.joint, joints, f"{where}.joint': object {done.object!r} has no moving joint")
-        lower, upper = joints[done.joint].lower, joints[done.joint].upper
-        if not (lower < done.threshold if done.threshold < 0.0 else done.threshold < upper):
+def _check_success(success: SuccessCondition, scene: Scene, where: str) -> None:
+    _need(success.object, scene.objects, f"{where}.object': there is no object")
+    if success.parent is not None:
+        others = [name for name in scene.objects if name != success.object]
+        _need(success.parent, others, f"{where}.parent': there is no other object")
+    if success.joint is not None:
+        joints = free_joints(scene.objects[success.object].urdf)
+        _need(
+            success.joint, joints, f"{where}.joint': object {success.object!r} has no moving joint"
+        )
+        lower, upper = joints[success.joint].lower, joints[success.joint].upper
+        if not (
+            lower < success.threshold if success.threshold < 0.0 else success.threshold < upper
+        ):
             raise KinfeasError(
-                f"{where}.threshold' must lie between the limits of joint {done.joint!r}, "
-                f"{lower:g} and {upper:g}, not {done.threshold:g}"
+                f"{where}.threshold' must lie between the limits of joint {success.joint!r}, "
+                f"{lower:g} and {upper:g}, not {success.threshold:g}"
             )
 
 

@@ -19,43 +19,43 @@ WALL = -2.95
 
 def test_a_robot_alone_is_near_to_nothing(world, begin):
     begin()
-    near = world.near(0.3)
+    near = world.obstacle_distances(0.3)
     assert near.distance.shape == (1, 0)
-    assert near.place.shape == near.toward.shape == (1, 0, 2)
+    assert near.closest_point.shape == near.normal.shape == (1, 0, 2)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -2.6])
 def test_a_wall_is_as_far_away_as_it_is_and_lies_where_it_does(world, begin, yaw):
     begin(x=-2.3, yaw=yaw)
-    near = world.near(1.0)
+    near = world.obstacle_distances(1.0)
     one = near.distance[0].argmin()
     heading = np.array([np.cos(yaw), np.sin(yaw)])
     to_world = np.array([heading, [-heading[1], heading[0]]])
-    np.testing.assert_allclose(near.toward[0, one] @ to_world, [-1.0, 0.0], atol=1e-6)
-    place = near.place[0, one] @ to_world + [-2.3, 0.0]
+    np.testing.assert_allclose(near.normal[0, one] @ to_world, [-1.0, 0.0], atol=1e-6)
+    place = near.closest_point[0, one] @ to_world + [-2.3, 0.0]
     assert place[0] - near.distance[0, one] == pytest.approx(WALL, abs=2e-3)
 
 
 def test_nothing_is_touched_before_the_distance_is_used_up(world, begin):
     begin(x=-2.3)
-    distance = world.near(1.0).distance.min()
+    distance = world.obstacle_distances(1.0).distance.min()
     begin(x=-2.3 - distance + 2e-3)
     assert world.sims[0].free()
     begin(x=-2.3 - distance - 2e-3)
     assert not world.sims[0].free()
-    assert world.near(1.0).distance.min() < 0.0
+    assert world.obstacle_distances(1.0).distance.min() < 0.0
 
 
 def test_what_is_farther_away_is_not_seen(world, begin):
     begin(x=-2.3)
-    away = world.near(1.0).distance.min()
-    assert world.near(away - 0.01).distance.size == 0
-    assert world.near(away + 0.01).distance.size > 0
+    away = world.obstacle_distances(1.0).distance.min()
+    assert world.obstacle_distances(away - 0.01).distance.size == 0
+    assert world.obstacle_distances(away + 0.01).distance.size > 0
 
 
 def test_a_wall_that_only_the_arm_is_near_is_not_seen(world, begin, between_fingers):
     begin(wall=np.array([between_fingers[0] + 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
-    assert world.near(0.02).distance.size == 0
+    assert world.obstacle_distances(0.02).distance.size == 0
 
 
 def test_what_is_handled_is_not_seen(world, begin):
@@ -65,15 +65,15 @@ def test_what_is_handled_is_not_seen(world, begin):
         world.sims[0].furniture.link("wall", "wall"),
     )
     around = Surroundings(world.sims[0].body)
-    assert around.near(bodies, 1.0).distance.size > 0
-    assert around.near(bodies, 1.0, [wall]).distance.size == 0
+    assert around.obstacle_distances(bodies, 1.0).distance.size > 0
+    assert around.obstacle_distances(bodies, 1.0, [wall]).distance.size == 0
 
 
 def test_what_lies_beneath_is_not_in_the_way(world, begin):
     begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
     bar = world.sims[0].furniture.bodies["bar"]
     assert world.sims[0].physics.client.getClosestPoints(world.sims[0].body.body, bar, 0.3)
-    assert world.near(0.3).distance.size == 0
+    assert world.obstacle_distances(0.3).distance.size == 0
 
 
 def test_a_floor_and_nothing_else():
@@ -82,18 +82,18 @@ def test_a_floor_and_nothing_else():
         assert isinstance(backend, SupportsObstacleDistances)
         home = backend.sims[0].body.robot.home["home"]
         backend.reset(spatial.IDENTITY[np.newaxis], home[np.newaxis])
-        assert backend.near(1.0).distance.shape == (1, 0)
+        assert backend.obstacle_distances(1.0).distance.shape == (1, 0)
     finally:
         backend.close()
 
 
 def test_a_base_measured_while_it_drives_comes_nearer(world, begin):
     begin(x=-2.3)
-    before = world.near(1.0).distance.min()
+    before = world.obstacle_distances(1.0).distance.min()
     states = stay(world, 50, twist(-0.1))
     moved = -2.3 - states[-1].base_pose[0, 0]
     assert moved > 0.05
-    assert world.near(1.0).distance.min() == pytest.approx(before - moved, abs=2e-3)
+    assert world.obstacle_distances(1.0).distance.min() == pytest.approx(before - moved, abs=2e-3)
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.03])
@@ -111,5 +111,5 @@ def test_a_base_that_keeps_clear_stops_before_the_wall(world, begin, solver, kep
     nearest = np.inf
     for _ in range(300):
         loop.step(back)
-        nearest = min(nearest, world.near(1.0).distance.min())
+        nearest = min(nearest, world.obstacle_distances(1.0).distance.min())
     assert nearest < 0.015 if not kept else nearest == pytest.approx(kept, abs=5e-3)

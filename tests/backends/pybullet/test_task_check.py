@@ -25,8 +25,8 @@ def test_shipped_tasks_can_be_done(name, room, hsr):
 
 
 def test_a_joint_may_have_to_move_at_all(room, hsr):
-    done = {"object": "door_shelf", "joint": "hinge", "threshold": 0.0}
-    check_task("door", load_task("door", {"scene": {"done": done}}).scene, room, hsr)
+    success = {"object": "door_shelf", "joint": "hinge", "threshold": 0.0}
+    check_task("door", load_task("door", {"scene": {"success": success}}).scene, room, hsr)
 
 
 @pytest.mark.parametrize(
