@@ -75,7 +75,7 @@ class CheckedTask:
             )
             if lacks is not None:
                 raise KinfeasError(
-                    f"{self.subject} must have sub-goals that are a Leg each, and a "
+                    f"{self.subject} must have sub-goals that are a Subgoal each, and a "
                     f"{type(subgoal).__name__} has no {lacks!r}"
                 )
 

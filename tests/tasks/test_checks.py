@@ -112,7 +112,7 @@ def test_what_its_code_raises_names_it_and_the_line(pr2, error):
         (Given(subgoals=None), "must have a tuple of at least one sub-goal, not NoneType"),
         (
             Given(subgoals=(1,)),
-            "must have sub-goals that are a Leg each, and a int has no 'motion'",
+            "must have sub-goals that are a Subgoal each, and a int has no 'motion'",
         ),
         (Given(name=""), "'name' must be printable, not empty"),
         (Given(name="a/b"), "'name' must be printable, not empty and without '/', not 'a/b'"),
