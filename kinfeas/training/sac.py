@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.utils import polyak_update
+from torch import nn
 from torch.nn import functional
 
 
@@ -25,7 +26,7 @@ class AnchoredSAC(SAC):
     def anchor(self, weight: float) -> None:
         """Hold the actor near what it is now."""
         self.anchor_weight = weight
-        self._start = deepcopy(self.actor).requires_grad_(False)
+        self._start = deepcopy(nn.Sequential(self.actor.latent_pi, self.actor.mu))
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Update critics and actor, as `SAC.train` does."""
@@ -90,7 +91,7 @@ class AnchoredSAC(SAC):
     def _distance(self, observations: torch.Tensor) -> torch.Tensor | float:
         if self.anchor_weight == 0.0:
             return 0.0
-        mean, start = (
-            one.get_action_dist_params(observations)[0] for one in (self.actor, self._start)
-        )
+        mean = self.actor.get_action_dist_params(observations)[0]
+        with torch.no_grad():
+            start = self._start(observations)
         return self.anchor_weight * (torch.tanh(mean) - torch.tanh(start)).square().sum(1).mean()
