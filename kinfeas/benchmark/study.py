@@ -78,7 +78,7 @@ class Aid(Row):
     def __post_init__(self) -> None:
         """Check that there is any."""
         if not (self.feasibility_filter or self.rollout_planner):
-            raise ValueError("one of 'yields' and 'rollout_planner' must be true")
+            raise ValueError("one of 'feasibility_filter' and 'rollout_planner' must be true")
 
     @property
     def prefix(self) -> str:

@@ -112,7 +112,7 @@ def test_other_weights_are_another_cell(run):
     assert identity(job("sac", str(run))) != before
 
 
-TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n"
+TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nsubgoals: [{place: cup}]\n"
 
 
 @pytest.mark.parametrize("path", ["fetch.yaml", "./fetch.yaml", "{}/fetch.yaml"])

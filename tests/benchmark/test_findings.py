@@ -42,7 +42,7 @@ def test_everything_is_written(shipped, tmp_path, monkeypatch):
 
     monkeypatch.setattr(module, "episodes_figure", titled)
     aid = "rollout_planner: true, robots: [pr2], tasks: [ggr]"
-    asked = small_study(f"aids=[{{{aid}}}, {{yields: true, {aid}}}]")
+    asked = small_study(f"aids=[{{{aid}}}, {{feasibility_filter: true, {aid}}}]")
     jobs = plan_jobs(asked, [])
     findings = Findings(asked, [], jobs, run_jobs(jobs, tmp_path / "cells"))
     pictures = write_pictures(findings, tmp_path)
@@ -64,7 +64,7 @@ def test_everything_is_written(shipped, tmp_path, monkeypatch):
 
 def test_figures_of_runs_are_told_by_task():
     runs = [Run(Path("run"), "pr2", "sac", 0, "ggr")]
-    asked = small_study("robots=[pr2]", "variants=[]", "aids=[{yields: true}]")
+    asked = small_study("robots=[pr2]", "variants=[]", "aids=[{feasibility_filter: true}]")
     jobs = plan_jobs(asked, runs)
     results = [{"figures": {"success": 0.5}} for _ in jobs]
     assert figures_of_runs(Findings(asked, runs, jobs, results)) == {

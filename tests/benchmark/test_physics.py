@@ -87,7 +87,7 @@ def test_cells_put_parts_together_and_stand_beside_the_paper():
 
 def test_a_task_by_path_goes_by_its_name(tmp_path):
     path = tmp_path / "fetch.yaml"
-    path.write_text("name: x\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n")
+    path.write_text("name: x\nplaces: {cup: {position: [2, 0, 0.8]}}\nsubgoals: [{place: cup}]\n")
     made = cells("robots=[pr2]", f"tasks=[ggr,{path}]", f"baselines={{follow_ee: [{path}]}}")
     named = {(cell.task, cell.policy) for cell in made}
     assert named == {("ggr", "pretrained"), ("fetch", "pretrained"), ("fetch", "follow_ee")}

@@ -41,7 +41,7 @@ def test_runs_go_before_what_is_shipped():
 
 def test_what_is_aided_is_a_row_of_its_own():
     runs = [Run(Path(f"run-{name}"), "pr2", name, 4, "ggr") for name in ("sac", "td3")]
-    aids = "aids=[{yields: true}, {rollout_planner: true}, {yields: true, rollout_planner: true}]"
+    aids = "aids=[{feasibility_filter: true}, {rollout_planner: true}, {feasibility_filter: true, rollout_planner: true}]"
     jobs = plan_jobs(small_study("policies=either", "robots=[pr2]", "tasks=[ggr]", aids), runs)
     aided = [job for job in jobs if ":" in job.policy]
     assert [(job.policy, job.source, job.world.feasibility_filter) for job in aided] == [
@@ -51,11 +51,13 @@ def test_what_is_aided_is_a_row_of_its_own():
     ]
     assert not any(job.world.feasibility_filter for job in jobs if job not in aided)
     assert not any(job.variant for job in aided)
-    assert aided[-1].name == "pr2-ggr-rollout_planner-yielding-sac-4"
+    assert aided[-1].name == "pr2-ggr-rollout_planner-feasibility_filter-sac-4"
 
 
 def test_an_aid_helps_the_robots_and_tasks_that_it_names():
-    jobs = plan_jobs(small_study("aids=[{yields: true, robots: [pr2], tasks: [ggr]}]"), [])
+    jobs = plan_jobs(
+        small_study("aids=[{feasibility_filter: true, robots: [pr2], tasks: [ggr]}]"), []
+    )
     aided = [job for job in jobs if ":" in job.policy]
     assert {(job.robot, job.task, job.policy) for job in aided} == {
         ("pr2", "ggr", "feasibility_filter:pretrained")
@@ -95,7 +97,7 @@ def test_a_row_may_have_no_tasks():
     ("aid", "policy"),
     [
         ("rollout_planner: true", "rollout_planner:pretrained"),
-        ("yields: true", "feasibility_filter:pretrained"),
+        ("feasibility_filter: true", "feasibility_filter:pretrained"),
     ],
 )
 def test_what_is_aided_stands_in_the_plain_row(aid, policy):

@@ -40,7 +40,7 @@ def test_fewer_robots():
         restricted(whole, {"fetch"})
 
 
-TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nlegs: [{place: cup}]\n"
+TASK = "name: fetch\nplaces: {cup: {position: [2, 0, 0.8]}}\nsubgoals: [{place: cup}]\n"
 
 
 @pytest.mark.parametrize(
@@ -139,10 +139,13 @@ def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
         ("episodes=0", ">= 1"),
         ("episodes=1000001", "at most 1000000"),
         ("policies=both", "'pretrained'"),
-        ("aids=[{robots: [pr2]}]", "one of 'yields' and 'rollout_planner' must be true"),
-        ("aids=[{yields: true}, {yields: true, tasks: [ggr]}]", "help pr2 on ggr in the same way"),
-        ("aids=[{yields: true, robots: [fetch]}]", "unknown robot 'fetch'"),
-        ("aids=[{yields: true, tasks: [fly]}]", "unknown task 'fly'"),
+        ("aids=[{robots: [pr2]}]", "one of 'feasibility_filter' and 'rollout_planner' must be true"),
+        (
+            "aids=[{feasibility_filter: true}, {feasibility_filter: true, tasks: [ggr]}]",
+            "help pr2 on ggr in the same way",
+        ),
+        ("aids=[{feasibility_filter: true, robots: [fetch]}]", "unknown robot 'fetch'"),
+        ("aids=[{feasibility_filter: true, tasks: [fly]}]", "unknown task 'fly'"),
         ("aids=[{yelds: true}]", "unknown key 'aids.*yelds'"),
         ("tasks=[ggr, fly]", "unknown task 'fly'"),
         ("robots=[pr3]", "unknown robot 'pr3'"),

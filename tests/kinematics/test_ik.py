@@ -303,7 +303,7 @@ def test_none_to_solve(robot, solver):
 
 
 @pytest.mark.parametrize(
-    ("targets", "seeds", "moves", "message"),
+    ("targets", "seeds", "max_joint_step", "message"),
     [
         ((1, 7), (3, "v"), None, r"^seeds must be of shape \(1, \d\), not \(3, \d\)"),
         ((3, 7), (1, "v"), None, r"^seeds must be of shape \(3, \d\), not \(1, \d\)"),
@@ -311,9 +311,9 @@ def test_none_to_solve(robot, solver):
         ((1, 7), ("v",), None, r"^seeds must be of shape \(1, \d\), not \(\d,\)"),
         ((2, 6), (2, "v"), None, r"^targets must be of shape \(n, 7\), not \(2, 6\)"),
         ((7,), (1, "v"), None, r"^targets must be of shape \(n, 7\), not \(7,\)"),
-        ((2, 7), (2, "v"), (3,), r"^moves must be of shape \(\d,\), not \(3,\)"),
-        ((2, 7), (2, "v"), (2, "v"), r"^moves must be of shape \(\d,\), not \(2, \d\)"),
-        ((2, 7), (2, "v"), (0,), r"^moves must be of shape \(\d,\), not \(0,\)"),
+        ((2, 7), (2, "v"), (3,), r"^max_joint_step must be of shape \(\d,\), not \(3,\)"),
+        ((2, 7), (2, "v"), (2, "v"), r"^max_joint_step must be of shape \(\d,\), not \(2, \d\)"),
+        ((2, 7), (2, "v"), (0,), r"^max_joint_step must be of shape \(\d,\), not \(0,\)"),
     ],
 )
 def test_shapes_that_do_not_belong_together_are_refused(

@@ -46,7 +46,7 @@ def sequence(*targets, generator=None):
     return begun
 
 
-def test_the_ends_of_all_legs():
+def test_the_ends_of_all_subgoals():
     targets = [(1.0, 0.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 0.5)]
     np.testing.assert_allclose(subgoal_poses(sequence(*targets))[:, :3], targets)
 
@@ -60,7 +60,7 @@ def test_the_ends_of_all_legs():
         ([(0.0, 0.0, 0.0)], 0.0),
     ],
 )
-def test_the_fastest_moment_of_all_legs(targets, speed):
+def test_the_fastest_moment_of_all_subgoals(targets, speed):
     assert top_speed(sequence(*targets)) == pytest.approx(speed)
 
 
