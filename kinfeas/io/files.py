@@ -51,7 +51,9 @@ def _naming(path: Path, done: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise KinfeasError(f"{path}: cannot be {done}: {error.strerror or error}") from error
+        relative = isinstance(error, FileNotFoundError) and not path.is_absolute()
+        where = f" in {Path.cwd()}" if relative else ""
+        raise KinfeasError(f"{path}: cannot be {done}: {error.strerror or error}{where}") from error
     except UnicodeDecodeError as error:
         raise KinfeasError(f"{path}: not a text file in UTF-8") from error
 

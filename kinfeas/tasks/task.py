@@ -10,6 +10,7 @@ from kinfeas.config.quantities import Seconds
 from kinfeas.control.subgoals import Frame, SubgoalMotion
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip
+from kinfeas.core.checks.parameters import MissingParameterError
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.start import Start
@@ -93,7 +94,7 @@ def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:
         known = next(
             (b for a, b in zip(subgoals, built, strict=False) if a.motion == subgoal.motion), None
         )
-        where = f"'subgoals.{number}.motion': " if len(subgoals) > 1 else ""
+        where = f"subgoals.{number}.motion" if len(subgoals) > 1 else "motion"
         generator = known.generator if known else _build(subgoal.motion, where)
         built.append(
             SubgoalMotion(
@@ -109,5 +110,9 @@ def _build(motion: MotionSpec, where: str) -> MotionGenerator:
             "kinfeas.motion_generators", motion.generator, motion.parameters
         )
     except KinfeasError as error:
-        raise KinfeasError(f"{where}{error}") from error
+        hint = ""
+        if isinstance(missing := error.__cause__, MissingParameterError):
+            hint = f": --set task.{where}.parameters.{missing.parameter}=VALUE"
+        named = "" if where == "motion" else f"'{where}': "
+        raise KinfeasError(f"{named}{error}{hint}") from error
     return generator

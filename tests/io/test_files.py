@@ -167,3 +167,12 @@ def test_a_pipe_or_a_device_is_not_read(tmp_path):
     for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null")):
         with pytest.raises(KinfeasError, match="cannot be read: it is not a regular file"):
             read_file(path, 10)
+
+
+def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with (
+        pytest.raises(KinfeasError, match=f"^none: cannot be read: .* in {tmp_path}$"),
+        reading(Path("none")),
+    ):
+        Path("none").read_bytes()

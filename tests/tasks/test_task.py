@@ -29,3 +29,11 @@ def test_wrong_motions_are_one_sentence(motion, message):
     with pytest.raises(KinfeasError) as second:
         build_subgoals([Subgoal(), Subgoal(motion)])
     assert str(second.value) == f"'subgoals.1.motion': {alone.value}"
+
+
+@pytest.mark.parametrize(
+    ("count", "key"), [(1, "task.motion.parameters.file"), (2, "task.subgoals.0.motion.parameters")]
+)
+def test_a_missing_parameter_is_asked_for_by_its_setting(count, key):
+    with pytest.raises(KinfeasError, match=f"'file' is missing.*--set {key}"):
+        build_subgoals([Subgoal(MotionSpec("replay"))] * count)
