@@ -7,18 +7,21 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test docs lint layers format clean
+.PHONY: help install demo test test-slow docs lint layers format clean
 
 help:  ## Show the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 18
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
 
 install: $(STAMP)  ## Build .venv with the tested versions
 
 demo: $(STAMP)  ## Train a PR2 base policy for two minutes, evaluate it and write a report
 	$(BIN)/kinfeas demo
 
-test: $(STAMP) lint  ## Check style, types and layers, then run all tests
-	$(BIN)/python -m pytest
+test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
+	$(BIN)/python -m pytest -n auto -m "not slow"
+
+test-slow: $(STAMP)  ## Run the tests that take longer
+	$(BIN)/python -m pytest -n auto -m slow
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
