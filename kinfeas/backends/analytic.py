@@ -18,14 +18,14 @@ class AnalyticBackend:
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Place robots and return the state of all n; shapes as in `Backend`."""
-        if rows is None:
+        if env_ids is None:
             self.state = RobotState(np.array(base_pose), np.array(joint_positions))
         else:
             base, joints = self.state.base_pose.copy(), self.state.joint_positions.copy()
-            base[rows], joints[rows] = base_pose, joint_positions
+            base[env_ids], joints[env_ids] = base_pose, joint_positions
             self.state = RobotState(base, joints)
         return self.state
 

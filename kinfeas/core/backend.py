@@ -41,14 +41,14 @@ class Backend(Protocol):
     """n robots at once; the analytic world has any n, PyBullet and a real robot have n = 1."""
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Put robots at rest and return the state of all n.
 
         Args:
             base_pose: World pose of the base, shape (m, 7).
             joint_positions: Arm joints, shape (m, j).
-            rows: Indices of the m robots to reset; all n by default.
+            env_ids: Indices of the m robots to reset; all n by default.
         """
         ...
 
@@ -85,8 +85,8 @@ class Stochastic(Protocol):
     batch.
     """
 
-    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
-        """Begin new episodes with one seed each, shape (m,), in the m `rows`."""
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
+        """Begin new episodes with one seed each, shape (m,), in the m `env_ids`."""
         ...
 
 
@@ -94,12 +94,12 @@ class Stochastic(Protocol):
 class SupportsGripper(Protocol):
     """A backend or adapter whose robots have grippers."""
 
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Begin to close or to open the grippers of robots.
 
         Args:
             grip: What they do.
-            rows: Indices of the m robots.
+            env_ids: Indices of the m robots.
         """
         ...
 

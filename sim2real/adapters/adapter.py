@@ -141,27 +141,27 @@ class Adapter(BackendWrapper):
         """Return this step's uniform draws in (0, 1], shape (n, width)."""
         return draws.uniform(self._seeds + self._salt, self._steps, width)
 
-    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
-        """Begin new episodes with one seed each, shape (m,), in the m `rows`."""
-        if len(rows):
-            self._fit(max(int(rows.max()) + 1, len(self._seeds)))
-        self._seeds[rows], self._steps[rows] = seeds, 0
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
+        """Begin new episodes with one seed each, shape (m,), in the m `env_ids`."""
+        if len(env_ids):
+            self._fit(max(int(env_ids.max()) + 1, len(self._seeds)))
+        self._seeds[env_ids], self._steps[env_ids] = seeds, 0
         if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, rows)
+            self.backend.seed(seeds, env_ids)
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Begin new episodes and return what is seen of all n; shapes as in `Backend`."""
-        state = self.backend.reset(base_pose, joint_positions, rows)
+        state = self.backend.reset(base_pose, joint_positions, env_ids)
         self._fit(len(state.base_pose))
         self._draw()
         fresh = self._hooks.on_reset(state)
-        if rows is None:
+        if env_ids is None:
             self.memory = fresh
         else:
             self.memory = {
-                key: with_rows(self.memory[key], rows, values[rows])
+                key: with_rows(self.memory[key], env_ids, values[env_ids])
                 for key, values in fresh.items()
             }
         return self._hooks.modify_state(state)

@@ -67,7 +67,7 @@ class CommandGuard(Passing):
         self.held, self.stopped, self.steps = "", True, 0
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Begin anew; shapes as in `Backend`.
 
@@ -78,7 +78,7 @@ class CommandGuard(Passing):
             with plugin_errors(self.backend, "limit_arm"):
                 self._arm_limited.limit_arm(self._joint_speed)
         with plugin_errors(self.backend, "reset"):
-            state = self.backend.reset(base_pose, joint_positions, rows)
+            state = self.backend.reset(base_pose, joint_positions, env_ids)
         self._take("reset", state)
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
         self._velocity = np.zeros(3)
@@ -122,12 +122,12 @@ class CommandGuard(Passing):
             state = self._real_time.read()
         return self._answers.state(state, "read")
 
-    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""
         with plugin_errors(self.backend, "seed"):
-            super().seed(seeds, rows)
+            super().seed(seeds, env_ids)
 
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Pass on to a backend that has grippers.
 
         Raises:
@@ -135,7 +135,7 @@ class CommandGuard(Passing):
         """
         if self.stopped:
             raise Fault("the base was stopped")
-        super().grip(grip, rows)
+        super().grip(grip, env_ids)
 
     def stop(self) -> None:
         """Command the base to zero, the arm to stay; it may be called at any time, and twice."""

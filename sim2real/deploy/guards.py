@@ -100,14 +100,14 @@ class Guarded(Passing):
         return self._commands.stopped
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Begin anew; shapes as in `Backend`.
 
         Raises:
             Fault: If what is measured cannot be believed.
         """
-        state = self.backend.reset(base_pose, joint_positions, rows)
+        state = self.backend.reset(base_pose, joint_positions, env_ids)
         self._measured.begin(state)
         self._fails, self.unstopped = 0, ""
         self._steady, self._wall = self._clocks.steady(), self._clocks.wall()

@@ -21,12 +21,12 @@ class Passing(BackendWrapper):
         if isinstance(backend, SupportsObstacleDistances):
             self.obstacle_distances = backend.obstacle_distances
 
-    def seed(self, seeds: NDArray[np.uint64], rows: NDArray[np.intp]) -> None:
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""
         if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, rows)
+            self.backend.seed(seeds, env_ids)
 
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Pass on to a backend that has grippers."""
         if isinstance(self.backend, SupportsGripper):
-            self.backend.grip(grip, rows)
+            self.backend.grip(grip, env_ids)

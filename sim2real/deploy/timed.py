@@ -18,10 +18,10 @@ class Timed(Passing):
         self.metronome = metronome
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Pass on and set the metronome going; shapes as in `Backend`."""
-        state = self.backend.reset(base_pose, joint_positions, rows)
+        state = self.backend.reset(base_pose, joint_positions, env_ids)
         self.metronome.wait()
         return state
 

@@ -75,7 +75,7 @@ class LinkBackend:
         self._joint_speed = robot.max_joint_velocity
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Wait until robot and link are there and return the robot's state where it stands.
 
@@ -171,9 +171,9 @@ class LinkBackend:
         """Let no joint go faster from now on, nor than it can; shape (j,), rad/s or m/s."""
         self._joint_speed = np.minimum(velocity, self.robot.max_joint_velocity)
 
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Begin to close or to open the gripper."""
-        if rows.size:
+        if env_ids.size:
             self.link.grip(grip)
 
     def close(self) -> None:

@@ -105,7 +105,10 @@ def test_evaluate_a_robot_by_its_path():
         (["--policy", "follow_ee", "--set", "word.dt=0.1"], "did you mean 'world'"),
         (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
         (["--policy", "follow_ee", "--set", "rollout.num_samples=8"], "needs --rollout-planner$"),
-        (["--policy", "follow_ee", "--rollout-planner", "--set", "rollout.tris=8"], "'rollout.num_samples'"),
+        (
+            ["--policy", "follow_ee", "--rollout-planner", "--set", "rollout.tris=8"],
+            "'rollout.num_samples'",
+        ),
         (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
         (
             ["--policy", "follow_ee", "--world", "pybullet", "--head-start", "-1"],

@@ -24,12 +24,12 @@ class Recorder:
         self.resets: list[tuple] = []
         self.steps: list[tuple] = []
 
-    def reset(self, base_pose, joint_positions, rows=None):
-        self.resets.append((base_pose.copy(), joint_positions.copy(), rows))
-        if rows is None:
+    def reset(self, base_pose, joint_positions, env_ids=None):
+        self.resets.append((base_pose.copy(), joint_positions.copy(), env_ids))
+        if env_ids is None:
             self.base, self.joints = base_pose.copy(), joint_positions.copy()
         else:
-            self.base[rows], self.joints[rows] = base_pose, joint_positions
+            self.base[env_ids], self.joints[env_ids] = base_pose, joint_positions
         return self.state
 
     def step(self, base_twist, joint_targets, dt):
@@ -53,8 +53,8 @@ class Noisy(AnalyticBackend):
         super().__init__()
         self.given: list[tuple[list[int], list[int]]] = []
 
-    def seed(self, seeds, rows):
-        self.given.append((seeds.tolist(), rows.tolist()))
+    def seed(self, seeds, env_ids):
+        self.given.append((seeds.tolist(), env_ids.tolist()))
 
 
 def rngs(n: int, seed: int = 0) -> Sequence[np.random.Generator]:
@@ -403,8 +403,8 @@ class Hands(Recorder):
         super().__init__()
         self.grips: list[tuple] = []
 
-    def grip(self, grip, rows):
-        self.grips.append((grip, rows.tolist(), len(self.steps)))
+    def grip(self, grip, env_ids):
+        self.grips.append((grip, env_ids.tolist(), len(self.steps)))
 
 
 def test_grippers_act_where_legs_end(solver):

@@ -76,7 +76,7 @@ class PyBulletBackend:
         self._handled = name, link, rigid
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Put robots and furniture at rest where they begin; shapes as in `Backend`.
 
@@ -84,20 +84,20 @@ class PyBulletBackend:
             KinfeasError: If a base is not level on the floor, a number is not finite, or a world is
                 gone.
         """
-        numbers: Sequence[int] = range(len(base_pose)) if rows is None else rows.tolist()
+        numbers: Sequence[int] = range(len(base_pose)) if env_ids is None else env_ids.tolist()
         self._check(base_pose, joint_positions, len(numbers))
         if not np.all(np.abs(base_pose[:, 2:5]) <= _FLAT):
             raise KinfeasError("the base must stand upright on the floor, at height 0")
-        if rows is None:
+        if env_ids is None:
             self._positions = np.zeros((len(numbers), 3 + len(self.robot.arm)))
             self._velocities = np.zeros_like(self._positions)
         for row, pose, joints in zip(numbers, base_pose, joint_positions, strict=True):
             self.simulation(row).reset(pose, joints)
         return self._measure(numbers)
 
-    def grip(self, grip: Grip, rows: NDArray[np.intp]) -> None:
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Begin to close or open grippers; closing, they hold what both of their fingers touch."""
-        for row in rows.tolist():
+        for row in env_ids.tolist():
             self.sims[row].grip(grip)
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:

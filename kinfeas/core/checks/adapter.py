@@ -54,12 +54,12 @@ class CheckedAdapter(BackendWrapper):
         self._joints: Array = np.empty((0, 0))
 
     def reset(
-        self, base_pose: Array, joint_positions: Array, rows: NDArray[np.intp] | None = None
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
         """Begin new episodes and return what is seen of all n; shapes as in `Backend`."""
-        if rows is None:
+        if env_ids is None:
             self._base, self._joints = base_pose, joint_positions
-        return self._look("reset", self._ask("reset", base_pose, joint_positions, rows))
+        return self._look("reset", self._ask("reset", base_pose, joint_positions, env_ids))
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Pass on a command and return what is seen after it; shapes as in `Backend`."""

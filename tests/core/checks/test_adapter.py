@@ -41,8 +41,8 @@ class Around:
             raise given
         return given(sound)
 
-    def reset(self, base_pose, joint_positions, rows=None):
-        return self.answer("reset", self.backend.reset(base_pose, joint_positions, rows))
+    def reset(self, base_pose, joint_positions, env_ids=None):
+        return self.answer("reset", self.backend.reset(base_pose, joint_positions, env_ids))
 
     def step(self, base_twist, joint_targets, dt):
         command = self.answer("command", (base_twist, joint_targets))
@@ -56,10 +56,10 @@ class Around:
 class Able(Around):
     """The same, which can all there is."""
 
-    def seed(self, seeds, rows):
+    def seed(self, seeds, env_ids):
         self.answer("seed", None)
 
-    def grip(self, grip, rows):
+    def grip(self, grip, env_ids):
         self.answer("grip", None)
 
     def obstacle_distances(self, within):

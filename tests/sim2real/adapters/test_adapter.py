@@ -46,11 +46,11 @@ class Doll(AnalyticBackend):
         super().__init__()
         self.told, self.seeded, self.closed = [], [], 0
 
-    def seed(self, seeds, rows):
-        self.seeded.append((seeds.tolist(), rows.tolist()))
+    def seed(self, seeds, env_ids):
+        self.seeded.append((seeds.tolist(), env_ids.tolist()))
 
-    def grip(self, grip, rows):
-        self.told.append((grip, rows.tolist()))
+    def grip(self, grip, env_ids):
+        self.told.append((grip, env_ids.tolist()))
 
     def obstacle_distances(self, within):
         self.told.append(within)
@@ -69,7 +69,7 @@ class Doll(AnalyticBackend):
 class Bare:
     """A backend that can no more than it must."""
 
-    def reset(self, base_pose, joint_positions, rows=None):
+    def reset(self, base_pose, joint_positions, env_ids=None):
         return RobotState(base_pose, joint_positions)
 
     def step(self, base_twist, joint_targets, dt):
@@ -89,13 +89,13 @@ def poses(n, seed=0):
     return planar_pose(*rng.uniform(-2.0, 2.0, (2, n)), rng.uniform(-np.pi, np.pi, n))
 
 
-def on_reset(backend, robot, seeds, rows=None):
+def on_reset(backend, robot, seeds, env_ids=None):
     """Begin episodes whose start depends on their seed alone."""
-    places = np.arange(len(seeds)) if rows is None else np.array(rows)
+    places = np.arange(len(seeds)) if env_ids is None else np.array(env_ids)
     backend.seed(np.array(seeds, dtype=np.uint64), places)
     base = np.concatenate([poses(1, seed) for seed in seeds])
     joints = np.stack([configuration(robot, seed) for seed in seeds])
-    return backend.reset(base, joints, None if rows is None else places)
+    return backend.reset(base, joints, None if env_ids is None else places)
 
 
 def configuration(robot, seed):
@@ -183,7 +183,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
     backend, alone = (wrap(AnalyticBackend(), adapters, pr2) for _ in "ab")
     on_reset(backend, pr2, [0, 1, 2])
     before = go(backend, pr2, [0, 1, 2], 9)
-    state = flat(on_reset(backend, pr2, [8], rows=[1]))
+    state = flat(on_reset(backend, pr2, [8], env_ids=[1]))
     np.testing.assert_array_equal(state[[0, 2]], before[-1][[0, 2]])
     np.testing.assert_array_equal(state[1], flat(on_reset(alone, pr2, [8]))[0])
     after = []

@@ -18,8 +18,8 @@ class Recorder:
     def __init__(self):
         self.twists, self.closed = [], 0
 
-    def reset(self, base_pose, joint_positions, rows=None):
-        self.last_reset = base_pose, joint_positions, rows
+    def reset(self, base_pose, joint_positions, env_ids=None):
+        self.last_reset = base_pose, joint_positions, env_ids
         return RobotState(base_pose, joint_positions)
 
     def step(self, base_twist, joint_targets, dt):

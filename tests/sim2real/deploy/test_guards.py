@@ -44,7 +44,7 @@ class Puppet:
         self.sent = []
         self.state = home(robot)
 
-    def reset(self, base_pose, joint_positions, rows=None):
+    def reset(self, base_pose, joint_positions, env_ids=None):
         return self.state
 
     def step(self, base_twist, joint_targets, dt):
@@ -529,7 +529,7 @@ class Hand(Puppet):
 
     grips = 0
 
-    def grip(self, grip, rows):
+    def grip(self, grip, env_ids):
         self.grips += 1
 
 

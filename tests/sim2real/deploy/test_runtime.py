@@ -58,7 +58,7 @@ class RealTimeRobot:
     def broken(self):
         return len(self.commands) > self.after
 
-    def reset(self, base_pose, joint_positions, rows=None):
+    def reset(self, base_pose, joint_positions, env_ids=None):
         return self.read()
 
     def step(self, base_twist, joint_targets, dt):
@@ -387,14 +387,14 @@ class Broken(AnalyticBackend):
         super().__init__()
         self.method, self.answer = method, answer
 
-    def reset(self, base_pose, joint_positions, rows=None):
+    def reset(self, base_pose, joint_positions, env_ids=None):
         if self.method == "reset":
             if isinstance(self.answer, BaseException):
                 raise self.answer
             return self.answer
-        return super().reset(base_pose, joint_positions, rows)
+        return super().reset(base_pose, joint_positions, env_ids)
 
-    def seed(self, seeds, rows):
+    def seed(self, seeds, env_ids):
         if self.method == "seed":
             raise self.answer
 
@@ -406,7 +406,7 @@ class BrokenRobot(RealTimeRobot):
         super().__init__(robot)
         self.method, self.answer = method, answer
 
-    def reset(self, base_pose, joint_positions, rows=None):
+    def reset(self, base_pose, joint_positions, env_ids=None):
         return self.says("reset", RealTimeRobot.read(self))
 
     def step(self, base_twist, joint_targets, dt):
