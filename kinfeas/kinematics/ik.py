@@ -129,7 +129,7 @@ class IkSolver:
             KinfeasError: If one of them is of another shape, or missing.
         """
         if max_joint_step is None and not allow_reconfiguration:
-            raise KinfeasError("without swings, moves must be given")
+            raise KinfeasError("without reconfiguration, max_joint_step must be given")
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
         near = (
@@ -154,7 +154,9 @@ class IkSolver:
         if seed.shape != (len(targets), joints):
             raise KinfeasError(f"seeds must be of shape {len(targets), joints}, not {seed.shape}")
         if max_joint_step is not None and max_joint_step.shape != (joints,):
-            raise KinfeasError(f"moves must be of shape ({joints},), not {max_joint_step.shape}")
+            raise KinfeasError(
+                f"max_joint_step must be of shape ({joints},), not {max_joint_step.shape}"
+            )
 
 
 def _make_problem(

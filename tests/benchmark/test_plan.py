@@ -41,7 +41,10 @@ def test_runs_go_before_what_is_shipped():
 
 def test_what_is_aided_is_a_row_of_its_own():
     runs = [Run(Path(f"run-{name}"), "pr2", name, 4, "ggr") for name in ("sac", "td3")]
-    aids = "aids=[{feasibility_filter: true}, {rollout_planner: true}, {feasibility_filter: true, rollout_planner: true}]"
+    aids = (
+        "aids=[{feasibility_filter: true}, {rollout_planner: true}, "
+        "{feasibility_filter: true, rollout_planner: true}]"
+    )
     jobs = plan_jobs(small_study("policies=either", "robots=[pr2]", "tasks=[ggr]", aids), runs)
     aided = [job for job in jobs if ":" in job.policy]
     assert [(job.policy, job.source, job.world.feasibility_filter) for job in aided] == [

@@ -139,7 +139,10 @@ def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
         ("episodes=0", ">= 1"),
         ("episodes=1000001", "at most 1000000"),
         ("policies=both", "'pretrained'"),
-        ("aids=[{robots: [pr2]}]", "one of 'feasibility_filter' and 'rollout_planner' must be true"),
+        (
+            "aids=[{robots: [pr2]}]",
+            "one of 'feasibility_filter' and 'rollout_planner' must be true",
+        ),
         (
             "aids=[{feasibility_filter: true}, {feasibility_filter: true, tasks: [ggr]}]",
             "help pr2 on ggr in the same way",

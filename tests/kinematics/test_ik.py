@@ -162,8 +162,8 @@ def test_without_swings_all_solutions_are_in_time(robot, exact_solver, draw):
     np.testing.assert_array_equal(found, same)
 
 
-def test_without_swings_the_moves_must_be_known(solver):
-    with pytest.raises(KinfeasError, match="without swings, moves must be given"):
+def test_without_reconfiguration_the_joint_step_must_be_known(solver):
+    with pytest.raises(KinfeasError, match="without reconfiguration, max_joint_step must be given"):
         solver.solve(
             np.ones((1, 7)), np.zeros((1, len(solver.robot.arm))), allow_reconfiguration=False
         )
