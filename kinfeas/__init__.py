@@ -1,6 +1,6 @@
 """Learned base motions that keep any end-effector motion kinematically feasible."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _API = ("Run", "evaluate", "export", "load_policy", "train")
 
