@@ -39,7 +39,7 @@ def paths(name: str, parameters: dict[str, object]) -> Array:
     poses = [starts()]
     state = generator.start(poses[0], target, [np.random.default_rng(0)] * 7)
     for _ in range(round(SECONDS / DT)):
-        twist, state = generator.twist(state, poses[-1], DT)
+        twist, state = generator.twist(state, poses[-1], target, np.full(7, DT))
         poses.append(integrate(poses[-1], twist, DT))
     return np.stack(poses)
 

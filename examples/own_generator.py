@@ -22,15 +22,15 @@ class Wave:
 
     def start(self, ee_pose, target_pose, rng):
         """Return the initial state of the motion."""
-        return {"goal": target_pose, "time": 0.0}
+        return {"time": 0.0}
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         """Return the final pose of the motion."""
-        return state["goal"]
+        return target_pose
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         """Return the twist for the next `dt` seconds, and the next state."""
-        rest = spatial.twist_between(ee_pose, state["goal"], 1.0)
+        rest = spatial.twist_between(ee_pose, target_pose, 1.0)
         duration = max(
             np.linalg.norm(rest[:3]) / self.speed, np.linalg.norm(rest[3:]) / 0.1, dt, 1.0
         )

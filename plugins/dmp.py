@@ -62,44 +62,47 @@ class Dmp:
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
     ) -> State:
-        """Return the state of n motions: goal, way from start to goal, velocity and time.
+        """Return the state of n motions: way from start to goal, velocity and time.
 
         Args:
             ee_pose: World pose of the driven frame, shape (n, 7).
             target_pose: World pose of the goal or the handled object, shape (n, 7).
             rngs: Not used.
         """
-        goal = compose(np.asarray(target_pose, dtype=np.float64), self._goal)
-        n = len(goal)
-        way = _way(relative(ee_pose, goal))
-        return {"goal_pose": goal, "way": way, "velocity": np.zeros((n, 6)), "time": np.zeros(n)}
+        n = len(target_pose)
+        way = _way(relative(ee_pose, compose(target_pose, self._goal)))
+        return {"way": way, "velocity": np.zeros((n, 6)), "time": np.zeros(n)}
 
-    def goal_pose(self, state: State) -> Array:
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return state["goal_pose"].copy()
+        return compose(target_pose, self._goal)
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
             state: State of n motions.
             ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            target_pose: World pose of the target now, shape (n, 7).
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
-        here = relative(ee_pose, state["goal_pose"])
-        step = np.full(len(here), dt / self._duration)
+        goal = compose(target_pose, self._goal)
+        here = relative(ee_pose, goal)
+        step = dt / self._duration
         moved, _ = self._move(state, here, step)
         step *= self._kept(moved, dt)
         moved, velocity = self._move(state, here, step)
         # A shorter step of a spring is not shorter by the same share.
         moved *= self._kept(moved, dt)[:, np.newaxis]
-        there = compose(state["goal_pose"], integrate(here, moved, 1.0))
+        there = compose(goal, integrate(here, moved, 1.0))
         twist = twist_between(ee_pose, there, dt)
         return twist, {**state, "velocity": velocity, "time": state["time"] + step}
 
-    def _kept(self, moved: Array, dt: float) -> Array:
+    def _kept(self, moved: Array, dt: Array) -> Array:
         """Return the share of a displacement, (n, 6), that the limits allow within dt, (n,)."""
-        return slowed(moved / dt, self._max_velocity, self._max_angular_velocity)
+        return slowed(moved / dt[:, np.newaxis], self._max_velocity, self._max_angular_velocity)
 
     def _move(self, state: State, here: Array, step: Array) -> tuple[Array, Array]:
         """Return displacement and next velocity, shape (n, 6), after steps of time, shape (n,).

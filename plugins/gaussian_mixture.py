@@ -43,24 +43,27 @@ class GaussianMixture(PathMotion):
         )
         super().__init__(control, in_world=False)
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
             state: State of n motions.
             ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            target_pose: World pose of the target now, shape (n, 7).
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
-        frame, control = state["frame"], self._control
+        control = self._control
         phase = np.minimum(state["phase"] + dt / control.duration, 1.0)
-        reference = compose(frame, control.path.at(phase))
+        reference = compose(target_pose, control.path.at(phase))
         wanted = twist_between(ee_pose, reference, dt)
         share = slowed(wanted, control.max_velocity, control.max_angular_velocity)
-        return wanted * share[:, np.newaxis], {"frame": frame, "phase": phase}
+        return wanted * share[:, np.newaxis], {"phase": phase}
 
-    def base_pose(self, state: State) -> Array:
+    def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return where the base was demonstrated to be now, shape (n, 7), in the world.
 
         Not-a-number if the model was fitted from demonstrations without a base.
         """
-        return self._control.path.base_at(state["phase"], state["frame"])
+        return self._control.path.base_at(state["phase"], target_pose)

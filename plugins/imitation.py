@@ -49,9 +49,9 @@ class Imitation(PathMotion):
         )
         super().__init__(control, in_world=False)
 
-    def base_pose(self, state: State) -> Array:
+    def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return where the base was demonstrated to be now, shape (n, 7), in the world.
 
         Not-a-number if the model was fitted from demonstrations without a base.
         """
-        return self._control.path.base_at(state["phase"], state["frame"])
+        return self._control.path.base_at(state["phase"], target_pose)

@@ -60,22 +60,25 @@ class Linear:
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
     ) -> State:
-        """Return the state of n motions to `target_pose`, shape (n, 7); the rest is not used."""
-        return {"goal_pose": np.array(target_pose, dtype=np.float64)}
+        """Return the state of n motions, which is empty: the way is that to the target."""
+        return {}
 
-    def goal_pose(self, state: State) -> Array:
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return state["goal_pose"].copy()
+        return np.array(target_pose, dtype=np.float64)
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
             state: State of n motions.
             ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            target_pose: World pose of the target now, shape (n, 7).
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
-        way = twist_between(ee_pose, state["goal_pose"], 1.0)
+        way = twist_between(ee_pose, target_pose, 1.0)
         # Never past the goal: at most the whole way within dt.
         execution = np.minimum(self._pace(way), 1.0 / dt)
         return way * execution[:, np.newaxis], dict(state)

@@ -17,7 +17,7 @@ class MinimumJerk:
     Position and orientation cover the same share `10 s^3 - 15 s^4 + 6 s^5` of their way, with `s`
     the share of the time: the motion of least squared jerk (Flash and Hogan, J. Neuroscience 5(7),
     1985, equation 2). The duration is the shortest in which neither limit is exceeded. An EE that
-    was displaced comes back, and time waits for it.
+    was displaced comes back, and time waits for it; the way ends where the target is now.
 
     Args:
         min_duration: Shortest time in seconds that a motion takes.
@@ -42,39 +42,37 @@ class MinimumJerk:
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
     ) -> State:
-        """Return the state of n motions: both ends, shape (n, 7), and times in seconds, (n,).
+        """Return the state of n motions: their starts, shape (n, 7), and times in seconds, (n,).
 
         Args:
             ee_pose: World pose of the driven frame, shape (n, 7).
             target_pose: World pose where the EE is to end, shape (n, 7).
             rngs: Not used.
         """
-        begin, goal = (np.array(pose, dtype=np.float64) for pose in (ee_pose, target_pose))
-        way = twist_between(begin, goal, 1.0)
+        begin = np.array(ee_pose, dtype=np.float64)
+        way = twist_between(begin, target_pose, 1.0)
         linear = _PEAK * norm(way[:, :3]) / self._max_velocity
         angular = _PEAK * norm(way[:, 3:]) / self._max_angular_velocity
         duration = np.maximum(np.maximum(linear, angular), self._min_duration)
-        return {
-            "start_pose": begin,
-            "goal_pose": goal,
-            "duration": duration,
-            "time": np.zeros(len(goal)),
-        }
+        return {"start_pose": begin, "duration": duration, "time": np.zeros(len(begin))}
 
-    def goal_pose(self, state: State) -> Array:
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return state["goal_pose"].copy()
+        return np.array(target_pose, dtype=np.float64)
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
             state: State of n motions.
             ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            target_pose: World pose of the target now, shape (n, 7).
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
         time = np.minimum(state["time"] + dt, state["duration"])
-        way = twist_between(state["start_pose"], state["goal_pose"], 1.0)
+        way = twist_between(state["start_pose"], target_pose, 1.0)
         covered = _share(time / state["duration"])[:, np.newaxis]
         there = integrate(state["start_pose"], way * covered, 1.0)
         wanted = twist_between(ee_pose, there, dt)

@@ -23,8 +23,7 @@ _MOST_SEGMENTS = 20_000
 class PathMotion:
     """Motions along one path, in the frame of their targets or in the world.
 
-    The state holds the world pose of the path's frame and the phase in [0, 1], the share of the
-    path that is behind the hand.
+    The state holds the phase in [0, 1], the share of the path that is behind the hand.
     """
 
     def __init__(self, control: PhaseControl, in_world: bool) -> None:
@@ -41,25 +40,30 @@ class PathMotion:
             target_pose: World pose that the path moves with, shape (n, 7).
             rngs: Not used.
         """
-        frame = np.array(target_pose, dtype=np.float64)
-        if self._in_world:
-            frame[:] = IDENTITY
-        return {"frame": frame, "phase": np.zeros(len(frame))}
+        return {"phase": np.zeros(len(target_pose))}
 
-    def goal_pose(self, state: State) -> Array:
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return compose(state["frame"], self._control.path.knots[-1])
+        return compose(self._frame(target_pose), self._control.path.knots[-1])
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
             state: State of n motions.
             ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            target_pose: World pose of the target now, shape (n, 7).
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
-        twist, phase = self._control.step(state["frame"], state["phase"], ee_pose, dt)
-        return twist, {"frame": state["frame"], "phase": phase}
+        frame = self._frame(target_pose)
+        twist, phase = self._control.step(frame, state["phase"], ee_pose, dt)
+        return twist, {"phase": phase}
+
+    def _frame(self, target_pose: Array) -> Array:
+        """Return the world poses of the frames that the path is in, shape (n, 7)."""
+        return np.broadcast_to(IDENTITY, target_pose.shape) if self._in_world else target_pose
 
 
 def checked_frame(name: str) -> Frame:

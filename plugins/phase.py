@@ -44,21 +44,22 @@ class PhaseControl:
         for name in ("gain", "position_scale", "rotation_scale", *limits):
             positive(name, getattr(self, name))
 
-    def step(self, frame: Array, phase: Array, ee_pose: Array, dt: float) -> tuple[Array, Array]:
+    def step(self, frame: Array, phase: Array, ee_pose: Array, dt: Array) -> tuple[Array, Array]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next phase, (n,).
 
         Args:
             frame: World pose of the frame that the path is in, shape (n, 7).
             phase: Share of the path that is behind the hand, shape (n,).
             ee_pose: World pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
         here = compose(frame, self.path.at(phase))
         error = twist_between(here, ee_pose, 1.0)
         advance = np.minimum(self._nearness(error) * dt / self.duration, 1.0 - phase)
         there = compose(frame, self.path.at(phase + advance))
         # A step longer than 1 / gain would shoot past the path.
-        wanted = twist_between(here, there, dt) - min(self.gain, 1.0 / dt) * error
+        gain = np.minimum(self.gain, 1.0 / dt)[:, np.newaxis]
+        wanted = twist_between(here, there, dt) - gain * error
         share = slowed(wanted, self.max_velocity, self.max_angular_velocity)
         return wanted * share[:, np.newaxis], phase + share * advance
 

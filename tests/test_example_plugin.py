@@ -145,36 +145,36 @@ BROKEN = """
         def start(self, ee_pose, target_pose, rngs):
             return {"goal": target_pose.copy()}
 
-        def goal_pose(self, state):
+        def goal_pose(self, state, target_pose):
             return state["goal"]
 
-        def twist(self, state, ee_pose, dt):
+        def twist(self, state, ee_pose, target_pose, dt):
             way = twist_between(ee_pose, state["goal"], dt)
             fastest = np.linalg.norm(way, axis=1, keepdims=True)
             return way * np.minimum(1.0, 0.099 / np.maximum(fastest, 1e-9)), state
 
     class WrongShape(Sound):
-        def twist(self, state, ee_pose, dt):
-            return super().twist(state, ee_pose, dt)[0][:, :3], state
+        def twist(self, state, ee_pose, target_pose, dt):
+            return super().twist(state, ee_pose, target_pose, dt)[0][:, :3], state
 
     class NotANumber(Sound):
-        def twist(self, state, ee_pose, dt):
-            return super().twist(state, ee_pose, dt)[0] * np.nan, state
+        def twist(self, state, ee_pose, target_pose, dt):
+            return super().twist(state, ee_pose, target_pose, dt)[0] * np.nan, state
 
     class NotUnit(Sound):
-        def goal_pose(self, state):
+        def goal_pose(self, state, target_pose):
             return state["goal"] * 2.0
 
     class InfiniteSpeed(Sound):
-        def twist(self, state, ee_pose, dt):
-            return super().twist(state, ee_pose, dt)[0] + np.inf, state
+        def twist(self, state, ee_pose, target_pose, dt):
+            return super().twist(state, ee_pose, target_pose, dt)[0] + np.inf, state
 
     class NeverArrives(Sound):
-        def twist(self, state, ee_pose, dt):
-            return 0.01 * super().twist(state, ee_pose, dt)[0], state
+        def twist(self, state, ee_pose, target_pose, dt):
+            return 0.01 * super().twist(state, ee_pose, target_pose, dt)[0], state
 
     class Raises(Sound):
-        def twist(self, state, ee_pose, dt):
+        def twist(self, state, ee_pose, target_pose, dt):
             return state["gaol"], state
 """
 

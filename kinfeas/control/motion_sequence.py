@@ -118,7 +118,7 @@ class MotionSequence:
     def goal(self) -> Array:
         """World pose of the EE at the end of each row's sub-goal, shape (n, 7)."""
         if self._goal is None:
-            asked = self._ask(lambda generator, state: generator.goal_pose(state))
+            asked = self._ask(CheckedMotion.goal_pose)
             self._goal = self._to_ee(asked)
         return self._goal
 
@@ -139,19 +139,22 @@ class MotionSequence:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
         if not self._demonstrated:
             return np.broadcast_to(np.nan, (len(self.subgoal), 7))
-        return self._ask(lambda generator, state: generator.base_pose(state))
+        return self._ask(CheckedMotion.base_pose)
 
     def ahead(self, dt: float) -> Moves:
         """Return where the desired EE poses will be in `dt` seconds; nothing moves yet."""
-        frame = self._to_frame(self.desired)
+        frame, targets = self._to_frame(self.desired), self._target
+        seconds = np.full(len(frame), dt)
         stands = self.stands
         if len(self.generators) == 1 and not stands.any():
-            twist, state = self.generators[0].twist(self._states[0], frame, dt)
+            twist, state = self.generators[0].twist(self._states[0], frame, targets, seconds)
             return self._to_ee(spatial.integrate(frame, twist, dt)), [state]
         twist, states = np.zeros((len(frame), 6)), list(self._states)
         for number, generator, rows in self._groups(~stands):
             state = of_rows(states[number], rows)
-            twist[rows], after = generator.twist(state, frame[rows], dt)
+            twist[rows], after = generator.twist(
+                state, frame[rows], targets[rows], seconds[rows]
+            )
             states[number] = merged(states[number], rows, after, len(frame))
         moved = self._to_ee(spatial.integrate(frame, twist, dt))
         return np.where(stands[:, np.newaxis], self.desired, moved), states
@@ -237,22 +240,29 @@ class MotionSequence:
         """Start the motion of the sub-goal that each of `rows` is at, from its desired pose."""
         begins = np.zeros(len(self.subgoal), dtype=np.bool_)
         begins[rows] = True
-        frame = self._to_frame(self.desired)
+        frame, targets = self._to_frame(self.desired), self._target
         for number, generator, group in self._groups(begins):
             subgoals = self.subgoal[group]
             keys = zip(self._seeds[group].tolist(), subgoals.tolist(), strict=True)
             rngs = [np.random.default_rng(key) for key in keys]
-            state = generator.start(frame[group], self._targets[group, subgoals], rngs)
+            state = generator.start(frame[group], targets[group], rngs)
             self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
 
-    def _ask(self, question: Callable[[CheckedMotion, State], Array]) -> Array:
+    @property
+    def _target(self) -> Array:
+        """World pose of the target of each row's sub-goal, shape (n, 7)."""
+        target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
+        return target
+
+    def _ask(self, question: Callable[[CheckedMotion, State, Array], Array]) -> Array:
         """Return what each row's generator answers, shape (n, 7)."""
+        targets = self._target
         if len(self.generators) == 1:
-            return question(self.generators[0], self._states[0])
+            return question(self.generators[0], self._states[0], targets)
         answers = np.empty((len(self.subgoal), 7))
         for number, generator, rows in self._groups(np.ones(len(self.subgoal), dtype=np.bool_)):
-            answers[rows] = question(generator, of_rows(self._states[number], rows))
+            answers[rows] = question(generator, of_rows(self._states[number], rows), targets[rows])
         return answers
 
     def _groups(self, chosen: NDArray[np.bool_]) -> list[tuple[int, CheckedMotion, Rows]]:

@@ -15,8 +15,10 @@ class MotionGenerator(Protocol):
 
     Pure: the state is passed in and handed back, a dict of arrays with leading axis n, so that a
     caller can restart single motions or look one step ahead without committing to it. States may
-    share arrays, so whoever restarts single motions writes into copies. A generator is built from
-    keyword parameters and never learns which frame or which robot it drives.
+    share arrays, so whoever restarts single motions writes into copies. The target is an input of
+    every call, since it may move; what a motion needs of its start belongs into the state. A
+    generator is called once a step, is built from keyword parameters and never learns which frame
+    or which robot it drives.
     """
 
     def start(
@@ -31,17 +33,25 @@ class MotionGenerator(Protocol):
         """
         ...
 
-    def goal_pose(self, state: State) -> Array:
-        """Return the world poses at which the motions end, shape (n, 7)."""
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7).
+
+        Args:
+            state: State of n motions.
+            target_pose: Where their targets are now, shape (n, 7).
+        """
         ...
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
 
         Args:
             state: State of n motions.
             ee_pose: Desired world pose that the motion has come to, shape (n, 7).
-            dt: Duration of the step in seconds.
+            target_pose: Where the targets are now, shape (n, 7).
+            dt: Duration of each motion's step in seconds, shape (n,).
         """
         ...
 
@@ -50,9 +60,13 @@ class MotionGenerator(Protocol):
 class Demonstrated(Protocol):
     """What a motion generator has besides if the base was demonstrated along with the EE."""
 
-    def base_pose(self, state: State) -> Array:
+    def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the base was demonstrated to be now, shape (n, 7).
 
         Rows of NaN where that is not known.
+
+        Args:
+            state: State of n motions.
+            target_pose: Where their targets are now, shape (n, 7).
         """
         ...

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinfeas.core.checks.arrays import instead
+from kinfeas.core.checks.signatures import SINGLE_PARAMETERS, require_parameters
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator, State
 from kinfeas.core.spatial import Array
@@ -29,12 +30,12 @@ class SingleMotion(Protocol):
         """Return the state of a motion that begins at `ee_pose`, shape (7,)."""
         ...
 
-    def goal_pose(self, state: dict[str, Any]) -> Array:
+    def goal_pose(self, state: dict[str, Any], target_pose: Array) -> Array:
         """Return the world pose at which the motion ends, shape (7,)."""
         ...
 
     def twist(
-        self, state: dict[str, Any], ee_pose: Array, dt: float
+        self, state: dict[str, Any], ee_pose: Array, target_pose: Array, dt: float
     ) -> tuple[Array, Mapping[str, ArrayLike]]:
         """Return the world twist for the next `dt` seconds, shape (6,), and the next state."""
         ...
@@ -49,12 +50,12 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
         class Hover:
             def __init__(self, *, height: float = 0.1) -> None: ...
             def start(self, ee_pose, target_pose, rng): ...  # (7,), (7,) -> dict
-            def goal_pose(self, state): ...  # -> (7,)
-            def twist(self, state, ee_pose, dt): ...  # -> (6,), dict
+            def goal_pose(self, state, target_pose): ...  # -> (7,)
+            def twist(self, state, ee_pose, target_pose, dt): ...  # -> (6,), dict
 
-    Optional: `base_pose(self, state)`, where the base was demonstrated to be, (7,); else NaN.
-    The class gets its own copy of every array and may write into it. Numbers in the state come
-    back as float64. It costs a Python call a row: write large batches with arrays instead.
+    Optional: `base_pose(self, state, target_pose)`, where the base was demonstrated to be, (7,);
+    else NaN. The class gets its own copy of every array and may write into it. Numbers in the state
+    come back as float64. It costs a Python call a row: write large batches with arrays instead.
     """
     if not isinstance(single, type):
         raise KinfeasError(f"batched takes a class, not {single!r}")
@@ -63,6 +64,7 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
     @functools.wraps(single.__init__)  # type: ignore[misc]  # `single` is a class
     def __init__(self: RowByRow, *args: Any, **kwargs: Any) -> None:  # noqa: N807  a constructor
         self.single = single(*args, **kwargs)
+        require_parameters(self.single, SINGLE_PARAMETERS, single.__name__)
 
     members = {name: getattr(single, name) for name in ("__doc__", "__module__", "__qualname__")}
     members |= {"__init__": __init__, "__signature__": inspect.signature(single)}
@@ -89,15 +91,18 @@ class RowByRow:
         states = [self.single.start(ee.copy(), target.copy(), rng) for ee, target, rng in rows]
         return self._stacked("start", states)
 
-    def goal_pose(self, state: State) -> Array:
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return _poses(self.single.goal_pose, state)
+        return _poses(self.single.goal_pose, state, target_pose)
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist, shape (n, 6), and the next state."""
+        rows = zip(ee_pose, target_pose, dt.tolist(), strict=True)
         steps = [
-            self._pair(self.single.twist(_row(state, i), pose.copy(), dt))
-            for i, pose in enumerate(ee_pose)
+            self._pair(self.single.twist(_row(state, i), pose.copy(), target.copy(), seconds))
+            for i, (pose, target, seconds) in enumerate(rows)
         ]
         if not steps:
             return np.zeros((0, 6)), dict(state)
@@ -124,8 +129,6 @@ class RowByRow:
         where = f"{type(self).__name__}.{method}"
         rows = [_numbers(state, where) for state in states]
         shapes = {k: v.shape for k, v in rows[0].items()}
-        if not shapes:
-            raise KinfeasError(f"{where} returned an empty state; it must hold at least the goal")
         for row in rows:
             if (other := {k: v.shape for k, v in row.items()}) != shapes:
                 raise KinfeasError(
@@ -135,15 +138,16 @@ class RowByRow:
         return {k: np.stack([row[k] for row in rows]) for k in shapes}
 
 
-def _base_pose(self: RowByRow, state: State) -> Array:
+def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:
     """Return the world poses at which the base was demonstrated to be now, shape (n, 7)."""
-    return _poses(cast("Any", self.single).base_pose, state)
+    return _poses(cast("Any", self.single).base_pose, state, target_pose)
 
 
-def _poses(ask: Callable[[dict[str, Any]], Array], state: State) -> Array:
-    """Return what `ask` answers for the state of each motion, shape (n, 7)."""
-    n = len(next(iter(state.values()), ()))
-    poses = [ask(_row(state, i)) for i in range(n)]
+def _poses(
+    ask: Callable[[dict[str, Any], Array], Array], state: State, target_pose: Array
+) -> Array:
+    """Return what `ask` answers for the state and the target of each motion, shape (n, 7)."""
+    poses = [ask(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
     return np.stack(poses) if poses else np.zeros((0, 7))
 
 

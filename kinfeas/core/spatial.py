@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import pose_kernels
@@ -55,22 +55,23 @@ def relative(pose: Array, frame: Array) -> Array:
     return seen
 
 
-def integrate(pose: Array, twist: Array, dt: float) -> Array:
+def integrate(pose: Array, twist: Array, dt: ArrayLike) -> Array:
     """Return the pose reached from `pose` after `dt` seconds of constant `twist`.
 
     Args:
         pose: World pose, shape (..., 7), metres and unit quaternion xyzw.
         twist: World-axes twist, shape (..., 6), m/s and rad/s.
-        dt: Duration in seconds.
+        dt: Duration in seconds, shape (...) or one for all.
     """
     reached: Array = _call(pose_kernels.integrate, pose, twist, dt, last=_TWIST)
     return reached
 
 
-def twist_between(start: Array, end: Array, dt: float) -> Array:
+def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
     """Return the constant twist that leads from `start` to `end` in `dt` seconds.
 
-    The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s.
+    The inverse of `integrate`: shapes (..., 7), (..., 7) -> (..., 6), m/s and rad/s; `dt` may have
+    shape (...).
     """
     twist: Array = _call(pose_kernels.twist_between, start, end, dt, pose_kernels.TWIST)
     return twist

@@ -26,7 +26,7 @@ RULES = {
     "restart": "single motions of a batch can start again",
     "velocity": "the speed keeps to its limit",
     "angular_velocity": "the angular speed keeps to its limit",
-    "goal": "the goal stays where it was at the start",
+    "goal": "the goal stays where it is while the target does",
     "arrival": "every motion arrives in time",
 }
 """What is checked, by short names."""
@@ -63,9 +63,12 @@ class Probe:
         rngs = [np.random.default_rng([self.trial.seed, row]) for row in rows]
         return self.motion.start(ee_pose, target_pose, rngs)
 
-    def twist(self, state: State, ee_pose: Array) -> tuple[Array, State]:
-        """Return the twist of the next step and the state after it."""
-        twist, after = self.motion.twist(state, ee_pose, self.trial.dt)
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array | None = None
+    ) -> tuple[Array, State]:
+        """Return the twist of the next step and the state after it; the trial's dt by default."""
+        dt = np.full(len(ee_pose), self.trial.dt) if dt is None else dt
+        twist, after = self.motion.twist(state, ee_pose, target_pose, dt)
         self._require_limit("velocity", twist[:, :3], self.trial.max_velocity, "m/s")
         self._require_limit(
             "angular_velocity", twist[:, 3:], self.trial.max_angular_velocity, "rad/s"
@@ -94,13 +97,13 @@ def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
     looks = set((np.geomspace(1, steps, _LOOKS).astype(int) - 1).tolist())
     for step in range(steps):
         if step in looks:
-            seen.append(_check_step(probe, state, ee_pose))
+            seen.append(_check_step(probe, state, ee_pose, targets))
             _check_restart(probe, seen, targets)
-        twist, state = probe.twist(state, ee_pose)
+        twist, state = probe.twist(state, ee_pose, targets)
         ee_pose = integrate(ee_pose, twist, probe.trial.dt)
         if on_step is not None:
             on_step()
-    _check_arrival(probe, ee_pose, (seen[0].state, state))
+    _check_arrival(probe, ee_pose, targets, (seen[0].state, state))
 
 
 @dataclass(frozen=True)
@@ -136,27 +139,44 @@ def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
     return state
 
 
-def _check_step(probe: Probe, state: State, ee_pose: Array) -> _Step:
+def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _Step:
     """Return the step from `state`, which must be a function of what twist is given."""
     step_state, step_pose = copy.deepcopy(state), ee_pose.copy()
-    twist, after = copy.deepcopy(probe.twist(state, ee_pose))
+    given, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
+    twist, after = copy.deepcopy(probe.twist(state, ee_pose, given, dt))
     kept = _close(state, step_state, 0.0)
     probe.require(kept, "copies", "writes into the state that twist is given")
     kept = np.array_equal(ee_pose, step_pose)
     probe.require(kept, "copies", "writes into the ee_pose that twist is given")
-    again, after_again = probe.twist(state, ee_pose)
+    kept = np.array_equal(given, targets)
+    probe.require(kept, "copies", "writes into the target_pose that twist is given")
+    kept = bool(np.all(dt == probe.trial.dt))
+    probe.require(kept, "copies", "writes into the dt that twist is given")
+    again, after_again = probe.twist(state, ee_pose, targets)
     same = np.array_equal(twist, again) and _close(after, after_again, 0.0)
     probe.require(
         same,
         "repeatable",
         "answers the same twist call differently twice; what changes belongs into the state",
     )
+    uneven = dt * np.resize([1.0, 0.5], len(dt))
+    mixed, after_mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
     for row in _some(range(len(ee_pose))):
         one = slice(row, row + 1)
-        alone, after_alone = probe.twist(_rows(state, one), ee_pose[one].copy())
+        alone, after_alone = _alone(probe, state, ee_pose, targets, dt, one)
         same = _near(alone, twist[one]) and _close(after_alone, _rows(after, one), _NEAR)
         probe.require(same, "rows", "moves a motion differently alone than in a batch")
+        alone, after_alone = _alone(probe, state, ee_pose, targets, uneven, one)
+        same = _near(alone, mixed[one]) and _close(after_alone, _rows(after_mixed, one), _NEAR)
+        probe.require(same, "rows", "moves a motion differently if the others have another dt")
     return _Step(step_state, step_pose, twist)
+
+
+def _alone(  # noqa: PLR0913  what twist takes, and which row
+    probe: Probe, state: State, ee_pose: Array, targets: Array, dt: Array, one: slice
+) -> tuple[Array, State]:
+    """Return the step of a single motion."""
+    return probe.twist(_rows(state, one), ee_pose[one].copy(), targets[one].copy(), dt[one].copy())
 
 
 def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
@@ -169,7 +189,7 @@ def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
     for key, value in fresh.items():
         state[key][one] = value
     ee_pose[one] = first.ee_pose[one]
-    twist, _ = probe.twist(state, ee_pose)
+    twist, _ = probe.twist(state, ee_pose, targets)
     expected = now.twist.copy()
     expected[one] = first.twist[one]
     probe.require(
@@ -180,9 +200,11 @@ def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
     )
 
 
-def _check_arrival(probe: Probe, ee_pose: Array, states: tuple[State, State]) -> None:
+def _check_arrival(
+    probe: Probe, ee_pose: Array, targets: Array, states: tuple[State, State]
+) -> None:
     """Check that the motions end at the goal that was named at the start."""
-    announced, final = (probe.motion.goal_pose(state) for state in states)
+    announced, final = (probe.motion.goal_pose(state, targets) for state in states)
     metres, radians = distance(announced, final)
     fixed = metres.max() < _NEAR and radians.max() < np.sqrt(_NEAR)
     probe.require(fixed, "goal", "moves its goal_pose during the motion")

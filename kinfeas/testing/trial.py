@@ -99,10 +99,11 @@ def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
     ee_pose, targets = trial.poses()
     rngs = [np.random.default_rng([trial.seed, row]) for row in range(len(targets))]
     state = motion.start(ee_pose.copy(), targets.copy(), rngs)
-    goal, poses, twists, broken = motion.goal_pose(state), [ee_pose], [], None
+    goal, poses, twists, broken = motion.goal_pose(state, targets), [ee_pose], [], None
+    dt = np.full(len(targets), trial.dt)
     try:
         for _ in range(trial.steps):
-            twist, state = motion.twist(state, ee_pose, trial.dt)
+            twist, state = motion.twist(state, ee_pose, targets, dt)
             ee_pose = integrate(ee_pose, twist, trial.dt)
             poses.append(ee_pose)
             twists.append(twist)

@@ -18,14 +18,14 @@ class Wander:
         goal[:, :3] += np.array([rng.uniform(-0.1, 0.1, 3) for rng in rngs])
         return {"goal": goal, "count": np.zeros(len(goal)), "begin": ee_pose.copy()}
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"].copy()
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         way = spatial.twist_between(ee_pose, state["goal"], 1.0)
         return 0.5 * way, {**state, "count": state["count"] + 1.0}
 
-    def base_pose(self, state):
+    def base_pose(self, state, target_pose):
         pose = np.tile(spatial.IDENTITY, (len(state["count"]), 1))
         pose[:, 0] = state["count"]
         return pose

@@ -25,10 +25,10 @@ class Approach:
         goal[2] += rng.uniform(0.0, self.height)
         return {"goal": goal, "steps": 0}
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"]
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         way = twist_between(ee_pose, self.goal_pose(state), dt)
         fastest = max(np.linalg.norm(way[:3]), np.linalg.norm(way[3:]), self.speed)
         state["steps"] += 1
@@ -70,7 +70,7 @@ def test_each_row_is_the_single_motion(n):
 
 
 class Shown(Approach):
-    def base_pose(self, state):
+    def base_pose(self, state, target_pose):
         return state["goal"] + state["steps"]
 
 
@@ -114,10 +114,10 @@ def test_a_class_without_a_constructor_takes_no_parameters():
         def start(self, ee_pose, target_pose, rng):
             return {"goal": ee_pose}
 
-        def goal_pose(self, state):
+        def goal_pose(self, state, target_pose):
             return state["goal"]
 
-        def twist(self, state, ee_pose, dt):
+        def twist(self, state, ee_pose, target_pose, dt):
             return np.zeros(6), state
 
     assert not inspect.signature(Still).parameters
@@ -144,8 +144,8 @@ def test_what_is_kept_in_attributes_is_found_out():
             self.began = ee_pose
             return super().start(ee_pose, target_pose, rng)
 
-        def twist(self, state, ee_pose, dt):
-            twist, state = super().twist(state, ee_pose, dt)
+        def twist(self, state, ee_pose, target_pose, dt):
+            twist, state = super().twist(state, ee_pose, target_pose, dt)
             near = relative(ee_pose, self.began)[0] > 0.0
             return twist * (0.5 if near else 1.0), state
 
@@ -187,19 +187,19 @@ def test_as_many_rngs_as_motions():
 
 
 class NoPair(Approach):
-    def twist(self, state, ee_pose, dt):
-        return super().twist(state, ee_pose, dt)[0]
+    def twist(self, state, ee_pose, target_pose, dt):
+        return super().twist(state, ee_pose, target_pose, dt)[0]
 
 
 class ShortTwist(Approach):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist[:3], state
 
 
 class MixedTwist(Approach):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return [*twist[:5], None], state
 
 

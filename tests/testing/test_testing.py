@@ -20,10 +20,10 @@ class Good:
         goal[:, :3] += jitter
         return {"goal": goal, "time": np.zeros(len(goal))}
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"]
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         way = twist_between(ee_pose, state["goal"], dt)
         speed = np.maximum(*(np.linalg.norm(part, axis=-1) for part in (way[:, :3], way[:, 3:])))
         share = np.minimum(1.0, 0.099 / np.maximum(speed, 1e-12))
@@ -51,8 +51,8 @@ class StateLacksRows(Good):
 
 
 class StateChangesKeys(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist, {**state, "last": twist}
 
 
@@ -87,41 +87,41 @@ class SharesRandomness(Good):
 
 
 class GoalOfWrongShape(Good):
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"][:, :3]
 
 
 class GoalNotOfUnitLength(Good):
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"] * 2.0
 
 
 class GoalInWxyz(Good):
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"][:, [0, 1, 2, 6, 3, 4, 5]]
 
 
 class MovingGoal(Good):
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         goal = state["goal"].copy()
         goal[:, 0] += 1e-3 * state["time"]
         return goal
 
 
 class NoPair(Good):
-    def twist(self, state, ee_pose, dt):
-        return super().twist(state, ee_pose, dt)[0]
+    def twist(self, state, ee_pose, target_pose, dt):
+        return super().twist(state, ee_pose, target_pose, dt)[0]
 
 
 class TwistOfWrongShape(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist[:, :3], state
 
 
 class TwistIsAList(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist.tolist(), state
 
 
@@ -129,7 +129,7 @@ class NanAtTheGoal(Good):
     def start(self, ee_pose, target_pose, rngs):
         return {"goal": target_pose.copy()}
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         way = twist_between(ee_pose, state["goal"], dt)
         with np.errstate(invalid="ignore", divide="ignore"):
             share = 0.05 / np.linalg.norm(way[:, :3], axis=-1, keepdims=True)
@@ -137,26 +137,26 @@ class NanAtTheGoal(Good):
 
 
 class TooFast(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * [2.0, 2.0, 2.0, 1.0, 1.0, 1.0], state
 
 
 class TurnsTooFast(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * [1.0, 1.0, 1.0, 2.0, 2.0, 2.0], state
 
 
 class WritesIntoTheState(Good):
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         state["time"] += dt
-        return super().twist(state, ee_pose, dt)
+        return super().twist(state, ee_pose, target_pose, dt)
 
 
 class WritesIntoThePose(Good):
-    def twist(self, state, ee_pose, dt):
-        answer = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        answer = super().twist(state, ee_pose, target_pose, dt)
         ee_pose[:, :3] += answer[0][:, :3] * dt
         return answer
 
@@ -165,9 +165,9 @@ class RemembersCalls(Good):
     def __init__(self):
         self.calls = 0
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         self.calls += 1
-        twist, state = super().twist(state, ee_pose, dt)
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * (1.0 - 0.5 / self.calls), state
 
 
@@ -177,9 +177,9 @@ class RemembersTheLongRun(Good):
     def __init__(self):
         self.calls = 0
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         self.calls += 1
-        twist, state = super().twist(state, ee_pose, dt)
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * (1.0 if self.calls < 600 else 0.9), state
 
 
@@ -188,26 +188,26 @@ class RemembersTheStart(Good):
         self.height = target_pose[0, 2]
         return super().start(ee_pose, target_pose, rngs)
 
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * min(1.0, 0.5 + self.height), state
 
 
 class WaitsForTheSlowest(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * np.linalg.norm(twist, axis=-1).min(), state
 
 
 class NeverArrives(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         return twist * 0.01, state
 
 
 class LeavesAgain(Good):
-    def twist(self, state, ee_pose, dt):
-        twist, state = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, state = super().twist(state, ee_pose, target_pose, dt)
         twist[state["time"] > 100.0] = [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
         return twist, state
 
@@ -312,7 +312,7 @@ def test_examine_tells_what_is_no_generator():
 
 def test_examine_tells_what_the_generators_own_code_raises():
     class Raises(Good):
-        def twist(self, state, ee_pose, dt):
+        def twist(self, state, ee_pose, target_pose, dt):
             return state["gaol"]
 
     form = examine(Raises())[0]

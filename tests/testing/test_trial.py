@@ -14,8 +14,8 @@ class Fades(Linear):
     def start(self, ee_pose, target_pose, rngs):
         return {**super().start(ee_pose, target_pose, rngs), "left": np.full(len(ee_pose), 3.0)}
 
-    def twist(self, state, ee_pose, dt):
-        twist, after = super().twist(state, ee_pose, dt)
+    def twist(self, state, ee_pose, target_pose, dt):
+        twist, after = super().twist(state, ee_pose, target_pose, dt)
         nothing = np.where(after["left"] > 0.0, 0.0, np.nan)
         return twist + nothing[:, np.newaxis], {**after, "left": after["left"] - 1.0}
 

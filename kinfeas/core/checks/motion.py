@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas.core.checks.arrays import are_unit, instead, sound
+from kinfeas.core.checks.signatures import PARAMETERS, require_parameters
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Demonstrated, MotionGenerator, State
 from kinfeas.core.plugin_errors import BLAMED, PluginErrors, package_of
@@ -45,6 +46,7 @@ class CheckedMotion:
 
     Raises:
         ConformanceError: If it lacks a method; from every method, if the answer is malformed.
+        SignatureError: If a method takes other parameters.
     """
 
     def __init__(self, generator: MotionGenerator, name: str = "") -> None:
@@ -52,13 +54,14 @@ class CheckedMotion:
         self.generator = generator
         self.demonstrated = isinstance(generator, Demonstrated)
         self.subject = f"motion generator {name or kind}"
-        self._layout: Layout = {}  # until there is a state
+        self._layout: Layout | None = None  # until there is a state
         lacks = [one for one in _METHODS if not callable(getattr(generator, one, None))]
         if lacks:
             words = ", ".join(lacks)
             raise self.error(
                 f"must have the methods start, goal_pose and twist; {kind} lacks {words}"
             )
+        require_parameters(generator, PARAMETERS, self.subject)
         self._start, self._goal_pose, self._twist, self._base_pose = (
             PluginErrors(f"{self.subject} fails in {method}:", package)
             for method in ("start", "goal_pose", "twist", "base_pose")
@@ -71,46 +74,46 @@ class CheckedMotion:
         with self._start:
             state = self.generator.start(ee_pose, target_pose, rngs)
         self._require_state("start", state, len(ee_pose))
-        if not state and len(ee_pose):
-            raise self.error("must return a state from start that holds at least the goal")
-        self._layout = self._layout or _layout(state)
-        self._require_layout(state, len(ee_pose))
-        self._require_unit(self.goal_pose(state))
+        if len(ee_pose):  # the state of no motion may have no keys
+            self._require_layout(state)
+        self._require_unit(self.goal_pose(state, target_pose))
         return state
 
-    def goal_pose(self, state: State) -> Array:
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
         try:
-            goal = self.generator.goal_pose(state)
+            goal = self.generator.goal_pose(state, target_pose)
         except BLAMED as error:
             self._goal_pose.blame(error)
             raise
-        n = _count(state)
-        if not sound(goal, (n, 7)):
-            self._require_form("goal_pose", goal, (n, 7))
+        shape = (len(target_pose), 7)
+        if not sound(goal, shape):
+            self._require_form("goal_pose", goal, shape)
             self._require_finite("goal_pose", goal)
         return goal
 
-    def twist(self, state: State, ee_pose: Array, dt: float) -> tuple[Array, State]:
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         try:
-            answer = self.generator.twist(state, ee_pose, dt)
+            answer = self.generator.twist(state, ee_pose, target_pose, dt)
         except BLAMED as error:
             self._twist.blame(error)
             raise
-        if not self._layout:  # of a run that goes on where another left off
+        if self._layout is None and len(ee_pose):  # of a run that goes on where another left off
             self._layout = _layout(state)
-        if not _plausible(answer, len(ee_pose), self._layout):
+        if self._layout is None or not _plausible(answer, len(ee_pose), self._layout):
             self._require_step(answer, len(ee_pose))
         return answer
 
-    def base_pose(self, state: State) -> Array:
+    def base_pose(self, state: State, target_pose: Array) -> Array:
         """Return where the base was demonstrated to be, shape (n, 7); NaN where it was not."""
-        n = _count(state)
+        n = len(target_pose)
         if not (self.demonstrated and isinstance(self.generator, Demonstrated)):
             return np.full((n, 7), np.nan)
         with self._base_pose:
-            pose = self.generator.base_pose(state)
+            pose = self.generator.base_pose(state, target_pose)
         self._require_form("base_pose", pose, (n, 7))
         return pose
 
@@ -124,7 +127,8 @@ class CheckedMotion:
         self._require_form("twist", answer[0], (n, 6))
         self._require_finite("twist", answer[0])
         self._require_state("twist", answer[1], n)
-        self._require_layout(answer[1], n)
+        if n:
+            self._require_layout(answer[1])
 
     def _require_state(self, method: str, state: State, n: int) -> None:
         rule = f"must return a state from {method} that is a dict of numeric arrays"
@@ -138,11 +142,12 @@ class CheckedMotion:
             if not value.ndim or len(value) != n:
                 raise self.error(f"{rule} of leading axis {n}, and {key!r} has shape {value.shape}")
 
-    def _require_layout(self, state: State, n: int) -> None:
-        found, first = _layout(state), self._layout
+    def _require_layout(self, state: State) -> None:
+        found = _layout(state)
+        self._layout = first = found if self._layout is None else self._layout
         every = sorted(found.keys() | first.keys())
         keys = [key for key in every if found.get(key) != first.get(key)]
-        if keys and n:  # the state of no motion may have no keys
+        if keys:
             raise self.error(f"changes the keys, shapes or types of its state: {keys}", "layout")
 
     def _require_form(self, method: str, value: Array, shape: tuple[int, ...]) -> None:
@@ -178,8 +183,3 @@ def _plausible(answer: Any, n: int, layout: Layout) -> bool:
 def _layout(state: State) -> Layout:
     """Return what all motions of a state have in common: type and shape by key."""
     return {key: (value.dtype, value.shape[1:]) for key, value in state.items()}
-
-
-def _count(state: State) -> int:
-    """Return how many motions a state is of."""
-    return len(next(iter(state.values()), ()))

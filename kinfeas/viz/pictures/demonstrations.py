@@ -75,10 +75,10 @@ def run_motion(
     state = generator.start(start, target, [np.random.default_rng(0) for _ in start])
     path = [start]
     for _ in range(_MOST_STEPS):
-        metres, radians = distance(path[-1], generator.goal_pose(state))
+        metres, radians = distance(path[-1], generator.goal_pose(state, target))
         if np.all(metres < _ARRIVED[0]) and np.all(radians < _ARRIVED[1]):
             break
-        twist, state = generator.twist(state, path[-1], dt)
+        twist, state = generator.twist(state, path[-1], target, np.full(len(start), dt))
         path.append(integrate(path[-1], twist, dt))
     return path
 

@@ -27,10 +27,10 @@ class Answers:
     def start(self, ee_pose, target_pose, rngs):
         return self.answer("start", {"goal": target_pose.copy()})
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return self.answer("goal", state["goal"])
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         return self.answer("twist", (np.zeros((3, 6)), state))
 
 
@@ -172,10 +172,10 @@ class Hover:
     def start(self, ee_pose, target_pose, rng):
         return {"goal": ee_pose}
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         return state["goal"]
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         return np.zeros(6), state
 
 

@@ -33,19 +33,19 @@ class Swirl:
         self.max_velocity, self.max_angular_velocity = max_velocity, max_angular_velocity
 
     def start(self, ee_pose, target_pose, rngs):
-        """Return the state of n motions to `target_pose`, shape (n, 7)."""
-        return {"goal": target_pose.copy()}
+        """Return the state of n motions, which is empty."""
+        return {}
 
-    def goal_pose(self, state):
+    def goal_pose(self, state, target_pose):
         """Return the world poses at which the motions end, shape (n, 7)."""
-        return state["goal"].copy()
+        return target_pose
 
-    def twist(self, state, ee_pose, dt):
+    def twist(self, state, ee_pose, target_pose, dt):
         """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
-        way = twist_between(ee_pose, state["goal"], 1.0)
+        way = twist_between(ee_pose, target_pose, 1.0)
         toward, turn = way[:, :3], way[:, 3:]
         around = self.swirl * np.stack([-toward[:, 1], toward[:, 0], 0.0 * toward[:, 2]], axis=1)
-        gain = min(self.gain, 0.5 / dt)
+        gain = np.minimum(self.gain, 0.5 / dt)[:, np.newaxis]
         linear = _shortened(gain * (toward + around), self.max_velocity)
         angular = _shortened(gain * turn, self.max_angular_velocity)
         return np.concatenate([linear, angular], axis=1), dict(state)
