@@ -17,7 +17,7 @@ def test_head_starts_add_up(pr2):
     assert isinstance(two, ExecutionAdapter)
     assert isinstance(two, Resumable)
     assert two.execution(one.execution(ExecutionConfig(head_start=1.0))) == ExecutionConfig(
-        head_start=3.5, spread=1.0
+        head_start=3.5, head_start_jitter=1.0
     )
 
 
