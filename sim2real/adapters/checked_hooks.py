@@ -49,14 +49,14 @@ class CheckedHooks:
     def __init__(self, hooks: Hooks, subject: str) -> None:
         self.hooks, self.answers = hooks, Answers(subject)
         package = package_of(hooks)
-        self._begin, self._command, self._advance, self._view = (
+        self._on_reset, self._modify_command, self._on_step, self._modify_state = (
             PluginErrors(f"{subject} fails in {method}:", package)
-            for method in ("begin", "command", "on_step", "view")
+            for method in ("on_reset", "modify_command", "on_step", "modify_state")
         )
 
     def on_reset(self, state: RobotState) -> dict[str, NDArray[Any]]:
         """Return what to remember from now on, arrays of leading axis n."""
-        with self._begin:
+        with self._on_reset:
             memory = self.hooks.on_reset(state)
         rows = len(state.base_pose)
         if not isinstance(memory, Mapping) or not all(
@@ -64,7 +64,7 @@ class CheckedHooks:
             for value in memory.values()
         ):
             raise self.answers.error(
-                f"must return a dict of arrays of leading axis {rows} from begin"
+                f"must return a dict of arrays of leading axis {rows} from on_reset"
             )
         return memory
 
@@ -73,14 +73,14 @@ class CheckedHooks:
         try:
             answer = self.hooks.modify_command(twist, targets, dt)
         except BLAMED as error:
-            self._command.blame(error)
+            self._modify_command.blame(error)
             raise
         if not isinstance(answer, tuple | list) or len(answer) != 2:
             raise self.answers.error(
-                "must return a pair from command: the twist and the joint targets"
+                "must return a pair from modify_command: the twist and the joint targets"
             )
-        self.answers.check_array(answer[0], "a twist", "command", twist)
-        self.answers.check_array(answer[1], "joint targets", "command", targets)
+        self.answers.check_array(answer[0], "a twist", "modify_command", twist)
+        self.answers.check_array(answer[1], "joint targets", "modify_command", targets)
         return answer[0], answer[1]
 
     def on_step(self, state: RobotState, dt: float) -> None:
@@ -88,7 +88,7 @@ class CheckedHooks:
         try:
             self.hooks.on_step(state, dt)
         except BLAMED as error:
-            self._advance.blame(error)
+            self._on_step.blame(error)
             raise
 
     def modify_state(self, state: RobotState) -> RobotState:
@@ -96,8 +96,8 @@ class CheckedHooks:
         try:
             seen = self.hooks.modify_state(state)
         except BLAMED as error:
-            self._view.blame(error)
+            self._modify_state.blame(error)
             raise
         if seen is not state:
-            self.answers.check_state(seen, "view", state.base_pose, state.joint_positions)
+            self.answers.check_state(seen, "modify_state", state.base_pose, state.joint_positions)
         return seen

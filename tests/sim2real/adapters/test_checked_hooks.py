@@ -27,16 +27,16 @@ class Answering(Adapter):
         return given(sound)
 
     def on_reset(self, state):
-        return self.answer("begin", {"since": np.zeros(len(state.base_pose))})
+        return self.answer("on_reset", {"since": np.zeros(len(state.base_pose))})
 
     def modify_command(self, twist, targets, dt):
-        return self.answer("command", (twist, targets))
+        return self.answer("modify_command", (twist, targets))
 
     def on_step(self, state, dt):
         self.answer("on_step", None)
 
     def modify_state(self, state):
-        return self.answer("view", state)
+        return self.answer("modify_state", state)
 
 
 class OwnError(Exception):
@@ -74,46 +74,74 @@ def changed(**changes):
 
 
 BAD = {
-    "a list": ("begin", lambda memory: [1], "must return a dict of arrays of leading axis 2 from"),
-    "one row": ("begin", lambda memory: {"a": np.zeros(1)}, "of leading axis 2 from begin"),
-    "no pair": ("command", lambda both: both[0], "must return a pair from command"),
-    "nothing": ("command", lambda both: None, "must return a pair from command"),
+    "a list": (
+        "on_reset",
+        lambda memory: [1],
+        "must return a dict of arrays of leading axis 2 from",
+    ),
+    "one row": ("on_reset", lambda memory: {"a": np.zeros(1)}, "of leading axis 2 from on_reset"),
+    "no pair": ("modify_command", lambda both: both[0], "must return a pair from modify_command"),
+    "nothing": ("modify_command", lambda both: None, "must return a pair from modify_command"),
     "flat": (
-        "command",
+        "modify_command",
         lambda both: (both[0][:, :3], both[1]),
-        r"must return a twist of shape \(2, 6\) from command, not \(2, 3\)",
+        r"must return a twist of shape \(2, 6\) from modify_command, not \(2, 3\)",
     ),
     "nan": (
-        "command",
+        "modify_command",
         lambda both: (both[0] * np.nan, both[1]),
-        "returns a twist from command with numbers that are not finite",
+        "returns a twist from modify_command with numbers that are not finite",
     ),
     "short floats": (
-        "command",
+        "modify_command",
         lambda both: (both[0].astype(np.float32) + np.inf, both[1]),
-        "returns a twist from command with numbers that are not finite",
+        "returns a twist from modify_command with numbers that are not finite",
     ),
     "words": (
-        "command",
+        "modify_command",
         lambda both: (both[0].astype(str), both[1]),
         "a twist of .*, not an array of <U",
     ),
-    "lists": ("command", lambda both: (both[0], both[1].tolist()), "joint targets of .*, not list"),
-    "no state": ("view", lambda state: None, "must return a RobotState from view, not NoneType"),
-    "a flat base": ("view", changed(base_pose=BASE[:, :3]), r"a base_pose of shape \(2, 7\) from"),
-    "lost joints": ("view", changed(joint_positions=TWIST), r"joint_positions of shape \(2, 7\)"),
-    "a base of nan": ("view", changed(base_pose=BASE * np.nan), "a base_pose from view with"),
+    "lists": (
+        "modify_command",
+        lambda both: (both[0], both[1].tolist()),
+        "joint targets of .*, not list",
+    ),
+    "no state": (
+        "modify_state",
+        lambda state: None,
+        "must return a RobotState from modify_state, not NoneType",
+    ),
+    "a flat base": (
+        "modify_state",
+        changed(base_pose=BASE[:, :3]),
+        r"a base_pose of shape \(2, 7\) from",
+    ),
+    "lost joints": (
+        "modify_state",
+        changed(joint_positions=TWIST),
+        r"joint_positions of shape \(2, 7\)",
+    ),
+    "a base of nan": (
+        "modify_state",
+        changed(base_pose=BASE * np.nan),
+        "a base_pose from modify_state with",
+    ),
     "no truth": (
-        "view",
+        "modify_state",
         changed(true_state="yes"),
-        "must return a RobotState as truth from view, not st",
+        "must return a RobotState as truth from modify_state, not st",
     ),
     "a truth of nan": (
-        "view",
+        "modify_state",
         changed(true_state=RobotState(BASE * np.nan, np.zeros((2, 7)))),
-        "returns a base_pose as truth from view with numbers",
+        "returns a base_pose as truth from modify_state with numbers",
     ),
-    "no EE": ("view", changed(ee_in_base=BASE + np.inf), "an ee_in_base from view with numbers"),
+    "no EE": (
+        "modify_state",
+        changed(ee_in_base=BASE + np.inf),
+        "an ee_in_base from modify_state with numbers",
+    ),
 }
 
 
@@ -125,7 +153,7 @@ def test_malformed_answers_are_refused(run, name):
         run(**{hook: answer})
 
 
-@pytest.mark.parametrize("hook", ["begin", "command", "on_step", "view"])
+@pytest.mark.parametrize("hook", ["on_reset", "modify_command", "on_step", "modify_state"])
 @pytest.mark.parametrize("error", [RuntimeError("b"), KeyError("x"), SystemExit(5), OwnError("o")])
 def test_what_a_hook_raises_names_the_adapter(run, hook, error):
     name = type(error).__name__
