@@ -56,7 +56,7 @@ class Puppet:
         pass
 
 
-class KinematicStep(Puppet):
+class FollowingPuppet(Puppet):
     """The same with an arm that goes where it is sent."""
 
     def step(self, base_twist, joint_targets, dt):
@@ -153,7 +153,7 @@ def test_no_setting_exceeds_the_robots_own_limits():
 
 
 def test_a_jump_of_the_arm_is_slowed():
-    guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=KinematicStep)
+    guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=FollowingPuppet)
     before, velocity = stays(guard), ROBOTS["pr2"].max_joint_velocity
     targets = before.copy()
     targets[0, [1, 3]] -= [0.8, 0.4]
@@ -220,7 +220,7 @@ def test_a_continuous_joint_goes_the_short_way():
 
 
 def test_targets_beyond_the_limits_are_clipped():
-    guard, backend = guarded(kind=KinematicStep)
+    guard, backend = guarded(kind=FollowingPuppet)
     targets = stays(guard)
     targets[0, 1] += 1.0
     for _ in range(100):
@@ -320,7 +320,7 @@ def test_a_clock_that_jumps_stops_the_base(clock, by, message):
 class Slow(Adapter):
     """An adapter that takes its time with a command."""
 
-    def command(self, twist, targets, dt):
+    def modify_command(self, twist, targets, dt):
         self.backend.backend.time.passes(0.3)
         return twist, targets
 
@@ -345,10 +345,10 @@ class Swallowing(Slow):
 class Ageless(Slow):
     """One that measures times in words."""
 
-    def command(self, twist, targets, dt):
+    def modify_command(self, twist, targets, dt):
         return twist, targets
 
-    def view(self, state):
+    def modify_state(self, state):
         return replace(state, age="old")
 
 
@@ -435,7 +435,7 @@ class OwnError(Exception):
 
 
 def test_a_robot_that_neither_stops_nor_lets_go_is_told_once():
-    guard, backend = guarded(kind=KinematicStep)
+    guard, backend = guarded(kind=FollowingPuppet)
 
     def breaks(*_):
         raise OwnError("the bus is gone")
