@@ -57,7 +57,7 @@ class Guarded(Passing):
         guards: Guards | None = None,
         *,
         adapters: Sequence[AdapterSpec] = (),
-        metronome: Rate | None = None,
+        rate: Rate | None = None,
         clocks: Clocks | None = None,
     ) -> None:
         """Put guards around a backend.
@@ -67,7 +67,7 @@ class Guarded(Passing):
             robot: Who is moved.
             guards: What is allowed; the defaults by default.
             adapters: What stands between the two guards, the first one next to the backend.
-            metronome: What makes a simulated world keep to the clock on the wall.
+            rate: What makes a simulated world keep to the clock on the wall.
             clocks: What tells the time.
 
         Raises:
@@ -76,7 +76,7 @@ class Guarded(Passing):
         self.guards, self._clocks = guards or Guards(), clocks or Clocks()
         self._commands = CommandGuard(backend, robot, self.guards, self._clocks.steady)
         wrapped = wrap(self._commands, adapters, robot)
-        super().__init__(wrapped if metronome is None else Timed(wrapped, metronome))
+        super().__init__(wrapped if rate is None else Timed(wrapped, rate))
         needs_age = isinstance(backend, RealTimeBackend)
         self._measured = MeasurementGuard(robot, self.guards, needs_age=needs_age)
         self._steady = self._wall = np.nan

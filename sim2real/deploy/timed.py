@@ -12,23 +12,23 @@ from kinfeas.sim2real.deploy.rate import Rate
 class Timed(Passing):
     """A backend whose control periods take as long as they say."""
 
-    def __init__(self, backend: Backend, metronome: Rate) -> None:
+    def __init__(self, backend: Backend, rate: Rate) -> None:
         """Wrap a backend that has no clock of its own."""
         super().__init__(backend)
-        self.metronome = metronome
+        self.rate = rate
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Pass on and set the metronome going; shapes as in `Backend`."""
+        """Pass on and start the clock; shapes as in `Backend`."""
         state = self.backend.reset(base_pose, joint_positions, env_ids)
-        self.metronome.wait()
+        self.rate.wait()
         return state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Pass on and wait for the end of the control period; shapes as in `Backend`."""
         state = self.backend.step(base_twist, joint_targets, dt)
-        self.metronome.wait()
+        self.rate.wait()
         return state
 
     def close(self) -> None:

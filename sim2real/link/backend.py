@@ -29,7 +29,7 @@ class LinkBackend:
     Attributes:
         robot: Who moves.
         link: How it is reached.
-        metronome: Waits for the end of each control period and keeps count of misses; None until
+        rate: Waits for the end of each control period and keeps count of misses; None until
             the first step.
     """
 
@@ -67,7 +67,7 @@ class LinkBackend:
         if not 0.0 <= drift < 1.0:
             raise KinfeasError(f"drift must be in [0, 1), not {drift:g}")
         self.robot, self.link = robot, link
-        self.metronome: Rate | None = None
+        self.rate: Rate | None = None
         self._names = robot_names(robot, names or {})
         self._inbox = Inbox(robot, self._names, drift)
         self._seconds, self._patience, self._stale = seconds, patience, stale
@@ -93,7 +93,7 @@ class LinkBackend:
             if time.monotonic() > end:
                 raise KinfeasError(self._silence())
         self._check_other_joints()
-        self.metronome = None
+        self.rate = None
         return self.read()
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
@@ -109,7 +109,7 @@ class LinkBackend:
         if not (np.isfinite(base_twist).all() and np.isfinite(joint_targets).all()):
             self.stop()
             raise Fault("twists and joint positions must be finite numbers")
-        metronome = self._pace(dt)
+        rate = self._pace(dt)
         velocity = to_drive(self.robot.base, self._newest().base_pose[0], base_twist[0], dt)
         if self.robot.base.drive == "differential":
             velocity[1] = 0.0
@@ -118,7 +118,7 @@ class LinkBackend:
         # Whoever was held up within the last line takes it back at once.
         self._check_fresh(dt)
         self._send(joint_targets[0])
-        metronome.wait()
+        rate.wait()
         return self.read()
 
     def read(self) -> RobotState:
@@ -201,10 +201,10 @@ class LinkBackend:
         self.link.move(dict(zip(names, (raw + way).tolist(), strict=True)), seconds)
 
     def _pace(self, dt: float) -> Rate:
-        if self.metronome is None or self.metronome.dt != dt:
-            self.metronome = Rate(dt)
-            self.metronome.wait()  # which sets it going
-        return self.metronome
+        if self.rate is None or self.rate.dt != dt:
+            self.rate = Rate(dt)
+            self.rate.wait()  # which sets it going
+        return self.rate
 
     def _silence(self) -> str:
         """Return which part of the robot is silent."""

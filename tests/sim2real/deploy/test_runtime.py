@@ -50,7 +50,7 @@ class RealTimeRobot:
     def __init__(self, robot, trouble=None, after=10):
         self.world, self.robot = AnalyticBackend(), robot
         self.world.reset(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
-        self.metronome = Rate(DT)
+        self.rate = Rate(DT)
         self.trouble, self.after = trouble, after
         self.measured, self.commands, self.closed = time.monotonic(), [], 0
 
@@ -64,7 +64,7 @@ class RealTimeRobot:
     def step(self, base_twist, joint_targets, dt):
         self.commands.append((time.monotonic(), base_twist.copy()))
         self.world.step(base_twist, joint_targets, dt)
-        self.metronome.wait()
+        self.rate.wait()
         if self.broken and self.trouble in {KeyError, ConnectionError}:
             raise self.trouble("the bus is gone")
         return self.read()

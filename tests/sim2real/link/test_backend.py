@@ -164,7 +164,7 @@ def test_keeps_time(pr2):
     backend, _ = connected(pr2)
     for _ in range(11):
         backend.step(*still(pr2), 0.01)
-    timing = backend.metronome.timing()
+    timing = backend.rate.timing()
     assert timing.periods == 11
     assert timing.p50 == pytest.approx(0.01, abs=0.004)
 
