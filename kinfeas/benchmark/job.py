@@ -14,7 +14,7 @@ CEILING = "ceiling"
 """What takes the place of a policy where the ceiling of a task is to be found."""
 
 FEASIBILITY_FILTER = "feasibility_filter:"
-"""What stands before what a policy is called in the table if the base yields for it."""
+"""Prefix of a policy's name in the table if the feasibility filter is on for it alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Job:
 
     @property
     def aided(self) -> bool:
-        """Whether its policy yields or looks ahead in a row of its own."""
+        """Whether its policy has filters or a planner in a row of its own."""
         return ":" in self.policy
 
     @property

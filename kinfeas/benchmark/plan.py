@@ -91,7 +91,7 @@ def _aided(
 def _analytic_world(study: BenchmarkConfig, robot: str) -> WorldConfig:
     """Return the world of what stands in the table, or beside the one of physics, of a robot.
 
-    There the base yields as it does in the plain row.
+    The feasibility filter is on there where it is in the plain row.
     """
     if study.physics is None:
         return study.world

@@ -68,7 +68,7 @@ class Aid(Row):
     """A row of policies that have help; of several algorithms SAC's alone.
 
     Attributes:
-        feasibility_filter: The base yields to its arm.
+        feasibility_filter: Whether the feasibility filter is on.
         rollout_planner: They look ahead.
     """
 

@@ -200,7 +200,7 @@ def _show(summary: "Summary") -> None:
         ["goal reached", share(summary["reached"])],
         ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
         ["EE deviation, mean", f"{1000 * summary['mean_deviation_m']:.1f} mm"],
-        ["arm jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
+        ["joint jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
     if summary.get("world") == WorldName.PYBULLET:

@@ -1,4 +1,4 @@
-"""A policy that tries its own future out: the motion is known, so what will fail shows early."""
+"""The rollout planner: simulates the policy and changes commands that would lead to failures."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""How well a policy did: shares with their confidence, failures, deviations, jumps."""
+"""Metrics of episodes: success with confidence intervals, IK failures, deviations, joint jumps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

@@ -68,7 +68,7 @@ class LearnerConfig:
             )
         if len(self.net_arch) > MOST_LAYERS:
             raise ValueError(
-                f"'hidden' must have at most {MOST_LAYERS} entries, not {len(self.net_arch)}"
+                f"'net_arch' must have at most {MOST_LAYERS} entries, not {len(self.net_arch)}"
             )
 
 

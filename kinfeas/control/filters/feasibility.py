@@ -1,4 +1,4 @@
-"""A base that yields to its arm."""
+"""The feasibility filter: base commands that the arm can follow."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ _ROUNDS = ((0, 8), (8, _CANDIDATES))
 
 
 class FeasibilityFilter:
-    """Takes base commands aside that the arm could not follow for the next control period.
+    """Replaces base commands that the arm could not follow in the next control period.
 
     Where IK finds no solution that the arm reaches in time, the nearest of a few fixed commands
     takes the command's place for which it finds one; without any, the command stays. No row depends

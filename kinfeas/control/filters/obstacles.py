@@ -1,4 +1,4 @@
-"""A base that keeps clear of what stands around."""
+"""The obstacle filter: base commands that keep a distance from obstacles."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -36,7 +36,7 @@ class Answers:
         """
         self._check_poses(answer, "", method, base, joints)
         if answer.true_state is not None:
-            self._check_poses(answer.true_state, " as truth", method, base, joints)
+            self._check_poses(answer.true_state, " as true_state", method, base, joints)
 
     def check_array(self, answer: Any, what: str, method: str, given: Array) -> None:
         """Do nothing if an answer is an array of the form of `given`."""

@@ -109,11 +109,11 @@ BAD = {
     "a flat EE": (changed(ee_in_base=BASE[:, :2]), r"an ee_in_base of shape \(2, 7\) from {}"),
     "no truth": (
         changed(true_state=BASE),
-        "must return a RobotState as truth from {}, not ndarray",
+        "must return a RobotState as true_state from {}, not ndarray",
     ),
     "truth of nan": (
         changed(true_state=RobotState(BASE, JOINTS * np.nan)),
-        "joint_positions as truth f",
+        "joint_positions as true_state f",
     ),
 }
 

@@ -41,7 +41,7 @@ BAD = {
     "a flat twist": ({"base_twist": np.zeros(6)}, r"a base_twist of shape \(1, 6\) from step, not"),
     "no speeds": ({"joint_velocities": np.zeros((1, 0))}, r"joint_velocities of shape \(1, 7\)"),
     "no EE": ({"ee_in_base": np.zeros(3)}, r"an ee_in_base of shape \(1, 7\) from step, not"),
-    "a lie": ({"true_state": "yes"}, "a RobotState as truth from step, not str"),
+    "a lie": ({"true_state": "yes"}, "a RobotState as true_state from step, not str"),
 }
 
 

@@ -130,12 +130,12 @@ BAD = {
     "no truth": (
         "modify_state",
         changed(true_state="yes"),
-        "must return a RobotState as truth from modify_state, not st",
+        "must return a RobotState as true_state from modify_state, not st",
     ),
     "a truth of nan": (
         "modify_state",
         changed(true_state=RobotState(BASE * np.nan, np.zeros((2, 7)))),
-        "returns a base_pose as truth from modify_state with numbers",
+        "returns a base_pose as true_state from modify_state with numbers",
     ),
     "no EE": (
         "modify_state",
