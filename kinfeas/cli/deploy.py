@@ -145,9 +145,9 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     max_age=0.2 s of a measurement, max_period=0.2 s, max_clock_skew=0.1 s, max_distance=20 m,
     max_tilt=0.15 rad, pose_jump=0.3 m, heading_jump=0.5 rad, joint_tolerance=0.1 rad or m,
     max_consecutive_ik_failures=50 in a row, and watchdog=0.2 s without a sign of life. Commands are
-    brought down to speed (m/s), rotation (rad/s), acceleration (m/s^2) and rotation_acceleration
-    (rad/s^2), all four by default the robot's own, joint_speed=1 of the arm's own, joint_jump=3.2
-    rad or m, and max_tracking_delay=0.5 s.
+    limited to max_linear_velocity (m/s), max_angular_velocity (rad/s), acceleration (m/s^2) and
+    rotation_acceleration (rad/s^2), all four by default the robot's own, joint_speed=1 of the arm's
+    own, joint_jump=3.2 rad or m, and max_tracking_delay=0.5 s.
 
     Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
     4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed, 131

@@ -106,8 +106,8 @@ def test_evaluate_a_robot_by_its_path():
         (["--policy", "follow_ee", "--set", "task.colour=1"], "colour"),
         (["--policy", "follow_ee", "--set", "rollout.num_samples=8"], "needs --rollout-planner$"),
         (
-            ["--policy", "follow_ee", "--rollout-planner", "--set", "rollout.tris=8"],
-            "'rollout.num_samples'",
+            ["--policy", "follow_ee", "--rollout-planner", "--set", "rollout.num_sample=8"],
+            "did you mean 'num_samples'",
         ),
         (["--policy", "follow_ee", "--json", "missing/out.json"], "cannot be written"),
         (
