@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import compose, make_pose
+from kinfeas.core.spatial import compose, integrate, make_pose
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
 
@@ -23,13 +23,14 @@ def check_everything(generator, duration=100.0):
     check_arrival(generator, duration)
     check_arrival(generator, duration, n=10, dt=0.5)  # a rate at which springs may ring
     check_rows(generator)
+    check_mixed_steps(generator)
     check_no_motions(generator)
 
 
 def check_arrival(generator, duration, n=300, dt=DT):
     start, target = starts_and_targets(n, 0)
     poses, twists, state = run(generator, start, target, duration, dt)
-    metres, radians = apart(poses[-1], generator.goal_pose(state))
+    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
     assert max(metres.max(), radians.max()) < 1e-6
     linear, angular = speeds(twists)
     assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
@@ -45,11 +46,28 @@ def check_rows(generator):
         assert np.array_equal(some_twists, twists[:, rows])
 
 
+def check_mixed_steps(generator, steps=100):
+    """Check that a motion does not depend on how long the steps of the others are."""
+    start, target = starts_and_targets(6, 5)
+    dt = np.array([0.1, 0.02, 0.1, 0.5, 0.02, 0.1])
+    state, poses = generator.start(start, target, [None] * 6), [start]
+    for _ in range(steps):
+        twist, state = generator.twist(state, poses[-1], target, dt)
+        poses.append(integrate(poses[-1], twist, dt))
+    for row, seconds in enumerate(dt.tolist()):
+        one = slice(row, row + 1)
+        alone, _, after = run(generator, start[one], target[one], steps * seconds, seconds)
+        assert np.array_equal(alone[:, 0], np.stack(poses)[:, row])
+        assert all(np.array_equal(after[key][0], values[row]) for key, values in state.items())
+
+
 def check_no_motions(generator):
     none = np.zeros((0, 7))
-    twist, state = generator.twist(generator.start(none, none, []), none, DT)
+    twist, state = generator.twist(
+        generator.start(none, none, []), none, none, np.full(len(none), DT)
+    )
     assert twist.shape == (0, 6)
-    assert generator.goal_pose(state).shape == (0, 7)
+    assert generator.goal_pose(state, none).shape == (0, 7)
 
 
 def check_moves_with_target(generator):

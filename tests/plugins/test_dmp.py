@@ -99,7 +99,7 @@ def test_ends_at_the_goal_or_where_it_ended_about_the_object(library, file):
         ("object", compose(target, np.repeat(end, 5, axis=0))),
     ):
         generator = Dmp(file=file, frame=frame)
-        goal = generator.goal_pose(generator.start(start, target, []))
+        goal = generator.goal_pose(generator.start(start, target, []), target)
         assert np.allclose(relative(goal, expected), IDENTITY, atol=1e-9)
 
 

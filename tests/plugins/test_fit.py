@@ -230,7 +230,7 @@ def test_draws_like_a_person_whose_stroke_was_held_out(kind, mean, worst, stroke
         generator = GENERATORS[kind](model=str(path))
         start = held_out.ee_pose[:1]
         poses, _, state = run(generator, start, IDENTITY[np.newaxis], 32.0)
-        assert distance(poses[-1], generator.goal_pose(state))[0].max() < 1e-3
+        assert distance(poses[-1], generator.goal_pose(state, IDENTITY[np.newaxis]))[0].max() < 1e-3
         gaps.append(_mean_gap(poses[:, 0], held_out.ee_pose))
         spreads += [_mean_gap(one.ee_pose, held_out.ee_pose) for one in shown]
     assert len(gaps) == 26

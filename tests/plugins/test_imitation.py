@@ -47,7 +47,7 @@ def test_keeps_the_contract(parameters, models):
 def test_hundreds_of_motions_from_up_to_3_m_away_arrive_within_their_limits(generator):
     start, target = starts_and_targets(400, 0)
     poses, twists, state = run(generator, start, target, 60.0)
-    metres, radians = apart(poses[-1], generator.goal_pose(state))
+    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
     assert metres.max() < 0.01
     assert np.rad2deg(radians.max()) < 3.0
     linear, angular = speeds(twists)
@@ -60,7 +60,7 @@ def test_hundreds_of_motions_from_up_to_3_m_away_arrive_within_their_limits(gene
 def test_arrives_from_anywhere_at_any_rate(generator, seed, dt):
     start, target = starts_and_targets(8, seed)
     poses, twists, state = run(generator, start, target, 80.0, dt)
-    metres, radians = apart(poses[-1], generator.goal_pose(state))
+    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
     assert max(metres.max(), radians.max()) < 1e-6
     linear, angular = speeds(twists)
     assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
@@ -68,7 +68,7 @@ def test_arrives_from_anywhere_at_any_rate(generator, seed, dt):
 
 def test_ends_at_the_learned_end_in_the_frame_of_the_object(generator, models):
     start, target = starts_and_targets(20, 5)
-    goal = generator.goal_pose(generator.start(start, target, []))
+    goal = generator.goal_pose(generator.start(start, target, []), target)
     learned = np.array(read_model(models["imitation"], "imitation").goal)
     metres, radians = apart(relative(goal, target), learned)
     assert max(metres.max(), radians.max()) < 1e-7
@@ -108,7 +108,7 @@ def test_phase_waits_for_a_hand_that_is_held(generator):
     start, target = starts_and_targets(4, 11)
     state = generator.start(start, target, [])
     for _ in range(200):
-        _, state = generator.twist(state, start, DT)
+        _, state = generator.twist(state, start, target, np.full(len(start), DT))
     assert state["phase"].max() < 1e-3
 
 
@@ -116,8 +116,8 @@ def test_a_hand_that_is_pushed_comes_back(generator):
     start, target = starts_and_targets(4, 13)
     poses, _, state = run(generator, start, target, 45.0)
     ee = poses[-1] + np.array([0.3, -0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
-    ee, goal = ee[np.newaxis], generator.goal_pose(state)
-    twist, _ = generator.twist(state, ee[0], DT)
+    ee, goal = ee[np.newaxis], generator.goal_pose(state, target)
+    twist, _ = generator.twist(state, ee[0], target, np.full(len(ee[0]), DT))
     assert np.all(np.sum(twist[:, :3] * (goal - ee[0])[:, :3], axis=1) > 0.0)
 
 
@@ -131,8 +131,8 @@ def test_is_at_rest_at_the_end(generator):
 def test_the_base_goes_along(generator):
     start, target = starts_and_targets(5, 17)
     _, _, state = run(generator, start, target, 100.0)
-    first = generator.base_pose(generator.start(start, target, []))
-    last = generator.base_pose(state)
+    first = generator.base_pose(generator.start(start, target, []), target)
+    last = generator.base_pose(state, target)
     assert first.shape == last.shape == (5, 7)
     assert np.allclose(apart(first, last)[0], np.hypot(0.3, 0.3), atol=0.03)
     assert np.all(last[:, 2] == 0.0)
@@ -141,26 +141,28 @@ def test_the_base_goes_along(generator):
 def test_the_base_is_not_known_if_not_shown(models):
     generator = Imitation(model=models["nobase"])
     start, target = starts_and_targets(2, 0)
-    assert np.isnan(generator.base_pose(generator.start(start, target, []))).all()
+    assert np.isnan(generator.base_pose(generator.start(start, target, []), target)).all()
 
 
 def test_a_row_has_the_same_bits_in_any_batch(generator):
     start, target = starts_and_targets(37, 0)
     poses, twists, state = run(generator, start, target, 50.0)
-    base = generator.base_pose(state)
+    base = generator.base_pose(state, target)
     for rows in (slice(0, 1), slice(36, 37), slice(3, 20), slice(0, 37, 3)):
         some_poses, some_twists, some = run(generator, start[rows], target[rows], 50.0)
         assert np.array_equal(some_poses, poses[:, rows])
         assert np.array_equal(some_twists, twists[:, rows])
-        assert np.array_equal(generator.base_pose(some), base[rows])
+        assert np.array_equal(generator.base_pose(some, target[rows]), base[rows])
 
 
 def test_no_motions_are_motions_too(generator):
     none = np.zeros((0, 7))
-    twist, state = generator.twist(generator.start(none, none, []), none, DT)
+    twist, state = generator.twist(
+        generator.start(none, none, []), none, none, np.full(len(none), DT)
+    )
     assert twist.shape == (0, 6)
-    assert generator.goal_pose(state).shape == (0, 7)
-    assert generator.base_pose(state).shape == (0, 7)
+    assert generator.goal_pose(state, none).shape == (0, 7)
+    assert generator.base_pose(state, none).shape == (0, 7)
 
 
 @pytest.mark.parametrize(
@@ -191,6 +193,6 @@ def test_a_step_of_128_motions_is_quick(generator):
     seconds = []
     for _ in range(20):
         began = time.perf_counter()
-        generator.twist(state, start, DT)
+        generator.twist(state, start, target, np.full(len(start), DT))
         seconds.append(time.perf_counter() - began)
     assert min(seconds) / 128 < 10e-6  # measured: 1.4 us

@@ -54,7 +54,7 @@ def test_time_waits_for_a_hand_that_is_held_elsewhere():
     state = generator.start(start, target, [])
     held = start + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     for _ in range(100):
-        twist, state = generator.twist(state, held, DT)
+        twist, state = generator.twist(state, held, target, np.full(len(held), DT))
     assert state["time"].max() < 0.5
     back = twist_between(held, start, 1.0)
     assert np.all(np.sum(twist[:, :3] * back[:, :3], axis=1) > 0.0)

@@ -72,7 +72,7 @@ def test_frames_say_where_it_takes_place(file):
         ("world", np.repeat(end, 5, axis=0)),
     ):
         generator = Replay(file=file, frame=frame)
-        goal = generator.goal_pose(generator.start(start, target, []))
+        goal = generator.goal_pose(generator.start(start, target, []), target)
         assert np.allclose(relative(goal, expected), IDENTITY, atol=1e-9)
 
 

@@ -22,9 +22,9 @@ def rollout(model, ee_pose, target, dt=0.1):
     state = generator.start(ee_pose, target, [np.random.default_rng(0)] * len(ee_pose))
     path = [ee_pose]
     for _ in range(1000):
-        twist, state = generator.twist(state, path[-1], dt)
+        twist, state = generator.twist(state, path[-1], target, np.full(len(path[-1]), dt))
         path.append(integrate(path[-1], twist, dt))
-        metres, radians = distance(path[-1], generator.goal_pose(state))
+        metres, radians = distance(path[-1], generator.goal_pose(state, target))
         if metres.max() < 1e-3 and radians.max() < 1e-3:
             return np.stack(path)
     raise AssertionError(f"{model} does not arrive")

@@ -108,7 +108,7 @@ def test_frames_say_what_the_path_moves_with(file):
         ("world", np.repeat(POSES[-1:], 5, axis=0)),
     ):
         generator = Waypoints(file=file, frame=frame)
-        goal = generator.goal_pose(generator.start(start, target, []))
+        goal = generator.goal_pose(generator.start(start, target, []), target)
         assert np.allclose(relative(goal, end), IDENTITY, atol=1e-9)
 
 

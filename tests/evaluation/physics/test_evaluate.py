@@ -141,7 +141,7 @@ def test_a_room_is_there_or_not(trial, policy):
 def test_refuses_what_it_does_not_know(trial):
     with pytest.raises(KinfeasError, match=r"'world.slow_down' must be a number in \[1, 1000\]"):
         physics_config(trial.robot, ["world.slow_down=0.5"])
-    with pytest.raises(KinfeasError, match=r"unknown key 'world.hold'"):
+    with pytest.raises(KinfeasError, match=r"unknown key 'world.action_repeat'"):
         physics_config(trial.robot, ["world.action_repeat=3"])
 
 
