@@ -111,10 +111,11 @@ def test_actions_cannot_bend_the_trajectory(solver):
 def test_desired_pose_is_the_generators_integrated(solver):
     loop, generator = make_loop(solver, 4), Linear()
     desired = loop.desired.copy()
-    state = generator.start(desired, starts(solver.robot, 4).target_poses[:, 0], rngs(4))
+    target, dt = starts(solver.robot, 4).target_poses[:, 0], np.full(4, HORIZON)
+    state = generator.start(desired, target, rngs(4))
     for _ in range(30):
         loop.step(still(loop))
-        twist, state = generator.twist(state, desired, HORIZON)
+        twist, state = generator.twist(state, desired, target, dt)
         desired = spatial.integrate(desired, twist, HORIZON)
         np.testing.assert_array_equal(loop.desired, desired)
 

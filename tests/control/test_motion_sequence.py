@@ -102,7 +102,7 @@ def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
     tip = spatial.compose(sequence.desired, tool)
     state = linear.start(tip, poses(6, 1), rngs(range(6)))
     for _ in range(100):
-        twist, state = linear.twist(state, tip, HORIZON)
+        twist, state = linear.twist(state, tip, poses(6, 1), np.full(6, HORIZON))
         tip = spatial.integrate(tip, twist, HORIZON)
         sequence.move(sequence.ahead(HORIZON))
         error = spatial.distance(spatial.compose(sequence.desired, tool), tip)

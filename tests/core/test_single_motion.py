@@ -1,6 +1,7 @@
 """A generator written for one motion becomes one for n."""
 
 import inspect
+import re
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ class Approach:
         return state["goal"]
 
     def twist(self, state, ee_pose, target_pose, dt):
-        way = twist_between(ee_pose, self.goal_pose(state), dt)
+        way = twist_between(ee_pose, self.goal_pose(state, target_pose), dt)
         fastest = max(np.linalg.norm(way[:3]), np.linalg.norm(way[3:]), self.speed)
         state["steps"] += 1
         return way * self.speed / fastest, state
@@ -58,13 +59,14 @@ def test_each_row_is_the_single_motion(n):
     start, target = poses(n, 0), poses(n, 1)
     single, generator = Approach(), Batched()
     state = generator.start(start, target, rngs(n))
-    twist, after = generator.twist(state, start, 0.1)
+    twist, after = generator.twist(state, start, target, np.full(n, 0.1))
     assert twist.shape == (n, 6)
-    assert generator.goal_pose(state).shape == (n, 7)
+    goal = generator.goal_pose(state, target)
+    assert goal.shape == (n, 7)
     for i, rng in enumerate(rngs(n)):
         alone = single.start(start[i], target[i], rng)
-        assert np.array_equal(generator.goal_pose(state)[i], single.goal_pose(alone))
-        assert np.array_equal(twist[i], single.twist(alone, start[i], 0.1)[0])
+        assert np.array_equal(goal[i], single.goal_pose(alone, target[i]))
+        assert np.array_equal(twist[i], single.twist(alone, start[i], target[i], 0.1)[0])
     assert np.array_equal(state["steps"], np.zeros(n))
     assert np.array_equal(after["steps"], np.ones(n))
 
@@ -78,18 +80,19 @@ def test_a_demonstrated_base_is_passed_on():
     generator, start, target = batched(Shown)(), poses(3, 0), poses(3, 1)
     assert isinstance(generator, Demonstrated)
     assert not isinstance(Batched(), Demonstrated)
-    _, state = generator.twist(generator.start(start, target, rngs(3)), start, 0.1)
-    assert np.array_equal(generator.base_pose(state), state["goal"] + 1.0)
-    assert generator.base_pose({}).shape == (0, 7)
+    state = generator.start(start, target, rngs(3))
+    _, state = generator.twist(state, start, target, np.full(3, 0.1))
+    assert np.array_equal(generator.base_pose(state, target), state["goal"] + 1.0)
+    assert generator.base_pose({}, target[:0]).shape == (0, 7)
     check_motion_generator(generator)
 
 
 def test_no_motions_are_motions_too():
     none = np.zeros((0, 7))
     state = Batched().start(none, none, [])
-    twist, state = Batched().twist(state, none, 0.1)
+    twist, state = Batched().twist(state, none, none, np.zeros(0))
     assert twist.shape == (0, 6)
-    assert Batched().goal_pose(state).shape == (0, 7)
+    assert Batched().goal_pose(state, none).shape == (0, 7)
 
 
 def test_looks_like_the_class_it_is_made_from():
@@ -133,7 +136,7 @@ def test_numbers_in_the_state_are_float64():
 def test_state_may_be_written_into_by_the_single_motion_only():
     generator, start = Batched(), poses(3, 0)
     state = generator.start(start, poses(3, 1), rngs(3))
-    generator.twist(state, start, 0.1)
+    generator.twist(state, start, poses(3, 1), np.full(3, 0.1))
     assert np.array_equal(state["steps"], np.zeros(3))
 
 
@@ -161,19 +164,72 @@ class Growing(Approach):
         return {"goal": target_pose, "path": np.zeros((points, 3))}
 
 
-class Empty(Approach):
-    def start(self, ee_pose, target_pose, rng):
-        return {}
-
-
 def test_states_of_unlike_shapes_are_refused():
     with pytest.raises(KinfeasError, match=r"Growing.start returned states of unlike shapes"):
         batched(Growing)().start(poses(5, 0), poses(5, 1), rngs(5))
 
 
-def test_an_empty_state_is_refused():
-    with pytest.raises(KinfeasError, match=r"Empty.start returned an empty state"):
-        batched(Empty)().start(poses(2, 0), poses(2, 1), rngs(2))
+class Straight:
+    """Needs no state: the target is an input of each call."""
+
+    def start(self, ee_pose, target_pose, rng):
+        return {}
+
+    def goal_pose(self, state, target_pose):
+        return target_pose
+
+    def twist(self, state, ee_pose, target_pose, dt):
+        way = twist_between(ee_pose, target_pose, dt)
+        fastest = max(np.linalg.norm(way[:3]), np.linalg.norm(way[3:]), 0.09)
+        return way * 0.09 / fastest, state
+
+
+def test_a_state_may_be_empty():
+    check_motion_generator(batched(Straight)())
+
+
+def test_each_row_has_its_own_dt():
+    generator, start, target = Batched(), poses(2, 0), poses(2, 1)
+    state = generator.start(start, target, rngs(2))
+    twist, _ = generator.twist(state, start, target, np.array([0.1, 100.0]))
+    for i, dt in enumerate((0.1, 100.0)):
+        alone = {key: value[i : i + 1] for key, value in state.items()}
+        rows = start[i : i + 1], target[i : i + 1], np.array([dt])
+        assert np.array_equal(generator.twist(alone, *rows)[0][0], twist[i])
+    seconds = []
+
+    class Asks(Straight):
+        def twist(self, state, ee_pose, target_pose, dt):
+            seconds.append(dt)
+            return super().twist(state, ee_pose, target_pose, dt)
+
+    batched(Asks)().twist({}, start, target, np.array([0.1, 100.0]))
+    assert seconds == [0.1, 100.0]
+    assert all(type(dt) is float for dt in seconds)
+
+
+class OldTwist(Straight):
+    def twist(self, state, ee_pose, dt):
+        return np.zeros(6), state
+
+
+class OldGoal(Straight):
+    def goal_pose(self, state):
+        return IDENTITY
+
+
+@pytest.mark.parametrize(
+    ("single", "takes"),
+    [
+        (OldTwist, "twist(state, ee_pose, target_pose, dt), not twist(state, ee_pose, dt)"),
+        (OldGoal, "goal_pose(state, target_pose), not goal_pose(state)"),
+    ],
+)
+def test_other_parameters_are_refused(single, takes):
+    with pytest.raises(
+        TypeError, match=re.escape(f"{single.__name__} must have the method {takes}")
+    ):
+        batched(single)()
 
 
 def test_only_classes_can_be_batched():
@@ -229,4 +285,5 @@ class NoState(Approach):
 def test_what_a_single_motion_answers_is_checked(single, sentence):
     generator = batched(single)()
     with pytest.raises(KinfeasError, match=sentence):
-        generator.twist(generator.start(poses(2, 0), poses(2, 1), rngs(2)), poses(2, 0), 0.1)
+        state = generator.start(poses(2, 0), poses(2, 1), rngs(2))
+        generator.twist(state, poses(2, 0), poses(2, 1), np.full(2, 0.1))

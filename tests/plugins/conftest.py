@@ -53,7 +53,6 @@ def random_poses(n, seed, reach=2.0):
 def run(generator, start, target, duration, dt=DT):
     """Return poses, shape (steps + 1, n, 7), twists, (steps, n, 6), and the last state."""
     state, poses, twists = generator.start(start, target, [None] * len(start)), [start], []
-    seconds = np.full(len(start), dt)
     for _ in range(round(duration / dt)):
         twist, state = generator.twist(state, poses[-1], target, np.full(len(poses[-1]), dt))
         poses.append(integrate(poses[-1], twist, dt))

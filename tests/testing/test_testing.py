@@ -35,11 +35,6 @@ class StateIsAList(Good):
         return [target_pose]
 
 
-class StateIsEmpty(Good):
-    def start(self, ee_pose, target_pose, rngs):
-        return {}
-
-
 class StateHoldsAFloat(Good):
     def start(self, ee_pose, target_pose, rngs):
         return {**super().start(ee_pose, target_pose, rngs), "clock": 0.0}
@@ -157,8 +152,26 @@ class WritesIntoTheState(Good):
 class WritesIntoThePose(Good):
     def twist(self, state, ee_pose, target_pose, dt):
         answer = super().twist(state, ee_pose, target_pose, dt)
-        ee_pose[:, :3] += answer[0][:, :3] * dt
+        ee_pose[:, :3] += answer[0][:, :3] * dt[:, np.newaxis]
         return answer
+
+
+class WritesIntoTheNewTarget(Good):
+    def twist(self, state, ee_pose, target_pose, dt):
+        target_pose[:, 2] += 0.1
+        return super().twist(state, ee_pose, target_pose, dt)
+
+
+class WritesIntoTheSteps(Good):
+    def twist(self, state, ee_pose, target_pose, dt):
+        answer = super().twist(state, ee_pose, target_pose, dt)
+        dt *= 0.5
+        return answer
+
+
+class OneStepForAll(Good):
+    def twist(self, state, ee_pose, target_pose, dt):
+        return super().twist(state, ee_pose, target_pose, np.full(len(dt), dt[0]))
 
 
 class RemembersCalls(Good):
@@ -214,7 +227,6 @@ class LeavesAgain(Good):
 
 BAD = {
     StateIsAList: "must return a state from start that is a dict of numeric arrays, not a list",
-    StateIsEmpty: "must return a state from start that holds at least the goal",
     StateHoldsAFloat: "a dict of numeric arrays, and 'clock' is not",
     StateLacksRows: r"of leading axis 12, and 'clock' has shape \(1,\)",
     StateChangesKeys: r"changes the keys, shapes or types of its state: \['last'\]",
@@ -235,6 +247,9 @@ BAD = {
     TurnsTooFast: "moves at 0.198 rad/s; at most 0.1 rad/s is allowed",
     WritesIntoTheState: "writes into the state that twist is given",
     WritesIntoThePose: "writes into the ee_pose that twist is given",
+    WritesIntoTheNewTarget: "writes into the target_pose that twist is given",
+    WritesIntoTheSteps: "writes into the dt that twist is given",
+    OneStepForAll: "moves a motion differently if the others have another dt",
     RemembersCalls: "answers the same twist call differently twice",
     RemembersTheLongRun: "moves differently once a single motion of the batch starts again",
     RemembersTheStart: "moves differently once a single motion of the batch starts again",

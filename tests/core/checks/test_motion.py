@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from kinfeas.core.single_motion import batched
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.plugins.linear import Linear
 
-POSES = np.tile(IDENTITY, (3, 1))
+POSES, DT = np.tile(IDENTITY, (3, 1)), np.full(3, 0.1)
 
 
 class Answers:
@@ -16,7 +18,7 @@ class Answers:
     def __init__(self, start=None, goal=None, twist=None, base=None):
         self.answers = {"start": start, "goal": goal, "twist": twist}
         if base is not None:
-            self.base_pose = lambda state: base
+            self.base_pose = lambda state, target_pose: base
 
     def answer(self, name, sound):
         given = self.answers[name]
@@ -37,16 +39,15 @@ class Answers:
 def ask(generator):
     motion = CheckedMotion(generator, "mine")
     state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
-    motion.goal_pose(state)
-    motion.base_pose(state)
-    return motion.twist(state, POSES, 0.1)
+    motion.goal_pose(state, POSES)
+    motion.base_pose(state, POSES)
+    return motion.twist(state, POSES, POSES, DT)
 
 
 ZERO, STATE = np.zeros((3, 6)), {"goal": POSES.copy()}
 TINY, HUGE = np.full((3, 6), 1e-300), np.full((3, 6), 1e200)
 BAD = {
     "a list for a state": ({"start": [1]}, "must return a state from start that is a dict"),
-    "no state": ({"start": {}}, "must return a state from start that holds at least the goal"),
     "rows that lack": ({"start": {"goal": POSES[:1]}}, "of leading axis 3, and 'goal' has shape"),
     "words": ({"start": {"goal": np.array(["a"] * 3)}}, "and 'goal' is not"),
     "a goal of twists": ({"goal": ZERO}, r"of shape \(3, 7\) from goal_pose, not \(3, 6\)"),
@@ -84,6 +85,26 @@ def test_what_lacks_a_method_is_no_generator(kind):
         CheckedMotion(kind(), "mine")
 
 
+OLD = {
+    "goal_pose": (lambda self, state: state["goal"], "state, target_pose", "state"),
+    "twist": (
+        lambda self, state, ee_pose, dt: (ZERO, state),
+        "state, ee_pose, target_pose, dt",
+        "state, ee_pose, dt",
+    ),
+    "base_pose": (lambda self, state: POSES, "state, target_pose", "state"),
+}
+
+
+@pytest.mark.parametrize("method", OLD)
+def test_what_takes_other_parameters_is_no_generator(method):
+    function, must, takes = OLD[method]
+    sentence = f"motion generator mine must have the method {method}({must}), not {method}({takes})"
+    with pytest.raises(TypeError, match=re.escape(sentence)) as caught:
+        CheckedMotion(type("Old", (Answers,), {method: function})(), "mine")
+    assert isinstance(caught.value, KinfeasError)
+
+
 @pytest.mark.parametrize(
     ("goal", "sentence"),
     [
@@ -100,10 +121,10 @@ def test_a_goal_is_looked_at_each_time(goal, sentence):
     generator = Answers()
     motion = CheckedMotion(generator, "mine")
     state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
-    motion.goal_pose(state)
+    motion.goal_pose(state, POSES)
     generator.answers["goal"] = goal
     with pytest.raises(ConformanceError, match=f"^motion generator mine .*{sentence}"):
-        motion.goal_pose(state)
+        motion.goal_pose(state, POSES)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +135,7 @@ def test_all_finite_goals_pass(goal):
     motion = CheckedMotion(generator)
     state = motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
     generator.answers["goal"] = goal
-    assert motion.goal_pose(state) is goal
+    assert motion.goal_pose(state, POSES) is goal
 
 
 CHANGED = {
@@ -152,10 +173,10 @@ def test_a_run_that_goes_on_knows_the_layout_from_its_state(name):
     changes, keys = CHANGED[name]
     state = {"goal": POSES.copy(), "x": np.zeros(3)}
     motion = CheckedMotion(Answers(twist=(ZERO, state)), "mine")
-    assert motion.twist(state, POSES, 0.1)[1] is state
+    assert motion.twist(state, POSES, POSES, DT)[1] is state
     motion = CheckedMotion(Answers(twist=(ZERO, changed(state, changes))), "mine")
     with pytest.raises(ConformanceError, match=f"its state: {keys}$"):
-        motion.twist(state, POSES, 0.1)
+        motion.twist(state, POSES, POSES, DT)
 
 
 def test_no_motion_may_have_no_keys():
@@ -163,7 +184,7 @@ def test_no_motion_may_have_no_keys():
     for poses in (none, POSES, none):
         rngs = [np.random.default_rng(0)] * len(poses)
         state = motion.start(poses, poses, rngs)
-        assert motion.twist(state, poses, 0.1)[0].shape == (len(poses), 6)
+        assert motion.twist(state, poses, poses, DT[: len(poses)])[0].shape == (len(poses), 6)
 
 
 class Hover:
@@ -207,10 +228,12 @@ def test_it_cannot_end_the_program():
 def test_answers_come_through_unchanged():
     motion, linear = CheckedMotion(Linear()), Linear()
     rngs = [np.random.default_rng(i) for i in range(3)]
-    state = motion.start(POSES, POSES + np.eye(7)[0], rngs)
+    state, target = motion.start(POSES, POSES + np.eye(7)[0], rngs), POSES + np.eye(7)[0]
     assert motion.subject == "motion generator Linear"
-    assert np.array_equal(motion.twist(state, POSES, 0.1)[0], linear.twist(state, POSES, 0.1)[0])
-    assert np.isnan(motion.base_pose(state)).all()
+    twist, _ = motion.twist(state, POSES, target, DT)
+    assert np.array_equal(twist, linear.twist(state, POSES, target, DT)[0])
+    assert np.array_equal(motion.goal_pose(state, target), target)
+    assert np.isnan(motion.base_pose(state, POSES)).all()
     assert not motion.demonstrated
     assert CheckedMotion(Answers(base=POSES)).demonstrated
-    assert not motion.start(POSES[:0], POSES[:0], [])["goal_pose"].size
+    assert motion.start(POSES[:0], POSES[:0], []) == {}
