@@ -147,7 +147,7 @@ def _check_layout(tensors: Tensors, learner: Learner, world: Mapping[str, NDArra
             slots = {f"optimizer.{name}.{index}.{slot}": like for slot, like in slots.items()}
             # Those of a network that has not learned yet are not there.
             wanted |= slots if slots.keys() & tensors.keys() else {}
-    rows = {len(values) for key, values in wanted.items() if key.startswith(_STATES)}
+    rows = {len(wanted[key]) for key in ("world.steps",) if key in wanted}
     grown: dict[str, int] = {}
     for key in sorted(wanted.keys() | tensors.keys()):
         found, like = tensors.get(key), wanted.get(key)

@@ -270,7 +270,7 @@ def test_load_robot_takes_a_path_for_a_file(name):
         ("./my bot.URDF", "which kinfeas robot import 'my bot.URDF' --out FOLDER writes"),
         (
             "bots/a.urdf.xacro",
-            "xacro bots/a.urdf.xacro > bots/a.urdf and then kinfeas robot import bots/a.urdf --out",
+            "which xacro bots/a.urdf.xacro > bots/a.urdf and then kinfeas robot import bots/",
         ),
         (
             "a.xacro",
