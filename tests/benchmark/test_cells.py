@@ -29,7 +29,7 @@ def run(tmp_path):
     robot = load_robot("pr2")
     folder = tmp_path / "run"
     folder.mkdir()
-    write_network(random_network(robot, net_arch=4), folder, robot, {})
+    write_network(random_network(robot, width=4), folder, robot, {})
     return folder
 
 
@@ -108,7 +108,7 @@ def test_other_weights_are_another_cell(run):
     before = identity(job("sac", str(run)))
     assert identity(job("td3", str(run))) == before
     robot = load_robot("pr2")
-    write_network(random_network(robot, net_arch=5), run, robot, {})
+    write_network(random_network(robot, width=5), run, robot, {})
     assert identity(job("sac", str(run))) != before
 
 

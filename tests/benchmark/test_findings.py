@@ -29,7 +29,7 @@ def shipped(tmp_path, monkeypatch):
     for name in ("pr2", "hsr"):
         robot, folder = load_robot(name), tmp_path / "shipped" / name
         folder.mkdir(parents=True)
-        write_network(random_network(robot, net_arch=4), folder, robot, {})
+        write_network(random_network(robot, width=4), folder, robot, {})
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path / "shipped")
 
 

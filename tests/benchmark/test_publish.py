@@ -25,7 +25,7 @@ def made(folder, seed, success):
     best.mkdir(parents=True)
     figures = {"episodes": 9, "success": success, "success_low": 0.0, "success_high": 1.0}
     about = {"config": config.to_mapping(settings), "steps": 9, "evaluation": figures}
-    write_network(random_network(robot, net_arch=4 + seed), best, robot, about)
+    write_network(random_network(robot, width=4 + seed), best, robot, about)
     return Run(folder / f"run-{seed}", "pr2", "sac", seed, "ggr")
 
 

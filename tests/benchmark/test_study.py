@@ -119,7 +119,7 @@ def test_a_motion_that_cannot_be_made_is_refused(tmp_path, monkeypatch, subgoal,
 def test_with_physics_a_scene_that_is_missing_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.yaml").write_text("tasks: [fetch.yaml]\n")
-    scene = "scene: {name: gone.yaml, done: {object: box, joint: lid}}\n"
+    scene = "scene: {name: gone.yaml, success: {object: box, joint: lid}}\n"
     (tmp_path / "fetch.yaml").write_text(TASK + scene)
     read_benchmark("study.yaml")
     with pytest.raises(KinfeasError, match=r"gone\.yaml: cannot be read"):

@@ -26,7 +26,7 @@ class Judge:
         """Move all links to where the arm's joint positions, shape (v,), put them."""
         self.q = pinocchio.neutral(self.model)
         for joint in self.robot.urdf.joints.values():
-            if joint.max_joint_step:
+            if joint.moves:
                 constant, slopes = self.drive(joint.name)
                 self._set(joint.name, constant + float(slopes @ joint_positions))
         pinocchio.framesForwardKinematics(self.model, self.data, self.q)
@@ -49,7 +49,7 @@ class Judge:
         whole = pinocchio.computeFrameJacobian(self.model, self.data, self.q, self.frame, axes)
         result = np.zeros((6, len(self.robot.arm)))
         for joint in self.robot.urdf.joints.values():
-            if joint.max_joint_step:
+            if joint.moves:
                 column = whole[:, self.model.joints[self.model.getJointId(joint.name)].idx_v]
                 result += np.outer(column, self.drive(joint.name)[1])
         return result

@@ -20,7 +20,7 @@ def test_chain_holds_the_arm_alone(robot):
 
 def test_followers_are_joints_of_the_chain(odd_robot):
     tree = build_chain(odd_robot).tree
-    moving = [joint.name for joint in odd_robot.urdf.path_to("hand") if joint.max_joint_step]
+    moving = [joint.name for joint in odd_robot.urdf.path_to("hand") if joint.moves]
     names = [joint.name for joint in odd_robot.arm]
     driven = [name for name in moving if name != "neck"]
     followers = {"pull": (0.03, 0.02), "knuckle": (-0.7, 0.1)}

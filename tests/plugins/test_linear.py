@@ -110,9 +110,7 @@ def test_speed_follows_the_distance():
     path = np.array([3.0, 0.0, 0.0])
     for metres, speed in ((3.0, 0.1), (1.0, 0.1), (0.5, 0.05), (0.05, 0.005), (0.004, 0.001)):
         start, goal = pair(path * metres / 3.0, np.zeros(3))
-        twist, _ = Linear().twist(
-            Linear().start(start, goal, []), start, goal, np.full(len(start), DT)
-        )
+        twist = first_twist(Linear(), start, goal)
         assert np.allclose(twist, [[speed, 0.0, 0.0, 0.0, 0.0, 0.0]], atol=1e-12)
 
 
@@ -135,11 +133,9 @@ def test_time_to_the_goal_does_not_depend_on_dt(seed):
 
 def test_angular_limit_slows_the_whole_motion():
     start, goal = pair(np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 2.0]))
-    limited = Linear().twist(Linear().start(start, goal, []), start, goal, np.full(len(start), DT))[
-        0
-    ]
+    limited = first_twist(Linear(), start, goal)
     free = Linear(max_angular_velocity=None)
-    unlimited = free.twist(free.start(start, goal, []), start, goal, np.full(len(start), DT))[0]
+    unlimited = first_twist(free, start, goal)
     assert np.allclose(limited, [[0.025, 0.0, 0.0, 0.0, 0.0, 0.1]])
     assert np.allclose(unlimited, [[0.05, 0.0, 0.0, 0.0, 0.0, 0.2]])
 
@@ -160,9 +156,7 @@ def test_arrives_over_tiny_paths_with_large_turns(metres, radians):
 def test_turn_on_the_spot_slows_down_as_a_path_does():
     for radians, speed in ((2.0, 0.1), (0.5, 0.05), (0.004, 0.001)):
         start, goal = pair(np.zeros(3), np.array([0.0, 0.0, radians]))
-        twist, _ = Linear().twist(
-            Linear().start(start, goal, []), start, goal, np.full(len(start), DT)
-        )
+        twist = first_twist(Linear(), start, goal)
         assert np.allclose(twist, [[0.0, 0.0, 0.0, 0.0, 0.0, speed]], atol=1e-12)
 
 
@@ -176,7 +170,7 @@ def test_half_a_turn_keeps_its_direction():
 
 def test_is_at_rest_at_the_goal():
     pose = random_poses(3, 0)
-    twist, _ = Linear().twist(Linear().start(pose, pose, []), pose, pose, np.full(len(pose), DT))
+    twist = first_twist(Linear(), pose, pose)
     assert np.abs(twist).max() < 1e-12
 
 
@@ -185,18 +179,9 @@ def test_either_sign_of_a_quaternion_is_the_same_orientation(seed):
     start, goal = random_poses(3, seed), random_poses(3, seed + 1)
     signs = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0])
     generator = Linear()
-    twist, _ = generator.twist(
-        generator.start(start, goal, []), start, goal, np.full(len(start), DT)
-    )
-    flipped, _ = generator.twist(
-        generator.start(start, goal * signs, []),
-        start * signs,
-        goal * signs,
-        np.full(len(start), DT),
-    )
-    other, _ = generator.twist(
-        generator.start(start, goal, []), start * signs, goal, np.full(len(start), DT)
-    )
+    twist = first_twist(generator, start, goal)
+    flipped = first_twist(generator, start * signs, goal * signs)
+    other = first_twist(generator, start * signs, goal)
     assert np.allclose(twist, flipped, atol=1e-9)
     assert np.allclose(twist, other, atol=1e-9)
 
@@ -237,9 +222,7 @@ def test_no_motions_are_motions_too():
 
 def test_never_passes_the_goal_in_a_long_step():
     start, goal = pair(np.array([1e-3, 0.0, 0.0]), np.array([0.0, 0.0, 0.05]))
-    twist, _ = Linear().twist(
-        Linear().start(start, goal, []), start, goal, np.full(len(start), 10.0)
-    )
+    twist = first_twist(Linear(), start, goal, 10.0)
     metres, radians = distance(integrate(start, twist, 10.0), goal)
     assert max(metres[0], radians[0]) < 1e-12
 
@@ -248,7 +231,16 @@ def test_keeps_no_hold_of_what_it_is_given():
     start, goal = random_poses(2, 0), random_poses(2, 1)
     state, expected = Linear().start(start, goal, []), goal.copy()
     Linear().goal_pose(state, goal)[:] = 0.0
-    assert np.array_equal(Linear().goal_pose(state, goal), expected)
+    assert np.array_equal(goal, expected)
+    assert not state
+
+
+def test_heads_for_the_target_where_it_is_now():
+    start, goal = pair(np.array([1.0, 0.0, 0.0]), np.zeros(3))
+    moved = goal + np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    twist, _ = Linear().twist(Linear().start(start, goal, []), start, moved, np.full(1, DT))
+    assert np.array_equal(twist, first_twist(Linear(), start, moved))
+    assert np.array_equal(Linear().goal_pose({}, moved), moved)
 
 
 @pytest.mark.parametrize("name", ["gain", "min_velocity", "max_velocity", "max_angular_velocity"])

@@ -81,7 +81,7 @@ def test_acts_as_the_actor_that_was_trained(pr2, tmp_path, algorithm):
 
     task = registry.build("kinfeas.tasks", "ggr", {})
     env = WorldVecEnv(World(pr2, task, WorldConfig(), 0), 2)
-    config = LearnerConfig(algorithm=algorithm, hidden=(64, 64), buffer_size=100)
+    config = LearnerConfig(algorithm=algorithm, net_arch=(64, 64), buffer_size=100)
     learner = make_learner(config, env, 0)
     with torch.no_grad():
         for parameter in learner.actor.parameters():
@@ -97,7 +97,7 @@ def test_acts_as_the_actor_that_was_trained(pr2, tmp_path, algorithm):
 def test_takes_the_best_checkpoint_and_its_run_s_figures(pr2, tmp_path):
     run = tmp_path / "runs" / "mine"
     best = write_run(pr2, run / "checkpoints" / "best")
-    write_run(pr2, run / "checkpoints" / "last", hidden=4)
+    write_run(pr2, run / "checkpoints" / "last", net_arch=4)
     figures = {"policy": "/home/me/runs/mine", "task": "door", "episodes": 500, "success": 0.5}
     (run / "evaluation.json").write_text(json.dumps(figures))
     policy, _ = export(run, pr2, tmp_path / "policy.onnx")

@@ -191,10 +191,10 @@ def test_a_run_that_died_is_stopped_as_often_as_ever_if_that_fails_at_first(stop
 
 def test_gives_up_where_nothing_can_be_sent_any_more(stops):
     call = StopCall("flaky:connect", {"path": str(stops), "error": ERRORS[0], "fails": 10**9})
-    began = time.monotonic()
     with Watchdog(call, 5.0) as watchdog:
+        began = time.monotonic()
         watchdog.abandon()
-    assert LAST_TRY < time.monotonic() - began < LAST_TRY + 1.5
+    assert 0.9 * LAST_TRY < time.monotonic() - began < LAST_TRY + 1.5
 
 
 @pytest.mark.parametrize(
