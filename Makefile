@@ -18,10 +18,10 @@ demo: $(STAMP)  ## Train a PR2 base policy for two minutes, evaluate it and writ
 	$(BIN)/kinfeas demo
 
 test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m "not slow"
 
 test-slow: $(STAMP)  ## Run the tests that take longer
-	$(BIN)/python -m pytest -n auto -m slow
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site

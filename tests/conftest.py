@@ -91,3 +91,16 @@ def offer(tmp_path, monkeypatch):
     for fresh in set(sys.modules) - before:
         if fresh.startswith("kinfeas_"):
             del sys.modules[fresh]
+
+
+_ON_A_BUS = (
+    "sim2real/ros", "sim2real/deploy", "sim2real/link", "sim2real/simulator", "sim2real/test_",
+    "cli/test_simulate", "cli/test_deploy",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Keep robots on a bus, and tests of clocks, to one worker: they would meet each other."""
+    for item in items:
+        if any(part in item.nodeid for part in _ON_A_BUS):
+            item.add_marker(pytest.mark.xdist_group("bus"))

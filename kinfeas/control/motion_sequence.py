@@ -152,9 +152,7 @@ class MotionSequence:
         twist, states = np.zeros((len(frame), 6)), list(self._states)
         for number, generator, rows in self._groups(~stands):
             state = of_rows(states[number], rows)
-            twist[rows], after = generator.twist(
-                state, frame[rows], targets[rows], seconds[rows]
-            )
+            twist[rows], after = generator.twist(state, frame[rows], targets[rows], seconds[rows])
             states[number] = merged(states[number], rows, after, len(frame))
         moved = self._to_ee(spatial.integrate(frame, twist, dt))
         return np.where(stands[:, np.newaxis], self.desired, moved), states

@@ -172,7 +172,7 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
     return _Step(step_state, step_pose, twist)
 
 
-def _alone(  # noqa: PLR0913  what twist takes, and which row
+def _alone(
     probe: Probe, state: State, ee_pose: Array, targets: Array, dt: Array, one: slice
 ) -> tuple[Array, State]:
     """Return the step of a single motion."""

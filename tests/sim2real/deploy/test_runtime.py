@@ -307,7 +307,8 @@ def test_looking_ahead_ends_with_the_run(run, trained):
 ])  # fmt: skip
 def test_a_robot_without_a_watchdog_is_said_to_have_none(run, capsys, guards, warns):
     run(RealTimeRobot(load_robot("pr2")), Drive(), seconds=0.1, guards=guards)
-    line = "no watchdog: nothing stops the base if this process dies or hangs, for RealTimeRobot has no"
+    line = "no watchdog: nothing stops the base if this process dies or hangs, for "
+    line += "RealTimeRobot has no"
     assert capsys.readouterr().err == (f"{line} stop_call\n" if warns else "")
 
 
