@@ -228,6 +228,7 @@ class _Run:
         if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
             # The best one still: nothing has been learned since it was judged.
             self.progress.evaluations = evaluations_due(self.config, self.progress)
+            logs.write(self._row())
             return
         records = judge(network, self.config.schedule.evaluation_episodes)
         figures: Mapping[str, Any] = summarize(records)

@@ -78,7 +78,7 @@ def obstacle_filter(robot, count=300, obstacles=3):
             return ObstacleDistances(0.3 * directions, directions, found)
 
     limits = ObstacleFilter(base, Around(), 0.03, 0.1).limits(count)
-    return {"commands": commands, "filtered": limits.action_repeat(commands)}
+    return {"commands": commands, "filtered": limits.hold(commands)}
 
 
 def ik(robot, count=1000):

@@ -124,7 +124,7 @@ class Bus:
 
     def deploy(self, *arguments: str) -> Process:
         given = ["deploy", "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
-        return self.run(_COMMAND, *given, *arguments, "--set", "backend.arm_settle_timeout=30")
+        return self.run(_COMMAND, *given, *arguments, "--set", "backend.patience=30")
 
     def heard(self, mark: str) -> np.ndarray:
         """Return what the listener heard so far: rows of time, x, y and turning."""
