@@ -1,4 +1,4 @@
-"""The directive `commands`: all commands of kinfeas, from the program itself."""
+"""Directives of the reference: `commands` from the command line, `modules` from docstrings."""
 
 import re
 from collections.abc import Iterator
@@ -11,13 +11,34 @@ from sphinx.util.docutils import SphinxDirective
 
 from kinfeas.cli.main import app as program
 
+MODULE = """
+## {0}
+
+```{{eval-rst}}
+.. automodule:: {0}
+   :members:
+   :show-inheritance:
+```
+"""
+
 
 class Commands(SphinxDirective):
-    """A section for each command: what it does, how it is called, its options, an example."""
+    """Sections with help, options and examples of every command."""
 
     def run(self) -> list[nodes.Node]:
         """Return the sections."""
         return self.parse_text_to_nodes("\n".join(_reference()), allow_section_headings=True)
+
+
+class Modules(SphinxDirective):
+    """Sections with the docstrings of the modules in the content, one name a line."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Return the sections."""
+        text = "\n".join(MODULE.format(name) for name in self.content if name)
+        return self.parse_text_to_nodes(text, allow_section_headings=True)
 
 
 def _reference() -> Iterator[str]:
@@ -67,6 +88,7 @@ def _cell(text: str) -> str:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Make the directive known."""
+    """Register the directives."""
     app.add_directive("commands", Commands)
+    app.add_directive("modules", Modules)
     return {"parallel_read_safe": True}
