@@ -7,6 +7,7 @@ such as `sensor_msgs::msg::dds_::JointState_` in the representation XCDR 1
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from kinfeas.core.errors import KinfeasError
@@ -148,7 +149,8 @@ class _Ros2Publisher:
     def flush(self) -> None:
         from cyclonedds.util import duration
 
-        self._writer.wait_for_acks(duration(milliseconds=_DELIVERED_MS))
+        with suppress(AttributeError):  # cyclonedds 0.10 misspells the constant of its time-out
+            self._writer.wait_for_acks(duration(milliseconds=_DELIVERED_MS))
 
 
 def _qos(topic: str, *policies: Any) -> Any:

@@ -14,11 +14,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import Hosted
 from kinfeas.sim2real.ros.backend import Ros1Backend, Ros2Backend
-from tests.sim2real.ros_processes import Ros1, Ros2, needs_ros1
-
-LIMIT = 0.3
-"""Seconds within which the base must be commanded to zero, whatever happens."""
-
+from tests.sim2real.ros_processes import LIMIT, Ros1, Ros2, needs_ros1
 
 SILENT = """
 import os
@@ -84,6 +80,7 @@ of_ros1 = pytest.mark.parametrize(
 """For what only ROS 1 has: a master, and nodes that it can shut down."""
 
 
+@pytest.mark.slow
 @of_ros1
 def test_what_is_missing_is_said_at_once(bus):
     one = bus.run(SILENT)
@@ -93,6 +90,7 @@ def test_what_is_missing_is_said_at_once(bus):
     assert silent.startswith("no pose of the base came from /base_odometry/odom within 0.3 s; is")
 
 
+@pytest.mark.slow
 @needs_physics
 def test_reaches_a_goal_over_the_link(bus, tmp_path):
     robot, record = bus.robot(), tmp_path / "record.csv"
@@ -104,7 +102,7 @@ def test_reaches_a_goal_over_the_link(bus, tmp_path):
     deployment = bus.deploy("--goal", *goal, *settings, "--record", str(record))
     assert deployment.end() == 0, deployment.said() + robot.said()
     run = read_record(record)
-    assert np.nanmax(run.age) < 0.2
+    assert np.nanmax(run.age) < 1.0
     assert np.abs(run.base_twist).max() > 0.01
     np.testing.assert_allclose(run.joint_positions[-1], run.joint_targets[-1], atol=0.05)
     reached = forward(IkSolver(pr2).chain, run.joint_positions[-1:])
@@ -117,19 +115,21 @@ def far(bus, record):
     """Return a deployment that has set the base going, on a way of minutes."""
     begin = time.monotonic()
     deployment = bus.deploy("--goal", "9", "9", "0.8", "--record", str(record))
-    bus.wait_for_motion(begin)
+    bus.wait_for_motion(deployment, begin)
     return deployment
 
 
+@pytest.mark.slow
 @needs_physics
 def test_the_base_stops_when_the_deployment_is_killed(bus, tmp_path):
     bus.robot()
     killed = far(bus, tmp_path / "record.csv").kill()
     assert bus.seconds_to_zero(killed) <= LIMIT
-    assert bus.seconds_to_zero(killed, "moves", 0.01) <= 2.0 * LIMIT
+    assert bus.seconds_to_zero(killed, "moves", 0.01) <= LIMIT
     assert len(read_record(tmp_path / "record.csv").time) > 10
 
 
+@pytest.mark.slow
 @needs_physics
 def test_the_base_stops_when_the_deployment_stalls(bus, tmp_path):
     bus.robot()
@@ -143,6 +143,7 @@ def test_the_base_stops_when_the_deployment_stalls(bus, tmp_path):
     assert read_record(tmp_path / "record.csv").event[-1]
 
 
+@pytest.mark.slow
 @needs_physics
 def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path):
     robot = bus.robot()
@@ -150,23 +151,25 @@ def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path
     killed = robot.kill()
     assert bus.seconds_to_zero(killed) <= LIMIT
     assert deployment.end() == 3
-    old = r"measurement (is )?0\.2\d+ s old, at most 0\.2 s is allowed"
+    old = r"measurement (is )?1\.\d+ s old, at most 1 s is allowed"
     assert re.search(old, deployment.said())
     assert re.search(old, read_record(tmp_path / "record.csv").event[-1])
 
 
+@pytest.mark.slow
 @of_ros1
 @needs_physics
 def test_the_base_is_commanded_to_zero_when_the_node_is_shut_down(bus, tmp_path):
     bus.robot()
     deployment = far(bus, tmp_path / "record.csv")
     killed = bus.kill_node(deployment)
-    assert bus.seconds_to_zero(killed) <= 2.0 * LIMIT
+    assert bus.seconds_to_zero(killed) <= LIMIT
     assert deployment.end() == 3
     assert "this node was shut down" in deployment.said()
     assert "watchdog: the run died: base commanded to zero" in deployment.said()
 
 
+@pytest.mark.slow
 @of_ros1
 @needs_physics
 def test_the_base_is_commanded_to_zero_when_the_master_dies(bus, tmp_path):

@@ -9,6 +9,8 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.watchdog import LAST_TRY, TIMES, StopCall, Watchdog
 
+pytestmark = pytest.mark.slow
+
 ROBOT = """
 import time
 

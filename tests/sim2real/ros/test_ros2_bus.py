@@ -38,7 +38,7 @@ def domain(monkeypatch):
         monkeypatch.delenv("CYCLONEDDS_URI")
 
 
-def eventually(condition, seconds=20.0):
+def eventually(condition, seconds=120.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -74,12 +74,17 @@ def test_commands_arrive(ends):
     ours.check()
     arm = [joint.name for joint in load_robot("tiago").arm]
     positions = dict(zip(arm, np.linspace(0.1, 0.8, 8).tolist(), strict=True))
-    ours.drive(np.array([0.1, -0.2, 0.3]))
-    ours.move(positions, 0.25)
-    ours.grip("close")
-    eventually(lambda: len(ordered.get("move", [])) == 2 and {"drive", "grip"} <= ordered.keys())
+
+    def arrived():  # what is sent before the readers know the writers is lost
+        ours.drive(np.array([0.1, -0.2, 0.3]))
+        ours.move(positions, 0.25)
+        ours.grip("close")
+        joints = {name for way in ordered.get("move", []) for name in way.joints}
+        return joints == positions.keys() and {"drive", "grip"} <= ordered.keys()
+
+    eventually(arrived)
     np.testing.assert_array_equal(ordered["drive"][-1], [0.1, -0.2, 0.3])
-    assert ordered["grip"] == ["close"]
+    assert set(ordered["grip"]) == {"close"}
     moved = {}
     for way in ordered["move"]:
         np.testing.assert_array_equal(way.times, [0.25])
@@ -127,12 +132,10 @@ def test_static_transforms_count_whoever_came_first(tmp_path):
 def test_the_watchdogs_call_stops_the_base(ends):
     ours, _, _, ordered = ends
     eventually(lambda: ours.waits_for() is None)
-    ours.drive(np.array([0.1, 0.0, 0.0]))
-    eventually(lambda: ordered.get("drive"))
+    eventually(lambda: ours.drive(np.array([0.1, 0.0, 0.0])) or ordered.get("drive"))
     stop = stop_base(2, "/cmd_vel", stamped=ours._topics.base.stamped)
     ours.close()
-    stop()
-    eventually(lambda: not np.any(ordered["drive"][-1]))
+    eventually(lambda: stop() or not np.any(ordered["drive"][-1]))
 
 
 def test_a_robot_that_is_not_there_is_one_sentence():
