@@ -23,9 +23,6 @@ EXAMPLES = {
         "kinfeas ceiling --robot tiago",
         "kinfeas ceiling --robot pr2 --task door --path --episodes 100",
     ),
-    "demonstrate": (
-        "kinfeas demonstrate door --count 12 --out demonstrations/door --picture door.png",
-    ),
     "deploy": (
         "kinfeas deploy pretrained --goal 1.5 0.3 0.8",
         "kinfeas deploy pr2.onnx --task door --adapters pr2_like",

@@ -15,7 +15,6 @@ from kinfeas.cli import (
     benchmark,
     ceiling,
     demo,
-    demonstrate,
     deploy,
     evaluate,
     export,
@@ -43,7 +42,6 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "speed": speed.speed,
     },
     "Motions and scenes": {
-        "demonstrate": demonstrate.demonstrate,
         "fit": fit.fit,
         "view": view.view,
     },

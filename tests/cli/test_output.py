@@ -173,8 +173,6 @@ def test_two_options_must_not_name_one_file(tmp_path, same):
         "view --picture same --html same",
         "view --record same --json same",
         "plugins check linear --picture same --json same",
-        "demonstrate door --out same --json same",
-        "demonstrate door --out other --picture same --json same",
         "fit --demonstrations . --out same --json same",
         "benchmark --quick --out same --json same",
         "benchmark --quick --publish same --json same",
@@ -272,7 +270,6 @@ def test_a_device_or_a_pipe_may_be_called_anything(tmp_path):
         ("room.png", "view --picture room.png"),
         ("run.png", "view --record run.csv --picture run.png"),
         ("motions.png", "plugins check linear --duration 5 --picture motions.png"),
-        ("door.png", "demonstrate door --count 1 --out new --picture door.png"),
     ],
 )
 def test_a_full_disk_leaves_what_was_there(kinfeas, inputs, monkeypatch, file, line):
