@@ -19,8 +19,7 @@ from kinfeas.cli.policy_robot import robot_of
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.policies.onnx_file import PolicyFile
-    from kinfeas.policies.onnx_metadata import About
+    from kinfeas.policies.onnx_policy import OnnxPolicy, PolicyMetadata
     from kinfeas.robots.robot import Robot
 
 
@@ -75,7 +74,7 @@ def export(
 
 def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
     from kinfeas.policies.loading import check_place
-    from kinfeas.policies.onnx_file import read_policy_file
+    from kinfeas.policies.onnx_policy import read_policy_file
 
     check_place(path)
     found = read_policy_file(path, robot)
@@ -85,7 +84,7 @@ def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
     _show(f"policy file {path}: in order", found, [["its kinematics", compared]])
 
 
-def export_policy(policy: str, robot: str | None, out: Path) -> tuple["PolicyFile", float]:
+def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolicy", float]:
     """Write a policy into an ONNX file; return it, and how far it is off the training policy.
 
     Raises:
@@ -117,15 +116,15 @@ def _export(policy: str, robot: str | None, out: Path, json: Path | None) -> Non
     _show(f"exported: {out}", found, [size, ["off the training policy, at most", f"{off:.1e}"]])
 
 
-def facts(policy: "PolicyFile", path: Path) -> dict[str, object]:
+def facts(policy: "OnnxPolicy", path: Path) -> dict[str, object]:
     """Return what a policy file at `path` tells of itself."""
     from kinfeas.config import to_mapping
 
-    return {"file": path.name, "bytes": path.stat().st_size, **to_mapping(policy.about)}
+    return {"file": path.name, "bytes": path.stat().st_size, **to_mapping(policy.metadata)}
 
 
-def _show(title: str, policy: "PolicyFile", first: list[list[str]]) -> None:
-    about = policy.about
+def _show(title: str, policy: "OnnxPolicy", first: list[list[str]]) -> None:
+    about = policy.metadata
     robot, control = about.robot, about.control
     period = "not known" if control.period is None else f"{control.period:g} s"
     rows = [
@@ -147,7 +146,7 @@ def _show(title: str, policy: "PolicyFile", first: list[list[str]]) -> None:
     print_table("action, in [-1, 1]", [" number", "field", "1 means"], actions)
 
 
-def _observed(about: "About") -> list[list[str]]:
+def _observed(about: "PolicyMetadata") -> list[list[str]]:
     first, rows = 0, []
     for field in about.observation:
         last = first + field.size - 1
@@ -157,7 +156,7 @@ def _observed(about: "About") -> list[list[str]]:
     return rows
 
 
-def _training(about: "About") -> list[list[str]]:
+def _training(about: "PolicyMetadata") -> list[list[str]]:
     """Return rows on how a policy was trained and how well it does, as far as that is known."""
     config, steps = about.training.get("config"), about.training.get("steps")
     rows = []

@@ -78,7 +78,7 @@ def load_policy(name: str, robot: "Robot") -> "Policy":
         return read_network(pretrained.find(robot.name), robot)
     check_place(Path(name))
     if Path(name).is_file():
-        from kinfeas.policies.onnx_file import read_policy_file
+        from kinfeas.policies.onnx_policy import read_policy_file
 
         return read_policy_file(Path(name), robot)
     return read_network(Path(name), robot)

@@ -5,8 +5,8 @@ import json
 import onnx
 
 from kinfeas.benchmark.speed import random_network
-from kinfeas.policies import onnx_metadata
 from kinfeas.policies.network import write_network
+from kinfeas.policies.onnx_policy import digest_entry
 from kinfeas.sim2real.export import export
 
 TRAINED = {
@@ -35,12 +35,14 @@ def write_policy_file(robot, folder, net_arch=8):
 
 
 def change(path, edit, sign=True):
-    """Let `edit` change the ONNX model in a file, whose digest fits again if it is to be signed."""
+    """Let `edit` change the ONNX model in a file; `sign` renews its digest."""
     model = onnx.load(path)
     edit(model)
     if sign:
-        set_entry(model, "digest", json.loads(onnx_metadata.digest(model.SerializeToString())))
-    path.write_bytes(model.SerializeToString())
+        (old,) = (one for one in model.metadata_props if one.key == "kinfeas.digest")
+        model.metadata_props.remove(old)
+    body = model.SerializeToString()
+    path.write_bytes(body + digest_entry(body) if sign else body)
 
 
 def set_entry(model, key, value):

@@ -1,0 +1,309 @@
+"""Policies in one self-describing ONNX file, evaluated with onnxruntime.
+
+Each field of `PolicyMetadata` is one metadata entry `kinfeas.FIELD` of the file, as JSON. The last
+entry, `kinfeas.digest`, is the SHA-256 hash of all bytes before it.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinfeas import config
+from kinfeas.control.drive import action_size
+from kinfeas.control.observation import FIELDS, HORIZON
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
+from kinfeas.core.spatial import Array
+from kinfeas.io.files import read_file
+from kinfeas.robots.fingerprint import fingerprint
+from kinfeas.robots.robot import Robot
+
+SCHEMA = 1
+"""Version of the metadata and of the graph."""
+
+PREFIX = "kinfeas."
+"""Start of the metadata keys."""
+
+INPUT, OUTPUT, BATCH = "observation", "action", "batch"
+"""Names of the graph's input and output, and of their first axis."""
+
+TOLERANCE = 1e-5
+"""Largest allowed difference of an action in [-1, 1] from the training policy's."""
+
+MAX_BYTES = 20_000_000
+
+# The serialized `metadata_props` entry up to the 64 hexadecimal digits and the closing quote.
+_DIGEST_ENTRY = b'r\x5b\n\x0ekinfeas.digest\x12\x49"sha256:'
+_DIGEST_LENGTH = len(_DIGEST_ENTRY) + 65
+
+_QUATERNION = "quaternion x y z w, w >= 0"
+_UNITS = {
+    "ee_position": "m",
+    "ee_orientation": _QUATERNION,
+    "planned_velocity": "m/s",
+    "planned_rotation": f"{_QUATERNION}, over {HORIZON:g} s",
+    "goal_position": "m",
+    "goal_orientation": _QUATERNION,
+}
+
+
+@dataclass(frozen=True)
+class RobotInfo:
+    """The robot that a policy controls.
+
+    Attributes:
+        name: Short name.
+        kinematics: Hash of the kinematics, from `robots.fingerprint`.
+        ee_frame: Link of the EE pose.
+        base_frame: Link of the base, the frame of the observation.
+        drive: `omnidirectional` or `differential`.
+    """
+
+    name: str
+    kinematics: str
+    ee_frame: str
+    base_frame: str
+    drive: str
+
+
+@dataclass(frozen=True)
+class ObservationTerm:
+    """A term of the observation: name, number of entries, frame and unit."""
+
+    name: str
+    size: int
+    frame: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class ActionTerm:
+    """An entry of the action, in [-1, 1]; 1 means `limit`, in `unit`."""
+
+    name: str
+    unit: str
+    limit: float
+
+
+@dataclass(frozen=True)
+class Control:
+    """Timing of a policy.
+
+    Attributes:
+        period: Control period of the training in seconds; None if unknown.
+        horizon: Seconds from the desired to the planned EE pose in the observation.
+    """
+
+    period: float | None
+    horizon: float
+
+
+@dataclass(frozen=True)
+class GoldenPairs:
+    """Observations and the training policy's actions, one row each."""
+
+    observation: tuple[tuple[float, ...], ...]
+    action: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class PolicyMetadata:
+    """Description of an exported policy.
+
+    Attributes:
+        version: Version of kinfeas that wrote the file.
+        robot: Robot that the policy controls.
+        observation: Terms of the observation, in order.
+        action: Entries of the action, in order.
+        control: Timing.
+        training: Configuration, seed and steps of the training run.
+        success: Evaluation metrics by kind.
+        golden: Pairs that the loaded policy has to reproduce.
+    """
+
+    version: str
+    robot: RobotInfo
+    observation: tuple[ObservationTerm, ...]
+    action: tuple[ActionTerm, ...]
+    control: Control
+    training: dict[str, object]
+    success: dict[str, object]
+    golden: GoldenPairs
+
+    @property
+    def trained_with(self) -> str:
+        """Name or path of the robot in the configuration of the training."""
+        settings = self.training.get("config")
+        known = settings if isinstance(settings, dict) else {}
+        return str(known.get("robot", self.robot.name))
+
+
+class OnnxPolicy:
+    """A policy evaluated with onnxruntime in one thread.
+
+    Rows are evaluated one at a time, because onnxruntime rounds batches differently.
+
+    Args:
+        content: Bytes of a file written by `kinfeas export`.
+
+    Attributes:
+        metadata: Description of the policy.
+
+    Raises:
+        KinfeasError: If `kinfeas export` did not write the bytes, they were changed, or the
+            policy does not reproduce its golden pairs.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        body, entry = content[:-_DIGEST_LENGTH], content[-_DIGEST_LENGTH:]
+        if not entry.startswith(_DIGEST_ENTRY):
+            raise KinfeasError("truncated, or not written by `kinfeas export`")
+        if entry != digest_entry(body):
+            raise KinfeasError("changed after its export: the digest does not match")
+        self._content, self._session = content, _session(content)
+        self.metadata = _metadata(self._session.get_modelmeta().custom_metadata_map)
+        self._check_sizes()
+        self._check_golden_pairs()
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, actions)."""
+        return self(policy_input.observation)
+
+    def __call__(self, observation: Array) -> Array:
+        """Return the actions, shape (n, actions), for observations of shape (n, inputs).
+
+        Rows with a non-finite entry get NaN; clipping inside the graph would hide it.
+        """
+        values = np.ascontiguousarray(observation, dtype=np.float32)
+        finite = np.logical_and.reduce(np.isfinite(values), axis=1)
+        action = np.full((len(values), len(self.metadata.action)), np.nan)
+        for i in range(len(values)):
+            if finite[i]:
+                action[i] = self._session.run((OUTPUT,), {INPUT: values[i : i + 1]})[0]
+        return action
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor call for worker processes."""
+        return OnnxPolicy, (self._content,)
+
+    def check_robot(self, robot: Robot) -> None:
+        """Check that the policy was trained for a robot with these kinematics.
+
+        Raises:
+            KinfeasError: If the robot, its kinematics, the observation or the action differ.
+        """
+        metadata, wanted = self.metadata, describe_robot(robot)
+        found = metadata.robot
+        if found.name != wanted.name:
+            raise KinfeasError(f"a policy for robot {found.name!r}, not for {wanted.name!r}")
+        if found.kinematics != wanted.kinematics:
+            raise KinfeasError(
+                f"the kinematics of robot {robot.name!r} changed since the training: "
+                f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
+            )
+        here = (wanted, describe_observation(robot), describe_action(robot), HORIZON)
+        there = (
+            found,
+            self.metadata.observation,
+            self.metadata.action,
+            self.metadata.control.horizon,
+        )
+        if here != there:
+            raise KinfeasError("its observation or action differs from this version's of kinfeas")
+
+    def _check_sizes(self) -> None:
+        ends = (*self._session.get_inputs(), *self._session.get_outputs())
+        found = [(end.name, end.type, end.shape) for end in ends]
+        sizes = sum(term.size for term in self.metadata.observation), len(self.metadata.action)
+        wanted = [
+            (name, "tensor(float)", [BATCH, size])
+            for name, size in zip((INPUT, OUTPUT), sizes, strict=True)
+        ]
+        if found != wanted:
+            raise KinfeasError(f"its graph has {found}, its metadata describe {wanted}")
+
+    def _check_golden_pairs(self) -> None:
+        golden = self.metadata.golden
+        deviation = np.abs(self(np.array(golden.observation)) - np.array(golden.action)).max()
+        if not deviation <= TOLERANCE:
+            raise KinfeasError(
+                f"its golden pairs are off by {deviation:.2g}; {TOLERANCE:g} is allowed"
+            )
+
+
+def read_policy_file(path: Path, robot: Robot | None) -> OnnxPolicy:
+    """Return the policy of a file written by `kinfeas export`.
+
+    Args:
+        path: The ONNX file.
+        robot: Robot that the policy is to control; None to only inspect the file.
+
+    Raises:
+        KinfeasError: If the file is of another kind, truncated or changed, does not reproduce its
+            golden pairs, or is for another robot or other kinematics.
+    """
+    content = read_file(path, MAX_BYTES)
+    try:
+        policy = OnnxPolicy(content)
+        if robot is not None:
+            policy.check_robot(robot)
+    except KinfeasError as error:
+        raise KinfeasError(f"{path}: {error}") from error
+    return policy
+
+
+def digest_entry(body: bytes) -> bytes:
+    """Return the serialized metadata entry with the digest of the bytes before it."""
+    return _DIGEST_ENTRY + hashlib.sha256(body).hexdigest().encode() + b'"'
+
+
+def describe_robot(robot: Robot) -> RobotInfo:
+    """Return the description of a robot for the metadata."""
+    base = robot.base
+    return RobotInfo(robot.name, fingerprint(robot), robot.ee_frame, base.frame, base.drive)
+
+
+def describe_observation(robot: Robot) -> tuple[ObservationTerm, ...]:
+    """Return the terms of `control.observation.observe`."""
+    terms = [ObservationTerm(name, size, robot.base.frame, _UNITS[name]) for name, size in FIELDS]
+    for joint in robot.arm:
+        unit = "m" if robot.urdf.joints[joint.name].kind == "prismatic" else "rad"
+        unit += ", in (-pi, pi]" if joint.continuous else ""
+        terms.append(ObservationTerm(joint.name, 1, "joint", unit))
+    return tuple(terms)
+
+
+def describe_action(robot: Robot) -> tuple[ActionTerm, ...]:
+    """Return the entries of the action that `control.drive.base_twist` takes."""
+    names = ("forward", "left") if action_size(robot.base) == 3 else ("forward",)
+    linear = [ActionTerm(name, "m/s", robot.base.max_velocity) for name in names]
+    return (*linear, ActionTerm("turn", "rad/s", robot.base.max_rotation))
+
+
+def _session(content: bytes) -> Any:
+    import onnxruntime
+    from onnxruntime.capi import onnxruntime_pybind11_state as errors
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except (errors.Fail, errors.InvalidGraph, errors.InvalidProtobuf, errors.NotImplemented) as e:
+        reason = " ".join(str(e).split())[:200]
+        raise KinfeasError(f"onnxruntime {onnxruntime.__version__}: {reason}") from e
+
+
+def _metadata(entries: dict[str, str]) -> PolicyMetadata:
+    if (schema := entries.pop(f"{PREFIX}schema", None)) != str(SCHEMA):
+        raise KinfeasError(f"its schema is {schema}; this version reads schema {SCHEMA}")
+    del entries[f"{PREFIX}digest"]
+    try:
+        data = {key.removeprefix(PREFIX): json.loads(value) for key, value in entries.items()}
+    except ValueError as error:
+        raise KinfeasError(f"its metadata are not JSON: {error}") from error
+    return config.from_mapping(PolicyMetadata, data, "its metadata")

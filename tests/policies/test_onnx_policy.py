@@ -1,0 +1,212 @@
+import json
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import onnx
+import pytest
+from onnx import numpy_helper
+
+from kinfeas.control.drive import action_size
+from kinfeas.control.observation import HORIZON, size
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
+from kinfeas.policies import onnx_policy
+from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
+from kinfeas.robots.loading import load_robot
+from tests.sim2real.policy_cases import change, get_entry, set_entry, write_policy_file
+
+
+@pytest.fixture(scope="module")
+def hsr():
+    return load_robot("hsr")
+
+
+@pytest.fixture(scope="module")
+def exported(hsr, tmp_path_factory):
+    """A network of the HSR and the bytes of its policy file."""
+    network, path = write_policy_file(hsr, tmp_path_factory.mktemp("file"), net_arch=64)
+    return network, path.read_bytes()
+
+
+@pytest.fixture
+def path(exported, tmp_path):
+    """A policy file of the HSR to change."""
+    (tmp_path / "hsr.onnx").write_bytes(exported[1])
+    return tmp_path / "hsr.onnx"
+
+
+def observations(network, n):
+    rng = np.random.default_rng(5)
+    return 2.0 * rng.normal(size=(n, len(network.scale))) / network.scale
+
+
+def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
+    network, policy = exported[0], read_policy_file(path, hsr)
+    seen = observations(network, 64)
+    together = policy(seen)
+    np.testing.assert_allclose(together, network(seen), rtol=0.0, atol=TOLERANCE)
+    for count in (1, 3, 16):
+        parts = [policy(seen[first : first + count]) for first in range(0, 64, count)]
+        np.testing.assert_array_equal(np.concatenate(parts), together)
+    np.testing.assert_array_equal(policy(np.asfortranarray(seen)[::-1]), together[::-1])
+    unused = np.full((64, 7), np.nan)
+    policy_input = PolicyInput(seen, unused, unused, unused, unused, unused)
+    np.testing.assert_array_equal(policy.act(policy_input), together)
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+def test_shape_and_bounds(path, hsr, n):
+    action = read_policy_file(path, hsr)(np.full((n, size(len(hsr.arm))), 1e6))
+    assert action.shape == (n, action_size(hsr.base))
+    assert action.dtype == np.float64
+    assert np.all(np.abs(action) <= 1.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_non_finite_observations_give_nan(path, hsr, bad):
+    seen = np.zeros((3, size(len(hsr.arm))))
+    seen[1, 5] = bad
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(read_policy_file(path, hsr)(seen)).all(axis=1)
+    assert finite.tolist() == [True, False, True]
+
+
+def test_pickles_for_worker_processes(path, exported, hsr):
+    policy = read_policy_file(path, hsr)
+    copy = pickle.loads(pickle.dumps(policy))
+    seen = observations(exported[0], 2)
+    assert copy.metadata == policy.metadata
+    np.testing.assert_array_equal(copy(seen), policy(seen))
+
+
+def test_metadata_describe_the_robot(robot, tmp_path):
+    found = read_policy_file(write_policy_file(robot, tmp_path)[1], None).metadata
+    assert found.robot.name == robot.name
+    assert sum(term.size for term in found.observation) == size(len(robot.arm))
+    joints = [term.name for term in found.observation if term.frame == "joint"]
+    assert joints == [joint.name for joint in robot.arm]
+    limits = [(term.unit, term.limit) for term in found.action]
+    assert len(limits) == action_size(robot.base)
+    assert limits[0] == ("m/s", robot.base.max_velocity)
+    assert limits[-1] == ("rad/s", robot.base.max_rotation)
+    assert (found.control.period, found.control.horizon) == (0.1, HORIZON)
+    assert found.training["steps"] == 1000
+    assert found.success["evaluation"] == {"episodes": 256, "success": 0.9}
+
+
+def test_needs_neither_torch_nor_onnx(path):
+    code = f"""
+import sys
+from pathlib import Path
+from kinfeas.policies.onnx_policy import read_policy_file
+
+read_policy_file(Path({str(path)!r}), None)
+print({{"torch", "stable_baselines3", "gymnasium", "onnx", "sklearn"}} & set(sys.modules))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "set()\n", "")
+
+
+def rejected(path, robot, word):
+    with pytest.raises(KinfeasError, match=word) as caught:
+        read_policy_file(path, robot)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_another_robot_or_other_kinematics(path, hsr):
+    rejected(path, load_robot("pr2"), "'hsr'.*'pr2'")
+    rejected(path, replace(hsr, base=replace(hsr.base, max_velocity=0.1)), "kinematics")
+    gentle = replace(hsr, base=replace(hsr.base, max_acceleration=0.1))
+    assert read_policy_file(path, gentle).metadata.robot.name == "hsr"
+
+
+def test_truncated_or_changed_anywhere(path, exported, hsr):
+    content = exported[1]
+    rng = np.random.default_rng(0)
+    for end in [*range(0, len(content), 997), len(content) - 1]:
+        path.write_bytes(content[:end])
+        rejected(path, hsr, ".")
+    for at in [*rng.integers(len(content), size=50), *range(len(content) - 90, len(content), 7)]:
+        changed = bytearray(content)
+        changed[at] ^= 1 << rng.integers(8)
+        path.write_bytes(changed)
+        rejected(path, hsr, ".")
+
+
+@pytest.mark.parametrize("more", [b"\0", b"\x08\x07", b"some words", b"\xa2\x06\x01x"])
+def test_something_appended(path, exported, hsr, more):
+    path.write_bytes(exported[1] + more)
+    rejected(path, hsr, ".")
+
+
+@pytest.mark.parametrize("other", [b"", b"{}", b"PK\x03\x04" * 99, pickle.dumps([1.0])])
+def test_other_files(path, hsr, other):
+    path.write_bytes(other)
+    rejected(path, hsr, "not written by `kinfeas export`")
+
+
+def test_a_foreign_onnx_file(path, hsr):
+    change(path, lambda model: model.ClearField("metadata_props"), sign=False)
+    rejected(path, hsr, "not written by `kinfeas export`")
+
+
+def test_missing_and_huge_files(path, hsr, monkeypatch):
+    rejected(path.parent / "none.onnx", hsr, "No such file")
+    rejected(path.parent, hsr, "Is a directory")
+    monkeypatch.setattr(onnx_policy, "MAX_BYTES", 1000)
+    rejected(path, hsr, "1000 bytes")
+
+
+def set_tensor(name, values):
+    def edit(model):
+        tensor = next(one for one in model.graph.initializer if one.name == name)
+        tensor.CopyFrom(numpy_helper.from_array(values(numpy_helper.to_array(tensor)), name))
+
+    return edit
+
+
+def edit_entry(key, edit):
+    return lambda model: set_entry(model, key, edit(get_entry(model, key)))
+
+
+SIGNED = {
+    "other weights": (set_tensor("weight_0", lambda w: w * np.float32(0.9)), "golden"),
+    "NaN": (set_tensor("weight_1", lambda w: w * np.float32(np.nan)), "golden"),
+    "other shape": (set_tensor("weight_0", lambda w: w.T), "onnxruntime|graph|golden"),
+    "custom operator": (lambda m: setattr(m.graph.node[1], "domain", "evil"), "onnxruntime"),
+    "one row only": (
+        lambda m: setattr(m.graph.input[0].type.tensor_type.shape.dim[0], "dim_value", 1),
+        "graph",
+    ),
+    "schema": (edit_entry("schema", lambda s: 2), "schema"),
+    "robot": (edit_entry("robot", lambda r: "pr2"), "'robot'"),
+    "unknown": (lambda m: m.metadata_props.add(key="kinfeas.more", value="1"), "'more'"),
+    "missing": (lambda m: m.metadata_props.pop(3), "'observation'"),
+    "no JSON": (lambda m: setattr(m.metadata_props[3], "value", "{"), "JSON"),
+    "fewer actions": (edit_entry("action", lambda a: a[:2]), "graph"),
+    "other order": (edit_entry("observation", lambda o: o[::-1]), "observation or action"),
+    "other scale": (
+        edit_entry("action", lambda a: [{**one, "limit": 9.0} for one in a]),
+        "observation or action",
+    ),
+    "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),
+}
+
+
+@pytest.mark.parametrize("case", SIGNED)
+def test_changes_with_a_matching_digest(path, hsr, case):
+    edit, word = SIGNED[case]
+    change(path, edit)
+    rejected(path, hsr, word)
+
+
+def test_the_entries_are_json(path):
+    entries = {one.key: one.value for one in onnx.load(path).metadata_props}
+    assert len(entries) == 10
+    for key, value in entries.items():
+        assert key.startswith("kinfeas.")
+        json.loads(value)
