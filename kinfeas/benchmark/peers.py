@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.backends.pybullet.silence import silence
+from kinfeas.backends.pybullet.physics import silence
 from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkOptions

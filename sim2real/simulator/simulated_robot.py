@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.backends.pybullet.robot_urdf import PLANAR_JOINTS
+from kinfeas.backends.pybullet.robot_body import PLANAR_JOINTS
 from kinfeas.core.backend import Grip, RobotState
 from kinfeas.core.spatial import Array
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading, Orders

@@ -1,4 +1,4 @@
-"""The objects of a scene as bodies of the PyBullet world."""
+"""The objects of a scene as PyBullet bodies."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -9,22 +9,21 @@ from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.config.schema import no_such
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
-from kinfeas.robots.tree import Joint
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 
 T = TypeVar("T")
 
-_REST = 0.05  # m/s, below which something stands
-_TOUCH = 1e-3  # m, between things that touch
-_UPRIGHT = float(np.cos(np.pi / 4.0))  # least share of a unit vector that points upwards
+_REST = 0.05  # m/s, largest speed at rest
+_TOUCH = 1e-3  # m, largest distance of a contact
+_UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
 
 
 class Furniture:
-    """What stands in a room; doors and drawers move with friction and damping.
+    """The objects of a scene; doors and drawers move with friction and damping.
 
     Attributes:
-        scene: Where everything stands at the next reset.
+        scene: Poses and joint positions at the next reset.
         bodies: PyBullet's numbers of the objects, by name.
     """
 
@@ -37,28 +36,34 @@ class Furniture:
         }
         self._joints = {name: physics.joints(body) for name, body in self.bodies.items()}
         self._links = {name: physics.links(body) for name, body in self.bodies.items()}
-        self.retime()
+        self.apply_step_time()
         self.place()
 
     def furnish(self, scene: Scene) -> None:
-        """Set where everything stands from the next reset on.
+        """Set the poses and joint positions for the next resets.
 
         Raises:
-            KinfeasError: If the scene holds other objects than the world.
+            KinfeasError: If the scene has other objects than the world.
         """
         if scene.objects.keys() != self.bodies.keys():
             known, given = ", ".join(sorted(self.bodies)), ", ".join(sorted(scene.objects))
-            raise KinfeasError(f"the scene must hold the world's objects {known}, not {given}")
+            raise KinfeasError(f"the scene must have the world's objects {known}, not {given}")
         self.scene = scene
 
-    def retime(self) -> None:
-        """Follow a change of the physics step, for which PyBullet keeps impulses, not forces."""
+    def apply_step_time(self) -> None:
+        """Set joint friction again: PyBullet keeps impulses, which depend on the step time."""
         for name, one in self.scene.objects.items():
             for joint in free_joints(one.urdf).values():
-                self._rub(name, joint)
+                self._physics.client.setJointMotorControl2(
+                    self.bodies[name],
+                    self._joints[name][joint.name],
+                    self._physics.client.VELOCITY_CONTROL,
+                    targetVelocity=0.0,
+                    force=joint.friction,
+                )
 
     def place(self) -> None:
-        """Put everything where the scene says, at rest."""
+        """Place all objects as in the scene, at rest."""
         for name, one in self.scene.objects.items():
             self._physics.place(self.bodies[name], one.pose)
             for joint, position in one.joint_positions.items():
@@ -82,7 +87,7 @@ class Furniture:
         return self._physics.link_pose(*self.link(name, link))
 
     def joint_position(self, name: str, joint: str) -> float:
-        """Return how far a joint of an object is open, rad or m.
+        """Return the position of an object's joint, rad or m.
 
         Raises:
             KinfeasError: If there is no such object or joint.
@@ -94,9 +99,7 @@ class Furniture:
         return position
 
     def stands(self, name: str, on: str) -> bool:
-        """Return whether an object is at rest on another one, as upright as the scene has it.
-
-        What leans against the side of the other one or has fallen over does not stand on it.
+        """Return whether an object is at rest on top of another one, and upright as in the scene.
 
         Raises:
             KinfeasError: If there is no such object.
@@ -105,12 +108,12 @@ class Furniture:
         body, below = (self._of(one, self.bodies) for one in (name, on))
         speed = float(np.linalg.norm(client.getBaseVelocity(body)[0]))
         points = client.getContactPoints(bodyA=body, bodyB=below)
-        # The normal of a contact points from the other one to the object.
-        borne = any(point[8] <= _TOUCH and point[7][2] >= _UPRIGHT for point in points)
-        return speed <= _REST and borne and self._tilt(name) >= _UPRIGHT
+        # The contact normal points from the other object to this one.
+        supported = any(point[8] <= _TOUCH and point[7][2] >= _UPRIGHT for point in points)
+        return speed <= _REST and supported and self._tilt(name) >= _UPRIGHT
 
     def _tilt(self, name: str) -> float:
-        """Return how far upwards points what does so in the scene, from -1 to 1."""
+        """Return the cosine of the angle between the object's upright axis and the vertical."""
         urdf = self.scene.objects[name].urdf
         now = rotation(self.link_pose(name, urdf.root)).as_matrix()
         return float((now @ rotation(self.scene.objects[name].pose).as_matrix().T)[2, 2])
@@ -119,14 +122,3 @@ class Furniture:
         if name not in known:
             raise KinfeasError(f"there is no object {name!r}{no_such(name, known)}")
         return known[name]
-
-    def _rub(self, name: str, joint: Joint) -> None:
-        """Let a joint brake: a motor that wants to stand still and is as strong as its friction."""
-        client = self._physics.client
-        client.setJointMotorControl2(
-            self.bodies[name],
-            self._joints[name][joint.name],
-            client.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=joint.friction,
-        )

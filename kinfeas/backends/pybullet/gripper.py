@@ -1,72 +1,80 @@
-"""The gripper of a robot in the PyBullet world: it opens, closes and feels what it touches."""
+"""The gripper and what it holds."""
 
-from kinfeas.backends.pybullet.moving_joints import finger_followers
-from kinfeas.backends.pybullet.robot_body import RobotBody
+import numpy as np
+
+from kinfeas.backends.pybullet.robot_body import RobotBody, finger_followers
+from kinfeas.control.subgoals import tool_pose
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 
 _RELAXED = 0.1  # of a finger's effort
-_COUPLING = 0.5  # of a finger's effort: less than that, so that both close round what is aside
+_COUPLING = 0.5  # of a finger's effort: below 1, so that both close round an object off centre
+_PAD = 0.03  # m, distance from the tip at which the fingers hold an object that cannot turn
+_CENTRE = IDENTITY[np.newaxis]
+# In the plane of the pads, whose normal is the finger axis.
+_PADS = np.repeat(_CENTRE, 4, axis=0)
+_PADS[:, [0, 2]] = _PAD * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
 
 class GripperDrive:
-    """Two fingers that move alike, until something is in the way of one of them.
+    """Two fingers that move alike until one of them is blocked.
 
     Attributes:
         fingers: Indices of the links of each finger.
     """
 
     def __init__(self, body: RobotBody) -> None:
-        """Connect to the fingers of a robot, which stay where they are.
+        """Connect to the fingers of a robot.
 
         Raises:
-            KinfeasError: If the robot's YAML file says nothing of a gripper.
+            KinfeasError: If the robot's YAML file has no gripper.
         """
         robot = body.robot
         if robot.gripper is None:
-            raise KinfeasError(
-                f"robot {robot.name!r} has no gripper: its YAML file lacks 'gripper'"
-            )
+            raise KinfeasError(f"robot {robot.name!r} has no gripper: its YAML lacks 'gripper'")
         self._body, self._gripper = body, robot.gripper
         self._followers = finger_followers(robot)
         self.fingers = tuple(
             frozenset(body.links[link] for link in robot.urdf.below(finger))
             for finger in robot.gripper.fingers
         )
-        self._rub()
+        client, config = body.physics.client, body.physics.config
+        for link in frozenset().union(*self.fingers):
+            client.changeDynamics(body.body, link, lateralFriction=config.finger_friction)
         self._gear = self._couple()
         self.reset()
 
     @property
     def opening(self) -> float:
-        """How far the fingers are open now, from 0 to 1."""
+        """Opening of the fingers, from 0 (closed) to 1."""
         joints = [self._body.joints[name] for name in self._gripper.fingers]
         states = self._body.physics.client.getJointStates(self._body.body, joints)
         mean = sum(state[0] for state in states) / len(states)
         return (mean - self._gripper.closed) / (self._gripper.open - self._gripper.closed)
 
     def reset(self) -> None:
-        """Hold the fingers where `fixed_joints` puts them, as at the beginning."""
+        """Hold the fingers at the robot's `fixed_joints`."""
         fixed = self._body.robot.fixed_joints
         self._targets = {name: fixed[name] for name in self._gripper.fingers}
         self._exert(self._gripper.effort)
 
     def open(self) -> None:
-        """Begin to open, all the way."""
+        """Start to open."""
         self._move(self._gripper.open)
 
     def close(self) -> None:
-        """Begin to close until something is in the way."""
+        """Start to close."""
         self._move(self._gripper.closed)
 
     def relax(self) -> None:
-        """Leave each finger where it is now, with little effort."""
+        """Hold each finger where it is, with little effort."""
         client, joints = self._body.physics.client, self._body.joints
         for name in self._gripper.fingers:
             self._targets[name] = client.getJointState(self._body.body, joints[name])[0]
         self._exert(_RELAXED * self._gripper.effort)
 
     def drive(self) -> None:
-        """Command the motors that follow others, for one physics step."""
+        """Command the mimicking joints for one physics step."""
         client, body = self._body.physics.client, self._body
         for one in self._followers:
             leader = client.getJointState(body.body, body.joints[one.leader])[0]
@@ -81,9 +89,21 @@ class GripperDrive:
         touched = {point[3] for point in points if link == point[4]}
         return frozenset(i for i, links in enumerate(self.fingers) if links & touched)
 
+    def apply_step_time(self) -> None:
+        """Command the motors again: PyBullet keeps impulses, which depend on the step time."""
+        self._exert(self._effort)
+
     def _move(self, position: float) -> None:
         self._targets = dict.fromkeys(self._gripper.fingers, position)
         self._exert(self._gripper.effort)
+
+    def _exert(self, effort: float) -> None:
+        self._effort = effort
+        self._body.physics.client.changeConstraint(
+            self._gear, gearRatio=-1.0, maxForce=_COUPLING * effort
+        )
+        for name, target in self._targets.items():
+            self._motor(name, target)
 
     def _motor(self, name: str, position: float) -> None:
         client = self._body.physics.client
@@ -97,27 +117,8 @@ class GripperDrive:
             maxVelocity=self._body.robot.urdf.joints[name].velocity,
         )
 
-    def _rub(self) -> None:
-        physics = self._body.physics
-        for link in frozenset().union(*self.fingers):
-            physics.client.changeDynamics(
-                self._body.body, link, lateralFriction=physics.config.finger_friction
-            )
-
-    def retime(self) -> None:
-        """Follow a change of the physics step, for which PyBullet keeps impulses, not forces."""
-        self._exert(self._effort)
-
-    def _exert(self, effort: float) -> None:
-        self._effort = effort
-        self._body.physics.client.changeConstraint(
-            self._gear, gearRatio=-1.0, maxForce=_COUPLING * effort
-        )
-        for name, target in self._targets.items():
-            self._motor(name, target)
-
     def _couple(self) -> int:
-        """Return what keeps one finger as far open as the other, so that both do not give way."""
+        """Return a gear constraint that keeps both fingers equally far open."""
         client, joints = self._body.physics.client, self._body.joints
         ends = [
             value for name in self._gripper.fingers for value in (self._body.body, joints[name])
@@ -126,3 +127,82 @@ class GripperDrive:
             *ends, client.JOINT_GEAR, [1.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3
         )
         return gear
+
+
+class Grasp:
+    """A spring and damper between the hand and at most one link of one body.
+
+    It models the friction of soft fingers: it forms only where both fingers touch, and breaks
+    above `grasp_limit`. Its compliance is that of real fingers and arms. With rigid motors and a
+    rigid grasp, the force at a closed door would be unbounded.
+
+    Attributes:
+        held: Numbers of body and link; None for nothing.
+        force: Of the last physics step, N.
+    """
+
+    def __init__(self, body: RobotBody, gripper: GripperDrive) -> None:
+        """Make an empty hand."""
+        self._physics, self._gripper = body.physics, gripper
+        self._hand = (body.body, body.links[body.robot.ee_frame])
+        self._tip = tool_pose(body.robot)
+        self._ends: list[tuple[tuple[int, int], Array]] = []
+        self.held: tuple[int, int] | None = None
+        self.force = 0.0
+
+    def hold(self, body: int, link: int, *, rigid: bool = True) -> bool:
+        """Hold a link if both fingers touch it, and return whether they do.
+
+        Args:
+            body: PyBullet's number of the body.
+            link: Index of the link in it.
+            rigid: Whether the link cannot turn in the hand; the bar of a handle can.
+
+        Raises:
+            KinfeasError: If the hand holds something already.
+        """
+        if self.held is not None:
+            raise KinfeasError("the gripper holds an object already")
+        if self._gripper.touching(body, link) != {0, 1}:
+            return False
+        self.held = (body, link)
+        tip = compose(self._physics.link_pose(*self._hand), self._tip)
+        points = compose(tip, _PADS if rigid else _CENTRE)
+        self._ends = [
+            (end, relative(points, self._physics.mass_pose(*end)))
+            for end in (self._hand, self.held)
+        ]
+        # If both fingers kept squeezing, the difference of their forces would load the grasp.
+        self._gripper.relax()
+        return True
+
+    def drive(self) -> None:
+        """Apply the grasp's forces for one physics step."""
+        if self.held is None:
+            return
+        config, client = self._physics.config, self._physics.client
+        (hand, hand_speed), (link, link_speed) = (self._motion(*end) for end in self._ends)
+        share = 1.0 / len(hand)
+        forces = config.grasp_stiffness * share * (hand - link)
+        forces += config.grasp_damping * share * (hand_speed - link_speed)
+        self.force = float(np.linalg.norm(forces.sum(axis=0)))
+        for point_in_hand, point, force in zip(hand, link, forces, strict=True):
+            for end, at, pull in ((self._hand, point_in_hand, -force), (self.held, point, force)):
+                client.applyExternalForce(*end, pull.tolist(), at.tolist(), client.WORLD_FRAME)
+
+    def update(self) -> None:
+        """Release at the end of a control period if the force is above the limit."""
+        if self.force > self._physics.config.grasp_limit:
+            self.release()
+
+    def release(self) -> None:
+        """Hold nothing."""
+        self._ends, self.held, self.force = [], None, 0.0
+
+    def _motion(self, end: tuple[int, int], points: Array) -> tuple[Array, Array]:
+        """Return world positions and velocities of points, poses (k, 7) in a link's inertia."""
+        pose, linear, (x, y, z) = self._physics.motion(*end)
+        positions = compose(pose, points)[:, :3]
+        # Cross product as a matrix: numpy's function takes ten times as long.
+        turning = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        return positions, linear + (positions - pose[:3]) @ turning

@@ -1,6 +1,10 @@
-"""A PyBullet world of its own: connection, time step, and the state that a reset returns to."""
+"""One PyBullet world: connection, time step, loading of URDFs, saved state, quiet output."""
 
+import ctypes
 import math
+import os
+import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -11,9 +15,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from kinfeas.backends.pybullet.complaints import complaint, remarks, unread_mesh
-from kinfeas.backends.pybullet.screen import check_screen
-from kinfeas.backends.pybullet.silence import overhear, silence
 from kinfeas.config import Interval
 from kinfeas.config.quantities import NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
@@ -22,11 +23,13 @@ from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 ROOT = -1
 """PyBullet's index of a body's root link."""
 
-_AWAY = 1000.0
-"""Height at which there is nothing to touch, metres."""
-
-_DISTANCE, _YAW, _PITCH, _HEIGHT = 3.2, 50.0, -30.0, 0.6
-"""How the window looks at a robot: metres, degrees, degrees, and metres above the floor."""
+_AWAY = 1000.0  # m, height without contacts
+_WINDOW_CAMERA = (3.2, 50.0, -30.0)  # m from the robot, degrees of yaw and pitch
+_WINDOW_HEIGHT = 0.6  # m above the floor
+_UNREAD_MESH = re.compile(r"cannot extract (?:mesh|anything)|issue extracting mesh")
+_MESSAGE = re.compile(r"b3(?:Error|Warning|Printf)\[[^\]]*\]:\s*")
+_TRIAL = "import os, pybullet; os._exit(pybullet.connect(pybullet.GUI) < 0)"
+_TRIAL_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -34,19 +37,18 @@ class PhysicsConfig:
     """Numbers of the PyBullet world.
 
     Attributes:
-        rate: Physics steps per second, about: a control period holds a whole number of them, so
-            that 50 Hz makes 5 steps of 4 ms and the 0.1 s of the analytic world 24 of 1/240 s.
+        rate: Physics steps per second, rounded so that a control period has a whole number: 5 steps
+            of 4 ms at 50 Hz, 24 of 1/240 s at the 0.1 s of the analytic world.
         gravity: m/s^2.
         iterations: Of the constraint solver in a step.
-        drive_reserve: How much stronger the base's motors are than its acceleration takes, to bear
-            the swings of the arm and what it pulls.
-        wheel_grip: Torque for each newton of weight that turns wheels over the floor, m: their
-            distance from the middle of the base, about 0.2 m, times a friction of about 0.6.
-        arm_horizon: Seconds in which the arm reaches a target, to stand still there.
-        finger_friction: Coefficient at the fingers.
-        finger_softness: How near the fingers must be to something to touch it with the soft pads
-            that the URDFs lack, m.
-        grasp_stiffness: With which the hand holds, N/m: that of the fingers and the arm together.
+        drive_reserve: Force of the base's motors as a multiple of what its acceleration takes.
+        wheel_grip: Torque per newton of weight that turns the wheels over the floor, m: their
+            distance from the base's centre, about 0.2 m, times a friction of about 0.6.
+        arm_horizon: Seconds in which the arm reaches a target at rest.
+        finger_friction: Friction coefficient of the fingers.
+        finger_softness: Distance at which the fingers touch an object, m; the soft pads are not in
+            the URDFs.
+        grasp_stiffness: Of fingers and arm together, N/m.
         grasp_damping: The same, N s/m.
         grasp_limit: Force at which a held object slips out of the hand, N.
     """
@@ -65,7 +67,7 @@ class PhysicsConfig:
 
 
 class Physics:
-    """One world; others in the same process know nothing of it.
+    """One world, independent of others in the same process.
 
     Attributes:
         config: Its numbers.
@@ -75,20 +77,15 @@ class Physics:
     """
 
     def __init__(self, config: PhysicsConfig, *, gui: bool = False) -> None:
-        """Make a world that holds nothing but its floor.
-
-        Args:
-            config: Its numbers.
-            gui: Whether to show it in a window.
+        """Make a world with a floor, in a window if `gui`.
 
         Raises:
             KinfeasError: If PyBullet is not installed, or no window can be opened.
         """
         self.config, self.client, self._gui = config, _connect(gui), gui
-        # The panels hide most of the world. Without a window nothing happens.
         self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
         self.client.setGravity(0.0, 0.0, -config.gravity)
-        # Pairs in an order of their own, not in that of their history: a reset forgets everything.
+        # Without the second one, the order of pairs depends on what happened before a reset.
         self.client.setPhysicsEngineParameter(
             numSolverIterations=config.iterations, deterministicOverlappingPairs=1
         )
@@ -96,28 +93,26 @@ class Physics:
         self.floor: int = self.client.createMultiBody(0.0, plane)
         self.step_time = 0.0
         self._bodies: list[int] = []
-        self._kept: int | None = None
+        self._saved: int | None = None
 
     def load(self, urdf: Path, *, fixed: bool) -> int:
-        """Return the number of a new body at the origin.
+        """Return the number of a new body at the origin, made from a file.
 
         Args:
             urdf: A file that `parse_urdf` has checked.
-            fixed: Whether its root link stays where it is put.
+            fixed: Whether the root link is fixed.
 
         Raises:
             KinfeasError: If PyBullet cannot load it, or one of its meshes.
         """
-        body, heard = self._load(urdf, urdf, fixed=fixed)
-        sys.stderr.write(remarks(heard))
-        return body
+        return self._load(urdf, urdf, fixed=fixed)
 
     def load_text(self, urdf: str, source: Path) -> int:
-        """Return the number of a new body with a fixed root.
+        """Return the number of a new body with a fixed root, made from a text.
 
         Args:
-            urdf: Content of a URDF file whose meshes go by their absolute paths.
-            source: The file that it was made from, beside which its textures lie.
+            urdf: A URDF with absolute mesh paths.
+            source: File that errors name, and whose folder has the textures.
 
         Raises:
             KinfeasError: If PyBullet cannot load it, or one of its meshes.
@@ -126,9 +121,7 @@ class Physics:
         with tempfile.TemporaryDirectory() as temporary:
             path = Path(temporary) / "body.urdf"
             path.write_text(urdf, encoding="utf-8")
-            body, heard = self._load(path, source, fixed=True)
-        sys.stderr.write(heard)
-        return body
+            return self._load(path, source, fixed=True)
 
     def links(self, body: int) -> dict[str, int]:
         """Return the indices of a body's links by name."""
@@ -150,29 +143,28 @@ class Physics:
         return np.concatenate(state[4:6])
 
     def mass_pose(self, body: int, link: int) -> Array:
-        """Return the world pose of the frame in which a link's inertia is given, shape (7,)."""
+        """Return the world pose of a link's inertial frame, shape (7,)."""
         if link == ROOT:
             return np.concatenate(self.client.getBasePositionAndOrientation(body))
         state = self.client.getLinkState(body, link, computeForwardKinematics=True)
         return np.concatenate(state[0:2])
 
     def motion(self, body: int, link: int) -> tuple[Array, Array, Array]:
-        """Return the pose (7,) of a link's inertia, and how it moves: m/s, rad/s, (3,) and (3,)."""
+        """Return pose (7,), linear and angular velocity (3,) of a link's inertial frame."""
         if link == ROOT:
             linear, angular = self.client.getBaseVelocity(body)
             return self.mass_pose(body, ROOT), np.array(linear), np.array(angular)
-        state = self.client.getLinkState(body, link, 1, 1)  # velocity, and where it is now
+        state = self.client.getLinkState(body, link, 1, 1)  # velocity, present pose
         return np.concatenate(state[0:2]), np.array(state[6]), np.array(state[7])
 
     def place(self, body: int, pose: Array) -> None:
-        """Put the root link of a body at rest at a world pose, shape (7,)."""
-        # PyBullet means the frame of the inertia.
+        """Place the root link of a body at rest at a world pose, shape (7,)."""
         mass_pose = compose(pose, self._mass_in_root(body))
         self.client.resetBasePositionAndOrientation(body, mass_pose[:3], mass_pose[3:])
         self.client.resetBaseVelocity(body, [0.0] * 3, [0.0] * 3)
 
     def divide(self, dt: float) -> int:
-        """Return how many physics steps a control period has, and set their duration.
+        """Return the number of physics steps of a control period, and set their duration.
 
         Raises:
             KinfeasError: If `dt` is not above 0 and finite.
@@ -185,37 +177,31 @@ class Physics:
             self.client.setTimeStep(self.step_time)
         return steps
 
-    def advance(self) -> None:
-        """Let a physics step pass."""
-        self.client.stepSimulation()
-
     def look_at(self, base_pose: Array) -> None:
-        """Turn the window, if there is one, to a robot whose base has a pose of shape (7,)."""
+        """Turn the window, if there is one, to a base pose, shape (7,)."""
         if self._gui:
-            self.client.resetDebugVisualizerCamera(
-                _DISTANCE, _YAW, _PITCH, [*base_pose[:2], _HEIGHT]
-            )
+            target = [*base_pose[:2], _WINDOW_HEIGHT]
+            self.client.resetDebugVisualizerCamera(*_WINDOW_CAMERA, target)
 
-    def keep(self) -> None:
-        """Remember the whole world for `rewind`; no body may be added after that."""
-        self._kept = self.client.saveState()
+    def save(self) -> None:
+        """Save the state for `restore`; no body may be added later."""
+        self._saved = self.client.saveState()
 
-    def rewind(self) -> None:
-        """Return to what `keep` remembered, contacts and all."""
-        # What touches would keep its impulses, or its place among other contacts, wherever it goes:
-        # the corners that something lies on, or a robot at a wall.
+    def restore(self) -> None:
+        """Restore the saved state, with its contacts."""
+        # Contacts that persist would keep their impulses and their order: separate all bodies.
         for number, body in enumerate(self._bodies):
-            place = [0.0, 0.0, _AWAY * (number + 1.0)]
-            self.client.resetBasePositionAndOrientation(body, place, IDENTITY[3:])
+            position = [0.0, 0.0, _AWAY * (number + 1.0)]
+            self.client.resetBasePositionAndOrientation(body, position, IDENTITY[3:])
         self.client.performCollisionDetection()
-        self.client.restoreState(self._kept)
+        self.client.restoreState(self._saved)
 
     @contextmanager
     def connected(self) -> Iterator[None]:
-        """Return a context in which PyBullet's errors are sentences, and a world may be gone.
+        """Return a context that turns errors of PyBullet, as of a closed window, into ours.
 
         Raises:
-            KinfeasError: If PyBullet fails, as it does once its window is closed.
+            KinfeasError: If PyBullet fails.
         """
         try:
             yield
@@ -223,26 +209,32 @@ class Physics:
             raise KinfeasError(f"PyBullet fails, or its window was closed: {error}") from error
 
     def close(self) -> None:
-        """End the world; it may be called twice, and nothing else after it."""
+        """End the world; a second call does nothing."""
         self.client.leave()
 
-    def _load(self, urdf: Path, source: Path, *, fixed: bool) -> tuple[int, str]:
-        """Return the number of a new body, and what PyBullet said; errors name `source`."""
+    def _load(self, urdf: Path, source: Path, *, fixed: bool) -> int:
         client = self.client
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
-        try:
-            with overhear() as heard:
-                body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
-        except client.error as error:
-            reason = complaint(heard.getvalue()) or str(error)
-            raise KinfeasError(f"{source}: PyBullet cannot load it: {reason}") from error
-        if mesh := unread_mesh(heard.getvalue()):
+        with tempfile.TemporaryFile() as output:
+
+            def messages() -> list[str]:
+                output.seek(0)
+                found = _MESSAGE.split(output.read().decode(errors="replace"))
+                return [" ".join(one.split()) for one in found if one.strip()]
+
+            try:
+                with _diverted(output.fileno()):
+                    body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
+            except client.error as error:
+                reason = "; ".join(messages()) or error
+                raise KinfeasError(f"{source}: PyBullet cannot load it: {reason}") from error
+            unread = [one for one in messages() if _UNREAD_MESH.search(one)]
+        if unread:  # PyBullet loads the link without the shape
             raise KinfeasError(
-                f"{source}: PyBullet finds no triangles in the mesh {mesh!r}; binary STL, OBJ and "
-                "DAE files are allowed"
+                f"{source}: PyBullet: {unread[0]}; meshes must be binary STL, OBJ or DAE files"
             )
         self._bodies.append(body)
-        return body, heard.getvalue()
+        return body
 
     def _mass_in_root(self, body: int) -> Array:
         return np.concatenate(self.client.getDynamicsInfo(body, ROOT)[3:5])
@@ -257,17 +249,17 @@ def _connect(gui: bool) -> Any:
         raise KinfeasError(
             "the PyBullet world needs Python 3.11: there is no PyBullet for later versions"
         ) from error
-    if gui:
-        check_screen()
+    if gui and sys.platform == "linux":
+        _check_display()
 
     class Client(BulletClient):  # type: ignore[misc]  # it has no types
         def __getattr__(self, name: str) -> Any:
-            # It binds functions anew at each use, and a physics step uses thirty.
+            # Cached, because it binds functions anew at each use: thirty in a physics step.
             self.__dict__[name] = found = super().__getattr__(name)
             return found
 
         def leave(self) -> None:
-            # What is bound to this connection must not reach the next one of the same number.
+            # Cached functions must not reach the next connection with the same number.
             if self.isConnected():
                 self.disconnect()
             self.__dict__.clear()
@@ -278,3 +270,50 @@ def _connect(gui: bool) -> Any:
             return Client(pybullet.GUI if gui else pybullet.DIRECT)
     except pybullet.error as error:
         raise KinfeasError(f"PyBullet opens no world: {error}") from error
+
+
+def _check_display() -> None:
+    """Check in another process that a window can be opened: PyBullet exits where it cannot."""
+    display = os.environ.get("DISPLAY")
+    command = [sys.executable, "-c", _TRIAL]
+    try:
+        if (
+            display
+            and not subprocess.run(
+                command, capture_output=True, timeout=_TRIAL_SECONDS, check=False
+            ).returncode
+        ):
+            return
+    except subprocess.TimeoutExpired:
+        pass
+    raise KinfeasError(f"PyBullet cannot open a window: no usable screen, DISPLAY={display or ''}")
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """Return a context that drops all standard output and error, also that of C libraries."""
+    with Path(os.devnull).open("wb") as nowhere, _diverted(nowhere.fileno()):
+        yield
+
+
+@contextmanager
+def _diverted(to: int) -> Iterator[None]:
+    """Return a context in which standard output and error go to another file descriptor."""
+    libc = ctypes.CDLL(None)
+
+    def flush() -> None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        libc.fflush(None)
+
+    flush()
+    saved = {stream: os.dup(stream) for stream in (1, 2)}
+    for stream in saved:
+        os.dup2(to, stream)
+    try:
+        yield
+    finally:
+        flush()
+        for stream, before in saved.items():
+            os.dup2(before, stream)
+            os.close(before)

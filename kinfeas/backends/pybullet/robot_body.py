@@ -1,33 +1,50 @@
-"""A robot as a body of the PyBullet world: where its joints are and what they measure."""
+"""A robot as a PyBullet body: the URDF that PyBullet loads, its joints and measurements."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from kinfeas.backends.pybullet.moving_joints import arm_followers, moving_joints
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.backends.pybullet.robot_urdf import PLANAR_JOINTS, physics_urdf
 from kinfeas.core.backend import RobotState
-from kinfeas.core.spatial import Array, planar_pose, wrap, yaw
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, compose, planar_pose, rotation, wrap, yaw
+from kinfeas.robots.elements import Element, read_xml
+from kinfeas.robots.meshes import find_mesh
 from kinfeas.robots.robot import Robot
+from kinfeas.robots.tree import Joint, Urdf
+from kinfeas.robots.xml_text import numbers_text, set_origin
+from kinfeas.scenes.inertia import MOMENTS, SLACK, read_moments
+
+PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
+"""Joints of the base: along the world's x and y, then about z."""
+
+_MESH_FORMATS = (".stl", ".obj", ".dae")
+_WORLD, _CARRIERS = "planar_world_link", ("planar_x_link", "planar_y_link")
+_AXES = ("1 0 0", "0 1 0", "0 0 1")
+_SMALLEST = 0.01  # m, radius of gyration of links with zero moments
 
 
 class RobotBody:
-    """A robot that stands on planar joints.
+    """A robot on planar joints.
 
     Attributes:
-        physics: World that it is in.
-        robot: What is known of it.
-        body: PyBullet's number of it.
-        joints: Indices of the joints that move, by name, in PyBullet's order.
-        links: By the name of each of the robot's links the index of what it is a part of.
+        physics: Its world.
+        robot: Robot model.
+        body: PyBullet's number of the body.
+        joints: Indices of the moving joints by name, in PyBullet's order.
+        links: PyBullet's link index of each of the robot's links, by name; fixed links are merged.
         base: Indices of the planar joints x, y and yaw.
         arm: Indices of the arm's joints.
         arm_links: Indices of the links that the arm's joints carry.
-        mass: All of it, kg.
+        mass: Of the whole robot, kg.
         yaw_inertia: About the base's vertical axis, in the configuration `home`, kg m^2.
     """
 
     def __init__(self, physics: Physics, robot: Robot) -> None:
-        """Put a robot into the world, at the origin and in the configuration `home`."""
+        """Load a robot at the origin in the configuration `home`."""
         self.physics, self.robot = physics, robot
         urdf, part_of = physics_urdf(robot)
         self.body = physics.load_text(urdf, robot.urdf_path)
@@ -44,17 +61,17 @@ class RobotBody:
         self._followers = arm_followers(robot)
         above = frozenset().union(*(robot.urdf.below(joint.name) for joint in robot.arm))
         self.arm_links = frozenset(self.links[name] for name in above)
-        self._pass_through_the_floor()
-        home = robot.home["home"]
-        self.reset(planar_pose(np.zeros(()), np.zeros(()), np.zeros(())), home)
         client = physics.client
+        for link in self.links.values():
+            if link not in self.arm_links:  # the planar joints carry the base
+                client.setCollisionFilterPair(self.body, physics.floor, link, -1, 0)
+        self.reset(planar_pose(np.zeros(()), np.zeros(()), np.zeros(())), robot.home["home"])
         masses = (client.getDynamicsInfo(self.body, link)[0] for link in {*self.links.values()})
         self.mass = float(sum(masses))
-        inertia = client.calculateMassMatrix(self.body, self.positions())
-        self.yaw_inertia = float(inertia[2][2])
+        self.yaw_inertia = float(client.calculateMassMatrix(self.body, self.positions())[2][2])
 
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
-        """Put the robot at rest somewhere: pose of shape (7,), arm joints of shape (j,)."""
+        """Place the robot at rest: base pose (7,), arm joints (j,)."""
         planar = (*base_pose[:2].tolist(), float(yaw(base_pose)))
         arm = dict(zip((joint.name for joint in self.robot.arm), joint_positions, strict=True))
         follow = {
@@ -67,7 +84,7 @@ class RobotBody:
             self.physics.client.resetJointState(self.body, index, position, 0.0)
 
     def positions(self) -> list[float]:
-        """Return the positions of all joints that move, in PyBullet's order."""
+        """Return the positions of all moving joints, in PyBullet's order."""
         return [state[0] for state in self.physics.client.getJointStates(self.body, self._order)]
 
     def planar(self) -> tuple[float, float, float]:
@@ -81,24 +98,16 @@ class RobotBody:
         return [state[0] for state in states], [state[1] for state in states]
 
     def state(self) -> RobotState:
-        """Return what was measured, as a batch of one."""
+        """Return the measured state as a batch of one."""
         positions, velocities = self.measure()
         return robot_state(self.robot, np.array([positions]), np.array([velocities]))
 
-    def _pass_through_the_floor(self) -> None:
-        """Leave contacts of the base with the floor out: planar joints bear it already."""
-        for link in self.links.values():
-            if link not in self.arm_links:
-                self.physics.client.setCollisionFilterPair(
-                    self.body, self.physics.floor, link, -1, 0
-                )
-
 
 def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState:
-    """Return the state of n robots; continuous joints are in (-pi, pi].
+    """Return the state of n robots; continuous joints are wrapped to (-pi, pi].
 
     Args:
-        robot: Robot that was measured.
+        robot: Robot model.
         positions: x, y, yaw and arm joints, shape (n, 3 + j), metres and radians.
         velocities: Of the same, per second.
     """
@@ -111,3 +120,238 @@ def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState
         base_twist=twist,
         joint_velocities=velocities[:, 3:],
     )
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A mimicking joint: position = multiplier * position of leader + offset."""
+
+    name: str
+    leader: str
+    multiplier: float
+    offset: float
+
+
+def moving_joints(robot: Robot) -> frozenset[str]:
+    """Return the names of the moving joints; all others are fixed at `fixed_joints`."""
+    fingers = robot.gripper.fingers if robot.gripper else ()
+    followers = (*arm_followers(robot), *finger_followers(robot))
+    names = (joint.name for joint in robot.arm)
+    return frozenset((*names, *fingers, *(one.name for one in followers)))
+
+
+def arm_followers(robot: Robot) -> tuple[Follower, ...]:
+    """Return the joints that mimic arm joints, such as the torso of the HSR."""
+    arm = [joint.name for joint in robot.arm]
+    return tuple(
+        Follower(joint.name, leader.name, multiplier, offset)
+        for joint in _mimics(robot.urdf)
+        if joint.name not in robot.fixed_joints
+        for leader, multiplier, offset in [robot.urdf.followed(joint)]
+        if leader.name in arm
+    )
+
+
+def finger_followers(robot: Robot) -> tuple[Follower, ...]:
+    """Return the joints of the fingers that mimic the joint that carries their finger.
+
+    In a URDF all may mimic one joint; here each finger has its own motor.
+    """
+    found = []
+    for finger in robot.gripper.fingers if robot.gripper else ():
+        links = robot.urdf.below(finger)
+        motor, scale, shift = robot.urdf.followed(robot.urdf.joints[finger])
+        for joint in _mimics(robot.urdf):
+            leader, multiplier, offset = robot.urdf.followed(joint)
+            if leader is motor and joint.parent in links:
+                ratio = multiplier / scale
+                found.append(Follower(joint.name, finger, ratio, offset - ratio * shift))
+    return tuple(found)
+
+
+def _mimics(urdf: Urdf) -> Iterator[Joint]:
+    return (joint for joint in urdf.joints.values() if joint.moves and joint.mimic is not None)
+
+
+def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
+    """Return the URDF for PyBullet, and the link that each of the robot's links is merged into.
+
+    The root gets three planar joints. Joints that do not move are fixed, and links on fixed joints
+    are merged, except the EE frame: a physics step costs by the link. Mimic elements, which
+    PyBullet does not support, are removed. Mesh paths are absolute.
+
+    Raises:
+        KinfeasError: If a mesh is missing or of another format, or a moving link has a shape and
+            no inertia.
+    """
+    xml = read_xml(robot.urdf_path, "robot").xml
+    for link in xml.findall("link"):
+        where = f"{robot.urdf_path}: link {link.get('name')!r}, <mesh>"
+        for mesh in link.iterfind("*/geometry/mesh"):
+            folder = robot.urdf_path.absolute().parent
+            mesh.set("filename", str(find_mesh(Element(mesh, where), folder, _MESH_FORMATS)))
+    moving = moving_joints(robot)
+    for element in xml.findall("joint"):
+        name = element.get("name")
+        for mimic in element.findall("mimic"):
+            element.remove(mimic)
+        if robot.urdf.joints[name].moves and name not in moving:
+            element.set("type", "fixed")
+            set_origin(element, robot.urdf.joints[name].pose_at(robot.fixed_joints[name]))
+    part_of = merge_fixed_links(xml, keep={robot.ee_frame})
+    repair_inertias(xml, str(robot.urdf_path))
+    for element in reversed(_planar_base(robot.urdf.root)):
+        xml.insert(0, element)
+    return ElementTree.tostring(xml, encoding="unicode"), part_of
+
+
+def _planar_base(root: str) -> list[ElementTree.Element]:
+    """Return the links and joints on which the link `root` moves over the floor."""
+    elements = [ElementTree.Element("link", name=name) for name in (_WORLD, *_CARRIERS)]
+    for link in elements:
+        write_inertia(link, FRAME)
+    parents, children = (_WORLD, *_CARRIERS), (*_CARRIERS, root)
+    for name, axis, parent, child in zip(PLANAR_JOINTS, _AXES, parents, children, strict=True):
+        joint = ElementTree.Element("joint", name=name)
+        joint.set("type", "continuous" if name == PLANAR_JOINTS[-1] else "prismatic")
+        ElementTree.SubElement(joint, "parent", link=parent)
+        ElementTree.SubElement(joint, "child", link=child)
+        ElementTree.SubElement(joint, "axis", xyz=axis)
+        # To PyBullet, an upper limit below the lower one means no limits.
+        ElementTree.SubElement(joint, "limit", lower="0", upper="-1", effort="0", velocity="0")
+        elements.append(joint)
+    return elements
+
+
+def merge_fixed_links(robot: Any, keep: Collection[str]) -> dict[str, str]:
+    """Merge every link on a fixed joint into its parent link.
+
+    Args:
+        robot: The element <robot> of a valid URDF; it is changed.
+        keep: Names of links that are not merged.
+
+    Returns:
+        The link that each link is merged into, by name; itself for most.
+    """
+    links = {link.get("name"): link for link in robot.findall("link")}
+    part_of = {name: name for name in links}
+    for joint in robot.findall("joint"):
+        parent, child = joint.find("parent").get("link"), joint.find("child").get("link")
+        if joint.get("type") != "fixed" or child in keep:
+            continue
+        pose = Element(joint, "").origin()
+        _merge(links[parent], links[child], pose)
+        for other in robot.findall("joint"):
+            if other.find("parent").get("link") == child:
+                other.find("parent").set("link", parent)
+                set_origin(other, compose(pose, Element(other, "").origin()))
+        robot.remove(joint)
+        robot.remove(links[child])
+        part_of = {name: parent if of == child else of for name, of in part_of.items()}
+    return part_of
+
+
+def _merge(link: Any, part: Any, pose: Array) -> None:
+    """Add shapes and inertia of `part` to a link in whose frame it has the pose."""
+    for tag in ("visual", "collision"):
+        for element in part.findall(tag):
+            set_origin(element, compose(pose, Element(element, "").origin()))
+            link.append(element)
+    own, added = read_inertia(link), read_inertia(part)
+    if added is None:
+        return
+    turn = rotation(pose).as_matrix()
+    moved = Inertia(added.mass, pose[:3] + turn @ added.centre, turn @ added.moments @ turn.T)
+    write_inertia(link, moved if own is None else own.plus(moved))
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Inertia of a link.
+
+    Attributes:
+        mass: kg.
+        centre: Of mass, in the link's frame, shape (3,), metres.
+        moments: About the centre along the link's axes, shape (3, 3), kg m^2.
+    """
+
+    mass: float
+    centre: Array
+    moments: Array
+
+    def about(self, point: Array) -> Array:
+        """Return the moments about a point (3,), by the parallel axis theorem, shape (3, 3)."""
+        arm = self.centre - point
+        moments: Array = self.moments + self.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return moments
+
+    def plus(self, other: "Inertia") -> "Inertia":
+        """Return the inertia of two rigidly connected bodies."""
+        mass = self.mass + other.mass
+        if mass == 0.0:
+            return self
+        centre = (self.mass * self.centre + other.mass * other.centre) / mass
+        moments = sum(part.about(centre) for part in (self, other))
+        return Inertia(mass, centre, np.asarray(moments))
+
+
+FRAME = Inertia(0.001, np.zeros(3), 1e-6 * np.eye(3))
+"""Of links without shape; PyBullet's default is 1 kg and 1 kg m^2."""
+
+
+def read_inertia(link: Any) -> Inertia | None:
+    """Return the inertia in an element <link> of a URDF, None if it has none."""
+    inertial = Element(link, "").child("inertial")
+    if inertial is None:
+        return None
+    pose, moments = inertial.origin(), read_moments(inertial.need("inertia"))
+    turn = rotation(pose).as_matrix()
+    return Inertia(inertial.need("mass").number("value"), pose[:3], turn @ moments @ turn.T)
+
+
+def write_inertia(link: Any, inertia: Inertia) -> None:
+    """Replace the inertia in an element <link>."""
+    for old in link.findall("inertial"):
+        link.remove(old)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=numbers_text(inertia.centre), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=repr(inertia.mass))
+    moments = {name: repr(float(inertia.moments[at])) for name, at in MOMENTS.items()}
+    ElementTree.SubElement(inertial, "inertia", moments)
+
+
+def physical(inertia: Inertia) -> Inertia:
+    """Return an inertia that satisfies the triangle inequality of principal moments.
+
+    Vendors' files violate it. PyBullet then ignores the inertia, and the link flies off at the
+    first contact. The missing moment is added about all axes.
+    """
+    small, middle, large = np.linalg.eigvalsh(inertia.moments)
+    excess, none = large - small - middle, small <= 0.0
+    if excess <= SLACK * large and not none:
+        return inertia
+    lacking = max(excess, inertia.mass * _SMALLEST**2 - small if none else 0.0) * (1.0 + SLACK)
+    return replace(inertia, moments=inertia.moments + lacking * np.eye(3))
+
+
+def repair_inertias(robot: Any, where: str) -> None:
+    """Make the inertia of every link of the element <robot> physical.
+
+    Links without inertia get that of a mere frame if they have no shape or are on a fixed joint.
+    Links of mass 0 are left alone.
+
+    Raises:
+        KinfeasError: If another link has no inertia; the message starts with `where`.
+    """
+    fixed = (joint for joint in robot.findall("joint") if joint.get("type") == "fixed")
+    on_fixed = {joint.find("child").get("link") for joint in fixed}
+    for link in robot.findall("link"):
+        inertia = read_inertia(link)
+        repaired = FRAME if inertia is None else inertia
+        shaped = any(link.find(tag) is not None for tag in ("visual", "collision"))
+        if inertia is None and shaped and link.get("name") not in on_fixed:
+            raise KinfeasError(f"{where}: link {link.get('name')!r} moves and has no <inertial>")
+        if repaired.mass > 0.0:
+            repaired = physical(repaired)
+        if repaired is not inertia:
+            write_inertia(link, repaired)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.backends.pybullet.arm_drive import cubic
 from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.backends.pybullet.drives import cubic
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from tests.backends.pybullet.conftest import twist
@@ -121,5 +121,5 @@ def test_a_joint_without_effort_is_refused():
     joints = dict(robot.urdf.joints)
     joints["arm_3_joint"] = replace(joints["arm_3_joint"], effort=0.0)
     weak = replace(robot, urdf=replace(robot.urdf, joints=joints))
-    with pytest.raises(KinfeasError, match="'tiago': the URDF gives joint 'arm_3_joint' an effort"):
+    with pytest.raises(KinfeasError, match="'arm_3_joint'"):
         PyBulletBackend(weak)

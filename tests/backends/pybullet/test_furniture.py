@@ -54,7 +54,7 @@ def test_names_what_there_is(world, begin):
         world.sims[0].furniture.link("bar", "handle")
     with pytest.raises(KinfeasError, match="object 'chest' has no joint 'hinge'"):
         world.sims[0].furniture.joint_position("chest", "hinge")
-    with pytest.raises(KinfeasError, match="the scene must hold the world's objects"):
+    with pytest.raises(KinfeasError, match="the scene must have the world's objects"):
         world.sims[0].furniture.furnish(read_scene("room"))
 
 

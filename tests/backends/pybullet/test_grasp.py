@@ -80,5 +80,5 @@ def test_a_reset_lets_go(grasped, begin):
 
 
 def test_one_thing_at_a_time(grasped):
-    with pytest.raises(KinfeasError, match="holds something already"):
+    with pytest.raises(KinfeasError, match="holds an object already"):
         grasped.sims[0].grasp.hold(*grasped.sims[0].furniture.link("bar", "bar"))

@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from kinfeas.backends.pybullet.inertia import (
+from kinfeas.backends.pybullet.robot_body import (
     FRAME,
     Inertia,
-    mend_inertias,
-    possible,
+    physical,
+    physics_urdf,
     read_inertia,
+    repair_inertias,
     write_inertia,
 )
-from kinfeas.backends.pybullet.robot_urdf import physics_urdf
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 
@@ -36,7 +36,7 @@ MOMENTS = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)
 
 @given(MOMENTS, st.integers(0, 1000), st.floats(1e-3, 100.0))
 def test_what_is_made_possible_is_a_bodys(moments, seed, mass):
-    mended = possible(Inertia(mass, np.zeros(3), tensor(moments, seed)))
+    mended = physical(Inertia(mass, np.zeros(3), tensor(moments, seed)))
     small, middle, large = np.linalg.eigvalsh(mended.moments)
     assert small > 0.0
     assert small + middle >= large * (1.0 - 1e-9)
@@ -47,14 +47,14 @@ def test_what_a_body_can_have_stays_as_it_is(squares, seed):
     # Moments of mass spread along three axes keep the triangle inequality.
     moments = np.sum(squares) - np.array(squares)
     inertia = Inertia(2.0, np.zeros(3), tensor(moments, seed))
-    assert possible(inertia) is inertia
+    assert physical(inertia) is inertia
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_shipped_robots_are_left_alone(name):
     xml = ElementTree.fromstring(physics_urdf(load_robot(name))[0])
     before = ElementTree.tostring(xml)
-    mend_inertias(xml, name)
+    repair_inertias(xml, name)
     assert ElementTree.tostring(xml) == before
 
 
@@ -70,7 +70,7 @@ BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
 @pytest.mark.parametrize(("tool", "joint"), [("", "fixed"), (BOX, "fixed"), ("", "revolute")])
 def test_a_link_without_inertia_is_a_mere_frame(tool, joint):
     xml = ElementTree.fromstring(ARM.format(arm=BOX, tool=tool, type=joint))
-    mend_inertias(xml, "r.urdf")
+    repair_inertias(xml, "r.urdf")
     arm, frame = (read_inertia(link) for link in xml.findall("link"))
     assert arm.mass == 2.0
     assert frame.mass == FRAME.mass
@@ -79,8 +79,8 @@ def test_a_link_without_inertia_is_a_mere_frame(tool, joint):
 
 def test_what_moves_and_has_a_shape_needs_an_inertia():
     xml = ElementTree.fromstring(ARM.format(arm="", tool=BOX, type="revolute"))
-    with pytest.raises(KinfeasError, match=r"r.urdf: link 'tool' can move, and <inertial> is"):
-        mend_inertias(xml, "r.urdf")
+    with pytest.raises(KinfeasError, match=r"r.urdf: link 'tool' moves and has no <inertial>"):
+        repair_inertias(xml, "r.urdf")
 
 
 def test_what_is_written_is_read_back():
@@ -102,7 +102,7 @@ def test_pybullet_gives_a_mended_link_an_inertia(tmp_path):
         for mend in (False, True):
             xml = ElementTree.fromstring(FINGER)
             if mend:
-                mend_inertias(xml, "r.urdf")
+                repair_inertias(xml, "r.urdf")
             path = tmp_path / f"{mend}.urdf"
             path.write_text(ElementTree.tostring(xml, encoding="unicode"))
             body = bullet.loadURDF(str(path), flags=flags, physicsClientId=client)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from kinfeas.backends.pybullet.merge_fixed_links import weld
+from kinfeas.backends.pybullet.robot_body import merge_fixed_links
 from kinfeas.robots.elements import read_xml
 
 
@@ -12,7 +12,7 @@ from kinfeas.robots.elements import read_xml
 def models(robot, tmp_path):
     """Pinocchio's model and collision shapes of a robot, as it is and welded."""
     xml = read_xml(robot.urdf_path, "robot").xml
-    weld(xml, keep={robot.ee_frame})
+    merge_fixed_links(xml, keep={robot.ee_frame})
     path = tmp_path / "welded.urdf"
     path.write_text(ElementTree.tostring(xml, encoding="unicode"))
     found = []
@@ -43,7 +43,7 @@ def test_no_shape_moves(models):
 
 def test_only_joints_that_move_are_left(robot):
     xml = read_xml(robot.urdf_path, "robot").xml
-    part_of = weld(xml, keep={robot.ee_frame})
+    part_of = merge_fixed_links(xml, keep={robot.ee_frame})
     fixed = [joint for joint in xml.findall("joint") if joint.get("type") == "fixed"]
     assert [joint.find("child").get("link") for joint in fixed] in ([], [robot.ee_frame])
     left = {link.get("name") for link in xml.findall("link")}
@@ -61,7 +61,7 @@ def test_links_without_mass_add_none():
         '</joint><joint name="bc" type="fixed"><origin xyz="0 0 0" rpy="0 1.5707963267948966 0"/>'
         '<parent link="b"/><child link="c"/></joint></robot>'
     )
-    assert weld(xml, keep=()) == {"a": "a", "b": "a", "c": "a"}
+    assert merge_fixed_links(xml, keep=()) == {"a": "a", "b": "a", "c": "a"}
     inertial = xml.find("link").find("inertial")
     centre = [float(number) for number in inertial.find("origin").get("xyz").split()]
     np.testing.assert_allclose(centre, [2.0, 0.0, 0.0], atol=1e-12)

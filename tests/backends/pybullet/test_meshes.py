@@ -56,8 +56,6 @@ def test_a_robot_with_meshes_stands_in_the_world(rover, mesh, kind, capfd):
 @pytest.mark.parametrize("kind", ["visual", "collision"])
 def test_a_mesh_that_pybullet_cannot_read_is_one_sentence(rover, kind, capfd):
     robot = own_robot(rover, "../meshes/text.stl", kind)
-    with pytest.raises(
-        KinfeasError, match=r"scout\.urdf: .* no triangles in the mesh '.*text\.stl'"
-    ):
+    with pytest.raises(KinfeasError, match=r"scout\.urdf.*text\.stl"):
         PyBulletBackend(robot)
     assert capfd.readouterr() == ("", "")

@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.backends.pybullet.moving_joints import (
+from kinfeas.backends.pybullet.robot_body import (
     Follower,
     arm_followers,
     finger_followers,

@@ -32,8 +32,8 @@ def test_can_be_closed_twice_and_leaves_the_next_world_alone():
     other = Physics(PhysicsConfig())
     physics.close()
     with pytest.raises(KinfeasError, match="Not connected"), physics.connected():
-        physics.advance()
-    other.advance()
+        physics.client.stepSimulation()
+    other.client.stepSimulation()
     other.close()
 
 
@@ -49,15 +49,15 @@ def test_what_pybullet_cannot_load_is_one_sentence(physics, tmp_path, capfd):
     mesh = "<visual><geometry><mesh filename='none.stl'/></geometry></visual>"
     path = tmp_path / "thing.urdf"
     path.write_text(f"<robot name='a'><link name='a'>{mesh}</link></robot>")
-    message = r"thing\.urdf: PyBullet cannot load it: cannot find 'none\.stl' in any directory"
+    message = r"thing\.urdf: PyBullet cannot load it: .*none\.stl"
     with pytest.raises(KinfeasError, match=message) as caught:
         physics.load(path, fixed=False)
     assert "\n" not in str(caught.value)
     with pytest.raises(KinfeasError, match=message):
         physics.load_text(path.read_text(), path)
     assert capfd.readouterr() == ("", "")
-    physics.keep()
-    physics.rewind()
+    physics.save()
+    physics.restore()
 
 
 def test_says_so_where_there_is_no_pybullet(monkeypatch):

@@ -3,8 +3,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from kinfeas.backends.pybullet.moving_joints import moving_joints
-from kinfeas.backends.pybullet.robot_urdf import PLANAR_JOINTS, physics_urdf
+from kinfeas.backends.pybullet.robot_body import PLANAR_JOINTS, moving_joints, physics_urdf
 from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.robots.urdf import parse_urdf
 

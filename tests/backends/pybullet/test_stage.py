@@ -154,7 +154,7 @@ def test_without_a_scene_there_is_nothing_to_do(solver):
     stage = Stage(load_task("door"), backend)
     begin(stage, solver, 0)
     assert stage.done() is None
-    with pytest.raises(KinfeasError, match="nothing can be handled without a scene"):
+    with pytest.raises(KinfeasError, match="grasping needs a scene"):
         backend.handle("box", "box")
     backend.close()
 
