@@ -1,1 +1,1 @@
-"""Built-in motion generators, registered by the same entry points as anyone's."""
+"""Built-in motion generators, registered by entry points as those of any other distribution."""

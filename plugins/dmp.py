@@ -2,18 +2,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
-from kinfeas.plugins.forcing import Forcing, learn
 from kinfeas.plugins.limits import positive, slowed
-from kinfeas.plugins.path_motion import checked_frame
-from kinfeas.plugins.recording import read_recording
+from kinfeas.plugins.path import checked_frame
+from kinfeas.plugins.replay import read_recording, resampled
 
 _RATE = 12.5  # of the spring's decay in each duration; half of the library's alpha
+_SAMPLES = 201  # of the demonstration, at even steps of time
+_SEGMENTS = 256  # of the table of forces
+_MOST = 100  # basis functions; more than half the samples would only follow the noise
+_LAST_PHASE = 0.01  # at the end of the demonstrated time; the library's own
 
 
 class Dmp:
@@ -21,16 +25,16 @@ class Dmp:
 
     In the frame of the goal, with time in units of the demonstration's duration,
     `v' = alpha (beta (g - y - (g - y_0) z) - v) + f(z)` with `alpha = 4 beta = 25` and a phase `z`
-    that falls exponentially (Pastor et al. 2009; rotations as in Ude et al. 2014). So a start or a
-    goal that differs from the demonstrated one adds a straight way that fades in step with the
-    phase, and the goal is reached from any start. Where the EE would exceed a limit, its time
-    slows down, and the shape of the motion stays.
+    that falls exponentially (Pastor et al. 2009; rotations as in Ude et al. 2014). A start or a
+    goal that differs from the demonstrated one adds a straight motion that fades with the phase,
+    and the goal is reached from any start. Where the EE would exceed a limit, its time slows down,
+    and the shape of the motion stays.
 
     Args:
         file: CSV or NPZ file of the demonstration, or the CSV record of a run of `kinfeas deploy`.
-        frame: `goal` has the target as the end; `object` has it as the handled object, about
-            which the motion ends as demonstrated.
-        basis_functions: How many numbers describe the force in each direction, at least 2.
+        frame: `goal` puts the end of the motion on the target; with `object` the target is the
+            grasped object, and the motion ends relative to it as demonstrated.
+        basis_functions: Number of weights of the force in each direction, at least 2.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
 
@@ -50,25 +54,20 @@ class Dmp:
     ) -> None:
         self._max_velocity = positive("max_velocity", max_velocity)
         self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
-        if checked_frame(frame) == "world":
+        placed = checked_frame(frame)
+        if placed == "world":
             raise KinfeasError("frame must be 'goal' or 'object' here, not 'world'")
-        time, ee_pose, object_pose = read_recording(Path(file), checked_frame(frame))
+        time, ee_pose, object_pose = read_recording(Path(file), placed)
         end = ee_pose[-1]
-        self._goal = relative(end, object_pose) if frame == "object" else IDENTITY
+        self._goal = relative(end, object_pose) if placed == "object" else IDENTITY
         self._duration = float(time[-1] - time[0])
         shown = relative(ee_pose, np.broadcast_to(end, ee_pose.shape))
-        self._forcing: Forcing = learn(time, shown, basis_functions, 2.0 * _RATE)
+        self._weights = learn(time, shown, basis_functions)
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
     ) -> State:
-        """Return the state of n motions: way from start to goal, velocity and time.
-
-        Args:
-            ee_pose: World pose of the driven frame, shape (n, 7).
-            target_pose: World pose of the goal or the handled object, shape (n, 7).
-            rngs: Not used.
-        """
+        """Return the displacement to the goal and the velocity, (n, 6), and the time, (n,)."""
         n = len(target_pose)
         way = _way(relative(ee_pose, compose(target_pose, self._goal)))
         return {"way": way, "velocity": np.zeros((n, 6)), "time": np.zeros(n)}
@@ -80,21 +79,14 @@ class Dmp:
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array
     ) -> tuple[Array, State]:
-        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
-
-        Args:
-            state: State of n motions.
-            ee_pose: World pose that the motion has come to, shape (n, 7).
-            target_pose: World pose of the target now, shape (n, 7).
-            dt: Duration of each motion's step in seconds, shape (n,).
-        """
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         goal = compose(target_pose, self._goal)
         here = relative(ee_pose, goal)
         step = dt / self._duration
         moved, _ = self._move(state, here, step)
         step *= self._kept(moved, dt)
         moved, velocity = self._move(state, here, step)
-        # A shorter step of a spring is not shorter by the same share.
+        # The displacement of a spring does not shrink by the same share as its step.
         moved *= self._kept(moved, dt)[:, np.newaxis]
         there = compose(goal, integrate(here, moved, 1.0))
         twist = twist_between(ee_pose, there, dt)
@@ -107,12 +99,11 @@ class Dmp:
     def _move(self, state: State, here: Array, step: Array) -> tuple[Array, Array]:
         """Return displacement and next velocity, shape (n, 6), after steps of time, shape (n,).
 
-        The exact solution for a force that stands still in the meantime, so that no rate of
-        control is too slow.
+        The exact solution for a force that is constant during the step, stable at any rate.
         """
         middle = state["time"] + 0.5 * step
-        drawn = state["way"] * self._forcing.phase(middle)[:, np.newaxis]
-        rest = drawn - self._forcing.at(middle) / _RATE**2
+        drawn = state["way"] * _phase(middle)[:, np.newaxis]
+        rest = drawn - force_at(self._weights, middle) / _RATE**2
         away, by = _way(here) - rest, step[:, np.newaxis]
         pull = _RATE * away - state["velocity"]
         fading = np.exp(-_RATE * by)
@@ -123,3 +114,64 @@ class Dmp:
 def _way(here: Array) -> Array:
     """Return the displacement from poses in the goal's frame to the goal, (n, 7) -> (n, 6)."""
     return twist_between(here, np.broadcast_to(IDENTITY, here.shape), 1.0)
+
+
+def _phase(time: Array) -> Array:
+    """Return the phase, which falls from 1 to 0.01 within the duration, shape (n,) -> (n,)."""
+    phase: Array = np.exp(np.log(_LAST_PHASE) * time)
+    return phase
+
+
+def force_at(weights: Array, time: Array) -> Array:
+    """Return the force, shape (n, 6), in m and rad per squared duration.
+
+    Args:
+        weights: Force per phase at even moments in [0, 1], shape (m + 1, 6).
+        time: Moments in units of the duration, shape (n,).
+    """
+    steps = np.minimum(time, 1.0) * (len(weights) - 1)
+    i = np.minimum(steps.astype(np.intp), len(weights) - 2)
+    share = (steps - i)[:, np.newaxis]
+    force = weights[i] * (1.0 - share) + weights[i + 1] * share
+    return force * _phase(time)[:, np.newaxis]
+
+
+def learn(time: Array, poses: Array, basis_functions: int) -> Array:
+    """Return the force per phase with which the spring reproduces a motion, shape (m + 1, 6).
+
+    Args:
+        time: Moments in seconds, strictly ascending, shape (t,).
+        poses: Demonstrated poses in the frame of the goal, shape (t, 7).
+        basis_functions: Number of weights in each direction.
+
+    Raises:
+        KinfeasError: If `movement_primitives` is not installed, or the number is out of range.
+    """
+    size = basis_functions
+    if not isinstance(size, int) or isinstance(size, bool) or not 2 <= size <= _MOST:
+        raise KinfeasError(f"basis_functions must be a whole number in [2, {_MOST}], not {size!r}")
+    moments, table = np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, _SEGMENTS + 1)
+    model = _library()(
+        1.0, 1.0 / _SAMPLES, size, smooth_scaling=True, alpha_y=2.0 * _RATE, beta_y=0.5 * _RATE
+    )
+    model.imitate(moments, _for_library(resampled(time, poses, moments)))
+    force = np.concatenate([model.forcing_term_pos(table), model.forcing_term_rot(table)]).T
+    return np.asarray(force / _phase(table)[:, np.newaxis])
+
+
+def _library() -> Any:
+    try:
+        from movement_primitives.dmp import CartesianDMP
+    except ImportError as error:
+        raise KinfeasError(
+            'dmp needs the package movement_primitives: pip install "kinfeas[dmp]"'
+        ) from error
+    return CartesianDMP
+
+
+def _for_library(poses: Array) -> Array:
+    """Return poses with quaternions wxyz, each of the sign that is nearest to the one before."""
+    quaternion = np.roll(poses[:, 3:], 1, axis=1)
+    flips = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
+    signs = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)])
+    return np.concatenate([poses[:, :3], quaternion * signs[:, np.newaxis]], axis=1)

@@ -1,4 +1,4 @@
-"""Learning a motion from recorded demonstrations: what `kinfeas fit` does.
+"""Motions learned from recorded demonstrations: the work of `kinfeas fit`.
 
 A demonstration is a file `anything.csv` with a header and a line for each moment (or an `.npz` of
 the arrays of `kinfeas.io.demonstrations.Demonstration`), in metres and unit quaternions xyzw::
@@ -7,17 +7,20 @@ the arrays of `kinfeas.io.demonstrations.Demonstration`), in metres and unit qua
     0.00,0.71,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
     0.05,0.72,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
 
-The motion is learned in the frame that the object has in the first line: what the hand does to
-the object afterwards is part of the motion.
+The motion is learned in the frame of the object in the first line: how the EE moves the object
+afterwards is part of the motion.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from kinfeas import config
+from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import (
     Array,
@@ -30,16 +33,17 @@ from kinfeas.core.spatial import (
     yaw,
 )
 from kinfeas.io.demonstrations import Demonstration
-from kinfeas.plugins.model import DURATIONS, FORMAT, Component, Kind, Model, Source, rounded
-from kinfeas.plugins.path import below, tabulate
+from kinfeas.plugins.imitation import DURATIONS, Component, Kind, Model, Source, learned_path
+from kinfeas.plugins.path import below
 
 MOST_COMPONENTS = 50
-"""Size of the largest mixture: four samples each, and a file that can still be read."""
+"""Size of the largest mixture: four samples each."""
 
 _SAMPLES = 200  # of each demonstration
+_DIGITS = 8  # significant ones in a model
 _CLOCK = 30.0  # seconds that a `gaussian_mixture` takes, as the authors' models do
-_METRES_PER_RADIAN = 0.2  # so that the index of `imitation` goes on in a turn on the spot too
-_STILL = 1e-3  # metres, below which a demonstration has no way to learn
+_METRES_PER_RADIAN = 0.2  # so that the index of `imitation` advances in a turn on the spot too
+_STILL = 1e-3  # metres, below which a demonstration has no motion to learn
 _MOST_TURN = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
 _FARTHEST = 30.0  # metres from the object
 _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the way
@@ -47,12 +51,12 @@ _REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a tho
 
 @dataclass(frozen=True)
 class Fit:
-    """A learned motion, and how well it stands for what it was learned from.
+    """A learned motion, and its distance from the demonstrations.
 
     Attributes:
         model: The motion.
         duration: Mean duration of the demonstrations in seconds.
-        length: Mean length of the hand's way in metres.
+        length: Mean length of the EE's path in metres.
         position_residual: Mean distance of each demonstration from the learned path, metres.
         rotation_residual: The same in radians.
     """
@@ -69,8 +73,8 @@ class _Way:
     """A demonstration in the frame of the object, at even steps of the index.
 
     Attributes:
-        ee_pose: Poses of the hand, shape (m, 7).
-        base: x, y and unwrapped yaw of the base, shape (m, 3); not-a-number if unknown.
+        ee_pose: Poses of the EE, shape (m, 7).
+        base: x, y and unwrapped yaw of the base, shape (m, 3); NaN if unknown.
         duration: Seconds.
         length: Metres.
     """
@@ -89,17 +93,17 @@ def fit(
     command: str = "",
     names: Sequence[str] = (),
 ) -> Fit:
-    """Return the motion that demonstrations show, by expectation maximization.
+    """Return the motion learned from demonstrations by expectation maximization.
 
     The base is learned too if its poses are finite in all of them.
 
     Args:
         demonstrations: One or more, of one motion.
-        kind: What the motion is indexed by: length of the way, or time.
+        kind: `imitation` indexes the motion by length, `gaussian_mixture` by time.
         components: Size of the mixture.
-        seed: Where the search for the mixture begins.
-        command: What the model's file is to say it was made by.
-        names: What errors call the demonstrations, such as files; by default their numbers.
+        seed: Of the search for the mixture.
+        command: Origin to write into the model.
+        names: Of the demonstrations in errors, such as files; by default their numbers.
 
     Raises:
         KinfeasError: If there are none, one does not move or moves too far, or they turn too far.
@@ -116,7 +120,7 @@ def fit(
     goals = np.stack([way.ee_pose[-1] for way in ways])
     mean_orientation = rotation(np.concatenate([way.ee_pose for way in ways])).mean()
     model = Model(
-        format=FORMAT,
+        format=1,
         kind=kind,
         duration=_plain(duration if kind == "imitation" else _CLOCK),
         goal=_plain(make_pose(goals[:, :3].mean(axis=0), rotation(goals).mean())),
@@ -129,17 +133,26 @@ def fit(
     return Fit(model, duration, length, metres, radians)
 
 
+def write_model(model: Model, path: Path) -> None:
+    """Write a YAML file that `kinfeas.plugins.imitation.read_model` reads back.
+
+    Raises:
+        KinfeasError: If the file cannot be written.
+    """
+    strict_yaml.write(config.to_mapping(model), path, compact=True)
+
+
 def _way(shown: Demonstration, kind: Kind, name: str) -> _Way:
-    """Return a demonstration as the model sees it; `name` is what errors call it."""
+    """Return a demonstration at even steps of the index; `name` is its name in errors."""
     frame = shown.object_pose[:1]
     ee_pose = relative(shown.ee_pose, frame)
     metres, radians = distance(ee_pose[:-1], ee_pose[1:])
     steps = metres + _METRES_PER_RADIAN * radians
     if steps.sum() < _STILL:
-        raise KinfeasError(f"{name}: the hand does not move")
+        raise KinfeasError(f"{name}: the EE does not move")
     if kind == "gaussian_mixture":
         steps = np.diff(shown.time)
-    # The two sums round differently: the way may end a little past 1, or before it.
+    # The two sums round differently: the index may end a little past 1, or before it.
     index = np.concatenate([[0.0], np.minimum(np.cumsum(steps) / steps.sum(), 1.0)])
     moves = np.concatenate([[True], np.diff(index) > 0.0])
     index, even = index[moves], np.linspace(0.0, 1.0, _SAMPLES)
@@ -164,12 +177,12 @@ def _planar(base_pose: Array, frame: Array) -> Array:
 
 
 def _features(ways: Sequence[_Way], mean_orientation: Rotation) -> Array:
-    """Return what the mixture is of, a row for each sample, shape (ways * m, 7 or 10)."""
+    """Return the data of the mixture, a row for each sample, shape (ways * m, 7 or 10)."""
     ee_pose = np.concatenate([way.ee_pose for way in ways])
     turn = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
     if np.linalg.norm(turn, axis=1).max() > _MOST_TURN:
         raise KinfeasError(
-            f"the hand turns more than {_MOST_TURN:g} rad away from its mean orientation; "
+            f"the EE turns more than {_MOST_TURN:g} rad away from its mean orientation; "
             "cut the demonstrations into shorter ones"
         )
     index = np.tile(np.linspace(0.0, 1.0, _SAMPLES), len(ways))
@@ -188,7 +201,7 @@ def _bases(ways: Sequence[_Way]) -> Array:
 
 
 def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ...]:
-    """Return the mixture of the features, its components in the order of their index."""
+    """Return the mixture fitted to the features, its components in the order of their index."""
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 
@@ -203,7 +216,7 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
 
 def _residual(model: Model, way: _Way) -> tuple[float, float]:
     """Return the mean distance of a way from the learned path, in metres and radians."""
-    learned = tabulate(model).at(np.linspace(0.0, 1.0, _SAMPLES))
+    learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
     metres, radians = distance(learned, way.ee_pose)
     return float(metres.mean()), float(radians.mean())
 
@@ -213,9 +226,7 @@ def _interpolate(at: Array, index: Array, values: Array) -> Array:
 
 
 def _plain(values: Any) -> Any:
-    """Return an array as nested tuples of numbers, with no more digits than a file holds."""
-    return _tuples(rounded(np.asarray(values)).tolist())
-
-
-def _tuples(values: Any) -> Any:
-    return tuple(_tuples(value) for value in values) if isinstance(values, list) else values
+    """Return an array as nested tuples of numbers, rounded to the digits of a model."""
+    if np.ndim(values):
+        return tuple(_plain(value) for value in values)
+    return float(f"{float(values):.{_DIGITS}g}")

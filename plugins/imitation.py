@@ -1,18 +1,63 @@
-"""The `imitation` motion: a demonstrated path, followed from wherever the hand starts."""
+"""Motions learned from demonstrations, `imitation` and `gaussian_mixture`, and their model files.
 
+A model is a Gaussian mixture over the pose of the EE, in plain YAML::
+
+    format: 1
+    kind: imitation                     # or gaussian_mixture: the meaning of the index
+    duration: 3.1                       # seconds
+    goal: [x, y, z, qx, qy, qz, qw]     # pose of the EE at the end, in the frame of the object
+    mean_orientation: [qx, qy, qz, qw]  # what rotation vectors are relative to
+    fitted_from: {demonstrations: 20, command: kinfeas fit ...}
+    components:
+    - weight: 0.125
+      mean: [index, x, y, z, rx, ry, rz, base_x, base_y, base_yaw]
+      covariance:
+      - [...]                           # as many rows and columns
+
+The index is the share of the path in [0, 1] (`imitation`: of its length, `gaussian_mixture`: of its
+time). Positions are metres in the frame of the object at the start; r is the rotation vector from
+the mean orientation, in its own axes. The base moves on the floor, in the frame below the object
+with its heading; a model without a base stops at rz. Only the first column of a covariance is used.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kinfeas import config
+from kinfeas.config import Interval, no_such, strict_yaml
+from kinfeas.config.quantities import Count, PositiveShare
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
-from kinfeas.core.spatial import Array
-from kinfeas.plugins.model import read_model
-from kinfeas.plugins.path import tabulate
-from kinfeas.plugins.path_motion import PathMotion
-from kinfeas.plugins.phase import PhaseControl
+from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
+from kinfeas.io.files import is_path
+from kinfeas.plugins.limits import slowed
+from kinfeas.plugins.path import PathMotion, PosePath
+
+Kind = Literal["imitation", "gaussian_mixture"]
+# Beyond any room or turn, and small enough that nothing computed from it overflows.
+Number = Annotated[float, Interval(low=-1000.0, high=1000.0)]
+
+DURATIONS = Interval(low=0.01, high=3600.0)
+"""Seconds that a learned motion may take."""
+
+_SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
+_FOLDER = Path(__file__).parent / "models"
+_ROUNDING = 1e-6  # error of quaternions and weights
+_SMALLEST = 1e-12  # variance of the index: a millionth of the path, squared
+_SEGMENTS = 256  # of a path
+_PINNED = 0.2  # share of the path over which its end is drawn to the goal
 
 
 class Imitation(PathMotion):
-    """Phase dynamic system on R^3 x S^3, in the frame of the handled object.
+    """A demonstrated path in the frame of the grasped object, from any start.
 
-    The hand first comes to the beginning of the learned path, then moves as was demonstrated, from
-    any start, and ends at the learned end exactly; `PhaseControl` says how.
+    The EE first comes to the beginning of the learned path, then moves as demonstrated, and ends at
+    the learned end exactly: the phase dynamic system of `PathMotion`.
 
     Args:
         model: Name of a shipped model (door_grasp, door_open, drawer_grasp or drawer_open), or path
@@ -38,8 +83,8 @@ class Imitation(PathMotion):
         max_angular_velocity: float = 0.1,
     ) -> None:
         learned = read_model(model, "imitation")
-        control = PhaseControl(
-            path=tabulate(learned),
+        super().__init__(
+            path=learned_path(learned),
             duration=learned.duration,
             gain=gain,
             position_scale=position_scale,
@@ -47,11 +92,180 @@ class Imitation(PathMotion):
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
-        super().__init__(control, in_world=False)
 
     def base_pose(self, state: State, target_pose: Array) -> Array:
-        """Return where the base was demonstrated to be now, shape (n, 7), in the world.
+        """Return the demonstrated base poses, shape (n, 7), in the world; NaN without a base."""
+        return self.path.base_at(state["phase"], target_pose)
 
-        Not-a-number if the model was fitted from demonstrations without a base.
-        """
-        return self._control.path.base_at(state["phase"], target_pose)
+
+class GaussianMixture(PathMotion):
+    """A time-indexed mixture of EE and base poses, in the frame of the grasped object.
+
+    Gaussian mixture regression gives a reference pose for each moment, which the EE follows as fast
+    as its limits allow. Time never waits: if the start is far away, the reference runs ahead, and
+    the beginning of the demonstrated motion is lost (`imitation` keeps it).
+
+    Args:
+        model: Path of a file that `kinfeas fit --kind gaussian_mixture` wrote.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
+
+    Raises:
+        KinfeasError: If there is no such model, its file is wrong, or a number is not positive.
+    """
+
+    def __init__(
+        self,
+        *,
+        model: str | None = None,
+        max_velocity: float = 0.1,
+        max_angular_velocity: float = 0.1,
+    ) -> None:
+        learned = read_model(model, "gaussian_mixture")
+        super().__init__(
+            path=learned_path(learned),
+            duration=learned.duration,
+            max_velocity=max_velocity,
+            max_angular_velocity=max_angular_velocity,
+        )
+
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
+        phase = np.minimum(state["phase"] + dt / self.duration, 1.0)
+        wanted = twist_between(ee_pose, compose(target_pose, self.path.at(phase)), dt)
+        share = slowed(wanted, self.max_velocity, self.max_angular_velocity)
+        return wanted * share[:, np.newaxis], {"phase": phase}
+
+    def base_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the demonstrated base poses, shape (n, 7), in the world; NaN without a base."""
+        return self.path.base_at(state["phase"], target_pose)
+
+
+@dataclass(frozen=True)
+class Component:
+    """One Gaussian of the mixture."""
+
+    weight: PositiveShare
+    mean: tuple[Number, ...]
+    covariance: tuple[tuple[Number, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the sizes do not fit, or the index does not vary."""
+        size = len(self.mean)
+        if size not in (_SIZE, _SIZE_WITH_BASE):
+            raise ValueError(f"the mean must have {_SIZE} or {_SIZE_WITH_BASE} numbers, not {size}")
+        if len(self.covariance) != size or any(len(row) != size for row in self.covariance):
+            raise ValueError(f"the covariance must have {size} rows of {size} numbers")
+        if self.covariance[0][0] < _SMALLEST:
+            raise ValueError(f"the variance of the index must be at least {_SMALLEST:g}")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Number of demonstrations, and the command that fitted a model to them."""
+
+    demonstrations: Count
+    command: str
+
+
+@dataclass(frozen=True)
+class Model:
+    """A learned motion, in the frame of the grasped object; the module's head explains the fields.
+
+    Attributes:
+        format: Version of the file format.
+        kind: Motion generator that follows it.
+        duration: Seconds.
+        goal: Pose of the EE at the end.
+        mean_orientation: Quaternion xyzw that rotation vectors are relative to.
+        fitted_from: Origin of the model.
+        components: The mixture.
+    """
+
+    format: Literal[1]
+    kind: Kind
+    duration: Annotated[float, DURATIONS]
+    goal: tuple[Number, Number, Number, float, float, float, float]
+    mean_orientation: tuple[float, float, float, float]
+    fitted_from: Source
+    components: tuple[Component, ...]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the parts do not fit."""
+        quaternions = {"goal": self.goal[3:], "mean_orientation": self.mean_orientation}
+        for name, quaternion in quaternions.items():
+            if abs(float(np.linalg.norm(quaternion)) - 1.0) > _ROUNDING:
+                raise ValueError(f"{name!r} must have a unit quaternion (xyzw)")
+        if len({len(component.mean) for component in self.components}) != 1:
+            raise ValueError("'components' must be one or more, all of the same size")
+        if abs(sum(component.weight for component in self.components) - 1.0) > _ROUNDING:
+            raise ValueError("the weights of 'components' must add up to 1")
+
+    @property
+    def has_base(self) -> bool:
+        """Whether the base was learned along with the EE."""
+        return len(self.components[0].mean) == _SIZE_WITH_BASE
+
+
+def shipped_models(kind: Kind | None = None) -> list[str]:
+    """Return the sorted names of the installed models, by default of any kind."""
+    paths = sorted(_FOLDER.glob("*.yaml"))
+    return [one.stem for one in paths if kind in (None, strict_yaml.read(one).get("kind"))]
+
+
+def read_model(name_or_path: str | None, kind: Kind) -> Model:
+    """Return the shipped model of this name (`door_open`), or that of a file (`my/model.yaml`).
+
+    Raises:
+        KinfeasError: If there is no such model, it is of another kind, or its file is wrong.
+    """
+    if not isinstance(name_or_path, str | os.PathLike):
+        shipped = ", ".join(shipped_models(kind)) or "none"
+        raise KinfeasError(f"'model' must be the path of a file or a shipped one: {shipped}")
+    path = Path(name_or_path)
+    if not is_path(os.fspath(name_or_path)):
+        if name_or_path not in shipped_models():
+            hint = no_such(str(name_or_path), shipped_models(kind))
+            raise KinfeasError(f"unknown model {name_or_path!r}{hint}, or the path of a .yaml file")
+        path = _FOLDER / f"{name_or_path}.yaml"
+    model = config.load(Model, path)
+    if model.kind != kind:
+        raise KinfeasError(f"{path}: 'kind' must be {kind!r} here, not {model.kind!r}")
+    return model
+
+
+def learned_path(model: Model) -> PosePath:
+    """Return the path of a model, drawn to the model's goal over its last fifth."""
+    index = np.linspace(0.0, 1.0, _SEGMENTS + 1)
+    features = regress(model, index)
+    turn = Rotation.from_rotvec(features[:, 3:6])
+    knots = make_pose(features[:, :3], Rotation.from_quat(model.mean_orientation) * turn)
+    share = np.clip((index - 1.0) / _PINNED + 1.0, 0.0, 1.0)
+    share = share**2 * (3.0 - 2.0 * share)  # smooth where it begins and ends
+    goal = np.array(model.goal)
+    goal[3:] /= np.linalg.norm(goal[3:])
+    missing = twist_between(knots[-1], goal, 1.0)
+    knots = integrate(knots, missing * share[:, np.newaxis], 1.0)
+    knots[-1] = make_pose(goal[:3], rotation(goal))
+    return PosePath(knots, features[:, 6:] if model.has_base else None)
+
+
+def regress(model: Model, index: Array) -> Array:
+    """Return the expectation of the mixture at `index`, shape (m,) -> (m, d - 1).
+
+    Gaussian mixture regression: the mean of the components' conditional means, weighted by their
+    likelihoods at `index` (Calinon, Robot Programming by Demonstration, 2009, chapter 2).
+    """
+    weight = np.array([component.weight for component in model.components])
+    mean = np.array([component.mean for component in model.components])
+    covariance = np.array([component.covariance for component in model.components])
+    away, variance = index[:, np.newaxis] - mean[:, 0], covariance[:, 0, 0]
+    likely = np.log(weight) - 0.5 * (away**2 / variance + np.log(variance))
+    share = np.exp(likely - likely.max(axis=1, keepdims=True))
+    share /= share.sum(axis=1, keepdims=True)
+    slope = covariance[:, 1:, 0] / variance[:, np.newaxis]
+    expected = mean[:, 1:] + slope * away[:, :, np.newaxis]
+    summed: Array = np.sum(share[:, :, np.newaxis] * expected, axis=1)
+    return summed

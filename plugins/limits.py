@@ -1,4 +1,4 @@
-"""Limits that motions keep, and the numbers that describe them."""
+"""Velocity limits of motions, and their positive parameters."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 
 _TINY = 1e-12  # keeps quotients finite; in m/s and in rad/s
-_LEAST, _MOST = 1e-9, 1e9  # of any number; beyond, motions would overflow or never end
+_LEAST, _MOST = 1e-9, 1e9  # of any parameter; beyond, motions would overflow or never end
 
 
 def slowed(twist: Array, max_velocity: float, max_angular_velocity: float) -> Array:
-    """Return the share of `twist`, shape (n, 6) -> (n,), in (0, 1], that keeps both limits.
+    """Return the factor in (0, 1] by which twists must shrink to keep both limits, shape (n,).
 
     Args:
-        twist: Wanted twists, m/s and rad/s.
+        twist: Wanted twists, shape (n, 6), m/s and rad/s.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
     """
@@ -29,10 +29,10 @@ def norm(vector: Array) -> Array:
 
 
 def positive(name: str, value: float) -> float:
-    """Return `value` if it is a positive number that a motion can have use for.
+    """Return the parameter `value` as a float.
 
     Raises:
-        KinfeasError: If it is not; the sentence begins with `name`.
+        KinfeasError: If it is no number from 1e-9 to 1e9; the message begins with `name`.
     """
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not _LEAST <= value <= _MOST:

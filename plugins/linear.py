@@ -1,4 +1,4 @@
-"""The `linear` motion: straight to the goal, slowing down as it comes near."""
+"""The `linear` motion: straight to the goal, slowing down near it."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, twist_between
 from kinfeas.plugins.limits import norm, positive
 
-# Below this distance a motion is a turn on the spot, and the angle sets its pace, in metres.
+# Below this distance in metres a motion is a turn on the spot, with a speed set by its angle.
 _ON_THE_SPOT = 1e-6
 _MIN_ANGULAR_VELOCITY = 0.001  # rad/s, so that a turn on the spot ends
 _TINY = 1e-12  # keeps quotients finite; in metres and in radians
@@ -19,18 +19,17 @@ class Linear:
     """Straight motion of the EE to the target: a linear dynamic system in position and orientation.
 
     The speed is `clip(gain * distance, min_velocity, max_velocity)`. Position and orientation use
-    up equal shares of what is left of them, so along the straight line the orientation is the
-    slerp from the start to the goal by the fraction of the distance covered; and they arrive
-    together. Where the turn would exceed its limit, the whole motion slows down. What comes next
-    depends on the EE pose and the goal alone, so an EE that was displaced heads straight for the
-    goal from wherever it is.
+    up equal shares of the remaining way, so along the straight line the orientation is the slerp
+    from the start to the goal by the fraction of the distance covered; they arrive together. Where
+    the turn would exceed its limit, the whole motion slows down. The twist depends on the EE pose
+    and the goal alone, so a displaced EE heads straight for the goal.
 
     Args:
         gain: Speed per distance to the goal, 1/s; in a turn on the spot, angular speed per angle.
         min_velocity: Lower limit of the speed in m/s, so that the motion arrives; the angular
-            limit goes first.
+            limit takes precedence.
         max_velocity: Upper limit of the speed in m/s.
-        max_angular_velocity: Upper limit of the angular speed in rad/s; None lifts it.
+        max_angular_velocity: Upper limit of the angular speed in rad/s; None for no limit.
 
     Raises:
         KinfeasError: If a number is not positive, or the velocity limits are out of order.
@@ -48,7 +47,7 @@ class Linear:
         self._min_velocity = positive("min_velocity", min_velocity)
         self._max_velocity = positive("max_velocity", max_velocity)
         self._max_angular_velocity = (
-            None
+            np.inf
             if max_angular_velocity is None
             else positive("max_angular_velocity", max_angular_velocity)
         )
@@ -60,37 +59,28 @@ class Linear:
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
     ) -> State:
-        """Return the state of n motions, which is empty: the way is that to the target."""
+        """Return an empty state: the motion depends on the current poses alone."""
         return {}
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the world poses at which the motions end, shape (n, 7)."""
+        """Return the targets, shape (n, 7)."""
         return np.array(target_pose, dtype=np.float64)
 
     def twist(
         self, state: State, ee_pose: Array, target_pose: Array, dt: Array
     ) -> tuple[Array, State]:
-        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state.
-
-        Args:
-            state: State of n motions.
-            ee_pose: World pose that the motion has come to, shape (n, 7).
-            target_pose: World pose of the target now, shape (n, 7).
-            dt: Duration of each motion's step in seconds, shape (n,).
-        """
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         way = twist_between(ee_pose, target_pose, 1.0)
         # Never past the goal: at most the whole way within dt.
-        execution = np.minimum(self._pace(way), 1.0 / dt)
-        return way * execution[:, np.newaxis], dict(state)
+        rate = np.minimum(self._rate(way), 1.0 / dt)
+        return way * rate[:, np.newaxis], dict(state)
 
-    def _pace(self, way: Array) -> Array:
+    def _rate(self, way: Array) -> Array:
         """Return the share of the remaining `way`, shape (n, 6), to use up per second, (n,)."""
         metres = np.maximum(norm(way[:, :3]), _TINY)
         radians = np.maximum(norm(way[:, 3:]), _TINY)
         slowest = np.where(
             metres > _ON_THE_SPOT, self._min_velocity / metres, _MIN_ANGULAR_VELOCITY / radians
         )
-        execution = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
-        if self._max_angular_velocity is None:
-            return execution
-        return np.minimum(execution, self._max_angular_velocity / radians)
+        rate = np.minimum(np.maximum(self._gain, slowest), self._max_velocity / metres)
+        return np.minimum(rate, self._max_angular_velocity / radians)

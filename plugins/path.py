@@ -1,51 +1,60 @@
-"""The path that a learned model stands for, in a table to read from at every step."""
+"""Paths of the EE, and the phase dynamic system that follows them."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from kinfeas.config import no_such
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import State
 from kinfeas.core.spatial import (
+    IDENTITY,
     Array,
     compose,
     integrate,
-    make_pose,
     planar_pose,
-    rotation,
+    relative,
     twist_between,
 )
-from kinfeas.plugins.model import Model
+from kinfeas.plugins.limits import norm, positive, slowed
 
-_SEGMENTS = 256
-_PINNED = 0.2  # share of the path over which its end is drawn to the goal
+Frame = Literal["object", "goal", "world"]
+"""What a path moves with: the target as the grasped object, the target as its end, nothing."""
+
+_FINEST = 0.05  # seconds from knot to knot, if the path is not too long for that
+_MOST_SEGMENTS = 20_000
 
 
-@dataclass(frozen=True)
-class Path:
-    """Poses of the hand and the base in the frame of the object, at even steps of the index.
+class PosePath:
+    """Poses of the EE, and of the base if known, at even steps of an index in [0, 1].
+
+    Args:
+        knots: EE poses, shape (m + 1, 7).
+        base: x, y and unwrapped yaw of the base, shape (m + 1, 3).
 
     Attributes:
-        knots: Poses of the hand, shape (m + 1, 7).
         segments: Twists that lead from each knot to the next in one second, shape (m, 6).
-        base: x, y and unwrapped yaw of the base, shape (m + 1, 3), if known.
     """
 
-    knots: Array
-    segments: Array
-    base: Array | None
+    def __init__(self, knots: Array, base: Array | None = None) -> None:
+        self.knots, self.base = knots, base
+        self.segments = twist_between(knots[:-1], knots[1:], 1.0)
 
     def at(self, index: Array) -> Array:
-        """Return the poses of the hand at `index` in [0, 1], shape (n,) -> (n, 7)."""
+        """Return the EE poses at `index` in [0, 1], shape (n,) -> (n, 7)."""
         i, share = self._segment(index)
         return integrate(self.knots[i], self.segments[i] * share[:, np.newaxis], 1.0)
 
     def base_at(self, index: Array, object_pose: Array) -> Array:
-        """Return the world poses of the base at `index`, shape (n,), not-a-number if unknown.
+        """Return the world poses of the base, shape (n, 7), NaN if unknown.
 
         Args:
             index: Share of the path in [0, 1], shape (n,).
-            object_pose: World pose of the object, shape (n, 7).
+            object_pose: World pose of the object whose frame the path is in, shape (n, 7).
         """
         if self.base is None:
             return np.full((len(index), 7), np.nan)
@@ -55,47 +64,112 @@ class Path:
         return compose(below(object_pose), pose)
 
     def _segment(self, index: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return which segment `index` lies in, and which share of it is done."""
+        """Return the segments of `index`, and the share of each that is behind it."""
         count = len(self.segments)
         steps = index * count
         i = np.minimum(steps.astype(np.intp), count - 1)
         return i, steps - i
 
 
-def tabulate(model: Model) -> Path:
-    """Return the path of a model, drawn to the model's goal over its last fifth."""
-    index = np.linspace(0.0, 1.0, _SEGMENTS + 1)
-    features = regress(model, index)
-    turn = Rotation.from_rotvec(features[:, 3:6])
-    knots = make_pose(features[:, :3], Rotation.from_quat(model.mean_orientation) * turn)
-    share = np.clip((index - 1.0) / _PINNED + 1.0, 0.0, 1.0)
-    share = share**2 * (3.0 - 2.0 * share)  # smooth where it begins and ends
-    goal = np.array(model.goal)
-    goal[3:] /= np.linalg.norm(goal[3:])
-    missing = twist_between(knots[-1], goal, 1.0)
-    knots = integrate(knots, missing * share[:, np.newaxis], 1.0)
-    knots[-1] = make_pose(goal[:3], rotation(goal))
-    base = features[:, 6:] if model.has_base else None
-    return Path(knots, twist_between(knots[:-1], knots[1:], 1.0), base)
+@dataclass(eq=False, kw_only=True)
+class PathMotion:
+    """Motions along one path: a phase dynamic system on R^3 x S^3.
 
+    The EE is drawn to the point of the path at the phase s in [0, 1], and the phase advances as
+    far as the EE is near that point: `s' = psi / T` with `psi = exp(-|e_p|^2 / a^2 - |e_r|^2 /
+    b^2)` of the errors in position and orientation. The twist is that of the path less `gain` times
+    the errors. Where it would exceed a limit, EE and phase slow down together. So from any start
+    the EE first comes to the beginning of the path, then moves along it and ends at its end
+    exactly. The state holds the phase.
 
-def regress(model: Model, index: Array) -> Array:
-    """Return what the mixture expects at `index`, shape (m,) -> (m, d - 1).
-
-    Gaussian mixture regression: the mean of the components' conditional means, weighted by how
-    likely each is at `index` (Calinon, Robot Programming by Demonstration, 2009, chapter 2).
+    Attributes:
+        path: In the frame of the target, or in the world.
+        duration: The time T in seconds that the path takes an EE that is on it.
+        in_world: Whether the path stays where it is when the target moves.
+        gain: Rate at which errors decay, 1/s.
+        position_scale: The length a: the error at which the phase slows down by e, in metres.
+        rotation_scale: The same angle b in radians.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
     """
-    weight = np.array([component.weight for component in model.components])
-    mean = np.array([component.mean for component in model.components])
-    covariance = np.array([component.covariance for component in model.components])
-    away, variance = index[:, np.newaxis] - mean[:, 0], covariance[:, 0, 0]
-    likely = np.log(weight) - 0.5 * (away**2 / variance + np.log(variance))
-    share = np.exp(likely - likely.max(axis=1, keepdims=True))
-    share /= share.sum(axis=1, keepdims=True)
-    slope = covariance[:, 1:, 0] / variance[:, np.newaxis]
-    expected = mean[:, 1:] + slope * away[:, :, np.newaxis]
-    summed: Array = np.sum(share[:, :, np.newaxis] * expected, axis=1)
-    return summed
+
+    path: PosePath
+    duration: float
+    in_world: bool = False
+    gain: float = 1.0
+    position_scale: float = 0.05
+    rotation_scale: float = 0.3
+    max_velocity: float = 0.1
+    max_angular_velocity: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Raise KinfeasError if a number is not positive."""
+        limits = "max_velocity", "max_angular_velocity"
+        for name in ("gain", "position_scale", "rotation_scale", *limits):
+            positive(name, getattr(self, name))
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions, phases of 0."""
+        return {"phase": np.zeros(len(target_pose))}
+
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        return compose(self._frame(target_pose), self.path.knots[-1])
+
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
+        frame, phase = self._frame(target_pose), state["phase"]
+        here = compose(frame, self.path.at(phase))
+        error = twist_between(here, ee_pose, 1.0)
+        metres, radians = norm(error[:, :3]), norm(error[:, 3:])
+        nearness = np.exp(
+            -((metres / self.position_scale) ** 2) - (radians / self.rotation_scale) ** 2
+        )
+        advance = np.minimum(nearness * dt / self.duration, 1.0 - phase)
+        there = compose(frame, self.path.at(phase + advance))
+        # A step longer than 1 / gain would overshoot the path.
+        gain = np.minimum(self.gain, 1.0 / dt)[:, np.newaxis]
+        wanted = twist_between(here, there, dt) - gain * error
+        share = slowed(wanted, self.max_velocity, self.max_angular_velocity)
+        return wanted * share[:, np.newaxis], {"phase": phase + share * advance}
+
+    def _frame(self, target_pose: Array) -> Array:
+        """Return the world poses of the frames that the path is in, shape (n, 7)."""
+        return np.broadcast_to(IDENTITY, target_pose.shape) if self.in_world else target_pose
+
+
+def checked_frame(name: str) -> Frame:
+    """Return the frame of this name.
+
+    Raises:
+        KinfeasError: If there is none.
+    """
+    for frame in get_args(Frame):
+        if name == frame:
+            return frame
+    raise KinfeasError(f"unknown frame {name!r}{no_such(str(name), get_args(Frame))}")
+
+
+def in_frame(poses: Array, frame: Frame, object_pose: Array) -> Array:
+    """Return a path, shape (m, 7), relative to what it moves with.
+
+    Args:
+        poses: In any frame, usually the world.
+        frame: What the path moves with.
+        object_pose: The grasped object in the same frame as `poses`, shape (7,).
+    """
+    origins = {"object": object_pose, "goal": poses[-1], "world": IDENTITY}
+    return relative(poses, np.broadcast_to(origins[frame], poses.shape))
+
+
+def even_moments(duration: float) -> Array:
+    """Return the shares of a path of `duration` seconds at which it gets a knot, shape (m + 1,)."""
+    segments = min(max(256, math.ceil(duration / _FINEST)), _MOST_SEGMENTS)
+    return np.linspace(0.0, 1.0, segments + 1)
 
 
 def below(pose: Array) -> Array:

@@ -1,28 +1,29 @@
-"""The `replay` motion: a recorded motion of the end-effector, once more."""
+"""The `replay` motion: a recorded EE motion, and the files that it comes from."""
 
 from pathlib import Path
 
-from kinfeas.plugins.path_motion import (
-    PathMotion,
-    checked_frame,
-    even_moments,
-    in_frame,
-    path_through,
-)
-from kinfeas.plugins.phase import PhaseControl
-from kinfeas.plugins.recording import read_recording, resampled
+import numpy as np
+from scipy.spatial.transform import Slerp
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, make_pose, rotation
+from kinfeas.io.demonstrations import read_demonstration
+from kinfeas.io.run_log import read_record
+from kinfeas.plugins.path import Frame, PathMotion, PosePath, checked_frame, even_moments, in_frame
+
+_RUN_LOG = b"# kinfeas record"  # first bytes of the CSV record of a run
 
 
 class Replay(PathMotion):
     """A recorded motion, in its own time and from any start.
 
-    The hand first comes to where the recording begins. Then it moves as recorded, and slower where
-    the recording is faster than the limits.
+    The EE first comes to the beginning of the recording. Then it moves as recorded, and slower
+    where the recording is faster than the limits.
 
     Args:
         file: CSV or NPZ file of a demonstration, or the CSV record of a run of `kinfeas deploy`.
-        frame: Where the motion takes place: `goal` lays its end on the target; `object` puts it
-            about the target as it was about the recorded object when the recording began; `world`
+        frame: `goal` puts the end of the motion on the target; `object` places the motion relative
+            to the target as it was relative to the recorded object at the beginning; `world`
             repeats it in the world, wherever the target is.
         gain: Rate at which errors decay, 1/s.
         max_velocity: Upper limit of the speed in m/s.
@@ -45,11 +46,63 @@ class Replay(PathMotion):
         time, ee_pose, object_pose = read_recording(Path(file), placed)
         duration = float(time[-1] - time[0])
         knots = in_frame(resampled(time, ee_pose, even_moments(duration)), placed, object_pose)
-        control = PhaseControl(
-            path=path_through(knots),
+        super().__init__(
+            path=PosePath(knots),
             duration=duration,
+            in_world=placed == "world",
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
-        super().__init__(control, placed == "world")
+
+
+def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
+    """Return the time, shape (t,), EE poses, shape (t, 7), and the object's first pose, (7,).
+
+    From the record of a run the desired EE poses are read, not the measured ones.
+
+    Args:
+        path: CSV or NPZ file of a demonstration, in which the base and the object may be missing,
+            or the CSV record of a run.
+        frame: What the motion moves with; the object's pose is NaN if it is unknown.
+
+    Raises:
+        KinfeasError: If the file is wrong, or has no object although the frame is `object`.
+    """
+    if _is_run_log(path):
+        record = read_record(path)
+        # The last row of a run tells how it ended, at the time of the row before.
+        later = np.diff(record.time, prepend=-np.inf) > 0.0
+        time, desired = record.time[later], record.desired[later]
+        if len(time) < 2 or (np.diff(time) <= 0.0).any():
+            raise KinfeasError(f"{path}: must have 2 moments at least, and their time must ascend")
+        ee_pose, first = make_pose(desired[:, :3], rotation(desired)), np.full(7, np.nan)
+    else:
+        shown = read_demonstration(path, ("base_pose", "object_pose"))
+        time, ee_pose, first = shown.time, shown.ee_pose, shown.object_pose[0]
+    if frame == "object" and np.isnan(first).any():
+        raise KinfeasError(
+            f"{path}: no pose of an object (columns object_x, ..., object_qw), which frame "
+            "'object' needs; frame may be 'goal' instead"
+        )
+    return time, ee_pose, first
+
+
+def _is_run_log(path: Path) -> bool:
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_RUN_LOG)) == _RUN_LOG
+
+
+def resampled(time: Array, poses: Array, shares: Array) -> Array:
+    """Return the poses at `shares` of the time, interpolated between samples, shape (m, 7).
+
+    Args:
+        time: Moments, strictly ascending, shape (t,).
+        poses: Poses at these moments, shape (t, 7).
+        shares: Ascending numbers in [0, 1], shape (m,).
+    """
+    moments = np.minimum(time[0] + shares * (time[-1] - time[0]), time[-1])
+    position = np.stack([np.interp(moments, time, poses[:, i]) for i in range(3)], axis=-1)
+    return make_pose(position, Slerp(time, rotation(poses))(moments))

@@ -1,5 +1,21 @@
-"""The `waypoints` motion: a smooth path through poses that a file lists."""
+"""The `waypoints` motion: a smooth path through the poses of a file.
 
+A YAML file has a row for each waypoint, x y z qx qy qz qw in metres and a unit quaternion::
+
+    poses:
+    - [-0.3, 0.0, 0.2, 0, 0, 0, 1]
+    - [-0.1, 0.0, 0.1, 0, 0, 0, 1]
+    - [0.0, 0.0, 0.0, 0, 0, 0, 1]
+    time: [0.0, 4.0, 6.0]  # seconds; optional
+
+and a CSV file the same as columns, `time` being optional again::
+
+    time,x,y,z,qx,qy,qz,qw
+    0.0,-0.3,0.0,0.2,0,0,0,1
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -7,19 +23,17 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RotationSpline
 
+from kinfeas import config
+from kinfeas.config.quantities import LONGEST
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
+from kinfeas.io.csv_table import read_csv
 from kinfeas.plugins.limits import norm, positive
-from kinfeas.plugins.path_motion import (
-    PathMotion,
-    checked_frame,
-    even_moments,
-    in_frame,
-    path_through,
-)
-from kinfeas.plugins.phase import PhaseControl
-from kinfeas.plugins.waypoint_file import read_waypoints
+from kinfeas.plugins.path import PathMotion, PosePath, checked_frame, even_moments, in_frame
 
+_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_NOT_UNIT = 1e-3  # error of a quaternion's norm; rounding by hand makes 2e-4
+_FARTHEST = 1000.0  # metres
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
 _REPEATED = 1e-9  # metres and radians
 
@@ -27,15 +41,15 @@ _REPEATED = 1e-9  # metres and radians
 class Waypoints(PathMotion):
     """A cubic spline through waypoints, in position and orientation, from any start.
 
-    The hand first comes to the first waypoint, then goes through the others to the last. Without
-    times it moves about as fast as the limits allow, after `ramp` seconds and until as long before
-    the end. With times it keeps to them where the limits allow.
+    The EE first comes to the first waypoint, then passes the others to the last. Without times it
+    moves about as fast as the limits allow, with `ramp` seconds of acceleration at both ends. With
+    times it meets them where the limits allow.
 
     Args:
-        file: YAML or CSV file of poses, x y z qx qy qz qw in a row, and their time, if it matters.
+        file: YAML or CSV file of poses, x y z qx qy qz qw in a row, optionally with their time.
         frame: What the poses are relative to: `object` is the target, `world` the world; `goal`
-            moves them all alike, so that the last lies on the target.
-        ramp: Time in seconds to full speed and from there to rest, if the file has no times.
+            moves them all so that the last lies on the target.
+        ramp: Seconds from rest to full speed, and from full speed to rest, without times.
         gain: Rate at which errors decay, 1/s.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
@@ -65,18 +79,18 @@ class Waypoints(PathMotion):
         else:
             duration = float(time[-1] - time[0])
             knots = _Spline(time, poses).at(time[0] + even_moments(duration) * duration)
-        control = PhaseControl(
-            path=path_through(in_frame(knots, placed, IDENTITY)),
+        super().__init__(
+            path=PosePath(in_frame(knots, placed, IDENTITY)),
             duration=duration,
+            in_world=placed == "world",
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
-        super().__init__(control, placed == "world")
 
 
 class _Spline:
-    """Poses that change smoothly with the parameter, twice differentiable."""
+    """Twice differentiable poses over a parameter."""
 
     def __init__(self, parameter: Array, poses: Array) -> None:
         self.position = CubicSpline(parameter, poses[:, :3], bc_type="natural")
@@ -90,17 +104,17 @@ class _Spline:
 def _at_full_speed(
     path: Path, poses: Array, limits: tuple[float, float], ramp: float
 ) -> tuple[Array, float]:
-    """Return knots at even steps of time, shape (m + 1, 7), and how long they take in seconds."""
+    """Return knots at even steps of time, shape (m + 1, 7), and their duration in seconds."""
     apart = _seconds(poses, limits)
     if (repeated := apart <= _REPEATED).any():
         raise KinfeasError(
             f"{path}, waypoint {int(np.argmax(repeated)) + 2}: must differ from the one before, "
-            "unless the file says the time of each"
+            "unless the file has times"
         )
     spline = _Spline(np.concatenate([[0.0], np.cumsum(apart)]), poses)
     parameter = np.linspace(0.0, apart.sum(), max(_FINE, 20 * len(poses)) + 1)
     seconds = _seconds(spline.at(parameter), limits)
-    # The pace of the slowest moment nearby: where a turn reverses, the hand would jerk instead.
+    # The speed of the slowest moment nearby: where a turn reverses, the EE would jerk instead.
     nearby = max(1, round(min(ramp, 2.0 * parameter[-1]) / parameter[1]))
     spent = np.concatenate([[0.0], np.cumsum(maximum_filter1d(seconds, nearby))])
     ramp = min(ramp, spent[-1])
@@ -110,17 +124,17 @@ def _at_full_speed(
 
 
 def _seconds(poses: Array, limits: tuple[float, float]) -> Array:
-    """Return how long the way from each pose to the next takes at full speed, shape (m - 1,).
+    """Return the durations from each pose to the next at full speed, shape (m - 1,).
 
     At full speed the sum of the squares of both shares of the limits is one: the larger of the two
-    alone would make the hand jerk where it changes.
+    alone would make the EE jerk where it changes.
     """
     way = twist_between(poses[:-1], poses[1:], 1.0)
     return np.hypot(norm(way[:, :3]) / limits[0], norm(way[:, 3:]) / limits[1])
 
 
 def _ramped(time: Array, duration: float, ramp: float) -> Array:
-    """Return the seconds at full speed that are worth the way made by `time`, of the same shape.
+    """Return the seconds at full speed that cover the same way as `time`, of the same shape.
 
     The speed rises evenly over the first `ramp` seconds and falls evenly over the last.
     """
@@ -128,3 +142,57 @@ def _ramped(time: Array, duration: float, ramp: float) -> Array:
     falling = np.maximum(time - (duration - ramp), 0.0) ** 2 / (2.0 * ramp)
     progress: Array = rising + np.maximum(time - ramp, 0.0) - falling
     return progress
+
+
+@dataclass(frozen=True)
+class _Waypoints:
+    """Fields of a YAML file."""
+
+    poses: tuple[tuple[float, float, float, float, float, float, float], ...]
+    time: tuple[float, ...] | None = None
+
+
+def read_waypoints(path: Path) -> tuple[Array, Array | None]:
+    """Return the poses of a YAML or CSV file, shape (m, 7), m >= 2, and their time, (m,), if any.
+
+    Raises:
+        KinfeasError: If the file cannot be read, is not of the form above, has fewer than two
+            waypoints, a quaternion is not unit or the time does not ascend.
+    """
+    if path.suffix.lower() in (".yaml", ".yml"):
+        data = config.load(_Waypoints, path)
+        poses = np.array(data.poses, dtype=np.float64).reshape(-1, 7)
+        time = None if data.time is None else np.array(data.time)
+    elif path.suffix.lower() == ".csv":
+        values = read_csv(path, _columns).values
+        poses, time = values[:, :7], values[:, 7] if values.shape[1] > 7 else None
+    else:
+        raise KinfeasError(f"{path}: must be a .yaml or .csv file of waypoints")
+    if len(poses) < 2:
+        raise KinfeasError(f"{path}: has {len(poses)} waypoints, at least 2 are needed")
+    if time is not None and len(time) != len(poses):
+        raise KinfeasError(f"{path}: 'time' has {len(time)} entries for {len(poses)} waypoints")
+    _check(path, poses, np.arange(float(len(poses))) if time is None else time)
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return poses, time
+
+
+def _columns(header: Sequence[str]) -> list[str]:
+    return [*_COLUMNS, *(["time"] if "time" in header else [])]
+
+
+def _check(path: Path, poses: Array, time: Array) -> None:
+    """Raise on the first invalid waypoint."""
+    near = (np.abs(poses) <= _FARTHEST).all(axis=1)  # false for NaN, too
+    unit = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1.0) <= _NOT_UNIT
+    later = np.isfinite(time) & (np.diff(time, prepend=-np.inf) > 0.0)
+    soon = np.abs(time - time[0]) <= LONGEST
+    rules = (
+        (near, f"must be of finite numbers, at most {_FARTHEST:g}"),
+        (unit, "must have a unit quaternion (xyzw)"),
+        (later, "must be later than the one before"),
+        (soon, f"must be at most {LONGEST:g} s later than the first"),
+    )
+    for holds, rule in rules:
+        if not holds.all():
+            raise KinfeasError(f"{path}, waypoint {int(np.argmin(holds)) + 1}: {rule}")

@@ -54,7 +54,7 @@ def fit(
     """
     from kinfeas.io.demonstrations import demonstration_files, read_demonstration
     from kinfeas.plugins.fit import fit as run
-    from kinfeas.plugins.model import write_model
+    from kinfeas.plugins.fit import write_model
 
     sources = {"--demonstrations": inputs.of_demonstrations(demonstrations)}
     check_outputs({"--out": out, "--json": json}, sources)

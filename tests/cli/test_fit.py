@@ -6,8 +6,7 @@ import pytest
 
 from kinfeas.io.demonstrations import read_demonstration, write_demonstration
 from kinfeas.plugins.fit import MOST_COMPONENTS
-from kinfeas.plugins.gaussian_mixture import GaussianMixture
-from kinfeas.plugins.imitation import Imitation
+from kinfeas.plugins.imitation import GaussianMixture, Imitation
 from tests.cli.conftest import is_one_line
 from tests.plugins.conftest import door_demonstrations
 
@@ -99,7 +98,7 @@ def test_an_error_names_the_file(kinfeas, shown, tmp_path):
     write_demonstration(_still(door_demonstrations(1)[0]), still)
     outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml")
     assert is_one_line(outcome)
-    assert outcome.err == "error: shown/1.csv: the hand does not move\n"
+    assert outcome.err == "error: shown/1.csv: the EE does not move\n"
 
 
 def _still(one):

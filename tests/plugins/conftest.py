@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import compose, distance, integrate, make_pose, planar_pose
 from kinfeas.io.demonstrations import Demonstration
-from kinfeas.plugins.fit import fit
-from kinfeas.plugins.model import write_model
+from kinfeas.plugins.fit import fit, write_model
 from kinfeas.plugins.path import below
 
 KINDS = ("imitation", "gaussian_mixture")

@@ -8,9 +8,8 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose, relative
 from kinfeas.io.demonstrations import write_demonstration
-from kinfeas.plugins.dmp import Dmp
-from kinfeas.plugins.forcing import learn
-from kinfeas.plugins.recording import resampled
+from kinfeas.plugins.dmp import Dmp, learn
+from kinfeas.plugins.replay import resampled
 from tests.plugins.conftest import apart, door_demonstrations, run
 from tests.plugins.properties import (
     check_everything,
@@ -112,7 +111,7 @@ def test_says_which_extra_is_missing(file, monkeypatch):
 @pytest.mark.parametrize("size", [1, 101, 2.5, "ten", True])
 def test_refuses_sizes_out_of_range(shown, size):
     with pytest.raises(KinfeasError, match=r"must be a whole number in \[2, 100\]"):
-        learn(SHOWN.time, shown, size, 25.0)
+        learn(SHOWN.time, shown, size)
 
 
 def test_refuses_what_it_cannot_follow(file):

@@ -11,11 +11,8 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, relative
 from kinfeas.io.demonstrations import Demonstration, read_demonstrations, write_demonstration
-from kinfeas.plugins.fit import fit
-from kinfeas.plugins.gaussian_mixture import GaussianMixture
-from kinfeas.plugins.imitation import Imitation
-from kinfeas.plugins.model import read_model, write_model
-from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.fit import fit, write_model
+from kinfeas.plugins.imitation import GaussianMixture, Imitation, learned_path, read_model
 from tests.plugins.conftest import ANGLE, KINDS, RADIUS, door_demonstrations, random_poses, run
 
 # Those named Multi_Models hold two or three motions each.
@@ -26,7 +23,7 @@ GENERATORS = {"imitation": Imitation, "gaussian_mixture": GaussianMixture}
 @pytest.mark.parametrize("kind", KINDS)
 def test_learns_the_way_that_was_shown(kind):
     found = fit(door_demonstrations(scatter=0.0), kind)
-    knots = tabulate(found.model).knots
+    knots = learned_path(found.model).knots
     radius = np.hypot(knots[:, 0] + RADIUS, knots[:, 1])
     assert np.abs(radius - RADIUS).max() < 0.008
     assert np.abs(knots[:, 2]).max() < 1e-6
@@ -41,7 +38,7 @@ def test_ends_at_the_mean_of_the_ends(kind):
     model = fit(shown, kind).model
     ends = np.stack([relative(one.ee_pose[-1], one.object_pose[0]) for one in shown])
     mean = make_pose(ends[:, :3].mean(axis=0), Rotation.from_quat(ends[:, 3:]).mean())
-    metres, radians = distance(tabulate(model).knots[-1], mean)
+    metres, radians = distance(learned_path(model).knots[-1], mean)
     assert max(metres, radians) < 1e-7
 
 
@@ -54,7 +51,7 @@ def test_same_seed_same_bits(kind, models, tmp_path):
 
 def test_other_seed_same_way():
     shown = door_demonstrations()
-    first, other = (tabulate(fit(shown, seed=seed).model).knots for seed in (0, 1))
+    first, other = (learned_path(fit(shown, seed=seed).model).knots for seed in (0, 1))
     assert distance(first, other)[0].max() < 0.01
 
 
@@ -64,8 +61,8 @@ def test_either_file_format_gives_the_same_model(suffix, models, tmp_path):
         write_demonstration(shown, tmp_path / f"{number}.{suffix}")
     model = fit(read_demonstrations(tmp_path), command="kinfeas fit").model
     assert np.allclose(
-        tabulate(model).knots,
-        tabulate(read_model(models["imitation"], "imitation")).knots,
+        learned_path(model).knots,
+        learned_path(read_model(models["imitation"], "imitation")).knots,
         atol=1e-9,
     )
 
@@ -77,14 +74,14 @@ def test_where_the_object_stood_does_not_matter():
         replace(one, ee_pose=compose(pose, one.ee_pose), object_pose=compose(pose, one.object_pose))
         for one, pose in zip(shown, poses, strict=True)
     ]
-    first, other = (tabulate(fit(given).model).knots for given in (shown, moved))
+    first, other = (learned_path(fit(given).model).knots for given in (shown, moved))
     assert np.allclose(first, other, atol=1e-5)
 
 
 def test_pauses_are_not_part_of_the_way():
     shown = door_demonstrations()
     paused = [_paused(one) for one in shown]
-    first, other = (tabulate(fit(given).model).knots for given in (shown, paused))
+    first, other = (learned_path(fit(given).model).knots for given in (shown, paused))
     assert np.allclose(first, other, atol=1e-5)
 
 
@@ -108,7 +105,7 @@ def test_learns_a_turn_on_the_spot():
     angle = np.linspace(0.0, 1.5, 50)
     ee = make_pose(np.full((50, 3), 0.2), Rotation.from_rotvec(angle[:, np.newaxis] * [0, 1, 0]))
     still = np.tile(IDENTITY, (50, 1))
-    path = tabulate(fit([Demonstration(time, ee, still, still)], components=4).model)
+    path = learned_path(fit([Demonstration(time, ee, still, still)], components=4).model)
     turned = Rotation.from_quat(path.knots[:, 3:]).magnitude()
     assert np.allclose(turned, np.linspace(0.0, 1.5, 257), atol=0.02)
     assert np.allclose(path.knots[:, :3], 0.2, atol=1e-6)
@@ -116,7 +113,7 @@ def test_learns_a_turn_on_the_spot():
 
 def test_base_headings_a_turn_apart_are_the_same():
     shown = door_demonstrations(12, scatter=0.0)
-    yaws = tabulate(fit(shown).model).base[:, 2]
+    yaws = learned_path(fit(shown).model).base[:, 2]
     assert np.ptp(yaws) < 0.6
 
 
@@ -129,7 +126,7 @@ def test_learns_no_base_that_was_not_always_shown():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"ee_pose": np.tile(IDENTITY, (120, 1))}, "demonstration 3: the hand does not move"),
+        ({"ee_pose": np.tile(IDENTITY, (120, 1))}, "demonstration 3: the EE does not move"),
         ({"time": np.linspace(0.0, 1e-4, 120)}, r"demonstration 3: its seconds must be a number"),
     ],
 )

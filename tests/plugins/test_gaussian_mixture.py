@@ -9,9 +9,7 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Demonstrated
 from kinfeas.core.spatial import compose, distance, relative
-from kinfeas.plugins.gaussian_mixture import GaussianMixture
-from kinfeas.plugins.model import read_model
-from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.imitation import GaussianMixture, learned_path, read_model
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
 from tests.plugins.properties import check_arrival
@@ -24,7 +22,7 @@ def generator(models):
 
 @pytest.fixture(scope="module")
 def path(models):
-    return tabulate(read_model(models["gaussian_mixture"], "gaussian_mixture"))
+    return learned_path(read_model(models["gaussian_mixture"], "gaussian_mixture"))
 
 
 def starts_and_targets(n, seed):

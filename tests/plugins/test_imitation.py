@@ -13,9 +13,7 @@ from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Demonstrated
 from kinfeas.core.spatial import compose, make_pose, relative
-from kinfeas.plugins.imitation import Imitation
-from kinfeas.plugins.model import read_model, shipped_models
-from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.imitation import Imitation, learned_path, read_model, shipped_models
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, apart, random_poses, run, speeds
 
@@ -85,7 +83,7 @@ def test_turns_with_the_object(generator):
 
 
 def test_comes_to_the_beginning_before_it_goes_on(generator, models):
-    path = tabulate(read_model(models["imitation"], "imitation"))
+    path = learned_path(read_model(models["imitation"], "imitation"))
     start, target = starts_and_targets(20, 9)
     poses, _, _ = run(generator, start, target, 60.0)
     begin = compose(target, np.repeat(path.knots[:1], 20, axis=0))
@@ -96,7 +94,7 @@ def test_comes_to_the_beginning_before_it_goes_on(generator, models):
 
 
 def test_follows_the_path_that_was_shown(generator, models):
-    path = tabulate(read_model(models["imitation"], "imitation"))
+    path = learned_path(read_model(models["imitation"], "imitation"))
     start = path.knots[:1]
     poses, _, _ = run(generator, start, np.eye(1, 7, 6), 30.0)
     metres = np.linalg.norm(poses[:, 0, np.newaxis, :3] - path.knots[:, :3], axis=-1)

@@ -9,9 +9,9 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.plugins import model as module
-from kinfeas.plugins.model import Model, read_model, rounded, shipped_models, write_model
-from kinfeas.plugins.path import tabulate
+from kinfeas.plugins import imitation as module
+from kinfeas.plugins.fit import write_model
+from kinfeas.plugins.imitation import Model, learned_path, read_model, shipped_models
 from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import KINDS
 
@@ -106,7 +106,7 @@ def test_only_the_first_column_of_a_covariance_counts(plain):
     bare = copy.deepcopy(plain)
     for component in bare["components"]:
         component["covariance"] = [[row[0]] + [0.0] * 9 for row in component["covariance"]]
-    paths = [tabulate(config.from_mapping(Model, one, "model")) for one in (plain, bare)]
+    paths = [learned_path(config.from_mapping(Model, one, "model")) for one in (plain, bare)]
     assert np.array_equal(paths[0].knots, paths[1].knots)
 
 
@@ -125,8 +125,3 @@ def test_a_file_never_runs_code(tmp_path):
     path.write_text("format: !!python/object/apply:os.abort []\n")
     with pytest.raises(KinfeasError, match="broken YAML"):
         read_model(str(path), "imitation")
-
-
-def test_rounded_keeps_eight_digits():
-    values = rounded(np.array([[np.pi, -1e-9 / 3.0], [0.0, 123456789.0]]))
-    assert np.array_equal(values, [[3.1415927, -3.3333333e-10], [0.0, 123456790.0]])

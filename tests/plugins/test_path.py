@@ -4,8 +4,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from kinfeas.core.spatial import compose, distance, planar_pose, yaw
-from kinfeas.plugins.model import read_model
-from kinfeas.plugins.path import below, regress, tabulate
+from kinfeas.plugins.imitation import learned_path, read_model, regress
+from kinfeas.plugins.path import below
 from tests.plugins.conftest import KINDS, random_poses
 
 
@@ -28,14 +28,14 @@ def test_regression_is_the_mean_of_the_conditional_density(model):
 
 
 def test_ends_at_the_goal_and_runs_through_its_knots(model):
-    path = tabulate(model)
+    path = learned_path(model)
     metres, radians = distance(path.knots[-1], np.array(model.goal))
     assert max(metres, radians) < 1e-7
     assert np.abs(path.at(np.linspace(0.0, 1.0, len(path.knots))) - path.knots).max() < 1e-12
 
 
 def test_is_even_between_knots(model):
-    path = tabulate(model)
+    path = learned_path(model)
     fine = path.at(np.linspace(0.0, 1.0, 4 * (len(path.knots) - 1) + 1))
     metres, _ = distance(fine[:-1], fine[1:])
     assert np.allclose(metres.reshape(-1, 4), metres.reshape(-1, 4)[:, :1], atol=1e-12)
@@ -43,14 +43,14 @@ def test_is_even_between_knots(model):
 
 
 def test_is_drawn_to_the_goal_without_a_bend(model):
-    path = tabulate(model)
+    path = learned_path(model)
     kinks = np.abs(np.diff(path.segments[:, :3], axis=0))
     # A segment is 2 to 4 mm long; what its neighbour differs by is the arc's own bend.
     assert kinks.max() < 3e-4
 
 
 def test_base_goes_where_it_was_shown(model):
-    path, index = tabulate(model), np.array([0.0, 1.0])
+    path, index = learned_path(model), np.array([0.0, 1.0])
     door = planar_pose(np.array([1.0, 1.0]), np.array([2.0, 2.0]), np.array([0.5, 0.5]))
     door[:, 2] = 0.7
     shown = planar_pose(np.array([-0.7, -1.0]), np.array([0.0, 0.3]), np.pi + np.array([0.0, 0.5]))
@@ -60,7 +60,7 @@ def test_base_goes_where_it_was_shown(model):
 
 
 def test_base_is_not_known_if_not_shown(models):
-    path = tabulate(read_model(models["nobase"], "imitation"))
+    path = learned_path(read_model(models["nobase"], "imitation"))
     base = path.base_at(np.zeros(3), random_poses(3, 0))
     assert base.shape == (3, 7)
     assert np.isnan(base).all()

@@ -6,7 +6,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.io.run_log import About, Moment, Recorder
-from kinfeas.plugins.recording import read_recording, resampled
+from kinfeas.plugins.replay import read_recording, resampled
 from tests.plugins.conftest import door_demonstrations, random_poses
 
 HEADER = "time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw\n"
@@ -28,7 +28,7 @@ def test_reads_a_hand_without_base_and_object(tmp_path):
     assert time.tolist() == [0.0, 0.5]
     assert ee_pose[:, 2].tolist() == [3.0, 4.0]
     assert np.isnan(object_pose).all()
-    with pytest.raises(KinfeasError, match=r"hand\.csv: says no pose of an object"):
+    with pytest.raises(KinfeasError, match=r"hand\.csv: no pose of an object"):
         read_recording(path, "object")
 
 

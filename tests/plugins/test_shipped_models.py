@@ -18,8 +18,7 @@ from kinfeas.core.spatial import (
     rotation,
 )
 from kinfeas.plugins.fit import fit
-from kinfeas.plugins.model import read_model, shipped_models
-from kinfeas.plugins.path import tabulate
+from kinfeas.plugins.imitation import learned_path, read_model, shipped_models
 from kinfeas.scenes.scene import read_scene
 from tests.plugins.properties import check_arrival
 
@@ -72,7 +71,7 @@ def test_the_documented_commands_make_them(name):
         shipped = read_model(f"{name}_{motion}", "imitation")
         assert made.duration == pytest.approx(shipped.duration)
         index = np.linspace(0.0, 1.0, 50)
-        metres, radians = distance(tabulate(made).at(index), tabulate(shipped).at(index))
+        metres, radians = distance(learned_path(made).at(index), learned_path(shipped).at(index))
         assert metres.max() < 1e-3
         assert radians.max() < 1e-2
 
@@ -117,6 +116,6 @@ def test_openings_end_where_they_were_shown_to(rolled):
 
 
 def test_the_base_is_known_and_travels_as_was_shown():
-    path = tabulate(read_model("door_open", "imitation"))
+    path = learned_path(read_model("door_open", "imitation"))
     assert path.base is not None
     assert np.linalg.norm(path.base[-1, :2] - path.base[0, :2]) == pytest.approx(0.44, abs=0.01)

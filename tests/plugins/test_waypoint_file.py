@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.plugins.waypoint_file import read_waypoints
+from kinfeas.plugins.waypoints import read_waypoints
 
 YAML = "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n- [1, 2, 4, 0, 0, 0.7071, 0.7071]\n"
 CSV = "x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n1,2,4,0,0,0.7071,0.7071\n"

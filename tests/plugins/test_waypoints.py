@@ -120,7 +120,7 @@ def test_two_waypoints_make_a_straight_line(tmp_path):
 
 
 def test_a_ramp_longer_than_the_path_is_all_of_it(file):
-    knots = [Waypoints(file=file, ramp=ramp)._control.path.knots for ramp in (1e3, 1e9)]
+    knots = [Waypoints(file=file, ramp=ramp).path.knots for ramp in (1e3, 1e9)]
     assert np.array_equal(*knots)
 
 
