@@ -1,4 +1,4 @@
-"""The transport that docs/ros.md shows, as it stands there."""
+"""The transport of examples/udp_backend.py."""
 
 import socket
 import time
@@ -14,15 +14,14 @@ from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import BaseReading, Hosted, Orders
 from tests.sim2real.links import joints_at
 
-PAGE = Path(__file__).parents[2] / "docs" / "ros.md"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"
 
 
 @pytest.fixture
 def udp():
     """The example as a module, on ports that are free."""
-    code = PAGE.read_text().split("```python\n")[1].split("```")[0]
     module = types.ModuleType("udp")
-    exec(compile(code, str(PAGE), "exec"), module.__dict__)
+    exec(compile(EXAMPLE.read_text(), str(EXAMPLE), "exec"), module.__dict__)
     free = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
     for one in free:
         one.bind(("127.0.0.1", 0))

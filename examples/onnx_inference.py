@@ -1,0 +1,62 @@
+"""Run an exported policy (pr2.onnx) with numpy and onnxruntime alone."""
+
+import json
+
+import numpy as np
+import onnxruntime
+
+
+def times(a, b):
+    """Return the rotation `b` followed by `a`, unit quaternions x y z w with w >= 0."""
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    whole = np.append(vector, a[3] * b[3] - a[:3] @ b[:3])
+    return whole if whole[3] >= 0.0 else -whole
+
+
+def seen_from(frame, pose):
+    """Return a world pose x y z qx qy qz qw in the coordinates of the pose `frame`."""
+    back, way = frame[3:] * [-1, -1, -1, 1], pose[:3] - frame[:3]
+    turned = way + 2.0 * np.cross(back[:3], np.cross(back[:3], way) + back[3] * way)
+    return np.concatenate([turned, times(back, pose[3:])])
+
+
+def observe(base, ee_in_base, planned, goal, joints):
+    """Return the observation; `base`, `planned` and `goal` are world poses."""
+    planned, goal = seen_from(base, planned), seen_from(base, goal)
+    velocity = (planned[:3] - ee_in_base[:3]) / 0.1
+    rotation = times(planned[3:], ee_in_base[3:] * [-1, -1, -1, 1])
+    return np.concatenate([ee_in_base, velocity, rotation, goal, joints])
+
+
+def main():
+    """Check the golden pairs, then print and return the base twist for one observation."""
+    session = onnxruntime.InferenceSession("pr2.onnx", providers=["CPUExecutionProvider"])
+    metadata = session.get_modelmeta().custom_metadata_map
+    about = {key.removeprefix("kinfeas."): json.loads(text) for key, text in metadata.items()}
+
+    # Golden pairs: observations, and the training policy's actions.
+    golden = {name: np.array(rows, np.float32) for name, rows in about["golden"].items()}
+    (actions,) = session.run(["action"], {"observation": golden["observation"]})
+    assert np.abs(actions - golden["action"]).max() <= 1e-5
+
+    # Replace with your robot's base pose, EE pose, planned EE pose 0.1 s ahead, goal and joints.
+    base = np.array([1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0])
+    ee_in_base = np.array([0.45, 0.0, 0.543, 0.0, 0.0, 0.0, 1.0])
+    planned = np.array([1.459, 0.503, 0.546, 0.0, 0.0, 0.0, 1.0])
+    goal = np.array([2.5, 0.8, 0.8, 0.0, 0.0, 0.0, 1.0])
+    joints = np.array([0.359647, 1.22538, 0.0, -1.59997, 2.34256, -0.513323, -2.41144])
+    observation = observe(base, ee_in_base, planned, goal, joints)[np.newaxis].astype(np.float32)
+    (actions,) = session.run(["action"], {"observation": observation})
+
+    # From [-1, 1] to m/s and rad/s in the base frame; the planar velocity is clipped by its norm.
+    limits = np.array([term["limit"] for term in about["action"]])
+    twist = actions[0] * limits
+    planar = twist[:-1]
+    twist[:-1] *= limits[0] / max(np.linalg.norm(planar), limits[0])
+    for term, value in zip(about["action"], twist, strict=True):
+        print(f"{term['name']}: {value:.3f} {term['unit']}")
+    return observation, twist
+
+
+if __name__ == "__main__":
+    main()
