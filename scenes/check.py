@@ -1,16 +1,63 @@
 """What a scene must be: nothing stands within something else, and every handle can be reached."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import combinations
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
-from kinfeas.robots.tree import Shape
-from kinfeas.scenes.objects import SceneObject
-from kinfeas.scenes.solids import Solids
+from kinfeas.robots.elements import Element, read_xml
+from kinfeas.robots.urdf import SLACK, Shape, Urdf, read_moments
+from kinfeas.scenes.objects import SceneObject, moving_joint
+
+_THINNEST = 1e-4  # m, of what is left of a shape that is made smaller
+
+
+class Solids:
+    """Shapes in space, looked at as one; not for several threads at once.
+
+    Args:
+        shapes: Primitives with their poses in one frame.
+        less: How much smaller to take them from side to side, metres: two groups that are taken
+            `less` smaller touch where the shapes reach into each other by more than that.
+    """
+
+    def __init__(self, shapes: Iterable[Shape], less: float = 0.0) -> None:
+        import fcl
+
+        self._fcl = fcl
+        self._objects = [_solid(fcl, shape, less) for shape in shapes]
+        self._group = fcl.DynamicAABBTreeCollisionManager()
+        self._group.registerObjects(self._objects)
+        self._group.setup()
+
+    def place(self, rotations: Array, positions: Array) -> None:
+        """Move the k shapes, whose poses turn into `rotations` (k, 3, 3) and `positions` (k, 3)."""
+        for solid, turn, place in zip(self._objects, rotations, positions, strict=True):
+            solid.setTransform(self._fcl.Transform(turn, place))
+        self._group.update()
+
+    def touches(self, other: "Solids") -> bool:
+        """Return whether any shape touches one of the `other` group."""
+        found = self._fcl.CollisionData()
+        self._group.collide(other._group, found, self._fcl.defaultCollisionCallback)
+        return bool(found.result.is_collision)
+
+
+def _solid(fcl: Any, shape: Shape, less: float) -> Any:
+    kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
+    thinner = {"box": (less,) * 3, "cylinder": (less / 2.0, less), "sphere": (less / 2.0,)}
+    size = [
+        max(full - part, _THINNEST)
+        for full, part in zip(shape.size, thinner[shape.kind], strict=True)
+    ]
+    placed = fcl.Transform(rotation(shape.pose).as_matrix(), shape.pose[:3])
+    return fcl.CollisionObject(kinds[shape.kind](*size), placed)
+
 
 OVERLAP = 1e-3
 """Metres that one object may reach into another one, as where it stands on it."""
@@ -128,3 +175,40 @@ def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) ->
             if not scene.touches(Solids([Shape("cylinder", (radius, height), stand)])):
                 return True
     return False
+
+
+def check_inertia(path: Path, urdf: Urdf, *, fixed: bool) -> None:
+    """Check that each link that can move has an <inertial> that physics engines can move.
+
+    Args:
+        path: The URDF.
+        urdf: What it says.
+        fixed: Whether its root link stays where it is.
+
+    Raises:
+        KinfeasError: If it has none, or no mass, or moments that no body has.
+    """
+    robot = read_xml(path, "robot")
+    hangs = {joint.child for joint in urdf.joints.values() if not joint.moves}
+    for link in robot.children("link"):
+        name = link.text("name")
+        if fixed and moving_joint(urdf, name) is None:
+            continue
+        named, inertial = Element(link.xml, f"{path}: link {name!r}"), link.child("inertial")
+        if inertial is None:
+            raise named.error("it can move, and <inertial> is missing")
+        if urdf.links[name].mass > 0.0:
+            _check_moments(named, read_moments(inertial.need("inertia")))
+        elif name not in hangs:  # a frame may hang on what has a mass
+            raise named.error("it can move, and its mass must be above 0")
+
+
+def _check_moments(link: Element, moments: Array) -> None:
+    small, middle, large = np.linalg.eigvalsh(moments)
+    if small <= 0.0:
+        raise link.error("it can move, and all principal moments of inertia must be above 0")
+    if large - small - middle > SLACK * large:
+        raise link.error(
+            f"it can move, and its largest principal moment of inertia, {large:.3g}, must be at "
+            f"most the sum of the other two, {small + middle:.3g}"
+        )

@@ -11,8 +11,8 @@ from kinfeas.kinematics.self_collision import (
     touches_itself,
 )
 from kinfeas.robots.robot import Robot
+from kinfeas.scenes.check import Solids
 from kinfeas.scenes.scene import Scene
-from kinfeas.scenes.solids import Solids
 
 
 class SceneCollision:

@@ -15,10 +15,17 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.io.files import is_path, reading
 from kinfeas.robots.urdf import Urdf, parse_urdf
-from kinfeas.scenes.check import check, check_places
-from kinfeas.scenes.inertia import check_inertia
-from kinfeas.scenes.objects import Handle, SceneObject, free_joints, moving_joint, rest_positions
-from kinfeas.scenes.spec import HandleSpec, ObjectSpec, SceneSpec
+from kinfeas.scenes.check import check, check_inertia, check_places
+from kinfeas.scenes.objects import (
+    Handle,
+    HandleSpec,
+    ObjectSpec,
+    SceneObject,
+    SceneSpec,
+    free_joints,
+    moving_joint,
+    rest_positions,
+)
 
 T = TypeVar("T")
 

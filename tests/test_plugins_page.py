@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 
 from kinfeas.cli.main import app
 from kinfeas.core import registry
-from kinfeas.robots.loading import load_robot
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.templates.distribution import write_distribution
 from kinfeas.testing import check_motion_generator
 

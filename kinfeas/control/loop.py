@@ -30,7 +30,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.joints import joint_jumps, joint_way
+from kinfeas.robots.robot import joint_displacement, joint_jumps
 
 __all__ = ["Loop", "Rows", "Step"]
 
@@ -288,7 +288,7 @@ class Loop:
         Policies know arms that are where they were sent. Until an arm is there, they would see the
         EE far from where it should be, and let the base run after it.
         """
-        way = np.abs(joint_way(self.robot, self.state.joint_positions, self.joint_command))
+        way = np.abs(joint_displacement(self.robot, self.state.joint_positions, self.joint_command))
         allow_reconfiguration = np.any(
             way > self.robot.max_joint_velocity * RECONFIGURATION_SECONDS, axis=1
         )

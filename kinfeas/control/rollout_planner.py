@@ -15,8 +15,7 @@ from kinfeas.core import registry
 from kinfeas.core.metrics import WITHIN
 from kinfeas.core.policy import Policy, PolicyInput
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.spread import spread
+from kinfeas.kinematics.ik import IkSolver, spread
 
 _RESTARTS = 2
 """Of IK while it looks ahead, in place of as many as it has when it matters."""

@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, make_pose, rotation, twist_between
-from kinfeas.importer.placed import link_pose
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.importer.arm import link_pose
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.reachability import at_goals, reachable
 from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides

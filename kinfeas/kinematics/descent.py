@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.chain import Chain
-from kinfeas.kinematics.forward import Frames, fill_columns, make_frames, place_chain
+from kinfeas.kinematics.forward import Chain, Frames, fill_columns, make_frames, place_chain
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 
 STALL_STEPS = 3

@@ -10,12 +10,10 @@ from kinfeas.config import Interval
 from kinfeas.config.quantities import Positive, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
-from kinfeas.kinematics.chain import Chain, build_chain
 from kinfeas.kinematics.descent import Descent
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import Chain, build_chain, forward
 from kinfeas.kinematics.search import Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
-from kinfeas.kinematics.spread import spread
 from kinfeas.robots.robot import Robot
 
 ROTATION_WEIGHT = 0.4
@@ -249,3 +247,18 @@ def _reach(chain: Chain, middle: Array, half: Array) -> Array:
             radius += float(np.linalg.norm(tree.offset[i]))
             radius += abs(slide) + play if tree.prismatic[i] else 0.0
     return np.array([*centre, radius])
+
+
+def spread(count: int, dimensions: int, first: int = 0) -> Array:
+    """Return points number `first` to `first + count - 1` of the unit cube, (count, dimensions).
+
+    The additive recurrence of the generalised golden ratio (Roberts, "The unreasonable
+    effectiveness of quasirandom sequences", 2018). SciPy's sequences would do as well, but their
+    import costs a deployed policy a sixth of its memory.
+    """
+    ratio = 2.0
+    for _ in range(64):  # a fixed point of x^(d + 1) = x + 1
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    steps = ratio ** -np.arange(1.0, dimensions + 1.0)
+    points: Array = (0.5 + np.arange(first, first + count)[:, np.newaxis] * steps) % 1.0
+    return points

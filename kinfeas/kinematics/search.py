@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.chain import Chain
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure, within
-from kinfeas.kinematics.forward import place_chain
-from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
-from kinfeas.kinematics.matrices import write_matrix
+from kinfeas.kinematics.forward import Chain, place_chain
+from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square, write_matrix
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
 
 WARM_COST = 0.3**2

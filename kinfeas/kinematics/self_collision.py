@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array, rotation
-from kinfeas.kinematics.chain import Mount, Tree, build_tree
 from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
-from kinfeas.kinematics.forward import flattened, place_joints, turn_row
+from kinfeas.kinematics.forward import Mount, Tree, build_tree, flattened, place_joints, turn_row
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape

@@ -17,8 +17,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
-from kinfeas.robots.fingerprint import fingerprint
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, fingerprint
 
 WEIGHTS = "policy.safetensors"
 

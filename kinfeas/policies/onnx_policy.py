@@ -19,8 +19,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
-from kinfeas.robots.fingerprint import fingerprint
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, fingerprint
 
 SCHEMA = 1
 """Version of the metadata and of the graph."""

@@ -1,18 +1,21 @@
 """XML elements whose text and numbers are checked as they are read."""
 
 import math
+import warnings
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
+from xml.etree import ElementTree
 
 import numpy as np
-from defusedxml import DefusedXmlException, ElementTree
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, make_pose
+from kinfeas.core.spatial import Array, make_pose, rotation
 from kinfeas.io.files import read_file
 
 MAX_BYTES = 10_000_000
@@ -134,10 +137,10 @@ def read_xml(path: Path, tag: str) -> Element:
 def parse_xml(content: bytes | str, tag: str, source: str) -> Element:
     """Return the root element of XML that is from `source`, which errors name; as `read_xml`."""
     try:
-        xml = ElementTree.fromstring(content, forbid_dtd=True)
+        xml = fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
         raise KinfeasError(f"{source}: document types and entities are not allowed") from error
-    except (ParseError, ValueError, LookupError) as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise KinfeasError(f"{source}: not XML: {error}") from error
     if xml.tag != tag:
         raise KinfeasError(f"{source}: the first element must be <{tag}>, not <{xml.tag}>")
@@ -147,3 +150,63 @@ def parse_xml(content: bytes | str, tag: str, source: str) -> Element:
     if depth > MAX_DEPTH:
         raise KinfeasError(f"{source}: elements lie in {depth} others, at most in {MAX_DEPTH}")
     return Element(xml, source)
+
+
+def numbers_text(numbers: Iterable[float], digits: int | None = None) -> str:
+    """Return numbers side by side, with so many digits after the point, or with all they have."""
+    plain = [float(number) for number in numbers]
+    if digits is None:
+        return " ".join(map(repr, plain))
+    return " ".join(f"{round(number, digits) + 0.0:g}" for number in plain)  # 0 and not -0
+
+
+def set_origin(element: Any, pose: Array, digits: int | None = None) -> None:
+    """Give an element an <origin>, pose of shape (7,), in place of its own; digits as above."""
+    for old in element.findall("origin"):
+        element.remove(old)
+    with warnings.catch_warnings():
+        # Of many angles for one rotation, in gimbal lock, any will do.
+        warnings.simplefilter("ignore", UserWarning)
+        rpy = rotation(pose).as_euler("xyz")
+    place, turn = numbers_text(pose[:3], digits), numbers_text(rpy, digits)
+    ElementTree.SubElement(element, "origin", xyz=place, rpy=turn)
+
+
+_PACKAGES, _FILES = ("package", "model"), ("", "file")
+
+
+def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
+    """Return the file that an element <mesh> names.
+
+    What names it is a path from the URDF's folder, a `file://` address, or `package://NAME/...` in
+    the usual layout: the nearest folder above the URDF of that name, or beside one of these.
+
+    Args:
+        mesh: The element.
+        folder: Where the URDF lies, an absolute path.
+        formats: What its file may end with, such as `.stl`.
+
+    Raises:
+        KinfeasError: If the file is not there, cannot be read or has another format.
+    """
+    name = mesh.text("filename")
+    if not name.lower().endswith(tuple(formats)):
+        raise mesh.error(f"{name!r} must be of the format {', '.join(formats)}")
+    try:
+        for path in _candidates(mesh, name, folder):
+            if path.is_file():
+                path.open("rb").close()
+                return path
+    except OSError as error:
+        raise mesh.error(f"{name!r} cannot be read: {error.strerror or error}") from error
+    raise mesh.error(f"there is no {name!r}, from the folder {str(folder)!r}")
+
+
+def _candidates(mesh: Element, name: str, folder: Path) -> list[Path]:
+    """Return where a mesh may lie, the likeliest first."""
+    scheme, _, rest = name.rpartition("://")
+    if scheme in _PACKAGES:
+        return [above / rest.lstrip("/") for above in (*folder.parents, folder)]
+    if scheme in _FILES:
+        return [folder / rest]
+    raise mesh.error(f"{name!r} must be a path, or begin with file:// or package://")

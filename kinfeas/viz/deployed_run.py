@@ -9,8 +9,7 @@ from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.run_log import REACHED, Record
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.viz.pictures.episodes import episodes_figure

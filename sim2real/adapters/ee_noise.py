@@ -1,8 +1,7 @@
 """Noise on the EE pose as it is measured in the base frame."""
 
 from kinfeas.core.backend import Backend, RobotState
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.adapter import Adapter, seen
 from kinfeas.sim2real.adapters.draws import Number

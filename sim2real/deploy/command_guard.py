@@ -17,8 +17,7 @@ from kinfeas.core.backend import (
 )
 from kinfeas.core.checks.backend import BackendAnswers
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.joints import joint_way
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.passing import Passing
 from kinfeas.sim2real.link.drive_limits import DriveLimits, arm_go, from_drive, to_drive
@@ -168,8 +167,11 @@ class CommandGuard(Passing):
     def _arm(self, targets: Array, dt: float) -> Array:
         """Return how far toward targets, shape (j,), the arm is sent on."""
         before, robot = self.joint_targets[0], self.robot
-        move = joint_way(robot, before, targets)
-        lag = np.abs(joint_way(robot, self._state.joint_positions[0], before)) / self._joint_speed
+        move = joint_displacement(robot, before, targets)
+        lag = (
+            np.abs(joint_displacement(robot, self._state.joint_positions[0], before))
+            / self._joint_speed
+        )
         self.held = ""
         if np.abs(move).max() > self._guards.joint_jump:
             self.held = "the arm's target is too far away"

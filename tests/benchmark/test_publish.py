@@ -13,8 +13,8 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network, write_network
-from kinfeas.robots.fingerprint import fingerprint
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import fingerprint
 from kinfeas.training.config import TrainConfig
 
 

@@ -4,7 +4,7 @@ import re
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import read_robot
 from tests.cli.conftest import is_one_line
 from tests.importer.conftest import ARM, STUCK
 

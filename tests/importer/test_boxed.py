@@ -104,14 +104,14 @@ def test_what_just_reaches_so_far_is_boxed(changed, tmp_path):
 
 
 def test_meshes_need_what_reads_them(meshed, monkeypatch):
-    monkeypatch.setattr("kinfeas.importer.meshes.find_spec", lambda name: None)
+    monkeypatch.setattr("kinfeas.importer.boxed.find_spec", lambda name: None)
     with pytest.raises(KinfeasError, match=r"pip install 'kinfeas\[meshes\]'"):
         boxed_urdf(meshed)
 
 
 def test_only_dae_files_need_what_reads_dae(meshed, monkeypatch):
     pytest.importorskip("trimesh")
-    there = "kinfeas.importer.meshes.find_spec"
+    there = "kinfeas.importer.boxed.find_spec"
     monkeypatch.setattr(there, lambda name: None if name == "collada" else name)
     boxed_urdf(meshed)
     meshed.write_text(meshed.read_text().replace("part.stl", "part.dae"))

@@ -6,7 +6,7 @@ from kinfeas.importer.draft import DraftOptions, bands, draft_robot
 from kinfeas.importer.reach import Heights
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import read_robot
 from tests.importer.conftest import STUCK
 
 

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.importer.arm import find_arm
-from kinfeas.importer.footprint import on_the_floor
-from kinfeas.importer.placed import place
+from kinfeas.importer.arm import find_arm, place
+from kinfeas.importer.boxed import on_the_floor
 from kinfeas.robots.urdf import parse_urdf
 
 

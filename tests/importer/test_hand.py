@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.importer.arm import find_arm
-from kinfeas.importer.hand import read_hand
+from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
 

@@ -3,9 +3,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import IDENTITY, make_pose
-from kinfeas.importer.placed import Placed, link_pose
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.importer.arm import Placed, link_pose
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
 

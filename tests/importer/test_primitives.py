@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import rotation
-from kinfeas.importer.primitives import MARGIN, fit_primitives, volume
+from kinfeas.importer.boxed import MARGIN, fit_primitives, volume
 
 pytest.importorskip("trimesh")
 

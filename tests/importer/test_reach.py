@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import find_arm
-from kinfeas.importer.hand import read_hand
+from kinfeas.importer.arm import find_arm, read_hand
+from kinfeas.importer.draft import stated
 from kinfeas.importer.reach import (
     Heights,
     built_to_touch,
@@ -15,13 +15,10 @@ from kinfeas.importer.reach import (
     useful_heights,
     with_pairs,
 )
-from kinfeas.importer.stated import stated
 from kinfeas.importer.text import Guesses, robot_yaml
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
-from kinfeas.robots.loading import load_robot
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.robots.spec import PoseTolerance
 from kinfeas.robots.urdf import parse_urdf
 

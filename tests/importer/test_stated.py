@@ -1,8 +1,7 @@
 import pytest
 
-from kinfeas.importer.arm import find_arm
-from kinfeas.importer.hand import read_hand
-from kinfeas.importer.stated import stated
+from kinfeas.importer.arm import find_arm, read_hand
+from kinfeas.importer.draft import stated
 from kinfeas.importer.text import Guesses, robot_yaml
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf

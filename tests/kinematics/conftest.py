@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import Array
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import read_robot
 from kinfeas.robots.robot import Robot
 
 

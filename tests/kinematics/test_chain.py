@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.kinematics.chain import FIXED, build_chain, build_tree
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import FIXED, build_chain, build_tree, forward
 
 
 def test_chain_holds_the_arm_alone(robot):

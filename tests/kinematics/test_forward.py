@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation, twist_between
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward, jacobian
+from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import ArmJoint
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinfeas.kinematics.joints import joint_jumps, joint_way
+from kinfeas.robots.robot import joint_displacement, joint_jumps
 
 DT = 0.1
 
@@ -19,5 +19,7 @@ def test_continuous_joints_go_the_short_way(robot):
     endless, before = robot.continuous, np.array(robot.home["home"])
     after = before + 0.001
     before[endless], after[endless] = np.pi - 0.001, -np.pi + 0.001
-    np.testing.assert_allclose(joint_way(robot, before, after), np.where(endless, 0.002, 0.001))
+    np.testing.assert_allclose(
+        joint_displacement(robot, before, after), np.where(endless, 0.002, 0.001)
+    )
     assert not joint_jumps(robot, before, after, DT)

@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.kinematics.matrices import write_matrix, write_pose
+from kinfeas.kinematics.kernels import write_matrix, write_pose
 
 
 def test_a_pose_becomes_a_matrix_and_a_pose_again():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.kinematics.spread import spread
+from kinfeas.kinematics.ik import spread
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 5, 8])

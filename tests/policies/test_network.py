@@ -11,8 +11,8 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import Network, read_network, write_network
-from kinfeas.robots.fingerprint import fingerprint
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import fingerprint
 
 
 def network(sizes=(28, 256, 256, 3), seed=0):

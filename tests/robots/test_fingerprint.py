@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kinfeas.core.spatial import make_pose, rotation
-from kinfeas.robots.fingerprint import fingerprint
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import fingerprint
 
 # A policy file is refused where these have changed, so they may change with a robot only.
 KNOWN = {

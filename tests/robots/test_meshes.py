@@ -3,8 +3,7 @@ from xml.etree import ElementTree
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.robots.elements import Element
-from kinfeas.robots.meshes import find_mesh
+from kinfeas.robots.elements import Element, find_mesh
 
 FORMATS = (".stl", ".obj", ".dae")
 

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from kinfeas import robots
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import read_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.tree import Joint, Shape
+from kinfeas.robots.urdf import Joint, Shape
 
 SHIPPED = {name: read_robot(getattr(robots, name)()) for name in ("pr2", "tiago", "hsr")}
 

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import robots
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, distance, make_pose
-from kinfeas.robots.tree import Joint
-from kinfeas.robots.urdf import Urdf, parse_urdf
+from kinfeas.robots.urdf import Joint, Urdf, parse_urdf
 
 SHIPPED = {name: getattr(robots, name)().with_suffix(".urdf") for name in ("pr2", "tiago", "hsr")}
 GOLDEN = yaml.safe_load((Path(__file__).parent / "golden_fk.yaml").read_text())

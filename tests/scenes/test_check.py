@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, make_pose, rotation
-from kinfeas.robots.tree import Shape
+from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.check import _lowest
 from kinfeas.scenes.scene import read_scene
 

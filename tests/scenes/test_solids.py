@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.core.spatial import IDENTITY, planar_pose
-from kinfeas.robots.tree import Shape
-from kinfeas.scenes.solids import Solids
+from kinfeas.robots.urdf import Shape
+from kinfeas.scenes.check import Solids
 
 SIZES = {"box": (0.2, 0.2, 0.2), "cylinder": (0.1, 0.2), "sphere": (0.1,)}
 

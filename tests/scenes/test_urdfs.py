@@ -7,8 +7,8 @@ import pytest
 from kinfeas.core.spatial import IDENTITY, distance, planar_pose, relative, rotation
 from kinfeas.robots.urdf import parse_urdf
 from kinfeas.scenes import scene as scenes
+from kinfeas.scenes.check import Solids
 from kinfeas.scenes.objects import SceneObject, rest_positions
-from kinfeas.scenes.solids import Solids
 
 URDFS = sorted(scenes._FOLDER.glob("*.urdf"))
 MOVING = [("shelf_with_door", "hinge", 1.92), ("shelf_with_drawer", "slide", 0.35)]

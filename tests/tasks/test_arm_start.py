@@ -9,7 +9,7 @@ from kinfeas.core.spatial import compose
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.robots.reading import read_robot
+from kinfeas.robots.loading import read_robot
 from kinfeas.tasks.arm_start import random_arm
 
 

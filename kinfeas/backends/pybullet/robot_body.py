@@ -11,12 +11,9 @@ from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose, planar_pose, rotation, wrap, yaw
-from kinfeas.robots.elements import Element, read_xml
-from kinfeas.robots.meshes import find_mesh
+from kinfeas.robots.elements import Element, find_mesh, numbers_text, read_xml, set_origin
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.tree import Joint, Urdf
-from kinfeas.robots.xml_text import numbers_text, set_origin
-from kinfeas.scenes.inertia import MOMENTS, SLACK, read_moments
+from kinfeas.robots.urdf import MOMENTS, SLACK, Joint, Urdf, read_moments
 
 PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
 """Joints of the base: along the world's x and y, then about z."""

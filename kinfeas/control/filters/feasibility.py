@@ -7,9 +7,8 @@ from kinfeas.control.drive import action_size
 from kinfeas.control.filters.obstacles import VelocityConstraints
 from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.ik import IkSolution
-from kinfeas.kinematics.joints import joint_jumps
-from kinfeas.kinematics.spread import spread
+from kinfeas.kinematics.ik import IkSolution, spread
+from kinfeas.robots.robot import joint_jumps
 
 _CANDIDATES = 32
 """Commands that are tried where the arm cannot follow."""

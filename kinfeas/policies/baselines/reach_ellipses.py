@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, make_pose, rotation, wrap
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
-from kinfeas.kinematics.spread import spread
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
 from kinfeas.robots.robot import Robot
 
 CONE = 0.7

@@ -17,7 +17,7 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, relative
-from kinfeas.kinematics.chain import build_chain
+from kinfeas.kinematics.forward import build_chain
 from kinfeas.robots.robot import Robot
 
 _POSITION_COST, _ROTATION_COST = 10.0, 4.0

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.robots.tree import Joint
+from kinfeas.robots.urdf import Joint
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.pages.viser_server import rgb, start_server, stop_server, wxyz

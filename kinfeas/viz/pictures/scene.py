@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from kinfeas.core.spatial import Array, rotation
-from kinfeas.robots.tree import Joint, Shape
+from kinfeas.robots.urdf import Joint, Shape
 from kinfeas.scenes.objects import SceneObject, moving_joint
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.pictures.projection import Colour, Painted, View, look

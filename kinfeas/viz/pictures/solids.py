@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
-from kinfeas.kinematics.chain import FIXED, Mount, Tree, build_tree
+from kinfeas.kinematics.forward import FIXED, Mount, Tree, build_tree
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.tree import Shape
+from kinfeas.robots.urdf import Shape
 
 _SIDES = 20
 """Flat sides that a cylinder is drawn with."""

@@ -12,9 +12,9 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.joints import joint_jumps
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_jumps
 from kinfeas.tasks.loading import load_task
 
 DT, ROWS = 0.5, 64

@@ -18,9 +18,9 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.joints import joint_jumps
 from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_jumps
 from kinfeas.sim2real.deploy.passing import Passing
 
 KEPT, DT, RADIUS = 0.05, 0.1, 0.3

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.control.observation import HORIZON, observe
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import compose, integrate, planar_pose
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import spread_configurations
 
 

@@ -7,12 +7,11 @@ import pytest
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward, jacobian
+from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.policies.baselines import whole_body_qp as module
 from kinfeas.policies.baselines.whole_body_qp import WholeBodyQp, build_model, whole_body_qp
-from kinfeas.robots.tree import Mimic
+from kinfeas.robots.urdf import Mimic
 from tests.policies.baselines.policy_inputs import policy_inputs, rows_of, turned_about
 
 pin = pytest.importorskip("pinocchio")

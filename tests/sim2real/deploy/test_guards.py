@@ -10,8 +10,8 @@ from kinfeas.control.adapters import AdapterSpec
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
-from kinfeas.kinematics.joints import joint_way
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.deploy.guards import Clocks, Guarded, check_action
@@ -608,7 +608,7 @@ def test_whatever_happens_what_goes_out_obeys_the_limits_or_is_zero(name, steps)
             assert change[2] <= robot.base.max_rotation_acceleration * DT + near
         if robot.base.drive == "differential":
             assert abs(drive[1]) <= near
-        moved = np.abs(joint_way(robot, arm, joints[0]))
+        moved = np.abs(joint_displacement(robot, arm, joints[0]))
         assert np.all(moved <= robot.max_joint_velocity * DT + near)
         assert np.all((joints[0] >= lower - near) & (joints[0] <= upper + near))
         before, arm = drive, joints[0]

@@ -3,8 +3,8 @@ import pytest
 
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.core import spatial
-from kinfeas.kinematics.joints import joint_way
 from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import joint_displacement
 from kinfeas.sim2real.link.drive_limits import DriveLimits, arm_go, from_drive, to_drive
 
 DT = 0.02
@@ -31,7 +31,7 @@ def test_an_arm_goes_the_short_way_and_not_beyond_its_limits():
     robot = load_robot("pr2")
     before, after = np.zeros((2, len(robot.arm)))
     before[[0, 4]], after[[0, 4]] = [0.5, 3.0], [0.7, -3.0]
-    move = joint_way(robot, before, after)
+    move = joint_displacement(robot, before, after)
     assert move[4] == pytest.approx(2.0 * np.pi - 6.0)
     there = arm_go(robot, before, move)
     assert there[0] == robot.arm[0].upper

@@ -4,7 +4,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from kinfeas.core.spatial import planar_pose
-from kinfeas.robots.tree import Shape
+from kinfeas.robots.urdf import Shape
 from kinfeas.viz.pictures.projection import Painted, look
 from kinfeas.viz.pictures.raster import paint_solids
 from kinfeas.viz.pictures.solids import polygons

@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.core.spatial import IDENTITY, compose, planar_pose
 from kinfeas.kinematics.forward import forward
-from kinfeas.robots.tree import Shape
+from kinfeas.robots.urdf import Shape
 from kinfeas.viz.pictures.solids import robot_faces
 
 
