@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kinfeas import __version__, config
-from kinfeas.control.observation import CLIP, HORIZON
+from kinfeas.control.observation import CLIP, HORIZON, describe_action, describe_observation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.io import strict_json
@@ -57,8 +57,8 @@ def export(folder: Path, robot: Robot, out: Path) -> tuple[OnnxPolicy, float]:
     metadata = PolicyMetadata(
         version=__version__,
         robot=onnx_policy.describe_robot(robot),
-        observation=onnx_policy.describe_observation(robot),
-        action=onnx_policy.describe_action(robot),
+        observation=describe_observation(robot, network.observation_terms),
+        action=describe_action(robot),
         control=Control(trained.period, HORIZON),
         training=_training(trained),
         success=_success(trained, folder),

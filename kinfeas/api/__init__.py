@@ -5,7 +5,7 @@ is imported within the functions.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -110,7 +110,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
     world: WorldName = "analytic",
     episodes: int | None = None,
     seed: int = 1,
-    rollout_planner: bool = False,
+    filters: Sequence[str] | None = None,
     adapters: str | Path | None = None,
     processes: int = 1,
     settings: Mapping[str, object] | None = None,
@@ -127,7 +127,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         world: With physics, or without.
         episodes: How many; by default 500, with physics 50.
         seed: Of all episodes.
-        rollout_planner: Whether the policy looks ahead.
+        filters: Names of command filters; by default those of the robot in this world.
         adapters: Adapters by name or YAML file.
         processes: How many processes share the episodes.
         settings: Keys such as `world.dt` and their values, as `--set` has them.
@@ -137,12 +137,9 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         KinfeasError: If an argument or a setting is wrong.
     """
     from kinfeas.evaluation import by_name
-    from kinfeas.policies.loading import ROLLOUT_PLANNER
 
     name = str(policy)
     check_policy(name)
-    if rollout_planner:
-        name = ROLLOUT_PLANNER + name.removeprefix(ROLLOUT_PLANNER)
     names = (name, _name(robot) or robot_of(name), str(task))
     specs = () if adapters is None else options.read_adapters(str(adapters))
     count = by_name.EPISODES[_world(world)] if episodes is None else episodes
@@ -152,7 +149,9 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         ("processes", processes, 1, MOST_PROCESSES),
     ):
         convert(Annotated[int, Interval(low=low, high=high)], value, Place(key))
-    trial, driver = by_name.make_trial(names, world, count, seed, _assignments(settings))
+    trial, driver = by_name.make_trial(
+        names, world, count, seed, options.with_filters(filters, _assignments(settings))
+    )
     by_name.check_adapters(specs, trial.robot)
     ceiling = by_name.ceiling_of(trial)
     trial = by_name.within(trial, specs)
@@ -187,18 +186,17 @@ def load_policy(policy: str | Path, *, robot: str | Path | None = None) -> "Poli
     Example: `act = kinfeas.load_policy("pretrained", robot="tiago").act`
 
     Args:
-        policy: Folder of a run, ONNX file, baseline or `pretrained`; `rollout_planner:NAME` looks
-            ahead.
+        policy: Folder of a run, ONNX file, baseline or `pretrained`.
         robot: Name or YAML file; by default the one that the policy was trained for.
 
     Raises:
         KinfeasError: If there is no such policy, or it is broken or for another robot.
     """
-    from kinfeas.policies.loading import load_driver
+    from kinfeas.policies.loading import load_policy as load
 
     name = str(policy)
     check_policy(name)
-    return load_driver(name, options.read_robot(_name(robot) or robot_of(name)))
+    return load(name, options.read_robot(_name(robot) or robot_of(name)))
 
 
 def _name(value: str | Path | None) -> str | None:

@@ -24,7 +24,7 @@ from kinfeas.evaluation.physics.evaluate import is_judged, physics_figures, run_
 from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsTrial
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import write_file, writing
-from kinfeas.policies.loading import BASELINES, load_driver, load_policy
+from kinfeas.policies.loading import BASELINES, load_policy
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -107,7 +107,7 @@ def compute(job: Job) -> Result:
         ceiling = measure_reachability(robot, task, job.episodes, job.seed, job.world.ik)
         share = ceiling.share
         return {"figures": {"success": share.value, "low": share.low, "high": share.high}}
-    policy = load_driver(job.source, robot)
+    policy = load_policy(job.source, robot)
     world = World(robot, task, job.world, job.seed)
     samples = WorkspaceSamples() if isinstance(policy, Network) else None
     records = run_episodes(world, policy, job.episodes, watch=samples)
@@ -119,7 +119,7 @@ def _compute_part(job: Job, robot: Robot, task: Task, settings: PhysicsSettings)
     """Return what happened in each episode of a part, and what these alone come to."""
     trial = PhysicsTrial(robot, task, job.episodes, job.seed, settings)
     episodes = range(job.first, job.first + job.episodes)
-    records = run_part(trial, load_driver(job.source, robot), episodes)
+    records = run_part(trial, load_policy(job.source, robot), episodes)
     figures = physics_figures(records, judged=is_judged(trial))
     return {"figures": figures, "records": to_lists(records)}
 

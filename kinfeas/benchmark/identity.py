@@ -13,9 +13,8 @@ import numpy as np
 from kinfeas import __version__, config
 from kinfeas.backends.pybullet.stage import task_scene
 from kinfeas.benchmark.job import CEILING, Job
-from kinfeas.control.rollout_planner import RolloutConfig
 from kinfeas.io.files import is_path, reading
-from kinfeas.policies.loading import BASELINES, ROLLOUT_PLANNER, load_policy
+from kinfeas.policies.loading import BASELINES, load_policy
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -29,7 +28,7 @@ _FORMAT = 1
 _RULES = 2
 """By which collisions and tasks done are told in the PyBullet world, counted up as they change."""
 
-_LATER = (("feasibility_filter", False), ("min_obstacle_distance", 0.0))
+_LATER: tuple[tuple[str, list[object]], ...] = (("filters", []),)
 """Settings of the world that came after the first cells, with the value that changes nothing: left
 out, so that these cells are found."""
 
@@ -127,11 +126,9 @@ def _scene_digest(scene: Scene) -> str:
 def _policy_digest(job: Job, robot: Robot) -> str:
     if job.policy == CEILING or job.source in BASELINES:
         return job.source
-    network = load_policy(job.source.removeprefix(ROLLOUT_PLANNER), robot)
+    network = load_policy(job.source, robot)
     assert isinstance(network, Network)
     digest = hashlib.sha256()
-    if job.source.startswith(ROLLOUT_PLANNER):
-        digest.update(repr(RolloutConfig()).encode())
     for values in (network.scale, *network.weights, *network.biases):
         digest.update(f"{values.shape}".encode())
         digest.update(np.ascontiguousarray(values).tobytes())

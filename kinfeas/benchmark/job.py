@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
+from kinfeas.control.adapters import AdapterSpec
 from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig
 from kinfeas.tasks.loading import task_name
@@ -13,8 +14,8 @@ W = TypeVar("W", WorldConfig, PhysicsSettings)
 CEILING = "ceiling"
 """What takes the place of a policy where the ceiling of a task is to be found."""
 
-FEASIBILITY_FILTER = "feasibility_filter:"
-"""Prefix of a policy's name in the table if the feasibility filter is on for it alone."""
+FILTERS = ("rollout_planner", "feasibility_filter")
+"""Prefixes of a policy's name in the table, each with a colon, of filters in its row alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class Job:
         variant: What is different about them.
         policy: Name of the policy in the table, with `rollout_planner:` and `feasibility_filter:`
             before it where they are on; `ceiling` for the ceiling.
-        source: What `load_driver` takes.
+        source: What `load_policy` takes.
         training_seed: Seed that it was trained with, if it was and that is known.
         episodes: How many.
         seed: Of the episodes.
@@ -74,7 +75,10 @@ class Job:
 
 
 def world_for(policy: str, world: W) -> W:
-    """Return the world of a policy by its name in the table: `world`, yielding if that says so."""
-    return replace(
-        world, feasibility_filter=world.feasibility_filter or FEASIBILITY_FILTER in policy
-    )
+    """Return the world of a policy by its name in the table, with the filters in its name."""
+    named = [one.removesuffix("_filter") for one in FILTERS if f"{one}:" in policy]
+    present = [one.name for one in world.filters]
+    before: list[AdapterSpec] = [AdapterSpec(one) for one in named if one == FILTERS[0]]
+    late = [one for one in named if one != FILTERS[0] and one not in present]
+    after: list[AdapterSpec] = [AdapterSpec(one) for one in late]
+    return replace(world, filters=(*before, *world.filters, *after))

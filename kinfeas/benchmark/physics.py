@@ -30,11 +30,9 @@ class PhysicsCell(Cell):
         base_collisions: How often an episode the base ran into something.
         arm_collisions: How often the arm did.
         collision_free_rate: Share of episodes without either.
-        slow_down: How many times longer than planned the EE motions lasted.
+        time_scale: Speed of the EE motions as a share of the planned one.
         head_start: Seconds that the EE stood still at first.
-        feasibility_filter: Whether the base yielded to the arm.
-        min_obstacle_distance: Metres that the base kept from what stood around; 0 if it did not
-            look.
+        filters: Names of the command filters.
         objects: Whether the scene was there.
     """
 
@@ -46,10 +44,9 @@ class PhysicsCell(Cell):
     base_collisions: float
     arm_collisions: float
     collision_free_rate: float
-    slow_down: float
+    time_scale: float
     head_start: float
-    feasibility_filter: bool
-    min_obstacle_distance: float
+    filters: tuple[str, ...]
     objects: bool
 
     @property
@@ -115,10 +112,9 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
         base_collisions=mean_of(figures, "base_collisions"),
         arm_collisions=mean_of(figures, "arm_collisions"),
         collision_free_rate=mean_of(figures, "collision_free_rate"),
-        slow_down=world.slow_down,
+        time_scale=world.time_scale,
         head_start=world.head_start,
-        feasibility_filter=world.feasibility_filter,
-        min_obstacle_distance=world.min_obstacle_distance,
+        filters=tuple(one.name for one in world.filters),
         objects=world.objects,
     )
 

@@ -66,9 +66,9 @@ def physics_markdown(
 
 def _title(cell: PhysicsCell) -> str:
     name = TITLES.get(cell.robot, cell.robot)
-    if cell.slow_down == 1.0:
+    if cell.time_scale == 1.0:
         return name
-    return f"{name}, end-effector motions {cell.slow_down:g} times longer than planned"
+    return f"{name}, end-effector motions at {cell.time_scale:g} of the planned speed"
 
 
 def _success_table(cells: Sequence[PhysicsCell]) -> list[str]:

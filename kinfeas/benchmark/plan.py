@@ -9,7 +9,7 @@ from kinfeas.benchmark.study import PLAIN, BenchmarkConfig, PhysicsBenchmark, ro
 from kinfeas.benchmark.trainings import takes_pretrained
 from kinfeas.envs.world import WorldConfig
 from kinfeas.policies import pretrained
-from kinfeas.policies.loading import BASELINES, ROLLOUT_PLANNER
+from kinfeas.policies.loading import BASELINES
 from kinfeas.robots.loading import load_robot
 
 PART = 20
@@ -80,7 +80,7 @@ def _aided(
 ) -> list[Source]:
     """Return a robot's learned policies with each of the study's aids."""
     return [
-        (f"{aid.prefix}{policy}", ROLLOUT_PLANNER * aid.rollout_planner + source, seed)
+        (f"{aid.prefix}{policy}", source, seed)
         for aid in study.aids
         if aid.holds(robot, task)
         for policy, source, seed in learned
@@ -96,9 +96,8 @@ def _analytic_world(study: BenchmarkConfig, robot: str) -> WorldConfig:
     if study.physics is None:
         return study.world
     plain = row_settings(study.physics, study.physics.rows[PLAIN], robot)
-    return replace(
-        study.world, feasibility_filter=study.world.feasibility_filter or plain.feasibility_filter
-    )
+    filters = tuple(one for one in plain.filters if one.name == "feasibility")
+    return replace(study.world, filters=study.world.filters or filters)
 
 
 def _with_physics(study: PhysicsBenchmark, analytic: Sequence[Job]) -> list[Job]:

@@ -175,10 +175,9 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
 def random_network(robot: Robot, width: int = 256) -> Network:
     """Return an untrained network of two hidden layers that fits `robot`."""
     rng = np.random.default_rng(0)
-    joints = len(robot.arm)
-    sizes = (observation.size(joints), width, width, drive.action_size(robot.base))
+    sizes = (observation.size(robot), width, width, drive.action_size(robot.base))
     return Network(
-        scale=observation.scale(joints).astype(np.float32),
+        scale=observation.scale(robot).astype(np.float32),
         weights=tuple(
             rng.normal(0.0, (2.0 / rows) ** 0.5, (rows, columns)).astype(np.float32)
             for rows, columns in pairwise(sizes)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from kinfeas import config
 from kinfeas.benchmark.checks import check_names, check_robots, check_task
-from kinfeas.benchmark.job import FEASIBILITY_FILTER
+from kinfeas.benchmark.job import FILTERS
 from kinfeas.config import Interval, no_such
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import find_recipe
@@ -14,7 +14,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.physics import PhysicsSettings, physics_config
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation.evaluate import evaluation_world
-from kinfeas.policies.loading import BASELINES, ROLLOUT_PLANNER
+from kinfeas.policies.loading import BASELINES
 from kinfeas.robots.loading import load_robot
 
 Seed = Annotated[int, Interval(low=0)]
@@ -83,7 +83,7 @@ class Aid(Row):
     @property
     def prefix(self) -> str:
         """What stands before the names of the policies in its row."""
-        return ROLLOUT_PLANNER * self.rollout_planner + FEASIBILITY_FILTER * self.feasibility_filter
+        return "".join(f"{one}:" for one in FILTERS if getattr(self, one))
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class PhysicsBenchmark:
     """What a study asks of the PyBullet world.
 
     Attributes:
-        settings: Assignments for all rows, the baselines' too, such as `world.slow_down=1`.
+        settings: Assignments for all rows, the baselines' too, such as `world.time_scale=1`.
         rows: The rows of the learned policies, by name; in `plain` the baselines stand, too.
     """
 

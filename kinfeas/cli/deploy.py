@@ -119,26 +119,16 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             help="Whether a simulated world waits for the clock.",
         ),
     ] = True,
-    rollout_planner: Annotated[
-        bool,
-        typer.Option(
-            "--rollout-planner",
-            help="Try the next 6 s out every 0.5 s, beside the control loop, and deviate from the "
-            "policy where it would fail, the arm jump or the hand stray. Settings: rollout.KEY.",
-        ),
-    ] = False,
+    filters: options.Filters = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
     """Drive a robot to a goal or through a task, behind guards, and record the run.
 
-    Settings: [bold]guards.KEY[/], slow_down=1 (2 for pr2), head_start=0 s, arm_settle_timeout=8 s,
-    feasibility_filter=false (true for pr2 and tiago; whether the base takes the nearest command
-    that the arm can follow where it cannot follow the policy's), min_obstacle_distance=0 m (what
-    the base keeps from what stands around, where the backend knows that), [bold]ik.KEY[/],
-    [bold]rollout.KEY[/] (horizon=6 s, replan_interval=0.5 s, num_samples=32, noise_std=0.8,
-    jump_cost=0.1, deviation_cost=0.1), and the parameters [bold]generator.KEY[/],
-    [bold]task.KEY[/] and [bold]backend.KEY[/], which [bold]kinfeas plugins info NAME[/] lists. An
+    Settings: [bold]guards.KEY[/], time_scale=1 (0.5 for pr2), head_start=0 s,
+    arm_settle_timeout=8 s, filters (those of the robot), [bold]ik.KEY[/], and the parameters
+    [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/], which
+    [bold]kinfeas plugins info NAME[/] lists. An
     unknown KEY is answered by those that there are.
 
     Guards: reach=true refuses a goal that no base pose is found for. The run is stopped beyond
@@ -167,14 +157,11 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         check_outputs(outputs, {"POLICY": inputs.named(robot)})
     if record is not None and record.exists():
         raise KinfeasError(f"--record: {record} exists, and a record is never written over")
-    options.check_rollout_planner(overrides, wanted=rollout_planner)
-    wishes = Wishes(
-        policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time, rollout_planner
-    )
+    wishes = Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
     goal_wishes = Goal(task, generator, goal, rpy, quaternion)
     with status("getting ready"):
         known = options.read_robot(robot)
-        config = read_settings(known, guards, overrides or [])
+        config = read_settings(known, guards, options.with_filters(filters, overrides or [], ""))
         setup = make_setup(wishes, known, config, make_task(goal_wishes, config))
         about = replace(_about(wishes, setup), **drawn_scene(setup))
         recorder = Recorder(record or _record_path(about), about)
@@ -200,12 +187,11 @@ def _complain(outcome: "Outcome") -> None:
 def _about(wishes: Wishes, setup: "Setup") -> "About":
     from kinfeas.core.registry import from_anywhere
     from kinfeas.io.run_log import About
-    from kinfeas.policies.loading import ROLLOUT_PLANNER
 
     return About(
         robot=from_anywhere(wishes.robot),
         task=setup.task.name,
-        policy=ROLLOUT_PLANNER + wishes.policy if wishes.rollout_planner else wishes.policy,
+        policy=wishes.policy,
         backend=wishes.backend,
         dt=wishes.dt,
         joints=tuple(joint.name for joint in setup.solver.robot.arm),

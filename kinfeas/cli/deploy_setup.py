@@ -30,7 +30,6 @@ class Wishes(NamedTuple):
     seconds: float
     seed: int
     real_time: bool
-    rollout_planner: bool
 
 
 class Goal(NamedTuple):
@@ -88,7 +87,8 @@ def make_task(wanted: Goal, config: "DeployConfig") -> "Task":
 def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Task") -> "Setup":
     """Return what the run is made of, once each part has computed something."""
     from kinfeas.control.adapters import read_sim2real
-    from kinfeas.control.rollout_planner import RolloutPlanner
+    from kinfeas.control.filters import build_filters
+    from kinfeas.control.filters.rollout import RolloutPlanner
     from kinfeas.core.backend import RealTimeBackend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
@@ -98,9 +98,9 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
     from kinfeas.sim2real.deploy.warm_up import warm_up
 
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
-    trained, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
-    policy = RolloutPlanner(trained, config.rollout) if wishes.rollout_planner else trained
-    warm_up(solver, policy, task, wishes.dt, adapters)
+    policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
+    filters = build_filters(config.filters)
+    warm_up(solver, policy, task, wishes.dt, adapters, filters)
     if wishes.backend == _WORLD:
         from kinfeas.backends.pybullet.stage import Stage, task_scene
 
@@ -109,8 +109,11 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
     else:
         backend = build_backend(wishes.backend, config.backend, robot=robot)
     # A world without a clock waits for a look, and so comes out the same each time.
-    if wishes.rollout_planner and (wishes.real_time or isinstance(backend, RealTimeBackend)):
-        policy = RolloutPlannerThread(trained, config.rollout)
+    if wishes.real_time or isinstance(backend, RealTimeBackend):
+        filters = [
+            RolloutPlannerThread.of(one) if isinstance(one, RolloutPlanner) else one
+            for one in build_filters(config.filters)
+        ]
     return Setup(
         solver=solver,
         policy=policy,
@@ -121,6 +124,7 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
         seconds=wishes.seconds,
         seed=wishes.seed,
         execution=config.execution,
+        filters=tuple(filters),
         guards=config.guards,
         real_time=wishes.real_time,
     )

@@ -67,26 +67,19 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             help="pybullet: how long the base moves before the EE does, 0 or more; by default 0.",
         ),
     ] = None,
-    slow_down: Annotated[
+    time_scale: Annotated[
         float | None,
         typer.Option(
-            "--slow-down",
-            metavar="FACTOR",
-            help="pybullet: how many times longer than planned EE motions last, 1 to 1000; by "
-            "default 2 for pr2, else 1.",
+            "--time-scale",
+            metavar="SHARE",
+            help="pybullet: speed of EE motions as a share of the planned one, 0.001 to 1; by "
+            "default 0.5 for pr2, else 1.",
         ),
     ] = None,
     without_objects: Annotated[
         bool, typer.Option("--no-objects", help="pybullet: an empty floor, no furniture.")
     ] = False,
-    rollout_planner: Annotated[
-        bool,
-        typer.Option(
-            "--rollout-planner",
-            help="Try the next 6 s out every 0.5 s, and deviate from the policy where it would "
-            "fail, the arm jump or the hand stray; many times slower. Settings: rollout.KEY.",
-        ),
-    ] = False,
+    filters: options.Filters = None,
     gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
     sim2real: options.Sim2RealName = None,
     picture: Annotated[
@@ -108,16 +101,13 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
 
     Settings: [bold]world.KEY[/], [bold]task.KEY[/], the task's own parameters, such as
-    [bold]task.orientation=so3[/], and [bold]rollout.KEY[/] (horizon=6 s,
-    replan_interval=0.5 s, num_samples=32, noise_std=0.8, jump_cost=0.1, deviation_cost=0.1). An
-    unknown KEY, of [bold]world.ik.KEY[/] and [bold]world.physics.KEY[/] too, is answered by those
-    that there are.
+    [bold]task.orientation=so3[/]. An unknown KEY is answered by those that
+    there are.
 
     The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik,
-    feasibility_filter=false (whether the base yields where the arm could not follow), and reward,
-    which changes no figure. PyBullet's has dt=0.02 s, max_failures=99, max_seconds=150 s, adapters,
-    ik, feasibility_filter=false (true for pr2 and tiago), min_obstacle_distance=0 m (0.03 for pr2;
-    what the base keeps from furniture), physics, arm_settle_timeout=8 s, slow_down=1 (2 for pr2),
+    filters=[], and reward, which changes no figure. PyBullet's has dt=0.02 s,
+    max_failures=99, max_seconds=150 s, adapters, ik, filters (those of the robot), physics,
+    arm_settle_timeout=8 s, time_scale=1 (0.5 for pr2),
     head_start=0 s, and objects=true.
 
     With [bold]--adapters[/] the figures are those within all its adapters, and a table says what
@@ -126,8 +116,6 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     [bold]--video[/], [bold]--replay[/] and [bold]--picture[/] show one episode: the desired path
     of the EE dashed, the achieved one green, steps without an IK solution red.
     """
-    from kinfeas.policies.loading import ROLLOUT_PLANNER
-
     options.check_robot(robot)
     check_policy(policy)
     from kinfeas.evaluation.by_name import EPISODES, ceiling_of, make_trial, run_evaluation, within
@@ -140,12 +128,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     if robot is None:
         robot = robot_of(policy)
         check_outputs(outputs, {"--policy": inputs.named(robot)})
-    rollout_planner |= policy.startswith(ROLLOUT_PLANNER)
-    options.check_rollout_planner(overrides, wanted=rollout_planner)
-    if rollout_planner:
-        policy = ROLLOUT_PLANNER + policy.removeprefix(ROLLOUT_PLANNER)
     adapters = _adapters(sim2real, robot) if sim2real is not None else ()
-    said: dict[str, object] = {"--head-start": head_start, "--slow-down": slow_down}
+    said: dict[str, object] = {"--head-start": head_start, "--time-scale": time_scale}
     said |= {"--no-objects": without_objects or None, "--gui": gui or None}
     given = [name for name, value in said.items() if value is not None]
     count = episodes or EPISODES[world]
@@ -153,9 +137,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError(f"{given[0]} needs --world pybullet")
     shown = {**outputs, "--picture": picture if sim2real is None else None, "--json": None}
     number = shown_episode(episode, count, shown=any(shown.values()))
-    assignments = overrides or []
+    assignments = options.with_filters(filters, overrides or [])
     if world is WorldName.PYBULLET:
-        assignments = physics_assignments(head_start, slow_down, without_objects, assignments)
+        assignments = physics_assignments(head_start, time_scale, without_objects, assignments)
     trial, driver = make_trial((policy, robot, task), world, count, seed, assignments)
     with progress("ceiling") as advance:
         ceiling = ceiling_of(trial, advance)

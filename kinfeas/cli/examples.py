@@ -27,7 +27,7 @@ EXAMPLES = {
         "kinfeas deploy pretrained --goal 1.5 0.3 0.8",
         "kinfeas deploy pr2.onnx --task door --adapters pr2_like",
         "kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9 --seconds 10 "
-        "--set slow_down=4 --set guards.max_linear_velocity=0.05 "
+        "--set time_scale=0.25 --set guards.max_linear_velocity=0.05 "
         "--set guards.max_angular_velocity=0.2",
     ),
     "fit": ("kinfeas fit --demonstrations demonstrations/door/open --out my_door.yaml",),

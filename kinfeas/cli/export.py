@@ -141,9 +141,12 @@ def _show(title: str, policy: "OnnxPolicy", first: list[list[str]]) -> None:
     ]
     print_table(title, ["", "value"], rows)
     print_table("observation", [" number", "field", "frame", "unit"], _observed(about))
-    numbers = enumerate(about.action)
-    actions = [[str(i), one.name, f"{one.limit:g} {one.unit}"] for i, one in numbers]
-    print_table("action, in [-1, 1]", [" number", "field", "1 means"], actions)
+    actions = [
+        [str(i), f"{term.name} {name}", f"{scale:g}", term.unit]
+        for term in about.action
+        for i, (name, scale) in enumerate(zip(term.entries, term.scale, strict=True))
+    ]
+    print_table("action, in [-1, 1]", [" number", "term", "1 means", "unit"], actions)
 
 
 def _observed(about: "PolicyMetadata") -> list[list[str]]:

@@ -28,11 +28,9 @@ def named(name: str | Path | None) -> list[Path]:
 
 def of_policy(name: str | Path | None) -> list[Path]:
     """Return the file of a policy, or the files and folders of its training run."""
-    from kinfeas.policies.loading import ROLLOUT_PLANNER
-
     if name is None:
         return []
-    path = Path(str(name).removeprefix(ROLLOUT_PLANNER))
+    path = Path(str(name))
     return [path / part for part in _PARTS] if path.is_dir() else [path]
 
 

@@ -1,7 +1,8 @@
 """Options that several commands share, and how they are read."""
 
+import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from types import NoneType, UnionType
@@ -21,7 +22,6 @@ import typer
 from kinfeas.cli import completion
 from kinfeas.cli.output import check_file_path
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
-from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.control.adapters import AdapterSpec
@@ -123,6 +123,17 @@ JsonPath = Annotated[
 ]
 
 
+Filters = Annotated[
+    str | None,
+    typer.Option(
+        "--filters",
+        metavar="NAMES",
+        help="Command filters in place of the robot's own, in this order, such as "
+        "rollout_planner,feasibility; none for none.",
+    ),
+]
+
+
 def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
     """Return the settings `cls` with what `--set` says of them."""
     from kinfeas import config
@@ -130,16 +141,21 @@ def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
     return config.from_mapping(cls, {}, "settings", overrides or ())
 
 
-def check_rollout_planner(overrides: list[str] | None, *, wanted: bool) -> None:
-    """Check that `--set` says nothing of looking ahead unless that is `wanted`.
+def with_filters(
+    filters: str | Sequence[str] | None, overrides: Sequence[str], prefix: str = "world."
+) -> list[str]:
+    """Return assignments, with the filters that replace the robot's own in `PREFIXfilters`.
 
-    Raises:
-        KinfeasError: If it does.
+    Args:
+        filters: Names, also as one text with commas, or `none`; None to keep the robot's own.
+        overrides: Assignments.
+        prefix: Of the key.
     """
-    from kinfeas.config import assigned
-
-    if not wanted and "rollout" in assigned(overrides or ()):
-        raise KinfeasError("--set rollout.KEY needs --rollout-planner")
+    if filters is None:
+        return list(overrides)
+    names = filters.split(",") if isinstance(filters, str) else filters
+    listed = [{"name": name.strip()} for name in names if name.strip() not in ("", "none")]
+    return [f"{prefix}filters={json.dumps(listed)}", *overrides]
 
 
 def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:

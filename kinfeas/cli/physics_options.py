@@ -8,7 +8,7 @@ from kinfeas.core.errors import KinfeasError
 
 def physics_assignments(
     head_start: float | None,
-    slow_down: float | None,
+    time_scale: float | None,
     without_objects: bool,
     overrides: Sequence[str],
 ) -> list[str]:
@@ -16,7 +16,7 @@ def physics_assignments(
 
     Args:
         head_start: Seconds; None if not given.
-        slow_down: Factor; None if not given.
+        time_scale: Share of the planned speed; None if not given.
         without_objects: Whether the scene is to be left out.
         overrides: What --set says.
 
@@ -26,7 +26,10 @@ def physics_assignments(
     from kinfeas.config import assigned
     from kinfeas.envs.physics import PhysicsSettings
 
-    numbers = {"--head-start": ("head_start", head_start), "--slow-down": ("slow_down", slow_down)}
+    numbers = {
+        "--head-start": ("head_start", head_start),
+        "--time-scale": ("time_scale", time_scale),
+    }
     options.check_settings(PhysicsSettings, numbers)
     told = {option: entry for option, entry in numbers.items() if entry[1] is not None}
     wishes: dict[str, tuple[str, object]] = dict(told)

@@ -14,9 +14,9 @@ def check_policy(policy: str) -> None:
     Raises:
         KinfeasError: If it is not.
     """
-    from kinfeas.policies.loading import ROLLOUT_PLANNER, check_name
+    from kinfeas.policies.loading import check_name
 
-    check_name(policy.removeprefix(ROLLOUT_PLANNER))
+    check_name(policy)
 
 
 def robot_of(policy: str | None) -> str:
@@ -30,9 +30,7 @@ def robot_of(policy: str | None) -> str:
     Raises:
         KinfeasError: If a run or a file is broken, or its robot is not on this machine.
     """
-    from kinfeas.policies.loading import ROLLOUT_PLANNER
-
-    name = (policy or "").removeprefix(ROLLOUT_PLANNER)
+    name = policy or ""
     if name in ("", *completion.POLICIES) or not Path(name).exists():
         return DEFAULT
     robot = _trained_with(Path(name))

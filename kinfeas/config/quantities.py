@@ -37,7 +37,7 @@ Episodes = Annotated[int, Interval(low=1, high=MOST_EPISODES)]
 Vector = tuple[float, float, float]
 Position = tuple[Metres, Metres, Metres]
 
-SLOWEST = Interval(low=1.0, high=1000.0)
-"""How many times longer than planned a motion may last."""
+TIME_SCALES = Interval(low=0.001, high=1.0)
+"""Allowed speeds of a motion as shares of the planned one."""
 
-SlowDown = Annotated[float, SLOWEST]
+TimeScale = Annotated[float, TIME_SCALES]

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.config.recipes import find_recipe
-from kinfeas.control.subgoals import ExecutionAdapter, ExecutionConfig
+from kinfeas.control.execution import ExecutionAdapter, ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.backend import Backend, BackendWrapper
 from kinfeas.core.checks.adapter import CheckedAdapter

@@ -1,4 +1,4 @@
-"""The loop: motion generator, policy, inverse kinematics and backend, n robots at a time."""
+"""The loop: motion generator, policy, command filters, IK and backend, n robots at a time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,28 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.drive import action_size
-from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.filters.obstacles import ObstacleFilter
-from kinfeas.control.kinematic_step import KinematicStep
-from kinfeas.control.motion_sequence import MotionSequence
-from kinfeas.control.observation import HORIZON, observe
-from kinfeas.control.subgoals import (
+from kinfeas.control.execution import (
     GRASP_METRES,
     RECONFIGURATION_SECONDS,
     ExecutionConfig,
     SubgoalMotion,
 )
+from kinfeas.control.kinematic_step import KinematicStep
+from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.observation import HORIZON, OBSERVATION, Seen, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
 from kinfeas.core.checks.adapter import unchecked
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.rows import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.robots.robot import joint_displacement, joint_jumps
 
 __all__ = ["Loop", "Rows", "Step"]
@@ -37,19 +35,20 @@ __all__ = ["Loop", "Rows", "Step"]
 
 @dataclass(frozen=True)
 class Step:
-    """What one step of the loop came to, each of leading shape (n,).
+    """Result of one step of the loop; each array has the leading shape (n,).
 
     Attributes:
         feasible: Whether IK found the desired pose.
-        position_error: Metres that the IK solution, or its closest attempt, leaves.
+        position_error: Distance from the desired pose to the IK solution or its closest attempt,
+            metres.
         rotation_error: The same in radians.
         deviation: Distance of the achieved EE from the desired position, metres; the true one
             where the backend knows it.
-        sub-goal: Number of the sub-goal that the step was a part of.
+        subgoal: Number of the sub-goal of this step.
         goal_distance: Distance of the achieved EE from the end of that sub-goal, metres.
         goal_angle: The same in radians.
         finished: Whether the end of the last sub-goal was reached, on this feasible step.
-        joint_jump: Whether an arm joint was asked to move faster than its limit.
+        joint_jump: Whether an arm joint was commanded to move faster than its limit.
     """
 
     feasible: NDArray[np.bool_]
@@ -64,11 +63,18 @@ class Step:
 
 
 class Loop:
-    """n robots, each carrying its own EE motion.
+    """n robots, each following its own EE motion.
 
     Attributes:
-        joint_command: Arm joints that were last commanded, shape (n, j).
-        periods: Control periods since each row was started, shape (n,).
+        policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
+        joint_command: Last commanded arm joints, shape (n, j).
+        periods: Control periods since the start of each row, shape (n,).
+        next_desired: During a step: desired world pose of the EE at its end, shape (n, 7).
+        paused: During a step: whether base and motion pause while the arm reconfigures, shape (n,);
+            None if they never do.
+        velocity_constraints: During a step: constraints that an obstacle filter has set, or None.
+        solved: During a step: a command with its base twist and IK solution that a filter has
+            computed, or None.
     """
 
     def __init__(
@@ -78,37 +84,39 @@ class Loop:
         backend: Backend,
         dt: float = HORIZON,
         execution: ExecutionConfig | None = None,
+        filters: Sequence[CommandFilter] = (),
     ) -> None:
-        """Connect the parts; `start` must follow before anything else.
+        """Connect the parts; call `start` before anything else.
 
         Args:
-            solver: Places the arm; it also says which robot this is.
-            subgoals: Motions that every EE makes one after the other, at least one.
+            solver: IK of the robot.
+            subgoals: Motions that every EE makes in sequence, at least one.
             backend: Moves the robots.
             dt: Control period in seconds.
-            execution: How the motions are carried out; as they are planned by default.
-
-        Raises:
-            KinfeasError: If the bases are to keep clear of what the backend does not know.
+            execution: Time scale and pauses of the motions; by default as planned.
+            filters: Change the policy's commands, in this order.
         """
         self.execution = execution = execution or ExecutionConfig()
-        self.solver, self.backend, self.dt = solver, backend, dt
+        self.solver, self.backend, self.dt, self.filters = solver, backend, dt, tuple(filters)
         self.robot = solver.robot
         self.sequence = MotionSequence(subgoals, self.robot, dt, execution)
-        self._motion_time = dt / execution.slow_down
+        self.kinematic_step = KinematicStep(solver, dt)
+        self.policy: Policy | None = None
+        self.paused: NDArray[np.bool_] | None = None
+        self.next_desired: Array = np.empty((0, 7))
+        self.velocity_constraints: Any = None
+        self.solved: tuple[Array, Array, IkSolution] | None = None
+        self._terms = OBSERVATION
+        self._motion_time = dt * execution.time_scale
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
-        self._kinematic_step = KinematicStep(solver, dt)
-        self._feasibility_filter = (
-            FeasibilityFilter(self._kinematic_step) if execution.feasibility_filter else None
-        )
-        self._obstacle_filter = (
-            ObstacleFilter(self.robot.base, backend, execution.min_obstacle_distance, dt)
-            if execution.min_obstacle_distance
-            else None
-        )
-        self._stood: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+        self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.joint_command: Array = np.empty((0, len(self.robot.arm)))
+
+    def set_policy(self, policy: Policy) -> None:
+        """Use a policy: its observation terms, and its `reset` at each start if it has one."""
+        self.policy = policy
+        self._terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -116,58 +124,50 @@ class Loop:
         """Begin new episodes.
 
         Args:
-            start: Where the m episodes begin.
+            start: Starts of the m episodes.
             rngs: One source of randomness for each of them.
             rows: Which of the n robots begin anew; all of them by default, which also sets n.
         """
-        # Drawn whether or not anybody takes them: adapters do not change what the motion sequence
-        # draws.
+        # Drawn with and without adapters, so that adapters do not change the motions.
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
+        fresh = np.arange(len(rngs)) if rows is None else rows
         if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, np.arange(len(rngs)) if rows is None else rows)
+            self.backend.seed(seeds, fresh)
         state = self.backend.reset(start.base_pose, start.joint_positions, rows)
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
-        self._measured(state)
+        self._measure(state)
         joints = state.joint_positions.copy()
-        if rows is not None:
+        if rows is None:
+            self.periods, self._waited = np.zeros((2, len(joints)), dtype=np.intp)
+        else:
             others = np.setdiff1d(np.arange(len(joints)), rows)
             joints[others] = self.joint_command[others]
+            self.periods[rows] = self._waited[rows] = 0
         self.joint_command = joints
-        if rows is None:
-            self.periods, self._stood = np.zeros((2, len(joints)), dtype=np.intp)
-        else:
-            self.periods[rows] = self._stood[rows] = 0
         self._plan()
+        if isinstance(self.policy, RecurrentPolicy):
+            self.policy.reset(self, fresh)
+        for one in self.filters:
+            one.reset(self, fresh)
 
     def step(self, action: Array) -> Step:
         """Advance all robots by one control period.
 
-        A sub-goal ends on a feasible step that brings the EE to its end; after its wait the next
-        sub-goal begins at the desired pose.
+        A sub-goal ends on a feasible step that brings the EE to its end; the next sub-goal begins
+        at the desired pose, after the dwell time.
 
         Args:
             action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
         """
-        # What was looked ahead for is not computed again.
-        sequence = self.sequence
-        time = self._motion_time
-        paused = self._paused() if self._arm_settle_timeout else None
-        sequence.move(self._ahead if time == HORIZON else sequence.ahead(time), paused)
-        if paused is not None:
-            action = np.where(paused[:, np.newaxis], 0.0, action)
-        before, base_pose = self.joint_command, self.state.base_pose
-        limits = None
-        if self._obstacle_filter is not None:
-            limits = self._obstacle_filter.limits(len(action))
-            action = limits.hold(action[:, np.newaxis])[:, 0]
-        wanted = (action, base_pose, sequence.desired, before)
-        if self._feasibility_filter is None:
-            command, arm = self._kinematic_step(*wanted)
-        else:
-            command, arm = self._feasibility_filter(*wanted, paused, limits)
+        sequence, before = self.sequence, self.joint_command
+        self.paused = self._find_paused() if self._arm_settle_timeout else None
+        self.next_desired = sequence.next_desired(self._next, self.paused)
+        command = self._filtered(action)
+        sequence.move(self._next, self.paused)
+        twist, arm = self._solve(command)
         self.joint_command = arm.joint_positions
-        self._measured(self.backend.step(command, self.joint_command, self.dt))
+        self._measure(self.backend.step(twist, self.joint_command, self.dt))
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         step = Step(
@@ -188,10 +188,10 @@ class Loop:
         return step
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that the loop goes on from, by name.
+        """Return the whole state as arrays by name.
 
         Raises:
-            KinfeasError: If the backend cannot be put into arrays.
+            KinfeasError: If the backend has no snapshots.
         """
         if not isinstance(self.backend, Resumable):
             name = type(unchecked(self.backend)).__name__
@@ -199,13 +199,13 @@ class Loop:
         return {**self.kinematic_state(), **self.backend.snapshot()}
 
     def kinematic_state(self) -> dict[str, NDArray[Any]]:
-        """Return what a loop in the analytic world would go on from, if it were here now."""
+        """Return the state without the backend's own: that of a loop in the analytic world."""
         return {
             "base_pose": self.state.base_pose,
             "joint_positions": self.state.joint_positions,
-            "sent": self.joint_command,
+            "joint_command": self.joint_command,
             "periods": self.periods.copy(),
-            "stood": self._stood.copy(),
+            "waited": self._waited.copy(),
             **self.sequence.snapshot(),
         }
 
@@ -215,14 +215,17 @@ class Loop:
             name = type(unchecked(self.backend)).__name__
             raise KinfeasError(f"{name} cannot go on from a saved run")
         self.sequence.restore(snapshot)
-        self._measured(self.backend.restore(snapshot))
-        self.joint_command, self.periods = snapshot["sent"].copy(), snapshot["periods"].copy()
-        self._stood = snapshot["stood"].copy()
+        self._measure(self.backend.restore(snapshot))
+        self.joint_command, self.periods = (
+            snapshot["joint_command"].copy(),
+            snapshot["periods"].copy(),
+        )
+        self._waited = snapshot["waited"].copy()
         self._plan()
 
     @property
     def action_size(self) -> int:
-        """How many numbers command the base."""
+        """Count of numbers that command the base."""
         return action_size(self.robot.base)
 
     @property
@@ -232,7 +235,7 @@ class Loop:
 
     @property
     def true_state(self) -> tuple[Array, Array]:
-        """Where base and EE really are, as far as the backend knows, shape (n, 7) each."""
+        """World poses of base and EE, shape (n, 7) each: the true ones if the backend has them."""
         true_state = self.state.true_state
         if true_state is None:
             return self.state.base_pose, self.ee_pose
@@ -240,18 +243,18 @@ class Loop:
 
     @property
     def policy_input(self) -> PolicyInput:
-        """What a policy may look at now."""
+        """Input of the policy now."""
         return PolicyInput(
             observation=self.observation,
             base_pose=self.state.base_pose,
             ee_pose=self.ee_pose,
+            joint_positions=self.state.joint_positions,
             desired=self.desired,
             planned=self.planned,
             demonstrated_base=self.sequence.demonstrated_base,
         )
 
-    def _measured(self, state: RobotState) -> None:
-        """Take in what the backend measured."""
+    def _measure(self, state: RobotState) -> None:
         self.state = state
         self._ee_in_base = self._ee_of(state)
         self.ee_pose = spatial.compose(state.base_pose, self._ee_in_base)
@@ -261,8 +264,29 @@ class Loop:
             return state.ee_in_base
         return forward(self.solver.chain, state.joint_positions)
 
+    def _filtered(self, command: Array) -> Array:
+        """Return the commands after all filters, shape (n, a); those of paused rows are zero."""
+        self.velocity_constraints = self.solved = None
+        command = self._unless_paused(command)
+        if self.filters:
+            policy_input = self.policy_input
+            for one in self.filters:
+                command = self._unless_paused(one(command, policy_input))
+        return command
+
+    def _unless_paused(self, command: Array) -> Array:
+        if self.paused is None:
+            return command
+        return np.where(self.paused[:, np.newaxis], 0.0, command)
+
+    def _solve(self, command: Array) -> tuple[Array, IkSolution]:
+        """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
+        if self.solved is not None and np.array_equal(self.solved[0], command):
+            return self.solved[1:]
+        return self.kinematic_step(command, self.state.base_pose, self.desired, self.joint_command)
+
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
-        """Let the grippers do what the sub-goals say that have just come to their end."""
+        """Command the grippers of rows whose sub-goals have just ended."""
         if not (stops.any() and isinstance(self.backend, SupportsGripper)):
             return
         for number, one in enumerate(self.sequence.subgoals):
@@ -271,29 +295,26 @@ class Loop:
                 self.backend.grip(one.grip, rows)
 
     def _plan(self) -> None:
-        """Find where the motions lead from here, and what a policy sees of that."""
+        """Ask the generators for the next period and build the observation."""
         self.goal = self.sequence.goal
-        self._ahead = self.sequence.ahead(HORIZON)
-        planned, slow_down = self._ahead[0], self.execution.slow_down
+        self._next = self.sequence.plan(self._motion_time)
+        self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
-        self.observation = observe(base, self._ee_in_base, planned, self.goal, joints)
-        if slow_down != 1.0:
-            twist = spatial.twist_between(self.desired, planned, HORIZON)
-            planned = spatial.integrate(self.desired, twist, HORIZON / slow_down)
-        self.planned = planned
+        seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
+        self.observation = observe(seen, self._terms)
+        if time_scale != 1.0:
+            twist = spatial.twist_between(self.desired, self.planned, HORIZON)
+            self.planned = spatial.integrate(self.desired, twist, HORIZON * time_scale)
 
-    def _paused(self) -> NDArray[np.bool_]:
-        """Return which rows stand still in this period, shape (n,): their arms swing.
+    def _find_paused(self) -> NDArray[np.bool_]:
+        """Return which rows pause in this period, shape (n,), since their arms reconfigure.
 
-        Policies know arms that are where they were sent. Until an arm is there, they would see the
-        EE far from where it should be, and let the base run after it.
+        Policies are trained with arms at their commands. During a reconfiguration they would read
+        a large tracking error and drive the base after the EE.
         """
         way = np.abs(joint_displacement(self.robot, self.state.joint_positions, self.joint_command))
-        allow_reconfiguration = np.any(
-            way > self.robot.max_joint_velocity * RECONFIGURATION_SECONDS, axis=1
-        )
-        self._stood = np.where(allow_reconfiguration, self._stood + 1, 0)
-        paused: NDArray[np.bool_] = allow_reconfiguration & (
-            self._stood <= self._arm_settle_timeout
-        )
+        limit = self.robot.max_joint_velocity * RECONFIGURATION_SECONDS
+        reconfigures = np.any(way > limit, axis=1)
+        self._waited = np.where(reconfigures, self._waited + 1, 0)
+        paused: NDArray[np.bool_] = reconfigures & (self._waited <= self._arm_settle_timeout)
         return paused

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion, tool_pose
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
+from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
 from kinfeas.core.checks.motion import CheckedMotion
 from kinfeas.core.motion import State
@@ -15,8 +17,21 @@ from kinfeas.core.rows import Rows, merged, of_rows, with_rows
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 
-Moves = tuple[Array, list[State]]
-"""Desired EE poses, shape (n, 7), and the state of each generator there."""
+
+@dataclass(frozen=True)
+class Plan:
+    """Next step of the motions of n EEs.
+
+    Attributes:
+        desired: Desired world poses of the EE after the step, shape (n, 7).
+        preview: The same after `HORIZON` seconds at the step's twist, shape (n, 7).
+        states: State of each generator after the step.
+    """
+
+    desired: Array
+    preview: Array
+    states: list[State]
+
 
 _STATES, _ROWS = "motion", ("desired", "subgoal", "waiting", "seeds", "targets")
 
@@ -64,7 +79,7 @@ class MotionSequence:
             execution.head_start,
             execution.head_start_jitter,
         )
-        grasp_settle_time = _periods(execution.grasp_settle_time * execution.slow_down, dt)
+        grasp_settle_time = _periods(execution.grasp_settle_time / execution.time_scale, dt)
         self._periods = np.array(
             [_periods(subgoal.dwell, dt) for subgoal in subgoals], dtype=np.intp
         )
@@ -128,11 +143,11 @@ class MotionSequence:
         return self.subgoal == len(self.subgoals) - 1
 
     @property
-    def stands(self) -> NDArray[np.bool_]:
-        """Whether each row's desired pose stands still now, shape (n,)."""
+    def resting(self) -> NDArray[np.bool_]:
+        """Whether each row's desired pose rests now, shape (n,)."""
         settled = self.waiting <= self._periods[self.subgoal]
-        stands: NDArray[np.bool_] = (self.waiting != 0) & settled
-        return stands
+        resting: NDArray[np.bool_] = (self.waiting != 0) & settled
+        return resting
 
     @property
     def demonstrated_base(self) -> Array:
@@ -141,34 +156,48 @@ class MotionSequence:
             return np.broadcast_to(np.nan, (len(self.subgoal), 7))
         return self._ask(CheckedMotion.base_pose)
 
-    def ahead(self, dt: float) -> Moves:
-        """Return where the desired EE poses will be in `dt` seconds; nothing moves yet."""
+    def plan(self, dt: float) -> Plan:
+        """Return the next step of `dt` seconds; each generator is called once, nothing moves."""
         frame, targets = self._to_frame(self.desired), self._target
-        seconds = np.full(len(frame), dt)
-        stands = self.stands
-        if len(self.generators) == 1 and not stands.any():
+        seconds, resting = np.full(len(frame), dt), self.resting
+        if len(self.generators) == 1 and not resting.any():
             twist, state = self.generators[0].twist(self._states[0], frame, targets, seconds)
-            return self._to_ee(spatial.integrate(frame, twist, dt)), [state]
-        twist, states = np.zeros((len(frame), 6)), list(self._states)
-        for number, generator, rows in self._groups(~stands):
-            state = of_rows(states[number], rows)
-            twist[rows], after = generator.twist(state, frame[rows], targets[rows], seconds[rows])
-            states[number] = merged(states[number], rows, after, len(frame))
-        moved = self._to_ee(spatial.integrate(frame, twist, dt))
-        return np.where(stands[:, np.newaxis], self.desired, moved), states
+            states = [state]
+        else:
+            twist, states = np.zeros((len(frame), 6)), list(self._states)
+            for number, generator, rows in self._groups(~resting):
+                state = of_rows(states[number], rows)
+                twist[rows], after = generator.twist(
+                    state, frame[rows], targets[rows], seconds[rows]
+                )
+                states[number] = merged(states[number], rows, after, len(frame))
+        desired = preview = self._to_ee(spatial.integrate(frame, twist, dt))
+        if dt != HORIZON:
+            preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
+        if resting.any():
+            desired, preview = (
+                np.where(resting[:, np.newaxis], self.desired, pose) for pose in (desired, preview)
+            )
+        return Plan(desired, preview, states)
 
-    def move(self, moves: Moves, paused: NDArray[np.bool_] | None = None) -> None:
-        """Go where `ahead` looked, but for the rows that are `paused`, shape (n,)."""
-        desired, states = moves
+    def next_desired(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> Array:
+        """Return the desired poses after `plan`, but for the rows that are paused, shape (n, 7)."""
+        if paused is None:
+            return plan.desired
+        return np.where(paused[:, np.newaxis], self.desired, plan.desired)
+
+    def move(self, plan: Plan, paused: NDArray[np.bool_] | None = None) -> None:
+        """Carry out a plan, but for the rows that are `paused`, shape (n,)."""
+        states = plan.states
         if paused is not None and paused.any():
             rows = np.flatnonzero(paused)
-            desired = with_rows(desired, rows, self.desired[rows])
             pairs = zip(states, self._states, strict=True)
             states = [
                 {key: with_rows(new, rows, old[key][rows]) for key, new in state.items()}
                 for state, old in pairs
             ]
-        self.desired, self._states, self._goal = desired, states, None
+        self.desired = self.next_desired(plan, paused)
+        self._states, self._goal = states, None
 
     def advance(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None

@@ -1,38 +1,98 @@
-"""What a base policy is, and what it gets."""
+"""Protocols of policies, which command the base, and of filters, which change commands."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array
 
 
 @dataclass(frozen=True)
 class PolicyInput:
-    """All that a policy may look at, for n robots.
+    """Input of a policy for n robots.
 
     Attributes:
-        observation: What a learned policy sees, shape (n, 21 + j).
+        observation: Observation terms that the policy names, shape (n, d).
         base_pose: World pose of the base, shape (n, 7).
         ee_pose: Achieved world pose of the EE, shape (n, 7).
+        joint_positions: Arm joints, shape (n, j), radians or metres.
         desired: Desired world pose of the EE now, shape (n, 7).
-        planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7). Where the motion
-            is slowed down it is nearer than what the observation shows, which is always at full
-            pace.
-        demonstrated_base: World pose at which the base was demonstrated to be now, shape (n, 7);
-            NaN where none was.
+        planned: Desired world pose in `observation.HORIZON` seconds, shape (n, 7), at the time
+            scale of the execution; the observation shows the motion at full speed.
+        demonstrated_base: World pose of the base in the demonstration, shape (n, 7); NaN where the
+            motion has none.
     """
 
     observation: Array
     base_pose: Array
     ee_pose: Array
+    joint_positions: Array
     desired: Array
     planned: Array
     demonstrated_base: Array
 
 
+@dataclass(frozen=True)
+class TermInfo:
+    """Description of a term in a policy's file.
+
+    Attributes:
+        name: Name of the term.
+        size: Count of numbers.
+        frame: Frame of the numbers; `joint` for joint positions.
+        unit: Their unit.
+        entries: Name of each number, for terms that are no vector.
+        scale: Value of each number that an action of 1 stands for.
+    """
+
+    name: str
+    size: int
+    frame: str
+    unit: str
+    entries: tuple[str, ...] = ()
+    scale: tuple[float, ...] = ()
+
+
 class Policy(Protocol):
-    """Moves the base."""
+    """Commands the base."""
 
     def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        ...
+
+
+@runtime_checkable
+class RecurrentPolicy(Policy, Protocol):
+    """A policy with a state of its own."""
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Forget the episodes of some rows.
+
+        Args:
+            loop: The `kinfeas.control.loop.Loop` that the policy commands.
+            rows: Rows that begin a new episode, shape (m,).
+        """
+        ...
+
+
+class CommandFilter(Protocol):
+    """Changes base commands before they are sent."""
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Begin new episodes; arguments as in `RecurrentPolicy.reset`.
+
+        Raises:
+            KinfeasError: If the filter cannot work in this loop.
+        """
+        ...
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2).
+
+        Args:
+            command: Commands of the policy or of the filter before this one, of the same shape.
+            policy_input: Input that the policy had.
+        """
         ...

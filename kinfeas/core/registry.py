@@ -24,6 +24,7 @@ GROUPS = {
     "kinfeas.tasks": "task",
     "kinfeas.adapters": "adapter",
     "kinfeas.backends": "backend",
+    "kinfeas.filters": "command filter",
 }
 """The entry-point groups, and what one entry of each is called."""
 
@@ -35,6 +36,7 @@ _METHODS = {
     "kinfeas.tasks": ("sample",),
     "kinfeas.adapters": ("reset", "step", "close"),
     "kinfeas.backends": ("reset", "step", "close"),
+    "kinfeas.filters": ("reset", "__call__"),
 }
 
 _REGISTERED: list[EntryPoint] = []

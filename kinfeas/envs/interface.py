@@ -8,7 +8,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.control.observation import FIELDS, HORIZON
+from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import Transition, World, WorldConfig
@@ -59,7 +59,8 @@ def observation_space(world: World, beyond: float = 0.0) -> "spaces.Box[np.float
         "planned_velocity": _FARTHEST / HORIZON,
         "goal_position": _FARTHEST,
     }
-    fields = np.concatenate([np.full(count, bounds.get(name, 1.0)) for name, count in FIELDS])
+    poses = [name for name in OBSERVATION if name != "joint_positions"]
+    fields = np.concatenate([np.full(TERMS[name].size, bounds.get(name, 1.0)) for name in poses])
     low, high = world.robot.finite_joint_limits
     beyond += _NOISE if world.config.adapters else 0.0
     return spaces.Box(

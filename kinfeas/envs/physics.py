@@ -11,8 +11,7 @@ from kinfeas.backends.pybullet.stage import Stage, task_scene
 from kinfeas.config import Interval
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import default_recipe
-from kinfeas.control.rollout_planner import RolloutConfig
-from kinfeas.control.subgoals import ExecutionConfig, ExecutionSettings
+from kinfeas.control.execution import ExecutionConfig, ExecutionSettings
 from kinfeas.envs.world import AdapterSpec, World, WorldConfig
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.robot import Robot
@@ -41,6 +40,7 @@ class PhysicsSettings(PhysicsChanges):
         max_failures: Kinematic failures in one episode beyond which it ends.
         max_seconds: Of motion time in one sub-goal, after which an episode is truncated.
         adapters: Wrapped around the PyBullet world, the first one innermost.
+        filters: Change the policy's commands, in this order.
         ik: How hard IK searches.
     """
 
@@ -48,12 +48,20 @@ class PhysicsSettings(PhysicsChanges):
     max_failures: Annotated[int, Interval(low=0)] = 99
     max_seconds: PositiveSeconds = 150.0
     adapters: tuple[AdapterSpec, ...] = ()
+    filters: tuple[AdapterSpec, ...] = ()
     ik: IkOptions = field(default_factory=IkOptions)
 
     @property
     def world(self) -> WorldConfig:
         """What the loop's world is made of."""
-        return WorldConfig(self.dt, self.max_failures, self.max_seconds, self.adapters, ik=self.ik)
+        return WorldConfig(
+            self.dt,
+            self.max_failures,
+            self.max_seconds,
+            self.adapters,
+            ik=self.ik,
+            filters=self.filters,
+        )
 
 
 @dataclass(frozen=True)
@@ -63,12 +71,10 @@ class PhysicsEvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
-        rollout: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: PhysicsSettings = field(default_factory=PhysicsSettings)
-    rollout: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def make_stage(robot: Robot, task: Task, settings: PhysicsChanges, *, gui: bool = False) -> Stage:
@@ -89,7 +95,7 @@ def make_physics_world(
 
 
 def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvaluationConfig:
-    """Return what suits a robot, with assignments such as `world.slow_down=1`.
+    """Return what suits a robot, with assignments such as `world.time_scale=1`.
 
     Raises:
         KinfeasError: If one of them is not allowed.

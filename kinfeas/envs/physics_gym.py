@@ -77,9 +77,7 @@ class PhysicsMotionEnv(BaseMotionEnv):
             raise KinfeasError(f"reward must be RewardConfig or None, not {reward!r}")
         self.render_mode = render_mode
         known = load_robot(robot)
-        settings = world or replace(
-            physics_config(known).world, feasibility_filter=False, min_obstacle_distance=0.0
-        )
+        settings = world or replace(physics_config(known).world, filters=())
         self.stage = make_stage(
             known, load_task(task, task_parameters), settings, gui=render_mode == "human"
         )

@@ -1,7 +1,7 @@
 """The Markov decision process: the loop plus reward, restarts and ends of episodes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,8 +12,9 @@ from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.control import observation
 from kinfeas.control.adapters import AdapterSpec, execution_of, wrap
 from kinfeas.control.drive import action_size
+from kinfeas.control.execution import ExecutionConfig
+from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Rows, Step
-from kinfeas.control.subgoals import ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.backend import Backend
 from kinfeas.core.spatial import Array
@@ -39,8 +40,7 @@ class WorldConfig:
         adapters: Wrapped around the backend, the first one innermost.
         reward: What a step earns.
         ik: How hard IK searches.
-        feasibility_filter: Whether the base takes the nearest command that the arm can follow where
-            it cannot follow the policy's, as it also does if the pace says so.
+        filters: Change the policy's commands, in this order.
     """
 
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
@@ -49,7 +49,7 @@ class WorldConfig:
     adapters: tuple[AdapterSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)
-    feasibility_filter: bool = False
+    filters: tuple[AdapterSpec, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,23 +113,23 @@ class World:
         self.robot, self.task, self.config, self.seed = robot, task, config, seed
         self.solver = IkSolver(robot, config.ik)
         wrapped = _backend(config, robot, backend)
-        execution = execution or ExecutionConfig()
-        execution = execution_of(
+        execution = execution_of(wrapped, execution or ExecutionConfig())
+        self._max_steps = max(1, round(config.max_seconds / execution.time_scale / config.dt))
+        self.loop = Loop(
+            self.solver,
+            build_subgoals(task.subgoals),
             wrapped,
-            replace(
-                execution,
-                feasibility_filter=execution.feasibility_filter or config.feasibility_filter,
-            ),
+            config.dt,
+            execution,
+            build_filters(config.filters),
         )
-        self._max_steps = max(1, round(config.max_seconds * execution.slow_down / config.dt))
-        self.loop = Loop(self.solver, build_subgoals(task.subgoals), wrapped, config.dt, execution)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 
     @property
     def observation_size(self) -> int:
         """How many numbers a policy sees."""
-        return observation.size(len(self.robot.arm))
+        return observation.size(self.robot)
 
     @property
     def action_size(self) -> int:

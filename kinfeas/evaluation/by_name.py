@@ -14,7 +14,7 @@ from kinfeas.evaluation import evaluate as analytic
 from kinfeas.evaluation.evaluate import EvaluationConfig, Summary, Trial
 from kinfeas.evaluation.physics.evaluate import evaluate_physics
 from kinfeas.evaluation.physics.world import PhysicsTrial
-from kinfeas.policies.loading import load_driver
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
@@ -48,12 +48,12 @@ def make_trial(
         physics = physics_config(robot, overrides)
         check_adapters(physics.world.adapters, robot)
         task = load_task(task_name, physics.task)
-        driver = load_driver(policy, robot, physics.rollout)
+        driver = load_policy(policy, robot)
         return PhysicsTrial(robot, task, episodes, seed, physics.world), driver
     settings = config.from_mapping(EvaluationConfig, {}, "settings", overrides)
     check_adapters(settings.world.adapters, robot)
     task = load_task(task_name, settings.task)
-    driver = load_driver(policy, robot, settings.rollout)
+    driver = load_policy(policy, robot)
     return Trial(robot, task, episodes, seed, settings.world), driver
 
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from kinfeas.control.loop import Rows
-from kinfeas.control.rollout_planner import RolloutPlanner
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.core.policy import Policy
 from kinfeas.envs.world import Transition, World
@@ -40,9 +39,8 @@ def run_episodes(  # noqa: PLR0913, PLR0917 - callbacks and sizes by keyword
     tally = _Tally(first, episodes, len(world.task.subgoals))
     beyond = first + episodes
     running = np.arange(first, first + min(batch, episodes))
+    world.loop.set_policy(policy)
     world.start(running.tolist())
-    if isinstance(policy, RolloutPlanner):
-        policy.watch(world.loop)
     waiting = first + len(running)
     while (live := np.flatnonzero(running >= 0)).size:
         transition = world.step(policy.act(world.loop.policy_input))

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
-from kinfeas.control.rollout_planner import RolloutConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, join, summarize
 from kinfeas.core.policy import Policy
@@ -63,12 +62,10 @@ class EvaluationConfig:
     Attributes:
         task: Keyword parameters of the task.
         world: Where the episodes happen.
-        rollout: How far and how widely a policy looks that looks ahead.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)
-    rollout: RolloutConfig = field(default_factory=RolloutConfig)
 
 
 def evaluate(

@@ -81,7 +81,7 @@ def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]
     finished = np.zeros(len(left), dtype=np.bool_)
     while not finished.all():
         subgoal = sequence.subgoal
-        sequence.move(sequence.ahead(HORIZON))
+        sequence.move(sequence.plan(HORIZON))
         yield sequence.desired, np.where(finished, -1, subgoal)
         metres, radians = spatial.distance(sequence.desired, sequence.goal)
         left -= 1

@@ -9,6 +9,7 @@ from typing import Literal
 from kinfeas import config
 from kinfeas.config.quantities import Count, Episodes
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import TermInfo
 from kinfeas.io import strict_json
 from kinfeas.io.folders import find_folder
 
@@ -23,7 +24,9 @@ class Trained:
     Attributes:
         format: Of the policy's files.
         robot: Name of the robot that it was trained for.
-        layers: How many its network has.
+        layers: Count of layers of its network.
+        observation: Observation terms in order.
+        action: Action terms in order.
         kinematics: What `robots.fingerprint` says of that robot; None in files from before that
             was told.
         config: Settings of its training.
@@ -39,6 +42,8 @@ class Trained:
     format: Literal[1] = 1
     robot: str
     layers: Count
+    observation: tuple[TermInfo, ...]
+    action: tuple[TermInfo, ...]
     kinematics: str | None = None
     config: dict[str, object] = field(default_factory=dict)
     steps: int | None = None

@@ -9,7 +9,6 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 
 if TYPE_CHECKING:
-    from kinfeas.control.rollout_planner import RolloutConfig
     from kinfeas.core.policy import Policy
     from kinfeas.robots.robot import Robot
 
@@ -53,9 +52,6 @@ BASELINES: "dict[str, Callable[[Robot], Policy]]" = {
     "whole_body_qp": _whole_body_qp,
 }
 """Base motions that need no training."""
-
-ROLLOUT_PLANNER = "rollout_planner:"
-"""What stands before the name of a policy that is to look ahead."""
 
 QUICK_BASELINES = ("follow_ee", "follow_ee_feedback")
 """Those that a trained policy is always set beside: they cost nothing and need no extra."""
@@ -112,21 +108,3 @@ def check_place(path: Path) -> None:
         )
     if path.is_file() and path.stat().st_size == 0:
         raise KinfeasError(f"{path}: empty, and so not the ONNX file of an export")
-
-
-def load_driver(name: str, robot: "Robot", rollout: "RolloutConfig | None" = None) -> "Policy":
-    """Return what `load_policy` does, or for `rollout_planner:NAME` that policy, looking ahead.
-
-    Args:
-        name: Of the policy.
-        robot: Who moves.
-        rollout: How far and how widely it looks; the defaults by default.
-
-    Raises:
-        KinfeasError: As `load_policy`.
-    """
-    if not name.startswith(ROLLOUT_PLANNER):
-        return load_policy(name, robot)
-    from kinfeas.control.rollout_planner import RolloutPlanner
-
-    return RolloutPlanner(load_policy(name.removeprefix(ROLLOUT_PLANNER), robot), rollout)

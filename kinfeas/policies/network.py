@@ -12,7 +12,16 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from kinfeas.control.drive import action_size
-from kinfeas.control.observation import scaled, size
+from kinfeas.control.observation import (
+    ACTION,
+    OBSERVATION,
+    TERMS,
+    check_terms,
+    describe_action,
+    describe_observation,
+    scaled,
+    size,
+)
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
@@ -36,11 +45,13 @@ class Network:
         scale: Factor on each observed number before it is clipped, shape (inputs,), float32.
         weights: Of each layer, shape (inputs, outputs), float32.
         biases: Of each layer, shape (outputs,), float32.
+        observation_terms: Names of its observation terms, in order.
     """
 
     scale: NDArray[np.float32]
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
+    observation_terms: tuple[str, ...] = OBSERVATION
 
     def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, actions)."""
@@ -77,7 +88,15 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
     save_file(contiguous, folder / WEIGHTS)
     layers, kinematics = len(network.weights), fingerprint(robot)
-    write_trained(Trained(robot=robot.name, layers=layers, kinematics=kinematics, **known), folder)
+    trained = Trained(
+        robot=robot.name,
+        layers=layers,
+        kinematics=kinematics,
+        observation=describe_observation(robot, network.observation_terms),
+        action=describe_action(robot),
+        **known,
+    )
+    write_trained(trained, folder)
 
 
 def read_network(folder: Path, robot: Robot) -> Network:
@@ -93,12 +112,14 @@ def read_network(folder: Path, robot: Robot) -> Network:
     """
     place = policy_folder(folder)
     trained = read_trained(place)
+    check_terms(trained.action, ACTION, f"{place}: action")
     try:
         tensors = load_file(place / WEIGHTS)
         network = Network(
             tensors["scale"],
             tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
             tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
+            check_terms(trained.observation, tuple(TERMS), f"{place}: observation"),
         )
     except _BROKEN as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
@@ -108,7 +129,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
 
 
 def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
-    wanted = (size(len(robot.arm)), action_size(robot.base))
+    wanted = (size(robot, network.observation_terms), action_size(robot.base))
     found = (len(network.scale), len(network.biases[-1]))
     if trained.robot != robot.name or found != wanted:
         raise KinfeasError(

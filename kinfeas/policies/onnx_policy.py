@@ -13,10 +13,16 @@ from typing import Any
 import numpy as np
 
 from kinfeas import config
-from kinfeas.control.drive import action_size
-from kinfeas.control.observation import FIELDS, HORIZON
+from kinfeas.control.observation import (
+    ACTION,
+    HORIZON,
+    TERMS,
+    check_terms,
+    describe_action,
+    describe_observation,
+)
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
+from kinfeas.core.policy import PolicyInput, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
 from kinfeas.robots.robot import Robot, fingerprint
@@ -39,16 +45,6 @@ MAX_BYTES = 20_000_000
 _DIGEST_ENTRY = b'r\x5b\n\x0ekinfeas.digest\x12\x49"sha256:'
 _DIGEST_LENGTH = len(_DIGEST_ENTRY) + 65
 
-_QUATERNION = "quaternion x y z w, w >= 0"
-_UNITS = {
-    "ee_position": "m",
-    "ee_orientation": _QUATERNION,
-    "planned_velocity": "m/s",
-    "planned_rotation": f"{_QUATERNION}, over {HORIZON:g} s",
-    "goal_position": "m",
-    "goal_orientation": _QUATERNION,
-}
-
 
 @dataclass(frozen=True)
 class RobotInfo:
@@ -67,25 +63,6 @@ class RobotInfo:
     ee_frame: str
     base_frame: str
     drive: str
-
-
-@dataclass(frozen=True)
-class ObservationTerm:
-    """A term of the observation: name, number of entries, frame and unit."""
-
-    name: str
-    size: int
-    frame: str
-    unit: str
-
-
-@dataclass(frozen=True)
-class ActionTerm:
-    """An entry of the action, in [-1, 1]; 1 means `limit`, in `unit`."""
-
-    name: str
-    unit: str
-    limit: float
 
 
 @dataclass(frozen=True)
@@ -117,7 +94,7 @@ class PolicyMetadata:
         version: Version of kinfeas that wrote the file.
         robot: Robot that the policy controls.
         observation: Terms of the observation, in order.
-        action: Entries of the action, in order.
+        action: Terms of the action, in order.
         control: Timing.
         training: Configuration, seed and steps of the training run.
         success: Evaluation metrics by kind.
@@ -126,8 +103,8 @@ class PolicyMetadata:
 
     version: str
     robot: RobotInfo
-    observation: tuple[ObservationTerm, ...]
-    action: tuple[ActionTerm, ...]
+    observation: tuple[TermInfo, ...]
+    action: tuple[TermInfo, ...]
     control: Control
     training: dict[str, object]
     success: dict[str, object]
@@ -151,6 +128,7 @@ class OnnxPolicy:
 
     Attributes:
         metadata: Description of the policy.
+        observation_terms: Names of its observation terms, in order.
 
     Raises:
         KinfeasError: If `kinfeas export` did not write the bytes, they were changed, or the
@@ -165,6 +143,11 @@ class OnnxPolicy:
             raise KinfeasError("changed after its export: the digest does not match")
         self._content, self._session = content, _session(content)
         self.metadata = _metadata(self._session.get_modelmeta().custom_metadata_map)
+        self.observation_terms = check_terms(
+            self.metadata.observation, tuple(TERMS), "its observation"
+        )
+        check_terms(self.metadata.action, ACTION, "its action")
+        self._actions = sum(term.size for term in self.metadata.action)
         self._check_sizes()
         self._check_golden_pairs()
 
@@ -179,7 +162,7 @@ class OnnxPolicy:
         """
         values = np.ascontiguousarray(observation, dtype=np.float32)
         finite = np.logical_and.reduce(np.isfinite(values), axis=1)
-        action = np.full((len(values), len(self.metadata.action)), np.nan)
+        action = np.full((len(values), self._actions), np.nan)
         for i in range(len(values)):
             if finite[i]:
                 action[i] = self._session.run((OUTPUT,), {INPUT: values[i : i + 1]})[0]
@@ -204,7 +187,8 @@ class OnnxPolicy:
                 f"the kinematics of robot {robot.name!r} changed since the training: "
                 f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
             )
-        here = (wanted, describe_observation(robot), describe_action(robot), HORIZON)
+        observation = describe_observation(robot, self.observation_terms)
+        here = (wanted, observation, describe_action(robot), HORIZON)
         there = (
             found,
             self.metadata.observation,
@@ -217,7 +201,7 @@ class OnnxPolicy:
     def _check_sizes(self) -> None:
         ends = (*self._session.get_inputs(), *self._session.get_outputs())
         found = [(end.name, end.type, end.shape) for end in ends]
-        sizes = sum(term.size for term in self.metadata.observation), len(self.metadata.action)
+        sizes = sum(term.size for term in self.metadata.observation), self._actions
         wanted = [
             (name, "tensor(float)", [BATCH, size])
             for name, size in zip((INPUT, OUTPUT), sizes, strict=True)
@@ -264,23 +248,6 @@ def describe_robot(robot: Robot) -> RobotInfo:
     """Return the description of a robot for the metadata."""
     base = robot.base
     return RobotInfo(robot.name, fingerprint(robot), robot.ee_frame, base.frame, base.drive)
-
-
-def describe_observation(robot: Robot) -> tuple[ObservationTerm, ...]:
-    """Return the terms of `control.observation.observe`."""
-    terms = [ObservationTerm(name, size, robot.base.frame, _UNITS[name]) for name, size in FIELDS]
-    for joint in robot.arm:
-        unit = "m" if robot.urdf.joints[joint.name].kind == "prismatic" else "rad"
-        unit += ", in (-pi, pi]" if joint.continuous else ""
-        terms.append(ObservationTerm(joint.name, 1, "joint", unit))
-    return tuple(terms)
-
-
-def describe_action(robot: Robot) -> tuple[ActionTerm, ...]:
-    """Return the entries of the action that `control.drive.base_twist` takes."""
-    names = ("forward", "left") if action_size(robot.base) == 3 else ("forward",)
-    linear = [ActionTerm(name, "m/s", robot.base.max_velocity) for name in names]
-    return (*linear, ActionTerm("turn", "rad/s", robot.base.max_rotation))
 
 
 def _session(content: bytes) -> Any:

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from kinfeas.config.quantities import Seconds
-from kinfeas.control.subgoals import Frame, SubgoalMotion
+from kinfeas.control.execution import Frame, SubgoalMotion
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip
 from kinfeas.core.checks.parameters import MissingParameterError

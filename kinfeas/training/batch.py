@@ -37,7 +37,7 @@ class Batch:
 
     def __post_init__(self) -> None:
         """Find the factors of the observations."""
-        self.scale = observation.scale(len(self.world.robot.arm)).astype(np.float32)
+        self.scale = observation.scale(self.world.robot).astype(np.float32)
 
     def start(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""

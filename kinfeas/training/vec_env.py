@@ -31,14 +31,13 @@ class EpisodesVecEnv(VecEnv):
 
     def __init__(self, robot: Robot, num_envs: int) -> None:
         """Set the spaces of `num_envs` episodes."""
-        joints = len(robot.arm)
         super().__init__(
             num_envs,
-            spaces.Box(-np.inf, np.inf, (observation.size(joints),), np.float32),
+            spaces.Box(-np.inf, np.inf, (observation.size(robot),), np.float32),
             spaces.Box(-1.0, 1.0, (action_size(robot.base),), np.float32),
         )
         self.robot = robot
-        self.scale = observation.scale(joints).astype(np.float32)
+        self.scale = observation.scale(robot).astype(np.float32)
 
     @abstractmethod
     def reset(self) -> NDArray[np.float32]:

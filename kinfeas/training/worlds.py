@@ -87,7 +87,8 @@ def physics_judge(config: TrainConfig, offset: int = EVALUATION_SEED) -> Periodi
     assert physics is not None
     changes = {one.name: getattr(physics, one.name) for one in fields(PhysicsChanges)}
     settings = PhysicsSettings(
-        **{**changes, "feasibility_filter": physics.feasibility_filter or world.feasibility_filter},
+        **changes,
+        filters=world.filters,
         dt=world.dt,
         max_failures=MAX_FAILURES,
         max_seconds=world.max_seconds,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import Backend
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.adapter import Adapter

@@ -3,8 +3,8 @@
 import inspect
 from dataclasses import dataclass, field
 
-from kinfeas.control.rollout_planner import RolloutConfig
-from kinfeas.control.subgoals import ExecutionSettings
+from kinfeas.control.adapters import AdapterSpec
+from kinfeas.control.execution import ExecutionSettings
 from kinfeas.core import registry
 from kinfeas.core.backend import Backend
 from kinfeas.core.errors import KinfeasError
@@ -22,7 +22,7 @@ class DeployConfig(ExecutionSettings):
         task: Keyword parameters of the task.
         backend: Keyword parameters of the backend, beside those that every robot gives it.
         ik: How hard IK searches.
-        rollout: How far and how widely it looks, if it looks ahead.
+        filters: Change the policy's commands, in this order.
     """
 
     guards: Guards = field(default_factory=Guards)
@@ -30,7 +30,7 @@ class DeployConfig(ExecutionSettings):
     task: dict[str, object] = field(default_factory=dict)
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
-    rollout: RolloutConfig = field(default_factory=RolloutConfig)
+    filters: tuple[AdapterSpec, ...] = ()
 
 
 def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:

@@ -7,9 +7,9 @@ from signal import SIGHUP, SIGINT, SIGQUIT, SIGTERM
 from typing import Protocol, runtime_checkable
 
 from kinfeas.control.adapters import AdapterSpec
-from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import Backend, RealTimeBackend
-from kinfeas.core.policy import Policy
+from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.sim2real.deploy.guard_config import Guards
@@ -89,6 +89,7 @@ class Setup:
         seconds: How long the run may last.
         seed: Of all that is drawn.
         execution: How EE motions are carried out, before adapters change it.
+        filters: Change the policy's commands, in this order.
         guards: When the run is stopped; in a world that keeps to no clock without those that ask
             one.
         real_time: Whether a simulated world keeps to the clock on the wall.
@@ -104,6 +105,7 @@ class Setup:
     seconds: float = math.inf
     seed: int = 0
     execution: ExecutionConfig = field(default_factory=ExecutionConfig)
+    filters: tuple[CommandFilter, ...] = ()
     guards: Guards = field(default_factory=Guards)
     real_time: bool = True
     clocks: Clocks = field(default_factory=Clocks)

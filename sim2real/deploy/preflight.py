@@ -44,15 +44,15 @@ def preview(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) 
     if guards.max_linear_velocity is None:
         return ""
     planned = top_speed(_sequence(loop, start, rng))
-    execution_of = planned / loop.execution.slow_down
+    execution_of = planned * loop.execution.time_scale
     if execution_of <= guards.max_linear_velocity + _ROUNDING:
         return ""
-    share = max(planned, loop.robot.base.max_velocity) / guards.max_linear_velocity
+    share = guards.max_linear_velocity / max(planned, loop.robot.base.max_velocity)
     return (
         f"guards.max_linear_velocity slows down the base alone, to "
         f"{guards.max_linear_velocity:g} m/s; the hand, which is to "
         f"move at up to {execution_of:.2g} m/s, may leave it behind: "
-        f"--set slow_down={math.ceil(share - _ROUNDING)} slows it down as much"
+        f"--set time_scale={math.floor(100 * share + _ROUNDING) / 100:g} slows it down as much"
     )
 
 
@@ -87,7 +87,7 @@ def _top_speed_of_subgoal(sequence: MotionSequence) -> float:
     fastest = 0.0
     for _ in range(_LONGEST):
         before = sequence.desired
-        sequence.move(sequence.ahead(HORIZON))
+        sequence.move(sequence.plan(HORIZON))
         moved, _ = spatial.distance(sequence.desired, before)
         fastest = max(fastest, moved.item() / HORIZON)
         metres, radians = spatial.distance(sequence.desired, sequence.goal)

@@ -1,66 +1,68 @@
-"""Looking ahead beside the control loop, which must not wait for it."""
+"""The rollout planner in a thread beside the control loop."""
 
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinfeas.control.loop import Loop
-from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner, State
+from kinfeas.control.filters.rollout import RolloutPlanner, State
 from kinfeas.core.policy import Policy, PolicyInput
 from kinfeas.core.rows import Rows
 from kinfeas.core.spatial import Array
 
-_TURN = 5e-4
-"""Seconds."""
+_SWITCH_INTERVAL = 5e-4
+"""Seconds. Python's default, 5 ms, is a quarter of a control period."""
 
 
 class RolloutPlannerThread(RolloutPlanner):
-    """Looks ahead of one robot in a thread of its own.
+    """Plans for one robot in a thread.
 
-    What it finds holds from when it is found. Where the next look is due before that, the policy
-    acts alone until there is an answer, for by then the last one is of the past.
+    An offset is applied from when it is found. If the next plan is due before that, the offset is
+    zero until there is a plan, since the last one is outdated.
     """
 
-    def __init__(self, policy: Policy, rollout: RolloutConfig | None = None) -> None:
-        """Wrap a policy; `watch` must follow before it acts."""
-        super().__init__(policy, rollout)
-        # Policies need not bear to be asked by two threads at a time.
-        self.rehearsed = deepcopy(policy)
-        self._worker: ThreadPoolExecutor | None = None
-        self._coming: Future[Array] | None = None
-        self._interval = _TURN
+    _worker: ThreadPoolExecutor | None = None
+    _coming: Future[Array] | None = None
+    _interval = _SWITCH_INTERVAL
 
-    def watch(self, loop: Loop) -> None:
-        """Look ahead of the motion of `loop`, of one robot, from now on until `close`."""
+    @classmethod
+    def of(cls, planner: RolloutPlanner) -> "RolloutPlannerThread":
+        """Return a planner with the settings of another one."""
+        return cls(**{one.name: getattr(planner, one.name) for one in fields(planner) if one.init})
+
+    def simulated_policy(self, policy: Policy) -> Policy:
+        """Return a copy, since policies need not be thread-safe."""
+        return deepcopy(policy)
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Start the thread; call `close` at the end."""
         self.close()
-        super().watch(loop)
+        super().reset(loop, rows)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="rollout_planner")
         self._interval = sys.getswitchinterval()
-        # Python gives a thread 5 ms before it is another one's turn, a quarter of a period.
-        sys.setswitchinterval(_TURN)
+        sys.setswitchinterval(_SWITCH_INTERVAL)
 
     def close(self) -> None:
-        """End the thread after the look under way; it may be called twice.
-
-        The interpreter's switch interval becomes again what it was before `watch`.
-        """
+        """End the thread after the current plan; further calls do nothing."""
         if self._worker is not None:
             self._worker.shutdown()
             self._worker = self._coming = None
             sys.setswitchinterval(self._interval)
 
-    def act(self, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1], shape (1, 3) or (1, 2)."""
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return the commands with the offsets; arguments as in `CommandFilter`."""
         if self._coming is not None and self._coming.done():
-            self.deviation, self._coming = self._coming.result(), None
-        return super().act(policy_input)
+            self.offset, self._coming = self._coming.result(), None
+        return super().__call__(command, policy_input)
 
-    def look(self, now: State, due: Rows) -> None:
-        """Begin to look for a new deviation."""
+    def replan(self, now: State, due: Rows) -> None:
+        """Begin to look for a new offset."""
         assert self._worker is not None
         if self._coming is None:
             self._coming = self._worker.submit(self.plan, now, due)
         else:
-            self.deviation = np.zeros_like(self.deviation)
+            self.offset = np.zeros_like(self.offset)

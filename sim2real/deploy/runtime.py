@@ -3,7 +3,7 @@
 import signal
 import sys
 import traceback
-from contextlib import closing, nullcontext, suppress
+from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 from kinfeas.control.adapters import execution_of
 from kinfeas.control.drive import action_size
 from kinfeas.control.loop import Loop
-from kinfeas.control.rollout_planner import RolloutPlanner
 from kinfeas.core.backend import plugin_errors
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.plugin_errors import BLAMED
@@ -40,12 +39,12 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
         KinfeasError: If it cannot begin.
     """
     run = _Run(setup, recorder)
-    beside = isinstance(setup.policy, RolloutPlannerThread)
-    with (
-        closing(setup.policy) if beside else nullcontext(),
-        Signals() as signals,
-        closing(run.guarded),
-    ):
+    with ExitStack() as stack:
+        for one in setup.filters:
+            if isinstance(one, RolloutPlannerThread):
+                stack.enter_context(closing(one))
+        signals = stack.enter_context(Signals())
+        stack.enter_context(closing(run.guarded))
         run.connect()
         with run.watch() as watchdog:
             run.start()
@@ -72,10 +71,14 @@ class _Run:
         )
         execution = execution_of(self.guarded, setup.execution)
         self.loop = Loop(
-            setup.solver, build_subgoals(setup.task.subgoals), self.guarded, setup.dt, execution
+            setup.solver,
+            build_subgoals(setup.task.subgoals),
+            self.guarded,
+            setup.dt,
+            execution,
+            setup.filters,
         )
-        if isinstance(setup.policy, RolloutPlanner):
-            setup.policy.watch(self.loop)
+        self.loop.set_policy(setup.policy)
         self.steps = self.failures = 0
         self.began = 0.0
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from kinfeas.control.adapters import AdapterSpec
 from kinfeas.control.loop import Loop
-from kinfeas.control.rollout_planner import RolloutPlanner
 from kinfeas.core import registry, spatial
-from kinfeas.core.policy import Policy
+from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
@@ -28,6 +27,7 @@ def warm_up(
     task: Task,
     dt: float,
     adapters: Sequence[AdapterSpec] = (),
+    filters: Sequence[CommandFilter] = (),
 ) -> None:
     """Let all parts of a run compute something once, but for the robot."""
     robot, rng = solver.robot, np.random.default_rng(0)
@@ -38,9 +38,8 @@ def warm_up(
     )
     analytic = registry.build("kinfeas.backends", "analytic", {})
     backend = Guarded(analytic, robot, Guards().timeless(), adapters=adapters)
-    loop = Loop(solver, build_subgoals(task.subgoals), backend, dt)
-    if isinstance(policy, RolloutPlanner):
-        policy.watch(loop)
+    loop = Loop(solver, build_subgoals(task.subgoals), backend, dt, filters=filters)
+    loop.set_policy(policy)
     loop.start(start, [rng])
     for _ in range(_STEPS):
         loop.step(policy.act(loop.policy_input))

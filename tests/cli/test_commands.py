@@ -11,7 +11,7 @@ from kinfeas.cli.main import app
 from kinfeas.cli.plugin_facts import fields_of
 from kinfeas.config import strict_yaml
 from kinfeas.config.recipes import default_recipe
-from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
+from kinfeas.control.filters.rollout import RolloutConfig, RolloutPlanner
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig

@@ -6,7 +6,7 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config.recipes import recipes
 from kinfeas.control.adapters import AdapterSpec, chain, execution_of, read_sim2real, wrap
-from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput

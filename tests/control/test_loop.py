@@ -5,9 +5,9 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, observe
-from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.checks.adapter import CheckedAdapter

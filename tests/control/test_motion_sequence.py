@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
-from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.core import spatial
 from kinfeas.plugins.linear import Linear
 
@@ -67,7 +67,7 @@ def follow(sequence, steps, arrived=None):
     """Move on, arriving where a row is near or as told, and return all desired poses."""
     seen = []
     for i in range(steps):
-        sequence.move(sequence.ahead(HORIZON))
+        sequence.move(sequence.plan(HORIZON))
         metres, radians = spatial.distance(sequence.desired, sequence.goal)
         near = (metres < 0.02) & (radians < 0.2)
         sequence.advance(near if arrived is None else arrived(i))
@@ -104,7 +104,7 @@ def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
     for _ in range(100):
         twist, state = linear.twist(state, tip, poses(6, 1), np.full(6, HORIZON))
         tip = spatial.integrate(tip, twist, HORIZON)
-        sequence.move(sequence.ahead(HORIZON))
+        sequence.move(sequence.plan(HORIZON))
         error = spatial.distance(spatial.compose(sequence.desired, tool), tip)
         np.testing.assert_allclose(np.stack(error), 0.0, atol=1e-6)
 
@@ -113,7 +113,7 @@ def test_looking_ahead_moves_nothing(robot):
     sequence = begin(robot)
     follow(sequence, 40)
     before = sequence.snapshot()
-    first, second = sequence.ahead(HORIZON), sequence.ahead(HORIZON)
+    first, second = sequence.plan(HORIZON), sequence.plan(HORIZON)
     np.testing.assert_array_equal(first[0], second[0])
     for key, values in sequence.snapshot().items():
         np.testing.assert_array_equal(values, before[key], err_msg=key)
@@ -123,7 +123,7 @@ def test_legs_follow_each_other_from_the_desired_pose(robot):
     sequence = begin(robot, 1)
     subgoals, last = [0], sequence.desired
     for _ in range(3000):
-        sequence.move(sequence.ahead(HORIZON))
+        sequence.move(sequence.plan(HORIZON))
         assert np.linalg.norm(sequence.desired[:, :3] - last[:, :3]) < 0.1  # never a leap
         metres, radians = spatial.distance(sequence.desired, sequence.goal)
         sequence.advance((metres < 0.02) & (radians < 0.2))
@@ -138,20 +138,20 @@ def test_legs_follow_each_other_from_the_desired_pose(robot):
 def test_a_wait_stands_still_for_its_seconds(robot, dt, periods):
     linear = Linear()
     sequence = begin(robot, 2, [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)], dt)
-    sequence.move(sequence.ahead(dt))
+    sequence.move(sequence.plan(dt))
     sequence.advance(np.array([True, False]))
     assert sequence.waiting.tolist() == [periods, 0]
     stood = sequence.desired[0]
     for i in range(periods):
         assert sequence.subgoal[0] == 0
-        np.testing.assert_array_equal(sequence.ahead(HORIZON)[0][0], stood)
+        np.testing.assert_array_equal(sequence.plan(HORIZON).desired[0], stood)
         before = sequence.desired
-        sequence.move(sequence.ahead(dt))
+        sequence.move(sequence.plan(dt))
         np.testing.assert_array_equal(sequence.desired[0], stood)
         assert np.linalg.norm(sequence.desired[1] - before[1]) > 0.0
         sequence.advance(np.array([i % 2 == 0, False]))
     assert sequence.subgoal.tolist() == [1, 0]
-    sequence.move(sequence.ahead(dt))
+    sequence.move(sequence.plan(dt))
     assert np.linalg.norm(sequence.desired[0] - stood) > 0.0
 
 
@@ -268,7 +268,7 @@ def test_a_leg_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at,
     stops, moves = [], []
     for i in range(7):
         before = sequence.desired
-        sequence.move(sequence.ahead(HORIZON))
+        sequence.move(sequence.plan(HORIZON))
         moves.append(bool(np.any(sequence.desired != before)))
         stops.append(bool(sequence.advance(everyone(sequence), np.array([i >= settled_at]))[0]))
     assert stops == [i == stops_at for i in range(7)]
@@ -284,16 +284,16 @@ def test_a_leg_without_a_grip_does_not_settle(robot):
     )
     sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
     assert sequence.advance(everyone(sequence)).all()
-    assert sequence.stands.all()
+    assert sequence.resting.all()
 
 
 def test_rows_that_are_held_stay_where_they_are(robot):
     sequence, paused = begin(robot), np.array([True, False] * 3)
     for subgoal in range(4):
-        before, moves = sequence.desired, sequence.ahead(HORIZON)
+        before, moves = sequence.desired, sequence.plan(HORIZON)
         sequence.move(moves, paused)
         np.testing.assert_array_equal(sequence.desired, np.where(paused[:, None], before, moves[0]))
-        np.testing.assert_array_equal(sequence.ahead(HORIZON)[0][paused], moves[0][paused])
+        np.testing.assert_array_equal(sequence.plan(HORIZON).desired[paused], moves.desired[paused])
         sequence.advance(everyone(sequence))
         if subgoal == 1:
             follow(sequence, 3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
+from kinfeas.control.filters.rollout import RolloutConfig, RolloutPlanner
 from kinfeas.core.metrics import WITHIN
 from kinfeas.envs.world import World
 from kinfeas.evaluation.episodes import run_episodes

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.subgoals import tool_pose
+from kinfeas.control.execution import tool_pose
 from kinfeas.core import spatial
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.waypoints import A_SUBGOAL, draw_goals, draw_waypoints

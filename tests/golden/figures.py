@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import numpy as np
 import onnxruntime
@@ -15,7 +16,7 @@ import onnxruntime
 from kinfeas import config
 from kinfeas.config.recipes import default_recipe
 from kinfeas.control.drive import action_size
-from kinfeas.control.filters.obstacles import ObstacleFilter
+from kinfeas.control.filters.obstacle_distance import ObstacleFilter
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.physics import physics_config
 from kinfeas.envs.world import World
@@ -25,7 +26,7 @@ from kinfeas.evaluation.physics.world import PhysicsTrial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import pretrained
-from kinfeas.policies.loading import load_driver
+from kinfeas.policies.loading import load_policy
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.export import export
@@ -35,16 +36,16 @@ from kinfeas.training.train import train
 
 ROBOTS = ("pr2", "tiago", "hsr")
 TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
-FEASIBILITY_FILTER = "world.feasibility_filter=true"
-ROLLOUT_PLANNER = "rollout_planner:"
+FEASIBILITY_FILTER = 'world.filters=[{"name": "feasibility"}]'
+ROLLOUT_PLANNER = 'world.filters=[{"name": "rollout_planner"}]'
 SEED = 1
 
 
-def episodes(robot, task, count, *settings, planner=""):
+def episodes(robot, task, count, *settings):
     """Return the records of episodes of the pretrained policy in the analytic world."""
     known = load_robot(robot)
     chosen = config.from_mapping(EvaluationConfig, {}, "settings", settings)
-    policy = load_driver(f"{planner}{pretrained.NAME}", known, chosen.rollout)
+    policy = load_policy(pretrained.NAME, known)
     trial = Trial(known, load_task(task, {}), count, SEED, chosen.world)
     return _records(run_trial(trial, policy))
 
@@ -53,7 +54,7 @@ def physics(robot, task, count, *settings):
     """Return the records of episodes of the pretrained policy in PyBullet."""
     known = load_robot(robot)
     chosen = physics_config(known, settings)
-    policy = load_driver(pretrained.NAME, known, chosen.rollout)
+    policy = load_policy(pretrained.NAME, known)
     trial = PhysicsTrial(known, load_task(task, {}), count, SEED, chosen.world)
     records = run_physics(trial, policy)
     return {
@@ -77,8 +78,10 @@ def obstacle_filter(robot, count=300, obstacles=3):
             found = np.where(distances < within, distances, np.inf)
             return ObstacleDistances(0.3 * directions, directions, found)
 
-    limits = ObstacleFilter(base, Around(), 0.03, 0.1).limits(count)
-    return {"commands": commands, "filtered": limits.hold(commands)}
+    loop = SimpleNamespace(robot=SimpleNamespace(base=base), backend=Around(), dt=0.1)
+    one = ObstacleFilter(0.03)
+    one.reset(loop, np.arange(count))
+    return {"commands": commands, "filtered": one.constraints(count).hold(commands)}
 
 
 def ik(robot, count=1000):
@@ -183,10 +186,7 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for r in ROBOTS
         for t in TASKS
     },
-    **{
-        f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, planner=ROLLOUT_PLANNER)
-        for r in ROBOTS
-    },
+    **{f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER) for r in ROBOTS},
     **{f"physics-{r}": partial(physics, r, "drawer", 2) for r in ROBOTS},
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},

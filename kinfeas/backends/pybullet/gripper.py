@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinfeas.backends.pybullet.robot_body import RobotBody, finger_followers
-from kinfeas.control.subgoals import tool_pose
+from kinfeas.control.execution import tool_pose
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 

@@ -1,1 +1,22 @@
-"""Command filters: feasibility and obstacle distance."""
+"""Command filters: feasibility, obstacle distance and rollouts; entry points `kinfeas.filters`.
+
+A filter changes the base commands of a policy before they are sent. The loop applies a list of
+them in order.
+"""
+
+from collections.abc import Sequence
+
+from kinfeas.control.adapters import AdapterSpec
+from kinfeas.core import registry
+from kinfeas.core.policy import CommandFilter
+
+GROUP = "kinfeas.filters"
+
+
+def build_filters(specs: Sequence[AdapterSpec]) -> list[CommandFilter]:
+    """Return the filters of a list, each built with its parameters.
+
+    Raises:
+        KinfeasError: If there is no such filter, or a parameter is invalid.
+    """
+    return [registry.build(GROUP, spec.name, spec.parameters) for spec in specs]

@@ -1,121 +1,87 @@
 """The feasibility filter: base commands that the arm can follow."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import action_size
-from kinfeas.control.filters.obstacles import VelocityConstraints
-from kinfeas.control.kinematic_step import KinematicStep
+from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolution, spread
 from kinfeas.robots.robot import joint_jumps
 
 _CANDIDATES = 32
-"""Commands that are tried where the arm cannot follow."""
-
 _ROUNDS = ((0, 8), (8, _CANDIDATES))
-"""Of the commands, nearest first: those that are tried where none before them was found."""
+"""Ranks, nearest first, of the candidates tried in each round, until one is feasible."""
 
 
 class FeasibilityFilter:
-    """Replaces base commands that the arm could not follow in the next control period.
+    """Replaces infeasible base commands with the nearest feasible candidate.
 
-    Where IK finds no solution that the arm reaches in time, the nearest of a few fixed commands
-    takes the command's place for which it finds one; without any, the command stays. No row depends
-    on the others.
-
-    Attributes:
-        candidates: The commands that are tried, shape (32, a); the first is to stand still.
+    A command is infeasible if IK finds no arm solution for the next control period, or none within
+    the joint velocity limits. Without a feasible candidate the command stays. No row depends on the
+    others. Candidates satisfy the velocity constraints of the obstacle filters before this one.
     """
 
-    def __init__(self, kinematic_step: KinematicStep) -> None:
-        """Set out the commands to try."""
-        self._kinematic_step, self._robot = kinematic_step, kinematic_step.solver.robot
-        self.candidates = 2.0 * spread(_CANDIDATES, action_size(self._robot.base)) - 1.0
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Use the kinematics of a loop; arguments as in `CommandFilter`."""
+        self._loop, self._robot = loop, loop.robot
+        self.candidates: Array = 2.0 * spread(_CANDIDATES, loop.action_size) - 1.0
 
-    def __call__(
-        self,
-        action: Array,
-        base_pose: Array,
-        desired: Array,
-        joints: Array,
-        paused: NDArray[np.bool_] | None = None,
-        limits: VelocityConstraints | None = None,
-    ) -> tuple[Array, IkSolution]:
-        """Return base twists and arm solutions for the feasible commands nearest to `action`.
-
-        Args:
-            action: Wanted base commands; these and the others are as for `KinematicStep`.
-            base_pose: World pose of the base.
-            desired: World pose of the EE at the end of the period.
-            joints: Arm joints that were last commanded.
-            paused: Rows that stand still and are left alone, shape (n,); none by default.
-            limits: What the commands that are tried keep; `action` keeps it already.
-        """
-        twist, arm = self._kinematic_step(
-            action, base_pose, desired, joints, allow_reconfiguration=False
-        )
-        late = np.flatnonzero(~self._in_time(joints, arm))
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return feasible commands where there are any; arguments as in `CommandFilter`."""
+        loop = self._loop
+        inputs = (loop.state.base_pose, loop.next_desired, loop.joint_command)
+        twist, arm = loop.kinematic_step(command, *inputs, allow_reconfiguration=False)
+        late = np.flatnonzero(~self._in_time(loop.joint_command, arm))
         if late.size:
-            stands = (base_pose[late], desired[late], joints[late])
-            free = np.ones(late.size, dtype=bool) if paused is None else ~paused[late]
-            within = None if limits is None else limits.of(late)
-            aside = self._aside(action[late], stands, np.flatnonzero(free), within)
-            twist[late], found = self._kinematic_step(aside, *stands)
+            command = command.copy()
+            inputs = tuple(values[late] for values in inputs)
+            free = np.arange(late.size)
+            if loop.paused is not None:
+                free = np.flatnonzero(~loop.paused[late])
+            self._replace(command, late, inputs, free)
+            twist[late], found = loop.kinematic_step(command[late], *inputs)
             arm.put(late, found)
-        return twist, arm
+        loop.solved = command, twist, arm
+        return command
 
-    def _aside(
-        self,
-        action: Array,
-        stands: tuple[Array, Array, Array],
-        rows: NDArray[np.intp],
-        limits: VelocityConstraints | None,
-    ) -> Array:
-        """Return other commands for some of m rows, and the same for others or where none helps.
+    def _replace(
+        self, command: Array, late: NDArray[np.intp], inputs: tuple[Array, ...], rows: Any
+    ) -> None:
+        """Put the nearest feasible candidates into `command`.
 
         Args:
-            action: Commands that the arm cannot follow, shape (m, a).
-            stands: Base poses, desired poses and arm joints.
-            rows: Of these, who may have another command.
-            limits: What others keep, or none.
+            command: Commands of all robots, shape (n, a).
+            late: Robots with infeasible commands, shape (m,).
+            inputs: Their base poses, desired poses and arm joints.
+            rows: Indices into these m of the robots that may get another command.
         """
-        taken = action.copy()
-        away = np.linalg.norm(self.candidates - action[rows, np.newaxis], axis=2)
+        constraints = self._loop.velocity_constraints
+        away = np.linalg.norm(self.candidates - command[late[rows], np.newaxis], axis=2)
         order = away.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
             if not rows.size:
                 break
             tries = self.candidates[order[:, first:last]]
-            if limits is not None:
-                tries = limits.of(rows).hold(tries)
-            follows = self._follows(tries, *(values[rows] for values in stands))
-            feasibility_filter = follows.any(axis=1)
-            taken[rows[feasibility_filter]] = tries[
-                feasibility_filter, follows[feasibility_filter].argmax(axis=1)
-            ]
-            rows, order = rows[~feasibility_filter], order[~feasibility_filter]
-        return taken
+            if constraints is not None:
+                tries = constraints.of(late[rows]).hold(tries)
+            feasible = self._feasible(tries, *(values[rows] for values in inputs))
+            found = feasible.any(axis=1)
+            command[late[rows[found]]] = tries[found, feasible[found].argmax(axis=1)]
+            rows, order = rows[~found], order[~found]
 
-    def _follows(
+    def _feasible(
         self, tries: Array, base_pose: Array, desired: Array, joints: Array
     ) -> NDArray[np.bool_]:
-        """Return whether the arm can be in time where commands need it, shape (m, k).
-
-        Args:
-            tries: k commands for each of m rows, shape (m, k, a).
-            base_pose: Of these rows, as are the others, shape (m, 7).
-            desired: Shape (m, 7).
-            joints: Shape (m, j).
-        """
+        """Return whether the arm can follow each of k commands for m robots, shape (m, k)."""
         m, k, size = tries.shape
-        stands = [values.repeat(k, axis=0) for values in (base_pose, desired, joints)]
-        _, arm = self._kinematic_step(
-            tries.reshape(m * k, size), *stands, allow_reconfiguration=False
+        inputs = [values.repeat(k, axis=0) for values in (base_pose, desired, joints)]
+        _, arm = self._loop.kinematic_step(
+            tries.reshape(m * k, size), *inputs, allow_reconfiguration=False
         )
-        return self._in_time(stands[-1], arm).reshape(m, k)
+        return self._in_time(inputs[-1], arm).reshape(m, k)
 
     def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
-        return arm.feasible & ~joint_jumps(
-            self._robot, joints, arm.joint_positions, self._kinematic_step.dt
-        )
+        jumps = joint_jumps(self._robot, joints, arm.joint_positions, self._loop.dt)
+        return arm.feasible & ~jumps

@@ -31,10 +31,9 @@ class PhysicsSummary(Summary, PhysicsMetrics):
     """The figures of a policy, and what they are of: pace as adapters, too, have made it."""
 
     world: Literal["pybullet"]
-    slow_down: float
+    time_scale: float
     head_start: float
-    feasibility_filter: bool
-    min_obstacle_distance: float
+    filters: list[str]
     objects: bool
 
 
@@ -71,10 +70,9 @@ def evaluate_physics(  # noqa: PLR0913 - as `evaluate`
         "policy": name,
         "seed": trial.seed,
         "world": "pybullet",
-        "slow_down": execution.slow_down,
+        "time_scale": execution.time_scale,
         "head_start": execution.head_start,
-        "feasibility_filter": execution.feasibility_filter,
-        "min_obstacle_distance": execution.min_obstacle_distance,
+        "filters": [one.name for one in trial.settings.filters],
         "objects": trial.settings.objects,
         **physics_figures(records, judged=is_judged(trial)),
         "ceiling": ceiling.value if ceiling else None,

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.pybullet.stage import Stage
 from kinfeas.control.adapters import execution_of, wrap
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Rows
-from kinfeas.control.subgoals import ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.core.policy import Policy

@@ -53,7 +53,7 @@ class WholeBodyQp:
 
     def act(self, policy_input: PolicyInput) -> Array:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
-        joints = policy_input.observation[:, -len(self.robot.arm) :]
+        joints = policy_input.joint_positions
         targets = relative(policy_input.planned, policy_input.base_pose)
         actions = np.empty((len(joints), action_size(self.robot.base)))
         for row, (target, q) in enumerate(zip(targets, joints, strict=True)):

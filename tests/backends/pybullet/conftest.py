@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinfeas.control.subgoals import tool_pose
+from kinfeas.control.execution import tool_pose
 from kinfeas.core import spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.scenes.scene import read_scene

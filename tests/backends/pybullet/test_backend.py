@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.loop import Loop
-from kinfeas.control.subgoals import SubgoalMotion
 from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start

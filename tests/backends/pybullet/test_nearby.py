@@ -3,8 +3,8 @@ import pytest
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.nearby import Surroundings
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.loop import Loop
-from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
 from kinfeas.core import spatial
 from kinfeas.core.backend import SupportsObstacleDistances
 from kinfeas.core.start import Start

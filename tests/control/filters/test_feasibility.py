@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.kinematic_step import KinematicStep
-from kinfeas.control.subgoals import ExecutionConfig
 from kinfeas.core import spatial
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes

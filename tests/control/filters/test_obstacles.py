@@ -6,12 +6,12 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.filters.obstacles import ObstacleFilter
+from kinfeas.control.filters.obstacle_distance import ObstacleFilter
+from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.control.loop import Loop
-from kinfeas.control.rollout_planner import RolloutPlanner
-from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
 from kinfeas.core import spatial
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.errors import KinfeasError

@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.adapters import AdapterSpec, wrap
-from kinfeas.control.subgoals import ExecutionAdapter, ExecutionConfig
+from kinfeas.control.execution import ExecutionAdapter, ExecutionConfig
 from kinfeas.core.backend import Resumable
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig

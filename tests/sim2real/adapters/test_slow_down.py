@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.adapters import AdapterSpec, execution_of, wrap
-from kinfeas.control.subgoals import ExecutionConfig
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.tasks.ggr import ggr

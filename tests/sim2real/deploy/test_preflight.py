@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import MotionSequence
-from kinfeas.control.subgoals import ExecutionConfig, SubgoalMotion
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver

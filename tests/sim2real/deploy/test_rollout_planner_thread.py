@@ -5,7 +5,7 @@ from copy import copy
 import numpy as np
 import pytest
 
-from kinfeas.control.rollout_planner import RolloutConfig, RolloutPlanner
+from kinfeas.control.filters.rollout import RolloutConfig, RolloutPlanner
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.policies.loading import load_policy

@@ -1,0 +1,114 @@
+"""Sub-goals, their tolerances, and the execution of motions."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from kinfeas.config.quantities import TIME_SCALES, Seconds, TimeScale
+from kinfeas.core import spatial
+from kinfeas.core.backend import Grip
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Robot
+
+Frame = Literal["ee", "tip"]
+
+GRASP_METRES, GRASP_SETTLE_TIME = 0.005, 5.0
+"""Distance to the end of a sub-goal at which a gripper acts, and the longest wait for it, s."""
+
+RECONFIGURATION_SECONDS, ARM_SETTLE_TIMEOUT = 0.15, 8.0
+"""An arm further from its command than this time at full joint velocity is reconfiguring, rather
+than lagging; and the longest pause for a reconfiguration."""
+
+
+@dataclass(frozen=True)
+class SubgoalMotion:
+    """One sub-goal of a motion sequence with its motion generator.
+
+    Attributes:
+        generator: Moves the frame; sub-goals may share one.
+        frame: Whether it moves the EE frame or the tool tip in the common gripper convention.
+        dwell: Seconds that the EE rests after its arrival, unless it is the last sub-goal.
+        grip: Command to the gripper at the end of the sub-goal.
+        name: Name of the generator in errors; its class by default.
+    """
+
+    generator: MotionGenerator
+    frame: Frame = "ee"
+    dwell: float = 0.0
+    grip: Grip | None = None
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class ExecutionConfig:
+    """Execution of motions by robots with inertia.
+
+    Attributes:
+        time_scale: Speed of the EE motion as a share of the planned one; dwells keep their time.
+        head_start: Seconds that the EE rests at first while the base moves already.
+        grasp_settle_time: Motion seconds for which a sub-goal with a grip continues after the
+            arrival, to bring the EE within `GRASP_METRES` of its end.
+        head_start_jitter: Upper bound of the seconds by which each episode's head start is longer.
+        arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
+            another configuration that is further away than `RECONFIGURATION_SECONDS`.
+    """
+
+    time_scale: TimeScale = 1.0
+    head_start: Seconds = 0.0
+    grasp_settle_time: Seconds = 0.0
+    head_start_jitter: Seconds = 0.0
+    arm_settle_timeout: Seconds = 0.0
+
+    def __post_init__(self) -> None:
+        """Check values that adapters may have changed."""
+        if self.time_scale not in TIME_SCALES:
+            raise KinfeasError(f"time_scale must be {TIME_SCALES} in all, not {self.time_scale:g}")
+        for name in ("head_start", "grasp_settle_time", "head_start_jitter", "arm_settle_timeout"):
+            seconds = getattr(self, name)
+            if not 0.0 <= seconds < math.inf:
+                raise KinfeasError(f"{name} must be a number >= 0 in all, not {seconds:g}")
+
+
+@dataclass(frozen=True)
+class ExecutionSettings:
+    """Settings of the execution of a robot with inertia.
+
+    Attributes:
+        time_scale: Speed of the EE motions as a share of the planned one.
+        head_start: Seconds that the EE rests at first while the base moves already.
+        arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
+            another configuration.
+    """
+
+    time_scale: TimeScale = 1.0
+    head_start: Seconds = 0.0
+    arm_settle_timeout: Seconds = ARM_SETTLE_TIMEOUT
+
+    @property
+    def execution(self) -> ExecutionConfig:
+        """Execution with these settings."""
+        return ExecutionConfig(
+            self.time_scale,
+            self.head_start,
+            GRASP_SETTLE_TIME,
+            arm_settle_timeout=self.arm_settle_timeout,
+        )
+
+
+@runtime_checkable
+class ExecutionAdapter(Protocol):
+    """An adapter that changes the execution of motions."""
+
+    def execution(self, execution: ExecutionConfig) -> ExecutionConfig:
+        """Return the execution within this adapter."""
+        ...
+
+
+def tool_pose(robot: Robot) -> Array:
+    """Return the tool tip, x the approach and y the finger axis, in the EE frame, shape (7,)."""
+    x, y, z, w = robot.gripper_rotation
+    return np.concatenate([robot.tool_tip, spatial.canonical(np.array([-x, -y, -z, w]))])

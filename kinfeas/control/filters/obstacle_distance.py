@@ -1,0 +1,152 @@
+"""The obstacle filter: base commands that keep a distance from obstacles."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.config import Interval
+from kinfeas.control.adapters import chain
+from kinfeas.control.drive import action_size, carried_out
+from kinfeas.control.filters.half_spaces import project
+from kinfeas.core.backend import (
+    ObstacleDistances,
+    SupportsObstacleDistances,
+    plugin_errors,
+)
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.policy import PolicyInput
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Base
+
+_RIM = 0.5
+"""Radius in metres at which a turning base is assumed to have its rim."""
+
+_LEVER = 0.05
+"""Radius in metres by which rotations are compared with translations. It is small, so that a base
+turns aside before it leaves the path of its arm."""
+
+_SLACK = 1e-6
+"""Velocity in m/s by which rounding may exceed a constraint."""
+
+
+@dataclass(frozen=True)
+class VelocityConstraints:
+    """Linear constraints on base velocities u of n robots: `normal @ u <= limit`.
+
+    Attributes:
+        full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `_LEVER`.
+        normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
+        limit: Allowed approach velocities, shape (n, k), m/s, at least 0; inf without obstacle.
+    """
+
+    full: Array
+    normal: Array
+    limit: Array
+
+    def of(self, rows: NDArray[np.intp]) -> "VelocityConstraints":
+        """Return the constraints of some rows."""
+        return VelocityConstraints(self.full, self.normal[rows], self.limit[rows])
+
+    def hold(self, action: Array) -> Array:
+        """Return the commands nearest to `action` that satisfy the constraints.
+
+        Commands that satisfy them stay bit-identical. No row depends on the others.
+
+        Args:
+            action: Base commands, shape (n, t, a): t for each row.
+        """
+        velocity = carried_out(action) * self.full
+        breach = project(velocity, self.normal, self.limit, _SLACK)
+        held = velocity / self.full
+        # A detour that is faster than the base can drive slows the whole command down.
+        speed = np.linalg.norm(held[..., :-1], axis=-1, keepdims=True)
+        return np.where(breach[..., np.newaxis], held / np.maximum(speed, 1.0), action)
+
+
+class ObstacleFilter:
+    """Limits the velocity towards near obstacles, so that the base can brake in time.
+
+    A velocity damper (Faverjon and Tournassoud, "A local based approach for path planning of
+    manipulators with a high number of degrees of freedom", 1987). The backend must measure
+    distances to obstacles.
+
+    Args:
+        min_distance: Distance that the base keeps from obstacles, metres.
+    """
+
+    def __init__(self, min_distance: Annotated[float, Interval(low=0.0, high=10.0)] = 0.03) -> None:
+        self.min_distance = min_distance
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Use the backend and the base of a loop; arguments as in `CommandFilter`.
+
+        Raises:
+            KinfeasError: If the backend does not measure distances to obstacles.
+        """
+        self._loop, base = loop, loop.robot.base
+        *_, self._innermost = chain(loop.backend)
+        if not isinstance(loop.backend, SupportsObstacleDistances):
+            raise KinfeasError(
+                "the filter obstacle_distance needs a backend that measures distances to "
+                f"obstacles; {type(self._innermost).__name__} does not"
+            )
+        self._full = _full_velocity(base)
+        fastest = base.max_velocity + base.max_rotation * _RIM
+        self._braking = min(base.max_acceleration, base.max_rotation_acceleration * _RIM)
+        # Obstacles further away do not limit the base.
+        way = max(fastest**2 / self._braking, 2.0 * loop.dt * fastest)
+        self._range = self.min_distance + way
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return commands that keep the distance; arguments as in `CommandFilter`."""
+        constraints = self.constraints(len(command))
+        self._loop.velocity_constraints = constraints
+        return constraints.hold(command[:, np.newaxis])[:, 0]
+
+    def constraints(self, n: int) -> VelocityConstraints:
+        """Return the velocity constraints of n bases now.
+
+        Half of the braking that the base is capable of suffices, and a control period uses at most
+        half of the remaining distance.
+
+        Raises:
+            KinfeasError: If the backend fails or returns something else.
+        """
+        with plugin_errors(self._innermost, "obstacle_distances"):
+            found: Any = self._loop.backend.obstacle_distances(self._range)
+        name = type(self._innermost).__name__
+        if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
+            raise KinfeasError(
+                f"backend {name} must return ObstacleDistances of {n} robots from "
+                f"obstacle_distances, not {type(found).__name__}"
+            )
+        way = np.maximum(found.distance - self.min_distance, 0.0)
+        limit = np.minimum(np.sqrt(self._braking * way), way / (2.0 * self._loop.dt))
+        normal = _approach(found, len(self._full))
+        # The rotation limit is a constraint as well, so that a projection does not exceed it.
+        turns = np.zeros((n, 2, len(self._full)))
+        turns[:, :, -1] = [1.0, -1.0]
+        fastest = np.full((n, 2), self._full[-1])
+        return VelocityConstraints(
+            self._full,
+            np.concatenate([normal, turns], axis=1),
+            np.concatenate([limit, fastest], axis=1),
+        )
+
+
+def _full_velocity(base: Base) -> Array:
+    """Return the velocities of a full command, shape (a,), m/s."""
+    translations = action_size(base) - 1
+    return np.array([*[base.max_velocity] * translations, base.max_rotation * _LEVER])
+
+
+def _approach(found: ObstacleDistances, size: int) -> Array:
+    """Return the share of each of `size` velocities that approaches each obstacle, (n, k, size)."""
+    turn = (
+        found.normal[..., 1] * found.closest_point[..., 0]
+        - found.normal[..., 0] * found.closest_point[..., 1]
+    )
+    translations = found.normal[..., : size - 1]
+    return np.concatenate([translations, turn[..., np.newaxis] / _LEVER], axis=-1)

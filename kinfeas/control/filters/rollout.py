@@ -1,0 +1,169 @@
+"""The rollout planner: simulates the policy and changes commands that would lead to failures."""
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from kinfeas.config import Interval
+from kinfeas.config.quantities import LONGEST, PositiveSeconds, Share
+from kinfeas.control.loop import Loop, Rows
+from kinfeas.control.observation import HORIZON
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import WITHIN
+from kinfeas.core.policy import Policy, PolicyInput, RecurrentPolicy
+from kinfeas.core.spatial import Array
+from kinfeas.kinematics.ik import IkSolver, spread
+
+_RESTARTS = 2
+"""Of IK in rollouts; the loop itself uses more."""
+
+_FEW = 8
+"""Samples of the first round; the second round simulates the others where none of them helps."""
+
+_ROUNDING = 1e-6
+"""Of a number of periods, which must not add a period to a whole number."""
+
+_FINISHED = 0.1
+"""Share of finished rollouts from which on they are dropped from the batch."""
+
+_DISCOUNT = 0.99
+"""Of the cost, for each period of `HORIZON`."""
+
+State = dict[str, NDArray[np.generic]]
+"""Result of `Loop.kinematic_state` for n rows."""
+
+
+@dataclass(eq=False)
+class RolloutPlanner:
+    """Rolls the policy out and changes commands if it predicts IK failures, jumps or deviations.
+
+    Every `replan_interval` seconds it simulates the policy without dynamics and noise. If the
+    rollout has a cost, it simulates the policy plus each of the same few constant offsets and
+    applies the offset of least cost until the next plan. No row depends on the others.
+
+    Attributes:
+        horizon: Seconds of control in a rollout.
+        replan_interval: Seconds between plans.
+        num_samples: Offsets that are simulated where the policy has a cost; the first is zero.
+        noise_std: Standard deviation of the offsets, in units of the action.
+        jump_cost: Cost of a joint jump; an IK failure costs 1.
+        deviation_cost: Cost of a feasible step with more than 5 cm deviation.
+        offset: Sum that is added to the commands now, shape (n, a).
+    """
+
+    horizon: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
+    replan_interval: PositiveSeconds = 0.5
+    num_samples: Annotated[int, Interval(low=1, high=1000)] = 32
+    noise_std: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
+    jump_cost: Share = 0.1
+    deviation_cost: Share = 0.1
+    offset: Array = field(default_factory=lambda: np.zeros((0, 0)), init=False)
+    _loop: Any = field(default=None, init=False, repr=False)
+
+    def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
+        """Plan for the motions of a loop; arguments as in `CommandFilter`.
+
+        Raises:
+            KinfeasError: If the loop has no policy, or one with a state of its own.
+        """
+        if loop.policy is None or isinstance(loop.policy, RecurrentPolicy):
+            raise KinfeasError("the filter rollout_planner needs a policy without a state")
+        if loop is not self._loop:
+            self._connect(loop)
+        if len(loop.desired) != len(self.offset):
+            self.offset = np.zeros((len(loop.desired), loop.action_size))
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return the commands with the offsets; arguments as in `CommandFilter`."""
+        due = np.flatnonzero(self._loop.periods % self._every == 0)
+        if due.size:
+            self.replan(self._now(), due)
+        return np.clip(command + self.offset, -1.0, 1.0)
+
+    def replan(self, now: State, due: Rows) -> None:
+        """Find new offsets for the rows that are due."""
+        self.offset[due] = self.plan(now, due)
+
+    def plan(self, now: State, due: Rows) -> Array:
+        """Return the offsets of least cost for m rows, shape (m, a); the loop is not touched."""
+        best = np.zeros((len(due), self._loop.action_size))
+        costs, fails = self._rollout(now, due, best[:, np.newaxis], np.full(len(due), np.inf))
+        cost, stuck = costs[:, 0], fails[:, 0]
+        # A row that fails already finds a way out nearby or, as a rule, nowhere.
+        everyone = np.ones_like(stuck)
+        for samples, chosen in ((self._samples[1:_FEW], everyone), (self._samples[_FEW:], ~stuck)):
+            bad = np.flatnonzero(chosen & (cost > 0.0))
+            if not (bad.size and len(samples)):
+                continue
+            offsets = np.broadcast_to(samples, (len(bad), *samples.shape))
+            costs, _ = self._rollout(now, due[bad], offsets, cost[bad])
+            winner = costs.argmin(axis=1)
+            least = costs[np.arange(len(bad)), winner]
+            better = least < cost[bad]
+            best[bad[better]], cost[bad[better]] = samples[winner[better]], least[better]
+        return best
+
+    def simulated_policy(self, policy: Policy) -> Policy:
+        """Return the policy that is called in rollouts."""
+        return policy
+
+    def _connect(self, loop: Any) -> None:
+        """Build the simulated loop: without physics, filters and pauses."""
+        self._loop = loop
+        solver = IkSolver(loop.robot, replace(loop.solver.options, restarts=_RESTARTS))
+        execution = replace(loop.execution, arm_settle_timeout=0.0)
+        analytic = registry.build("kinfeas.backends", "analytic", {})
+        self._twin = Loop(solver, loop.sequence.subgoals, analytic, HORIZON, execution)
+        self._policy = self.simulated_policy(loop.policy)
+        self._twin.set_policy(self._policy)
+        self._every = max(1, round(self.replan_interval / loop.dt))
+        # Normally distributed and evenly spread; the first is zero, the policy alone.
+        self._samples = ndtri(spread(self.num_samples, loop.action_size)) * self.noise_std
+        self.offset = np.zeros((0, loop.action_size))
+
+    def _now(self) -> State:
+        """Return a copy of the state in control periods of `HORIZON`."""
+        loop, state = self._loop, self._loop.kinematic_state()
+        away = state["waiting"] * loop.dt / HORIZON
+        state["waiting"] = (np.sign(away) * np.ceil(np.abs(away) - _ROUNDING)).astype(np.intp)
+        return {key: values.copy() for key, values in state.items()}
+
+    def _rollout(
+        self, now: State, rows: Rows, offsets: Array, limit: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the cost of rollouts, and which fail in the first period, shapes (m, k).
+
+        Args:
+            now: State of all rows.
+            rows: The m rows to simulate.
+            offsets: Added to their actions, shape (m, k, a).
+            limit: Costs beyond which a rollout is aborted, shape (m,).
+        """
+        m, k, size = offsets.shape
+        twin = self._twin
+        twin.restore({key: np.repeat(values[rows], k, axis=0) for key, values in now.items()})
+        going, added, limit = np.arange(m * k), offsets.reshape(m * k, size), limit.repeat(k)
+        cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
+        stuck = over.copy()
+        for period in range(round(self.horizon / HORIZON)):
+            action = self._policy.act(twin.policy_input) + added[going]
+            step = twin.step(np.clip(action, -1.0, 1.0))
+            failure = 1.0 + step.position_error + step.rotation_error
+            deviates = step.position_error > WITHIN
+            less = self.jump_cost * step.joint_jump + self.deviation_cost * deviates
+            price = np.where(step.feasible, less, failure)
+            cost[going] += np.where(over, 0.0, price * _DISCOUNT**period)
+            if period == 0:
+                stuck = ~step.feasible
+            over |= step.finished | (cost[going] > limit[going])
+            if over.all():
+                break
+            if over.mean() >= _FINISHED:
+                going, state = going[~over], twin.kinematic_state()
+                twin.restore({key: values[~over] for key, values in state.items()})
+                over = over[~over]
+        return cost.reshape(m, k), stuck.reshape(m, k)
