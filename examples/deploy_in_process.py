@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.core import registry
 from kinfeas.io.run_log import About, Recorder, read_record
 from kinfeas.kinematics.ik import IkSolver
@@ -26,7 +26,7 @@ def main() -> None:
 
     robot = load_robot("pr2")
     solver, dt = IkSolver(robot), 0.02
-    noise = AdapterSpec("base_noise", {"linear": 0.015, "angular": 0.015})
+    noise = PluginSpec("base_noise", {"linear": 0.015, "angular": 0.015})
     policy = load_policy("pretrained", robot)
     task = make_goal_task((1.0, 0.5, 0.8), None, MotionSpec("minimum_jerk"))
     warm_up(solver, policy, task, dt, [noise])

@@ -29,9 +29,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import Interval, no_such, strict_yaml
+from kinfeas.config import Interval, strict_yaml
 from kinfeas.config.quantities import Count, PositiveShare
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
 from kinfeas.io.files import is_path

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import no_such
 from kinfeas.config.quantities import Vector
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.io.files import is_path, reading
 from kinfeas.robots.urdf import Urdf, parse_urdf

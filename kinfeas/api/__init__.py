@@ -15,8 +15,8 @@ from kinfeas.cli.export import export_policy, facts
 from kinfeas.cli.output import check_file_path, check_suffix
 from kinfeas.cli.policy_robot import check_policy, robot_of
 from kinfeas.cli.train_settings import Wishes, default_folder, read_settings, write_evaluation
+from kinfeas.config import Interval, convert
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
-from kinfeas.config.schema import Interval, Place, convert
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def evaluate(  # noqa: PLR0913 - the options of the command
         ("seed", seed, 0, LAST_SEED),
         ("processes", processes, 1, MOST_PROCESSES),
     ):
-        convert(Annotated[int, Interval(low=low, high=high)], value, Place(key))
+        convert(Annotated[int, Interval(low=low, high=high)], value, "the arguments", key)
     trial, driver = by_name.make_trial(
         names, world, count, seed, options.with_filters(filters, _assignments(settings))
     )

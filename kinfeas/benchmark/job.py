@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig
 from kinfeas.tasks.loading import task_name
@@ -78,7 +78,7 @@ def world_for(policy: str, world: W) -> W:
     """Return the world of a policy by its name in the table, with the filters in its name."""
     named = [one.removesuffix("_filter") for one in FILTERS if f"{one}:" in policy]
     present = [one.name for one in world.filters]
-    before: list[AdapterSpec] = [AdapterSpec(one) for one in named if one == FILTERS[0]]
+    before: list[PluginSpec] = [PluginSpec(one) for one in named if one == FILTERS[0]]
     late = [one for one in named if one != FILTERS[0] and one not in present]
-    after: list[AdapterSpec] = [AdapterSpec(one) for one in late]
+    after: list[PluginSpec] = [PluginSpec(one) for one in late]
     return replace(world, filters=(*before, *world.filters, *after))

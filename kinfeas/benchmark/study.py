@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from kinfeas import config
 from kinfeas.benchmark.checks import check_names, check_robots, check_task
 from kinfeas.benchmark.job import FILTERS
-from kinfeas.config import Interval, no_such
+from kinfeas.config import Interval
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import find_recipe
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.envs.physics import PhysicsSettings, physics_config
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation.evaluate import evaluation_world
@@ -247,8 +247,7 @@ def row_settings(physics: PhysicsBenchmark, row: PhysicsRow, robot: str) -> Phys
         KinfeasError: If a setting is wrong, or is none of the world.
     """
     said = [*physics.settings, *row.settings]
-    with config.plugin_errors("the settings of 'physics':"):
-        known = physics_config(load_robot(robot), said)
+    known = physics_config(load_robot(robot), said)
     if ignored := sorted(config.assigned(said).keys() - {"world"}):
         raise KinfeasError(
             f"the settings of 'physics' in a study may be world.KEY=VALUE, not {ignored[0]}.KEY"

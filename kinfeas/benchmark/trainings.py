@@ -31,8 +31,7 @@ def settings_of(training: Training, seed: int) -> TrainConfig:
     if training.steps is not None or training.minutes is not None:
         said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
     own = [f"{key}={json.dumps(value)}" for key, value in said.items()]
-    with config.plugin_errors(f"the settings of the training of {training.robot}:"):
-        return config.load(TrainConfig, path, [*own, *training.settings])
+    return config.load(TrainConfig, path, [*own, *training.settings])
 
 
 def to_train(study: BenchmarkConfig, out: Path) -> list[tuple[TrainConfig, Path]]:

@@ -24,7 +24,7 @@ from kinfeas.cli.output import check_file_path
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 
 if TYPE_CHECKING:
-    from kinfeas.control.adapters import AdapterSpec
+    from kinfeas.config import PluginSpec
     from kinfeas.robots.robot import Robot
     from kinfeas.tasks.task import Task
 
@@ -169,7 +169,7 @@ def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
     Raises:
         KinfeasError: If a value has a wrong type or range.
     """
-    from kinfeas.config.schema import Place, convert
+    from kinfeas.config import convert
 
     for option, (key, value) in said.items():
         kind: Any = cls
@@ -178,7 +178,7 @@ def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
         if get_origin(kind) in (Union, UnionType):  # null is nothing that an option can say
             kind = next(one for one in get_args(kind) if one is not NoneType)
         if value is not None:
-            convert(kind, value, Place(option))
+            convert(kind, value, option, key)
 
 
 def check_robot(name: str | None) -> None:
@@ -203,7 +203,7 @@ def read_robot(name: str) -> "Robot":
     return load_robot(name)
 
 
-def read_adapters(name: str) -> "tuple[AdapterSpec, ...]":
+def read_adapters(name: str) -> "tuple[PluginSpec, ...]":
     """Return the adapters that `--adapters` names."""
     from kinfeas.control.adapters import read_sim2real
 

@@ -9,9 +9,8 @@ from typing import Any
 
 from kinfeas.cli.docstrings import Docstring, read_docstring, unit
 from kinfeas.config import strict_yaml
-from kinfeas.config.schema import no_such
 from kinfeas.core import registry
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.plugin_errors import PluginErrors
 from kinfeas.core.registry import GROUPS, Plugin
 from kinfeas.robots.loading import check_no_urdf, load_robot

@@ -1,93 +1,153 @@
-"""Configuration: YAML into frozen dataclasses, strictly, and back.
+"""Configuration: YAML files and `KEY=VALUE` assignments as frozen dataclasses, and back.
 
-The dataclass is the schema; `kinfeas.config.schema` says which types its fields may have.
+A dataclass is the schema. Pydantic validates its fields in strict mode: unknown keys, values of
+another type, NaN and infinity raise an error with the path of the key. `quantities` has numbers
+with bounds. A dataclass checks what involves two fields in `__post_init__` and raises ValueError.
 """
 
-import copy
+import math
+import reprlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import MISSING, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
+
+from annotated_types import Ge, GroupedMetadata, Gt, Le, Lt
 
 from kinfeas.config import strict_yaml
-from kinfeas.config.schema import Interval, Place, convert_dataclass, default, init_fields, no_such
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 
-__all__ = [
-    "Interval",
-    "dump",
-    "from_mapping",
-    "index_in",
-    "load",
-    "no_such",
-    "plugin_errors",
-    "to_mapping",
-]
+if TYPE_CHECKING:  # takes 0.1 s to import
+    from pydantic import TypeAdapter, ValidationError
 
 T = TypeVar("T")
 
-_OPTION = "--set"
-"""Where assignments stand as a rule, named in errors."""
+
+@dataclass(frozen=True)
+class Interval(GroupedMetadata):
+    """The finite numbers from `low` to `high`, ends included unless open; annotates a number."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    open_high: bool = False
+
+    def __iter__(self) -> Iterator[Ge | Gt | Le | Lt]:
+        """Yield the bounds in the form that pydantic reads."""
+        if self.low > -math.inf:
+            yield Gt(self.low) if self.open_low else Ge(self.low)
+        if self.high < math.inf:
+            yield Lt(self.high) if self.open_high else Le(self.high)
+
+    def __contains__(self, value: float) -> bool:
+        """Return whether `value` is finite and within the bounds."""
+        above = self.low < value if self.open_low else self.low <= value
+        below = value < self.high if self.open_high else value <= self.high
+        return math.isfinite(value) and above and below
+
+    def __str__(self) -> str:
+        """Return the interval as `in (0, 1]`."""
+        ends = "(" if self.open_low else "[", ")" if self.open_high else "]"
+        return f"in {ends[0]}{self.low:g}, {self.high:g}{ends[1]}"
+
+
+@dataclass(frozen=True)
+class PluginSpec:
+    """A plugin by name, with its keyword parameters.
+
+    In YAML, `velocity_clamp` is short for `{name: velocity_clamp}`. Parameters are keys beside
+    `name`, or below `parameters`: `{name: obstacle_distance, min_distance: 0.03}`.
+
+    Attributes:
+        name: Entry-point name.
+        parameters: Keyword parameters.
+    """
+
+    name: str
+    parameters: dict[str, object] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, data: object) -> "PluginSpec":
+        """Return the plugin that plain data describes.
+
+        Raises:
+            ValueError: If it has no name, or its parameters are no mapping.
+        """
+        entry = {"name": data} if isinstance(data, str) else data
+        if not isinstance(entry, Mapping) or not isinstance(entry.get("name"), str):
+            raise ValueError("must be a name, or a mapping with the key 'name'")
+        flat = {key: value for key, value in entry.items() if key not in ("name", "parameters")}
+        below = entry.get("parameters", {})
+        if not isinstance(below, Mapping):
+            raise ValueError("'parameters' must be a mapping")
+        return cls(entry["name"], {**below, **flat})
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> Any:
+        """Return the schema by which pydantic reads the short forms."""
+        from pydantic_core import core_schema
+
+        def read(data: object) -> "PluginSpec":
+            return data if isinstance(data, PluginSpec) else cls.read(data)
+
+        return core_schema.no_info_plain_validator_function(read)
 
 
 def load(cls: type[T], path: Path, overrides: Sequence[str] = ()) -> T:
-    """Return the configuration that a YAML file holds.
-
-    Args:
-        cls: Frozen dataclass to build.
-        path: YAML file with a mapping.
-        overrides: Assignments `a.b=c` that win over the file; `c` is YAML, and `a.0=c` changes the
-            first entry of a list.
+    """Return the configuration of a YAML file, as an instance of the dataclass `cls`.
 
     Raises:
-        KinfeasError: If the file is not readable YAML or an entry is not what `cls` allows.
+        KinfeasError: As `from_mapping`; also if the file is not readable YAML.
     """
     return from_mapping(cls, strict_yaml.read(path), str(path), overrides)
 
 
 def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[str] = ()) -> T:
-    """Return `data`, as YAML gives it, as an instance of the dataclass `cls`.
+    """Return plain data as an instance of the dataclass `cls`.
 
     Args:
-        cls: Frozen dataclass to build.
-        data: Mapping of field names to plain values.
-        source: What the data is from, named in errors; a file name as a rule.
-        overrides: Assignments `a.b=c` that win over `data`; `c` is YAML.
+        cls: Frozen dataclass.
+        data: Mapping of field names to plain values, complete without the `overrides`.
+        source: Where the data is from, for errors: as a rule a file name.
+        overrides: Assignments `a.b=c`, applied in their order; `c` is YAML, and `a.0=c` changes
+            the first entry of a list.
 
     Raises:
         KinfeasError: If a key is unknown or missing, or a value has a wrong type or range.
     """
-    place = Place(source)
+    config: T = _validated(cls, data, source)
     if overrides:
-        data = copy.deepcopy(data)
-        assignments = {}
+        changed = to_mapping(config)
         for text in overrides:
-            assignments[_override(data, cls, text)] = f"{_OPTION} {text}"
-        place = replace(place, overrides=assignments)
-    result: T = convert_dataclass(cls, data, place)
-    return result
+            _assign(changed, text)
+        config = _validated(cls, changed, source, overrides=overrides)
+    return config
 
 
-def assigned(overrides: Sequence[str]) -> dict[str, object]:
-    """Return assignments `a.b=c`, in which `c` is YAML, as nested mappings.
+def convert(kind: Any, value: object, source: str, key: str) -> Any:
+    """Return the plain value of a key as an instance of the type `kind`.
+
+    Values that no YAML file can hold, and types that pydantic cannot validate, are passed through.
 
     Raises:
-        KinfeasError: If one of them is malformed.
+        KinfeasError: If the value has a wrong type or range.
     """
-    data: dict[str, object] = {}
-    for text in overrides:
-        _override(data, None, text)
-    return data
+    from pydantic import PydanticUndefinedAnnotation, PydanticUserError
 
-
-@contextmanager
-def plugin_errors(place: str) -> Iterator[None]:
-    """Let errors in assignments name the `place` where they stand, which is no command line."""
+    if not isinstance(value, str | bool | int | float | list | dict | None):
+        return value
     try:
-        yield
-    except KinfeasError as error:
-        raise KinfeasError(str(error).replace(_OPTION, place, 1)) from error
+        return _validated(kind, value, source, key)
+    except (PydanticUserError, PydanticUndefinedAnnotation):
+        return value
+
+
+def to_mapping(config: object) -> dict[str, Any]:
+    """Return a dataclass as plain data that `from_mapping` reads back."""
+    from pydantic_core import to_jsonable_python
+
+    return cast("dict[str, Any]", to_jsonable_python(config))
 
 
 def dump(config: object, path: Path) -> None:
@@ -99,95 +159,134 @@ def dump(config: object, path: Path) -> None:
     strict_yaml.write(to_mapping(config), path)
 
 
-def to_mapping(config: object) -> dict[str, object]:
-    """Return a dataclass as plain data that `from_mapping` reads back."""
-    if not is_dataclass(config) or isinstance(config, type):
-        raise TypeError(f"{config!r} is no instance of a dataclass")
-    return {field.name: _plain(getattr(config, field.name)) for field in init_fields(config)}
-
-
-def _plain(value: object) -> object:
-    if is_dataclass(value) and not isinstance(value, type):
-        return to_mapping(value)
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, Path):
-        return str(value)
-    # NumPy's float64 is a float that YAML does not know how to write.
-    return float(value) if isinstance(value, float) else value
-
-
-def index_in(entries: Sequence[object], key: object, place: Place) -> int:
-    """Return which of the entries of a list at `place` a key of digits names.
+def assigned(overrides: Sequence[str]) -> dict[str, object]:
+    """Return assignments `a.b=c`, in which `c` is YAML, as nested mappings.
 
     Raises:
-        KinfeasError: If there is no such entry.
+        KinfeasError: If one of them is malformed.
+    """
+    data: dict[str, object] = {}
+    for text in overrides:
+        _assign(data, text)
+    return data
+
+
+def index_in(entries: Sequence[object], key: object, source: str) -> int:
+    """Return the index in a list that a key such as `0` names.
+
+    Raises:
+        KinfeasError: If the list has no such entry.
     """
     if str(key).isdecimal() and int(str(key)) < len(entries):
         return int(str(key))
-    known = f"0 to {len(entries) - 1}" if entries else "none"
-    raise place.error(f"unknown key {place.inner(key).key!r}; known are {known}")
+    raise KinfeasError(f"{source}: unknown index {key!r} of a list of {len(entries)} entries")
 
 
-def _override(data: object, cls: Any, text: str) -> str:
-    """Carry out an assignment in the nested mappings and lists `data` and return its key."""
-    key, value = _parse_override(text)
-    *above, last = key.split(".")
-    place = Place(f"{_OPTION} {text}")
-    for name in above:
-        data, cls = _inner(data, cls, name, place)
-        place = place.inner(name)
+def _key(text: str) -> str:
+    return text.partition("=")[0].strip()
+
+
+def _assign(data: Any, text: str) -> None:
+    """Change the nested mappings and lists `data` as the assignment `text` describes."""
+    *above, last = _key(text).split(".")
+    if "=" not in text or not all([*above, last]):
+        raise KinfeasError(f"{text}: must have the form key=value or key.inner=value")
+    value = strict_yaml.parse(text.partition("=")[2], text)
+    for key in above:
+        if isinstance(data, list):
+            data = data[index_in(data, key, text)]
+        elif isinstance(data, dict):
+            if data.get(key) is None:
+                data[key] = {}
+            data = data[key]
     if isinstance(data, list):
-        data[index_in(data, last, place)] = value
+        data[index_in(data, last, text)] = value
     elif isinstance(data, dict):
         data[last] = value
     else:
-        raise _no_keys(place, last)
-    return key
+        raise KinfeasError(f"{text}: unknown key {_key(text)!r}: {data!r} has no keys")
 
 
-def _inner(data: object, cls: Any, key: str, place: Place) -> tuple[object, Any]:
-    """Return the entry `key` of `data` and its dataclass, if any; absent blocks begin at defaults.
-
-    Args:
-        data: Mapping or list, changed in place.
-        cls: Dataclass of `data`, or of the entries of a list, or None.
-        key: Of a mapping, or an index.
-        place: Of `data`.
-    """
-    if isinstance(data, list):
-        return data[index_in(data, key, place)], cls
-    if not isinstance(data, dict):
-        raise _no_keys(place, key)
-    if data.get(key) is None:
-        block = _default_block(cls, key)
-        data[key] = {} if block is None else block
-    return data[key], _dataclass_in(cls, key)
+_WORDS = {
+    "Input should ": "must ",
+    "Value error, ": "",
+    "a valid array": "a list",
+    "an object": "a mapping of keys to values",
+}
+"""How errors name what pydantic calls by the words of JSON."""
 
 
-def _no_keys(place: Place, key: str) -> KinfeasError:
-    return place.error(f"unknown key {place.inner(key).key!r}, for {place.key!r} has no keys")
+@cache
+def _adapter(kind: Any) -> "TypeAdapter[Any]":
+    from pydantic import ConfigDict, TypeAdapter
+
+    strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    # Pydantic takes a config for standard types only, and hands it on to the dataclasses within.
+    return TypeAdapter(tuple[kind], config=strict)
 
 
-def _parse_override(text: str) -> tuple[str, object]:
-    key, equals, value = text.partition("=")
-    if not equals or not all(key.strip().split(".")):
-        raise KinfeasError(f"{_OPTION} {text}: must be of the form key=value or key.inner=value")
-    return key.strip(), strict_yaml.parse(value, f"{_OPTION} {text}")
+def _validated(
+    kind: Any, data: object, source: str, key: str = "", overrides: Sequence[str] = ()
+) -> Any:
+    from pydantic import ValidationError
+    from pydantic_core import to_json
+
+    try:
+        # Read as JSON, a list may fill a tuple in strict mode.
+        return _adapter(kind).validate_json(to_json((data,), inf_nan_mode="constants"))[0]
+    except ValidationError as error:
+        key, message = _explained(error, kind, data, key)
+    within = [text for text in overrides if f"{key}.".startswith(f"{_key(text)}.")]
+    beyond = [text for text in overrides if _key(text).startswith(f"{key}." if key else "")]
+    raise KinfeasError(f"{', '.join(within or beyond) or source}: {message}")
 
 
-def _default_block(cls: Any, key: str) -> object:
-    """Return the default of the field `key` as plain data, or None if there is none."""
-    for field in init_fields(cls) if cls else []:
-        if field.name == key and (value := default(field)) is not MISSING:
-            return _plain(value)
-    return None
+def _explained(error: "ValidationError", kind: Any, data: object, above: str) -> tuple[str, str]:
+    """Return the path of the first wrong key, below the key `above`, and what is wrong with it."""
+    unknown = "unexpected_keyword_argument"
+    # A misspelt key is often a missing one as well.
+    errors = sorted(error.errors(include_url=False), key=lambda one: one["type"] != unknown)
+    keys, first = _path(errors[0], data), errors[0]
+    key = ".".join([above, *keys] if above else keys)
+    if first["type"] == unknown:
+        return key, f"unknown key {key!r}{no_such(keys[-1], _fields(kind, keys[:-1]))}"
+    if first["type"] == "missing" and isinstance(first["loc"][-1], int):
+        return key, f"{key!r} has too few entries: {reprlib.repr(first['input'])}"
+    if first["type"] == "missing":
+        key = f"{key}.{first['loc'][-1]}" if key else str(first["loc"][-1])
+        return key, f"the key {key!r} is missing"
+    # A union has an error for each of its types.
+    messages = {one["msg"]: None for one in errors if _path(one, data) == keys}
+    text = " or ".join(messages)
+    for pydantics, ours in _WORDS.items():
+        text = text.replace(pydantics, ours)
+    name = f"{key!r}: " if key and first["type"] == "value_error" else f"{key!r} " if key else ""
+    if first["type"] != "value_error":
+        text += f", not {reprlib.repr(first['input'])}"
+    return key, name + text
 
 
-def _dataclass_in(cls: Any, key: str) -> Any:
-    """Return the one dataclass that the field `key` allows, or None."""
-    kind = get_type_hints(cls).get(key) if cls else None
-    options = [option for option in (kind, *get_args(kind)) if is_dataclass(option)]
-    return options[0] if len(options) == 1 else None
+def _path(error: Any, data: Any) -> list[str]:
+    """Return the keys that lead to an error; pydantic also names the types within a union."""
+    keys: list[str] = []
+    for key in error["loc"][1:]:
+        indices = range(len(data)) if isinstance(data, list | tuple) else ()
+        if key in (data if isinstance(data, Mapping) else indices):
+            keys, data = [*keys, str(key)], data[key]
+    return keys
+
+
+def _fields(kind: Any, keys: Sequence[str]) -> list[str]:
+    """Return the names of the fields of the dataclass that `keys` lead to."""
+    found = _dataclasses(kind)
+    for key in keys:
+        hints = [hint for cls in found for name, hint in get_type_hints(cls).items() if name == key]
+        # Indices of lists and keys of mappings lead to no other dataclass.
+        found = [inner for hint in hints for inner in _dataclasses(hint)] or found
+    return [entry.name for cls in found for entry in fields(cls) if entry.init]
+
+
+def _dataclasses(kind: Any) -> list[Any]:
+    if is_dataclass(kind):
+        return [kind]
+    return [found for inner in get_args(kind) for found in _dataclasses(inner)]

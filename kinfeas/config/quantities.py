@@ -6,7 +6,7 @@ would end in an overflow, or never.
 
 from typing import Annotated
 
-from kinfeas.config.schema import Interval
+from kinfeas.config import Interval
 
 FARTHEST, LONGEST = 1e4, 1e5
 """Metres and seconds: ten kilometres, and a little more than a day."""

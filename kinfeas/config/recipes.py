@@ -3,8 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-from kinfeas.config.schema import no_such
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.io.files import is_path
 
 _SUFFIX = ".yaml"

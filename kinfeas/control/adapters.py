@@ -1,11 +1,11 @@
 """Adapters: what stands between the loop and a backend, as a list in a YAML file."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from kinfeas import config
-from kinfeas.config import strict_yaml
+from kinfeas.config import PluginSpec, strict_yaml
 from kinfeas.config.recipes import find_recipe
 from kinfeas.control.execution import ExecutionAdapter, ExecutionConfig
 from kinfeas.core import registry
@@ -18,33 +18,6 @@ from kinfeas.robots.robot import Robot
 FOLDER = "sim2real"
 """Where the ladder of shipped lists stands among the configurations."""
 
-_GIVEN = ("backend", "robot")
-"""Parameters of every adapter that `wrap` gives it."""
-
-
-@dataclass(frozen=True)
-class AdapterSpec:
-    """An adapter by name.
-
-    Attributes:
-        name: Entry-point name in the group kinfeas.adapters.
-        parameters: Its keyword parameters.
-
-    Raises:
-        ValueError: If they say what is wrapped, or whom it moves.
-    """
-
-    name: str
-    parameters: dict[str, object] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check that nothing is said that is known already."""
-        for key in _GIVEN:
-            if key in self.parameters:
-                raise ValueError(
-                    f"adapter {self.name!r}: the parameter {key!r} follows from the run"
-                )
-
 
 @dataclass(frozen=True)
 class Sim2Real:
@@ -54,7 +27,7 @@ class Sim2Real:
         adapters: Wrapped around the backend, the first one innermost.
     """
 
-    adapters: tuple[AdapterSpec, ...] = ()
+    adapters: tuple[PluginSpec, ...] = ()
 
 
 @runtime_checkable
@@ -81,7 +54,7 @@ def read_sim2real(name: str) -> Sim2Real:
     return config.load(Sim2Real, path)
 
 
-def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Backend:
+def wrap(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
     """Return `backend` within the adapters, the first one innermost.
 
     Args:
@@ -94,7 +67,10 @@ def wrap(backend: Backend, adapters: Sequence[AdapterSpec], robot: Robot) -> Bac
             outside raises, or returns what is malformed.
     """
     for adapter in adapters:
-        given = {"backend": backend, "robot": robot, **adapter.parameters}
+        given = {"backend": backend, "robot": robot}
+        if clash := given.keys() & adapter.parameters.keys():
+            raise KinfeasError(f"adapter {adapter.name!r} sets {', '.join(clash)} itself")
+        given |= adapter.parameters
         made = registry.build("kinfeas.adapters", adapter.name, given)
         subject = f"adapter {adapter.name!r}"
         if isinstance(made, Hooked):

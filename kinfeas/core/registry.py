@@ -12,9 +12,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from kinfeas.config.schema import no_such
 from kinfeas.core.checks.parameters import check_names, in_types, signature_of
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.plugin_errors import PluginErrors
 from kinfeas.io.files import is_path
 

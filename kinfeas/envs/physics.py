@@ -8,11 +8,11 @@ from kinfeas import config
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.physics import PhysicsConfig
 from kinfeas.backends.pybullet.stage import Stage, task_scene
-from kinfeas.config import Interval
+from kinfeas.config import Interval, PluginSpec
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import default_recipe
 from kinfeas.control.execution import ExecutionConfig, ExecutionSettings
-from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.task import Task
@@ -47,8 +47,8 @@ class PhysicsSettings(PhysicsChanges):
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.02
     max_failures: Annotated[int, Interval(low=0)] = 99
     max_seconds: PositiveSeconds = 150.0
-    adapters: tuple[AdapterSpec, ...] = ()
-    filters: tuple[AdapterSpec, ...] = ()
+    adapters: tuple[PluginSpec, ...] = ()
+    filters: tuple[PluginSpec, ...] = ()
     ik: IkOptions = field(default_factory=IkOptions)
 
     @property

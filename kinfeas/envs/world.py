@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval
+from kinfeas.config import Interval, PluginSpec
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.control import observation
-from kinfeas.control.adapters import AdapterSpec, execution_of, wrap
+from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
@@ -25,7 +25,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.tasks.checks import check_start
 from kinfeas.tasks.task import StagedTask, Task, build_subgoals
 
-__all__ = ["AdapterSpec", "Transition", "World", "WorldConfig"]
+__all__ = ["PluginSpec", "Transition", "World", "WorldConfig"]
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class WorldConfig:
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
     max_failures: Annotated[int, Interval(low=0)] = 19
     max_seconds: PositiveSeconds = 150.0
-    adapters: tuple[AdapterSpec, ...] = ()
+    adapters: tuple[PluginSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)
-    filters: tuple[AdapterSpec, ...] = ()
+    filters: tuple[PluginSpec, ...] = ()
 
 
 @dataclass(frozen=True)

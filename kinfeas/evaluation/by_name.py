@@ -5,7 +5,8 @@ from dataclasses import replace
 from typing import Literal
 
 from kinfeas import config
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core.metrics import Share
 from kinfeas.core.policy import Policy
 from kinfeas.core.registry import build
@@ -24,7 +25,7 @@ WorldName = Literal["analytic", "pybullet"]
 EPISODES: dict[str, int] = {"analytic": 500, "pybullet": 50}
 """How many episodes an evaluation has by default, by world."""
 
-Specs = tuple[AdapterSpec, ...]
+Specs = tuple[PluginSpec, ...]
 
 
 def make_trial(

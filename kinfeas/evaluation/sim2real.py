@@ -3,10 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.evaluation.evaluate import Summary
 
-Specs = tuple[AdapterSpec, ...]
+Specs = tuple[PluginSpec, ...]
 Evaluation = Callable[[Specs], Summary]
 """Evaluates a policy within adapters, the first one innermost."""
 
@@ -107,10 +107,10 @@ def with_value(adapters: Specs, axis: Axis, value: float) -> Specs:
     """
     numbers: dict[str, object] = dict.fromkeys(axis.parameters, value)
     if all(adapter.name != axis.adapter for adapter in adapters):
-        added = AdapterSpec(axis.adapter, numbers)
+        added = PluginSpec(axis.adapter, numbers)
         return (added, *adapters) if axis.adapter == "base_noise" else (*adapters, added)
     return tuple(
-        AdapterSpec(adapter.name, adapter.parameters | numbers)
+        PluginSpec(adapter.name, adapter.parameters | numbers)
         if adapter.name == axis.adapter
         else adapter
         for adapter in adapters

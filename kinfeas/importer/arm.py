@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config import no_such
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative, rotation
 from kinfeas.robots.spec import Gripper
 from kinfeas.robots.urdf import Joint, Shape, Urdf

@@ -11,9 +11,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from kinfeas.config import no_such
 from kinfeas.config.quantities import FARTHEST
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.plugin_errors import PluginErrors
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, link_pose, place

@@ -12,8 +12,8 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas import config
 from kinfeas.config.quantities import REMOTEST, Positive
-from kinfeas.config.schema import Place, convert_dataclass
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import reading, writing
@@ -210,7 +210,7 @@ def _about(line: str, path: Path) -> About:
         raise KinfeasError(f"{place}: broken JSON: {error}") from error
     except RecursionError as error:
         raise KinfeasError(f"{place}: broken JSON: nested too deeply") from error
-    about: About = convert_dataclass(About, data, Place(place))
+    about = config.from_mapping(About, data, place)
     if not about.joints:
         raise KinfeasError(f"{place}: 'joints' must name one joint at least")
     return about

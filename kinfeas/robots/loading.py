@@ -9,7 +9,7 @@ import numpy as np
 
 from kinfeas import config
 from kinfeas.core import registry
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import is_path
 from kinfeas.robots.robot import ArmJoint, Base, Robot
@@ -111,9 +111,7 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
     for name in spec.arm:
         where = f"{source}: 'arm.{name}'"
         if name not in urdf.joints:
-            raise KinfeasError(
-                f"{where}: there is no such joint{config.no_such(name, urdf.joints)}"
-            )
+            raise KinfeasError(f"{where}: there is no such joint{no_such(name, urdf.joints)}")
         if not urdf.joints[name].moves or urdf.joints[name].mimic:
             raise KinfeasError(f"{where}: the joint does not move by itself")
     moving = [joint for joint in urdf.path_to(spec.ee_frame) if joint.moves]
@@ -210,9 +208,7 @@ def _gripper(spec: RobotSpec, urdf: Urdf, source: str) -> Gripper | None:
     where = f"{source}: 'gripper.fingers'"
     for name in spec.gripper.fingers:
         if name not in urdf.joints:
-            raise KinfeasError(
-                f"{where}: there is no such joint{config.no_such(name, urdf.joints)}"
-            )
+            raise KinfeasError(f"{where}: there is no such joint{no_such(name, urdf.joints)}")
         joint = urdf.joints[name]
         if not joint.moves or name in spec.arm:
             raise KinfeasError(f"{where}: {name!r} must be a moving joint that is not of the arm")
@@ -237,7 +233,7 @@ def _counterbalanced(spec: RobotSpec, source: str) -> frozenset[str]:
 
 def _check_link(links: Collection[str], name: str, where: str) -> None:
     if name not in links:
-        raise KinfeasError(f"{where}: there is no link {name!r}{config.no_such(name, links)}")
+        raise KinfeasError(f"{where}: there is no link {name!r}{no_such(name, links)}")
 
 
 def fixed_positions(
@@ -266,7 +262,7 @@ def fixed_positions(
 
 def _check_given(urdf: Urdf, arm: Collection[str], name: str, position: float, where: str) -> None:
     if name not in urdf.joints:
-        raise KinfeasError(f"{where}: there is no such joint{config.no_such(name, urdf.joints)}")
+        raise KinfeasError(f"{where}: there is no such joint{no_such(name, urdf.joints)}")
     joint = urdf.joints[name]
     if name in arm:
         raise KinfeasError(f"{where}: the joint stands in 'arm', too")

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import Interval, no_such, schema, strict_yaml
+from kinfeas.config import Interval, strict_yaml
 from kinfeas.config.quantities import Distance, Metres, Position, Radians
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.names import check_name
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
@@ -171,7 +171,7 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
         return task
     # The file is in order: what is wrong from here on is not its fault.
     source = "the task's parameters"
-    changed = config.from_mapping(ChainTask, _changed(data, changes, schema.Place(source)), source)
+    changed = config.from_mapping(ChainTask, _changed(data, changes, source), source)
     # Other sub-goals may leave out some of the file's places, but not of those that are given.
     given = changes.get("places")
     _check_reached(changed, given if isinstance(given, Mapping) else (), source)
@@ -206,21 +206,21 @@ def _check_reached(task: ChainTask, given: Iterable[str], source: str) -> None:
             raise KinfeasError(f"{source}: 'places.{name}': no sub-goal leads to {name!r}{known}")
 
 
-def _changed(old: object, change: object, place: schema.Place) -> Any:
+def _changed(old: object, change: object, source: str) -> Any:
     """Return `old` with a `change`: mapping within mapping, and of a list the entries named."""
     if not isinstance(change, Mapping):
         return change
     if isinstance(old, list):
         new = list(old)
         for key, value in change.items():
-            i = config.index_in(old, key, place)
-            new[i] = _changed(old[i], value, place.inner(i))
+            i = config.index_in(old, key, source)
+            new[i] = _changed(old[i], value, source)
         return new
     if not isinstance(old, Mapping):
         return change
     if change.get("generator", old.get("generator")) != old.get("generator"):
         return change  # parameters belong to the generator that they were written for
-    changes = {key: _changed(old.get(key), one, place.inner(key)) for key, one in change.items()}
+    changes = {key: _changed(old.get(key), one, source) for key, one in change.items()}
     return {**old, **changes}
 
 

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from string import Template
 
-from kinfeas.config.schema import no_such
 from kinfeas.core import registry
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.io.files import writing
 from kinfeas.templates import Kind
 

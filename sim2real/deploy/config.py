@@ -3,7 +3,7 @@
 import inspect
 from dataclasses import dataclass, field
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.control.execution import ExecutionSettings
 from kinfeas.core import registry
 from kinfeas.core.backend import Backend
@@ -30,7 +30,7 @@ class DeployConfig(ExecutionSettings):
     task: dict[str, object] = field(default_factory=dict)
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
-    filters: tuple[AdapterSpec, ...] = ()
+    filters: tuple[PluginSpec, ...] = ()
 
 
 def build_backend(name: str, parameters: dict[str, object], **offered: object) -> Backend:

@@ -6,7 +6,7 @@ from enum import IntEnum
 from signal import SIGHUP, SIGINT, SIGQUIT, SIGTERM
 from typing import Protocol, runtime_checkable
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.backend import Backend, RealTimeBackend
 from kinfeas.core.policy import CommandFilter, Policy
@@ -101,7 +101,7 @@ class Setup:
     task: Task
     backend: Backend
     dt: float
-    adapters: tuple[AdapterSpec, ...] = ()
+    adapters: tuple[PluginSpec, ...] = ()
     seconds: float = math.inf
     seed: int = 0
     execution: ExecutionConfig = field(default_factory=ExecutionConfig)

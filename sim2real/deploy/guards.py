@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core.backend import Backend, RealTimeBackend, RobotState
 from kinfeas.core.plugin_errors import BLAMED
 from kinfeas.core.spatial import Array
@@ -56,7 +57,7 @@ class Guarded(Passing):
         robot: Robot,
         guards: Guards | None = None,
         *,
-        adapters: Sequence[AdapterSpec] = (),
+        adapters: Sequence[PluginSpec] = (),
         rate: Rate | None = None,
         clocks: Clocks | None = None,
     ) -> None:

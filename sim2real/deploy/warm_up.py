@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.control.loop import Loop
 from kinfeas.core import registry, spatial
 from kinfeas.core.policy import CommandFilter, Policy
@@ -26,7 +26,7 @@ def warm_up(
     policy: Policy,
     task: Task,
     dt: float,
-    adapters: Sequence[AdapterSpec] = (),
+    adapters: Sequence[PluginSpec] = (),
     filters: Sequence[CommandFilter] = (),
 ) -> None:
     """Let all parts of a run compute something once, but for the robot."""

@@ -8,7 +8,7 @@ from typing import Literal
 
 from kinfeas import config
 from kinfeas.config.quantities import Positive
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.ros.bus import Version
 
@@ -136,6 +136,6 @@ def _find(name: str, version: Version, option: str) -> Path:
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
         raise KinfeasError(
-            f"unknown topics {name!r}{config.no_such(name, known)}, or a YAML file: {option}"
+            f"unknown topics {name!r}{no_such(name, known)}, or a YAML file: {option}"
         )
     return folder / f"{name}.yaml"

@@ -12,17 +12,18 @@ from gymnasium.wrappers import RenderCollection
 from stable_baselines3.common import env_checker as sb3_checker
 
 from kinfeas import envs
+from kinfeas.config import PluginSpec
 from kinfeas.control.observation import scaled
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.vector import BaseMotionVectorEnv
-from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.vec_env import WorldVecEnv
 
 NOISY = WorldConfig(
-    max_seconds=4.0, max_failures=5, adapters=(AdapterSpec("base_noise", {"linear": 0.05}),)
+    max_seconds=4.0, max_failures=5, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
 )
 SEED, EPISODES = 7, 8
 
@@ -107,7 +108,7 @@ def test_shows_what_the_world_sees(name):
 
 
 def test_what_adapters_measure_lies_in_the_space(name):
-    noise = AdapterSpec("joint_noise", {"deviation": 0.02})
+    noise = PluginSpec("joint_noise", {"deviation": 0.02})
     env = BaseMotionEnv(name, world=WorldConfig(max_failures=999, adapters=(noise,)))
     lower, upper = env.world.robot.finite_joint_limits
     seen, beyond = env.reset(seed=0)[0], 0
@@ -273,7 +274,7 @@ def test_a_step_before_the_first_reset_is_refused(kind):
         ({"robot": "pr3"}, "unknown robot 'pr3'"),
         ({"task": "dance"}, "unknown task 'dance'"),
         ({"task_parameters": {"distnce": [1, 2]}}, "distnce"),
-        ({"world": WorldConfig(adapters=(AdapterSpec("fog"),))}, "unknown adapter 'fog'"),
+        ({"world": WorldConfig(adapters=(PluginSpec("fog"),))}, "unknown adapter 'fog'"),
     ],
 )
 def test_refuses_what_there_is_not(arguments, message):

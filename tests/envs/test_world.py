@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig
-from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
@@ -32,7 +33,7 @@ CHAIN = config.from_mapping(
     },
     "test",
 )
-NOISY = WorldConfig(adapters=(AdapterSpec("base_noise", {"linear": 0.05, "angular": 0.05}),))
+NOISY = WorldConfig(adapters=(PluginSpec("base_noise", {"linear": 0.05, "angular": 0.05}),))
 
 
 def network(world, seed=0):
@@ -314,9 +315,9 @@ def test_goes_on_from_a_snapshot_to_the_bit(robot):
 @pytest.mark.parametrize(
     ("adapter", "message"),
     [
-        (AdapterSpec("base_nose"), "unknown adapter 'base_nose'"),
-        (AdapterSpec("base_noise", {"linear": -1.0}), "linear is -1.0, must be a finite number"),
-        (AdapterSpec("base_noise", {"linaer": 1.0}), "unknown parameter 'linaer'"),
+        (PluginSpec("base_nose"), "unknown adapter 'base_nose'"),
+        (PluginSpec("base_noise", {"linear": -1.0}), "linear is -1.0, must be a finite number"),
+        (PluginSpec("base_noise", {"linaer": 1.0}), "unknown parameter 'linaer'"),
     ],
 )
 def test_wrong_adapters_are_one_sentence(robot, adapter, message):

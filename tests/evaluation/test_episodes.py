@@ -1,14 +1,15 @@
 import numpy as np
 import pytest
 
-from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.config import PluginSpec
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 
 CONFIG = WorldConfig(
-    max_failures=9, max_seconds=12.0, adapters=(AdapterSpec("base_noise", {"linear": 0.05}),)
+    max_failures=9, max_seconds=12.0, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
 )
 NEAR = ggr(distance=(0.3, 0.9), heights=(0.6, 0.9))
 

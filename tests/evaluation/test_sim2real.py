@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from kinfeas.control.adapters import AdapterSpec, read_sim2real
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import read_sim2real
 from kinfeas.evaluation.sim2real import (
     ALL,
     AXES,
@@ -17,8 +18,8 @@ from kinfeas.viz.pictures.sim2real import sim2real_figure
 from kinfeas.viz.pictures.style import png
 
 ADAPTERS = (
-    AdapterSpec("base_noise", {"linear": 0.03}),
-    AdapterSpec("command_latency", {"seconds": [0.0, 0.1], "jitter": 0.02}),
+    PluginSpec("base_noise", {"linear": 0.03}),
+    PluginSpec("command_latency", {"seconds": [0.0, 0.1], "jitter": 0.02}),
 )
 
 
@@ -43,7 +44,7 @@ def test_costs_are_none_each_alone_and_all():
 
 
 def test_of_three_adapters_each_is_left_out_once():
-    three = (*ADAPTERS, AdapterSpec("head_start", {}))
+    three = (*ADAPTERS, PluginSpec("head_start", {}))
     costs = measure_costs(runs := Runs(), three)
     assert len(runs.asked) == evaluations(three, ()) == len(costs)
     assert costs[-1].adapter == ALL
@@ -68,11 +69,11 @@ def test_a_sweep_changes_one_number_and_leaves_the_rest():
 def test_what_is_not_there_is_added_where_a_robot_has_it():
     latency, noise, head_start = AXES
     assert with_value((), noise, 0.1) == (
-        AdapterSpec("base_noise", {"linear": 0.1, "angular": 0.1}),
+        PluginSpec("base_noise", {"linear": 0.1, "angular": 0.1}),
     )
     assert with_value(ADAPTERS[1:], noise, 0.1)[0].name == "base_noise"
     assert with_value(ADAPTERS[:1], latency, 0.1)[-1].name == "command_latency"
-    assert with_value(ADAPTERS, head_start, 2.0)[-1] == AdapterSpec("head_start", {"seconds": 2.0})
+    assert with_value(ADAPTERS, head_start, 2.0)[-1] == PluginSpec("head_start", {"seconds": 2.0})
 
 
 def test_there_are_as_many_evaluations_as_is_said():

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from stable_baselines3 import SAC
 
+from kinfeas.config import PluginSpec
 from kinfeas.control.observation import CLIP, scaled
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.world import AdapterSpec, World, WorldConfig
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.training.vec_env import WorldVecEnv
 
-NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(AdapterSpec("base_noise"),))
+NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(PluginSpec("base_noise"),))
 
 
 def make(robot, n, config=NOISY, seed=4):

@@ -6,8 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.config.schema import no_such
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene

@@ -2,8 +2,7 @@
 
 from collections.abc import Collection
 
-from kinfeas.config.schema import no_such
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene

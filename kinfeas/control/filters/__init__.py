@@ -6,14 +6,14 @@ them in order.
 
 from collections.abc import Sequence
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.core import registry
 from kinfeas.core.policy import CommandFilter
 
 GROUP = "kinfeas.filters"
 
 
-def build_filters(specs: Sequence[AdapterSpec]) -> list[CommandFilter]:
+def build_filters(specs: Sequence[PluginSpec]) -> list[CommandFilter]:
     """Return the filters of a list, each built with its parameters.
 
     Raises:

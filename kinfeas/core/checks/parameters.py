@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from kinfeas.config.schema import Place, convert, no_such
-from kinfeas.core.errors import KinfeasError
+from kinfeas.config import convert
+from kinfeas.core.errors import KinfeasError, no_such
 
 
 class MissingParameterError(KinfeasError):
@@ -69,7 +69,7 @@ def in_types(
         endless = isinstance(value, float) and not math.isfinite(value)
         if endless or value is taken.default:
             continue
-        converted = convert(taken.annotation, value, Place(subject, name))
+        converted = convert(taken.annotation, value, subject, name)
         # A number stays as it was written, for errors that quote it.
         typed[name] = value if isinstance(value, int | float) else converted
     return typed

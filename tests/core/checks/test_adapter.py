@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core import registry
 from kinfeas.core.backend import (
     RealTimeBackend,
@@ -203,9 +204,9 @@ def test_only_what_comes_from_outside_is_looked_at(monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.adapters", "around", Around)
     robot, world = load_robot("pr2"), AnalyticBackend()
-    adapter = wrap(world, [AdapterSpec("around")], robot)
+    adapter = wrap(world, [PluginSpec("around")], robot)
     assert isinstance(adapter, CheckedAdapter)
     assert isinstance(unchecked(adapter), Around)
     assert unchecked(world) is world
-    own = wrap(world, [AdapterSpec("base_noise")], robot)
+    own = wrap(world, [PluginSpec("base_noise")], robot)
     assert unchecked(own) is own

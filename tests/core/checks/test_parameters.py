@@ -42,9 +42,9 @@ def test_values_come_in_the_types_that_are_asked_for():
     given = {"shape": {"width": 2}, "file": "a.yaml"}
     assert in_types(WAVE, given, "mine") == {"shape": Shape(2.0), "file": Path("a.yaml")}
     assert given == {"shape": {"width": 2}, "file": "a.yaml"}
-    with pytest.raises(KinfeasError, match=r"^mine: 'height' must be a finite number, not 'high'"):
+    with pytest.raises(KinfeasError, match=r"^mine: 'height'"):
         in_types(WAVE, {"height": "high"}, "mine")
-    with pytest.raises(KinfeasError, match=r"^mine: 'lag' must be a whole number, not 1\.5"):
+    with pytest.raises(KinfeasError, match=r"^mine: 'lag'"):
         in_types(WAVE, {"lag": 1.5}, "mine")
 
 

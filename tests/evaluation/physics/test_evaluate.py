@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.world import AdapterSpec
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -111,7 +111,7 @@ def test_the_summary_holds_what_is_asked_for(trial, policy):
 
 def test_the_summary_tells_the_pace_that_adapters_have_made(trial, policy):
     adapters = (
-        AdapterSpec("head_start", {"seconds": 3.0}), AdapterSpec("slow_down", {"factor": 2.0})
+        PluginSpec("head_start", {"seconds": 3.0}), PluginSpec("slow_down", {"factor": 2.0})
     )  # fmt: skip
     settings = replace(
         trial.settings,

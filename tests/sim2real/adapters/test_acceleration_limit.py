@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.acceleration_limit import AccelerationLimit
 
@@ -56,4 +57,4 @@ def test_the_robots_own_limits_are_the_default(rig, pr2):
 @pytest.mark.parametrize("name", ["linear", "angular_jerk"])
 def test_a_limit_is_above_nothing(pr2, name):
     with pytest.raises(KinfeasError, match=f"{name} is 0, must be a finite number > 0"):
-        wrap(object(), [AdapterSpec("acceleration_limit", {name: 0})], pr2)
+        wrap(object(), [PluginSpec("acceleration_limit", {name: 0})], pr2)

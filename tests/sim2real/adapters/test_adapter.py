@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.adapters import AdapterSpec, read_sim2real, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import read_sim2real, wrap
 from kinfeas.core import registry
 from kinfeas.core.backend import (
     ObstacleDistances,
@@ -166,7 +167,7 @@ def test_and_no_more(name, pr2):
         assert not isinstance(adapter, protocol)
 
 
-@pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
+@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 def test_rows_do_not_depend_on_the_batch(adapters, pr2):
     def run(seeds):
         backend = wrap(AnalyticBackend(), adapters, pr2)
@@ -178,7 +179,7 @@ def test_rows_do_not_depend_on_the_batch(adapters, pr2):
     np.testing.assert_array_equal(run([4, 1]), together[:, [4, 1]])
 
 
-@pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
+@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 def test_new_episodes_leave_the_others_alone(adapters, pr2):
     backend, alone = (wrap(AnalyticBackend(), adapters, pr2) for _ in "ab")
     on_reset(backend, pr2, [0, 1, 2])
@@ -202,7 +203,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
     np.testing.assert_array_equal(np.stack(after)[:, 0], go(whole, pr2, [0], 18)[9:, 0])
 
 
-@pytest.mark.parametrize("adapters", [*([AdapterSpec(name)] for name in NAMES), HARSH])
+@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 def test_goes_on_from_a_snapshot_to_the_bit(adapters, pr2):
     twice = [*adapters, *adapters]
     backend, other = (wrap(AnalyticBackend(), twice, pr2) for _ in "ab")

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core import registry
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
@@ -62,7 +63,7 @@ def run(pr2, monkeypatch):
     def carry(backend=None, name="mine", **answers):
         monkeypatch.setattr(Answering, "answers", answers)
         joints = np.tile(pr2.home["home"], (2, 1))
-        adapter = wrap(backend or AnalyticBackend(), [AdapterSpec(name)], pr2)
+        adapter = wrap(backend or AnalyticBackend(), [PluginSpec(name)], pr2)
         adapter.reset(BASE, joints)
         return adapter.step(TWIST, joints, 0.1)
 
@@ -206,5 +207,5 @@ def test_what_the_backend_raises_stays_what_it_is(run):
 
 
 def test_our_own_adapters_are_not_looked_at(pr2):
-    own = wrap(AnalyticBackend(), [AdapterSpec("base_noise")], pr2)
+    own = wrap(AnalyticBackend(), [PluginSpec("base_noise")], pr2)
     assert own._hooks is own

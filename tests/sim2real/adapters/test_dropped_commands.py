@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.dropped_commands import DroppedCommands
 
@@ -28,7 +29,7 @@ def test_losses_are_independent_of_each_other(rig, drive):
 @pytest.mark.parametrize("share", [-0.1, 1.1])
 def test_a_share_is_one(pr2, share):
     with pytest.raises(KinfeasError, match=r"share is .*, must be a finite number in \[0, 1\]"):
-        wrap(object(), [AdapterSpec("dropped_commands", {"share": share})], pr2)
+        wrap(object(), [PluginSpec("dropped_commands", {"share": share})], pr2)
 
 
 def test_all_may_be_lost(rig, drive):

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.control.execution import ExecutionAdapter, ExecutionConfig
 from kinfeas.core.backend import Resumable
 from kinfeas.core.errors import KinfeasError
@@ -23,7 +24,7 @@ def test_head_starts_add_up(pr2):
 
 def stands(robot, seconds, episodes, dt=0.1):
     """Return for how many periods the EE of each episode stands still."""
-    config = WorldConfig(dt=dt, adapters=(AdapterSpec("head_start", {"seconds": seconds}),))
+    config = WorldConfig(dt=dt, adapters=(PluginSpec("head_start", {"seconds": seconds}),))
     world = World(robot, ggr(), config, seed=0)
     world.start(episodes)
     first, still = world.loop.desired, np.zeros(len(episodes), dtype=int)
@@ -47,4 +48,4 @@ def test_each_episode_draws_its_own(pr2):
 
 def test_a_time_is_not_negative(pr2):
     with pytest.raises(KinfeasError, match="seconds is -1, must be"):
-        wrap(AnalyticBackend(), [AdapterSpec("head_start", {"seconds": -1})], pr2)
+        wrap(AnalyticBackend(), [PluginSpec("head_start", {"seconds": -1})], pr2)

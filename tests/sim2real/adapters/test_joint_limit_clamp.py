@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.adapters import AdapterSpec, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.adapters.joint_limit_clamp import JointLimitClamp
 
@@ -22,4 +23,4 @@ def test_targets_stay_within_the_limits(rig, drive, pr2, margin):
 
 def test_a_margin_leaves_something_of_each_range(pr2):
     with pytest.raises(KinfeasError, match=r"margin is 1\.0, at most 0\.825 is half a joint"):
-        wrap(object(), [AdapterSpec("joint_limit_clamp", {"margin": 1.0})], pr2)
+        wrap(object(), [PluginSpec("joint_limit_clamp", {"margin": 1.0})], pr2)

@@ -2,17 +2,18 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.adapters import AdapterSpec, execution_of, wrap
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.tasks.ggr import ggr
 
-SLOW = AdapterSpec("slow_down", {"factor": 2.0})
+SLOW = PluginSpec("slow_down", {"factor": 2.0})
 
 
 def test_factors_multiply(pr2):
-    backend = wrap(AnalyticBackend(), [SLOW, AdapterSpec("base_noise"), SLOW], pr2)
+    backend = wrap(AnalyticBackend(), [SLOW, PluginSpec("base_noise"), SLOW], pr2)
     assert execution_of(backend, ExecutionConfig(slow_down=1.5)) == ExecutionConfig(slow_down=6.0)
 
 
@@ -32,7 +33,7 @@ def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
 
 
 def test_all_factors_together_have_a_bound(pr2):
-    backend = wrap(AnalyticBackend(), [AdapterSpec("slow_down", {"factor": 100.0})] * 2, pr2)
+    backend = wrap(AnalyticBackend(), [PluginSpec("slow_down", {"factor": 100.0})] * 2, pr2)
     with pytest.raises(KinfeasError, match=r"slow_down must be a number in \[1, 1000\] in all"):
         execution_of(backend, ExecutionConfig())
 
@@ -43,4 +44,4 @@ def test_all_factors_together_have_a_bound(pr2):
 )
 def test_it_slows_down_by_one_number(pr2, factor, message):
     with pytest.raises(KinfeasError, match=message):
-        wrap(AnalyticBackend(), [AdapterSpec("slow_down", {"factor": factor})], pr2)
+        wrap(AnalyticBackend(), [PluginSpec("slow_down", {"factor": factor})], pr2)

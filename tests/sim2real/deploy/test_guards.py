@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.core import registry, spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
@@ -375,14 +375,14 @@ def adapted(monkeypatch, kind):
     """Return guards within which an adapter stands around a live robot, and that."""
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.adapters", "mine", kind)
-    return guarded(kind=Aging, adapters=[AdapterSpec("mine")])
+    return guarded(kind=Aging, adapters=[PluginSpec("mine")])
 
 
 def test_what_is_simulated_grows_no_older_while_an_adapter_thinks(monkeypatch):
     monkeypatch.setattr(registry, "_REGISTERED", [])
     registry.register("kinfeas.adapters", "mine", Slow)
     never = Guards().timeless()
-    guard, backend = guarded(guards=never, adapters=[AdapterSpec("mine")])
+    guard, backend = guarded(guards=never, adapters=[PluginSpec("mine")])
     guard.step(twist(0.02), stays(guard), DT)
     assert backend.sent
 
@@ -450,7 +450,7 @@ def test_a_robot_that_neither_stops_nor_lets_go_is_told_once():
     "name", ["base_noise", "actuator_lag", "command_latency", "dropped_commands"]
 )
 def test_adapters_do_not_get_beyond_the_limits(name):
-    adapter = AdapterSpec(name, {"base_noise": {"linear": 0.5, "angular": 0.5}}.get(name, {}))
+    adapter = PluginSpec(name, {"base_noise": {"linear": 0.5, "angular": 0.5}}.get(name, {}))
     guards = Guards(max_linear_velocity=0.05, max_angular_velocity=0.1)
     guard, backend = guarded(guards=guards, adapters=[adapter])
     guard.seed(np.array([1], dtype=np.uint64), np.array([0]))
@@ -489,7 +489,7 @@ def test_a_backend_that_writes_into_commands_changes_no_later_one():
 
 def test_an_arm_that_is_lost_is_sent_nowhere():
     # As above: an adapter may keep it from the guards of measurements for a while.
-    guard, backend = guarded(adapters=[AdapterSpec("sensor_latency", {"seconds": 0.1})])
+    guard, backend = guarded(adapters=[PluginSpec("sensor_latency", {"seconds": 0.1})])
     lost = np.full((1, len(ROBOTS["pr2"].arm)), np.nan)
     backend.state, targets = home(ROBOTS["pr2"], joint_positions=lost), stays(guard)
     targets[0, 3] += 0.5
@@ -515,7 +515,7 @@ def test_whoever_plans_the_arms_way_is_told_how_fast_it_may_go():
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_a_measurement_that_is_not_finite_makes_no_command():
     # An adapter may keep it from the guards of measurements for a while.
-    guard, backend = guarded(adapters=[AdapterSpec("sensor_latency", {"seconds": 0.1})])
+    guard, backend = guarded(adapters=[PluginSpec("sensor_latency", {"seconds": 0.1})])
     backend.state = home(ROBOTS["pr2"], base_pose=np.full((1, 7), np.nan))
     guard.step(twist(0.02), stays(guard), DT)
     with pytest.raises(Fault, match="command for the base is not finite"):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from kinfeas.control.adapters import AdapterSpec
+from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -60,7 +60,7 @@ def test_the_same_episode_is_recorded_again(film):
 def test_paths_are_the_true_ones_whatever_sensors_say():
     """Base and EE are where the pictures show them, in the midst of a policy's errors."""
     robot = load_robot("hsr")
-    lost = AdapterSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
+    lost = PluginSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
     settings = replace(physics_config(robot, ["world.max_seconds=1"]).world, adapters=(lost,))
     trial = PhysicsTrial(robot, load_task("ggr"), 1, 1, settings)
     world = PhysicsWorld(trial)
