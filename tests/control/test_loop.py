@@ -7,7 +7,7 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.loop import Loop
-from kinfeas.control.observation import HORIZON, observe
+from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.checks.adapter import CheckedAdapter
@@ -97,7 +97,7 @@ def test_begins_at_the_ee_with_the_start_configuration(solver):
     np.testing.assert_array_equal(loop.state.base_pose, start.base_pose)
 
 
-def test_actions_cannot_bend_the_trajectory(solver):
+def test_actions_do_not_change_the_desired_motion(solver):
     rng = np.random.default_rng(0)
     loops = [make_loop(solver, 8) for _ in range(3)]
     for _ in range(60):
@@ -152,7 +152,7 @@ def test_arm_is_placed_relative_to_the_base_that_was_commanded(solver):
     assert feasible > 60
 
 
-def test_what_is_measured_counts_not_what_was_commanded(solver):
+def test_observations_are_of_the_measured_state(solver):
     recorder = Recorder()
     loop = make_loop(solver, 3, recorder)
     original = recorder.step
@@ -169,14 +169,12 @@ def test_what_is_measured_counts_not_what_was_commanded(solver):
     np.testing.assert_allclose(
         step.deviation, np.linalg.norm(ee[:, :3] - loop.desired[:, :3], axis=1), atol=1e-12
     )
-    expected = observe(
-        recorder.base, forward(solver.chain, recorder.joints), loop.planned, loop.goal,
-        recorder.joints,
-    )  # fmt: skip
+    in_base = forward(solver.chain, recorder.joints)
+    expected = observe(Seen(recorder.base, in_base, loop.planned, loop.goal, recorder.joints))
     np.testing.assert_array_equal(loop.observation, expected)
 
 
-def test_infeasible_the_arm_holds_still_and_the_ee_rides_along(solver):
+def test_an_infeasible_step_keeps_the_arm_still(solver):
     recorder = Recorder()
     loop = make_loop(solver, 3, recorder)
     loop.step(still(loop))
@@ -248,18 +246,6 @@ def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
 
 
-def test_control_rate_reaches_the_backend(solver):
-    recorder = Recorder()
-    loop = make_loop(solver, 2, recorder, dt=0.02)
-    action = still(loop)
-    action[:, -1] = 1.0
-    before = recorder.base.copy()
-    loop.step(action)
-    assert recorder.steps[-1][2] == 0.02
-    turned = spatial.wrap(spatial.yaw(recorder.base) - spatial.yaw(before))
-    np.testing.assert_allclose(turned, 0.02 * loop.robot.base.max_rotation)
-
-
 def test_backends_that_draw_get_a_seed_for_each_episode(solver):
     backend = Noisy()
     loop = make_loop(solver, 4, backend)
@@ -273,9 +259,9 @@ def test_backends_that_draw_get_a_seed_for_each_episode(solver):
 def test_a_backend_that_cannot_be_saved_is_named(solver):
     for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'", Recorder())):
         loop = Loop(solver, [SubgoalMotion(Linear())], backend)
-        with pytest.raises(KinfeasError, match=r"^Recorder cannot be saved in the midst of a run$"):
+        with pytest.raises(KinfeasError, match="Recorder"):
             loop.snapshot()
-        with pytest.raises(KinfeasError, match=r"^Recorder cannot go on from a saved run$"):
+        with pytest.raises(KinfeasError, match="Recorder"):
             loop.restore({})
 
 
@@ -319,7 +305,7 @@ def chained(solver, n, waits, shifts, backend=None):
     return loop
 
 
-def test_legs_end_within_25_mm_and_the_last_one_finishes(solver):
+def test_subgoals_end_within_25_mm_and_the_last_one_finishes(solver):
     loop = chained(solver, 2, (0.0, 0.2, 0.0), (-0.01, -0.02, -0.02))
     seen = [loop.step(still(loop)) for _ in range(5)]
     assert [int(step.subgoal[0]) for step in seen] == [0, 1, 1, 1, 2]
@@ -357,7 +343,7 @@ def test_success_is_within_25_mm_and_12_degrees(solver, metres, degrees, finishe
     assert step.finished == [finished]
 
 
-def test_only_a_feasible_step_ends_a_leg(solver):
+def test_only_a_feasible_step_ends_a_subgoal(solver):
     recorder = Recorder()
     loop = chained(solver, 1, (0.0,), (0.0,), recorder)
     recorder.base[:, 0] += 5.0
@@ -369,14 +355,14 @@ def test_only_a_feasible_step_ends_a_leg(solver):
         return recorder.state
 
     recorder.step = back
-    loop._measured(recorder.state)
+    loop._measure(recorder.state)
     step = loop.step(still(loop))
     assert not step.feasible.any()
     assert np.all(step.goal_distance <= 0.025)
     assert not step.finished.any()
 
 
-def test_the_base_may_move_while_the_ee_waits(solver):
+def test_the_base_moves_while_the_ee_dwells(solver):
     loop = chained(solver, 1, (1.0, 0.0), (0.0, -0.3))
     loop.step(still(loop))
     stood, base = loop.desired, loop.state.base_pose
@@ -391,12 +377,6 @@ def test_the_base_may_move_while_the_ee_waits(solver):
     assert loop.desired[0, 2] < stood[0, 2]
 
 
-def test_policies_see_no_demonstrated_base_where_there_is_none(solver):
-    loop = make_loop(solver, 3)
-    assert np.isnan(loop.policy_input.demonstrated_base).all()
-    assert loop.policy_input.demonstrated_base.shape == (3, 7)
-
-
 class Hands(Recorder):
     """Writes down what the grippers are told, with the number of steps until then."""
 
@@ -408,7 +388,7 @@ class Hands(Recorder):
         self.grips.append((grip, env_ids.tolist(), len(self.steps)))
 
 
-def test_grippers_act_where_legs_end(solver):
+def test_grippers_act_at_the_ends_of_subgoals(solver):
     hands, start = Hands(), starts(solver.robot, 2)
     targets = targets_at(make_loop(solver, 2), -0.01, -0.01)
     subgoals = [
@@ -422,9 +402,9 @@ def test_grippers_act_where_legs_end(solver):
     assert hands.grips[:2] == [("close", [0, 1], 1), ("open", [0, 1], 4)]
 
 
-def test_slowed_down_motions_are_seen_as_they_are_planned(solver):
+def test_time_scale_changes_the_motion_but_not_the_observation(solver):
     loops = []
-    for execution in (ExecutionConfig(), ExecutionConfig(slow_down=2.0)):
+    for execution in (ExecutionConfig(), ExecutionConfig(time_scale=0.5)):
         loop = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend(), execution=execution)
         loop.start(starts(solver.robot, 3), rngs(3))
         loops.append(loop)
@@ -443,7 +423,7 @@ def test_slowed_down_motions_are_seen_as_they_are_planned(solver):
     np.testing.assert_allclose(ways[1], ways[0], rtol=0.02)
 
 
-def test_ik_goes_on_from_where_the_arm_was_sent(solver):
+def test_ik_starts_from_the_last_joint_command(solver):
     """An arm that lags behind is no reason to look for another configuration."""
     recorder = Recorder()
     loop = make_loop(solver, 1, recorder)
@@ -469,7 +449,7 @@ class Swinging(Recorder):
         return RobotState(self.base.copy(), joints)
 
 
-def test_base_and_motion_stand_still_while_an_arm_swings(solver):
+def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
     backend = Swinging()
     loop = Loop(
         solver,
@@ -492,14 +472,7 @@ def test_base_and_motion_stand_still_while_an_arm_swings(solver):
     assert max_joint_step == [paused] * 5 + [free] * 4 + [paused]
 
 
-def test_nobody_waits_for_an_arm_by_default(solver):
-    loop = make_loop(solver, 2, Swinging())
-    before = loop.desired
-    loop.step(still(loop))
-    assert np.all(np.any(loop.desired != before, axis=1))
-
-
-def test_a_backend_that_draws_does_not_change_what_the_course_draws(solver):
+def test_random_backends_do_not_change_the_motion(solver):
     stood = []
     for backend in (AnalyticBackend(), Noisy()):
         loop = Loop(
@@ -516,3 +489,61 @@ def test_a_backend_that_draws_does_not_change_what_the_course_draws(solver):
         stood.append(still.tolist())
     assert stood[0] == stood[1]
     assert len(set(stood[0])) > 3
+
+
+class Counter:
+    """A policy with a state: counts its calls in each episode."""
+
+    observation_terms = ("joint_positions",)
+
+    def __init__(self):
+        self.calls = np.zeros(3, dtype=int)
+
+    def reset(self, loop, rows):
+        self.calls[rows] = 0
+
+    def act(self, policy_input):
+        self.calls += 1
+        return np.zeros((3, 3))
+
+
+class Halves:
+    """A filter that halves commands, and notes which rows it was reset for."""
+
+    def __init__(self):
+        self.fresh = []
+
+    def reset(self, loop, rows):
+        self.fresh.append(rows.tolist())
+
+    def __call__(self, command, policy_input):
+        return 0.5 * command
+
+
+def test_policies_and_filters_are_reset_for_rows_that_begin_anew(solver):
+    policy, halves = Counter(), Halves()
+    loop = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend(), filters=[halves])
+    loop.set_policy(policy)
+    loop.start(starts(solver.robot, 3), rngs(3))
+    np.testing.assert_array_equal(loop.observation, loop.state.joint_positions)
+    for _ in range(2):
+        loop.step(policy.act(loop.policy_input))
+    loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))
+    assert policy.calls.tolist() == [2, 0, 2]
+    assert halves.fresh == [[0, 1, 2], [1]]
+
+
+def test_filters_apply_in_order(solver):
+    class Ones(Halves):
+        def __call__(self, command, policy_input):
+            return np.ones_like(command)
+
+    sent = []
+    for filters in ([Ones(), Halves()], [Halves(), Ones()]):
+        recorder = Recorder()
+        loop = Loop(solver, [SubgoalMotion(Linear())], recorder, filters=filters)
+        loop.start(starts(solver.robot, 2), rngs(2))
+        loop.step(still(loop))
+        sent.append(recorder.steps[-1][0][:, 5])
+    np.testing.assert_allclose(2.0 * sent[0], sent[1])
+    assert np.all(sent[1] == solver.robot.base.max_rotation)

@@ -1,13 +1,15 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from kinfeas.config import PluginSpec
 from kinfeas.control.drive import action_size, base_twist
-from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.core import spatial
+from kinfeas.core.backend import RobotState
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
@@ -21,100 +23,88 @@ DT, ROWS = 0.5, 64
 
 
 @pytest.fixture
-def scene(solver):
-    """Arms anywhere, hands that are to stand still, and bases that want to drive anywhere."""
+def loop(solver):
+    """Arms anywhere, EEs that are to rest, and the parts of a loop that the filter reads."""
     robot, rng = solver.robot, np.random.default_rng(0)
     lower, upper = robot.finite_joint_limits
     joints = rng.uniform(lower, upper, (ROWS, len(robot.arm)))
     base_pose = spatial.planar_pose(*rng.uniform(-3.0, 3.0, (3, ROWS)))
-    desired = spatial.compose(base_pose, forward(solver.chain, joints))
-    action = rng.uniform(-1.0, 1.0, (ROWS, action_size(robot.base)))
-    return action, base_pose, desired, joints
-
-
-def follows(solver, action, base_pose, desired, joints):
-    """Return which arms are in time by IK without restarts, shape (n,)."""
-    robot = solver.robot
-    local = IkSolver(robot, replace(solver.options, restarts=0))
-    twist = base_twist(robot.base, base_pose, action, DT)
-    target = spatial.relative(desired, spatial.integrate(base_pose, twist, DT))
-    arm = local.solve(target, joints, robot.max_joint_velocity * DT)
-    return arm.feasible & ~joint_jumps(robot, joints, arm.joint_positions, DT)
+    return SimpleNamespace(
+        robot=robot,
+        dt=DT,
+        action_size=action_size(robot.base),
+        kinematic_step=KinematicStep(solver, DT),
+        state=RobotState(base_pose, joints),
+        joint_command=joints,
+        next_desired=spatial.compose(base_pose, forward(solver.chain, joints)),
+        paused=None,
+        velocity_constraints=None,
+        solved=None,
+    )
 
 
 @pytest.fixture
-def feasibility_filter(solver):
-    return FeasibilityFilter(KinematicStep(solver, DT))
+def command(loop):
+    return np.random.default_rng(1).uniform(-1.0, 1.0, (ROWS, loop.action_size))
 
 
-def test_commands_that_the_arm_can_follow_are_left_alone(solver, scene, feasibility_filter):
-    wanted, _ = feasibility_filter(*scene)
-    able = follows(solver, *scene)
+def filtered(loop, command):
+    one = FeasibilityFilter()
+    one.reset(loop, np.arange(ROWS))
+    return one(command, None), one.candidates
+
+
+def feasible(loop, command, rows):
+    """Return whether IK without restarts finds an arm in time, shape (m,)."""
+    solver = loop.kinematic_step.solver
+    local = IkSolver(solver.robot, replace(solver.options, restarts=0))
+    base, joints = loop.state.base_pose[rows], loop.joint_command[rows]
+    twist = base_twist(solver.robot.base, base, command, DT)
+    target = spatial.relative(loop.next_desired[rows], spatial.integrate(base, twist, DT))
+    arm = local.solve(target, joints, solver.robot.max_joint_velocity * DT)
+    return arm.feasible & ~joint_jumps(solver.robot, joints, arm.joint_positions, DT)
+
+
+def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, command):
+    found, candidates = filtered(loop, command)
+    able = feasible(loop, command, np.arange(ROWS))
     assert 0 < able.sum() < ROWS
-    as_given, _ = KinematicStep(solver, DT)(*scene)
-    np.testing.assert_array_equal(wanted[able], as_given[able])
-
-
-def test_the_nearest_command_that_the_arm_can_follow_is_taken(solver, scene, feasibility_filter):
-    action, base_pose, *rest = scene
-    twist, arm = feasibility_filter(*scene)
-    others, helped = feasibility_filter.candidates, 0
-    for row in np.flatnonzero(~follows(solver, *scene)):
-        alone = [np.repeat(values[[row]], len(others), axis=0) for values in (base_pose, *rest)]
-        able = others[follows(solver, others, *alone)]
-        away = np.linalg.norm(able - action[row], axis=1)
-        # Where nothing can be followed, the command stays.
-        best = able[away.argmin()] if len(able) else action[row]
-        expected = base_twist(solver.robot.base, base_pose[[row]], best[np.newaxis], DT)
-        np.testing.assert_array_equal(twist[row], expected[0])
-        helped += len(able) > 0
+    np.testing.assert_array_equal(found[able], command[able])
+    helped = 0
+    for row in np.flatnonzero(~able):
+        fits = candidates[feasible(loop, candidates, np.repeat(row, len(candidates)))]
+        away = np.linalg.norm(fits - command[row], axis=1)
+        expected = fits[away.argmin()] if len(fits) else command[row]
+        np.testing.assert_array_equal(found[row], expected)
+        helped += len(fits) > 0
     assert helped > 0
-    assert arm.feasible.sum() >= follows(solver, *scene).sum() + helped
 
 
-def test_the_arm_is_what_ik_finds_for_the_command_that_is_taken(solver, scene, feasibility_filter):
-    _, base_pose, desired, joints = scene
-    twist, arm = feasibility_filter(*scene)
-    target = spatial.relative(desired, spatial.integrate(base_pose, twist, DT))
-    alone = solver.solve(target, joints, solver.robot.max_joint_velocity * DT)
+def test_its_ik_solution_is_that_of_the_solver(loop, command):
+    found, _ = filtered(loop, command)
+    solved, twist, arm = loop.solved
+    np.testing.assert_array_equal(solved, found)
+    wanted, alone = loop.kinematic_step(
+        found, loop.state.base_pose, loop.next_desired, loop.joint_command
+    )
+    np.testing.assert_array_equal(twist, wanted)
     np.testing.assert_array_equal(arm.feasible, alone.feasible)
     np.testing.assert_array_equal(arm.joint_positions, alone.joint_positions)
 
 
-def test_no_row_depends_on_the_others(scene, feasibility_filter):
-    together, _ = feasibility_filter(*scene)
-    apart = [
-        feasibility_filter(*(values[[i]] for values in scene))[0][0] for i in range(0, ROWS, 7)
-    ]
-    np.testing.assert_array_equal(apart, together[::7])
-
-
-def test_rows_that_stand_still_are_left_alone(solver, scene, feasibility_filter):
-    paused = np.arange(ROWS) % 2 == 0
-    twist, arm = feasibility_filter(*scene, paused)
-    as_given, found = KinematicStep(solver, DT)(*scene)
-    np.testing.assert_array_equal(twist[paused], as_given[paused])
-    np.testing.assert_array_equal(arm.joint_positions[paused], found.joint_positions[paused])
-    np.testing.assert_array_equal(twist[~paused], feasibility_filter(*scene)[0][~paused])
+def test_paused_rows_stay_and_change_no_other(loop, command):
+    together, _ = filtered(loop, command)
+    loop.paused = np.arange(ROWS) % 2 == 0
+    found, _ = filtered(loop, command)
+    np.testing.assert_array_equal(found[loop.paused], command[loop.paused])
+    np.testing.assert_array_equal(found[~loop.paused], together[~loop.paused])
 
 
 @pytest.mark.parametrize("policy", ["follow_ee_feedback", "pretrained"])
-def test_an_arm_jumps_less_if_the_base_yields(policy):
-    tiago, joint_jumps_of = load_robot("tiago"), []
-    for feasibility_filter in (False, True):
-        world = World(
-            tiago, load_task("ggr"), WorldConfig(feasibility_filter=feasibility_filter), seed=1
-        )
+def test_an_arm_jumps_less_with_the_filter(policy):
+    tiago, jumps = load_robot("tiago"), []
+    for filters in ((), (PluginSpec("feasibility"),)):
+        world = World(tiago, load_task("ggr"), WorldConfig(filters=filters), seed=1)
         records = run_episodes(world, load_policy(policy, tiago), 24)
-        joint_jumps_of.append(records.joint_jumps.mean())
-    assert joint_jumps_of[1] < 0.5 * joint_jumps_of[0]
-
-
-@pytest.mark.parametrize("asks", ["world", "execution"])
-def test_a_world_yields_if_it_or_its_pace_says_so(asks):
-    config, execution = (
-        WorldConfig(feasibility_filter=asks == "world"),
-        ExecutionConfig(slow_down=2.0, feasibility_filter=asks == "execution"),
-    )
-    world = World(load_robot("tiago"), load_task("ggr"), config, 0, execution=execution)
-    assert world.loop.execution == ExecutionConfig(slow_down=2.0, feasibility_filter=True)
+        jumps.append(records.joint_jumps.mean())
+    assert jumps[1] < 0.5 * jumps[0]

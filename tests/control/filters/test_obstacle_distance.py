@@ -1,0 +1,203 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.execution import SubgoalMotion
+from kinfeas.control.filters.feasibility import FeasibilityFilter
+from kinfeas.control.filters.obstacle_distance import ObstacleFilter
+from kinfeas.control.loop import Loop
+from kinfeas.core import spatial
+from kinfeas.core.backend import ObstacleDistances
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.plugins.linear import Linear
+from kinfeas.robots.loading import load_robot
+
+KEPT, DT, RADIUS = 0.05, 0.1, 0.3
+ROBOTS = pytest.mark.parametrize("robot", ["hsr", "tiago"], indirect=True)
+
+
+@pytest.fixture
+def robot(request):
+    return load_robot(getattr(request, "param", "hsr"))
+
+
+class Pillars(AnalyticBackend):
+    """The analytic world with points as obstacles of round bases."""
+
+    def __init__(self, *pillars):
+        super().__init__()
+        self.pillars = np.array(pillars).reshape(-1, 2)
+
+    def obstacle_distances(self, within):
+        base = self.state.base_pose
+        heading = spatial.yaw(base)[:, np.newaxis]
+        x, y = np.moveaxis(self.pillars - base[:, np.newaxis, :2], 2, 0)
+        cosine, sine = np.cos(heading), np.sin(heading)
+        way = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=2)
+        away = np.linalg.norm(way, axis=2)
+        normal = way / away[..., np.newaxis]
+        distance = np.where(away - RADIUS < within, away - RADIUS, np.inf)
+        return ObstacleDistances(RADIUS * normal, normal, distance)
+
+    @property
+    def nearest(self):
+        way = self.pillars - self.state.base_pose[:, np.newaxis, :2]
+        return np.linalg.norm(way, axis=2).min(axis=1) - RADIUS
+
+
+class Fixed(Pillars):
+    """A backend that returns one answer."""
+
+    def __init__(self, answer):
+        super().__init__([9.0, 9.0])
+        self.answer = answer
+
+    def obstacle_distances(self, within):
+        return self.answer() if callable(self.answer) else self.answer
+
+
+def start_of(robot, n):
+    rng = np.random.default_rng(0)
+    base = spatial.planar_pose(*rng.uniform(-1.0, 1.0, (3, n)) * [[0.1], [0.1], [3.0]])
+    return base, np.tile(robot.home["home"], (n, 1))
+
+
+def loop_among(robot, backend, n, filters=None):
+    base, joints = start_of(robot, n)
+    filters = [ObstacleFilter(KEPT)] if filters is None else filters
+    loop = Loop(IkSolver(robot), [SubgoalMotion(Linear())], backend, DT, filters=filters)
+    ee = spatial.compose(base, forward(loop.solver.chain, joints))
+    goal = spatial.integrate(ee, np.tile([1.0, 0, 0, 0, 0, 0], (n, 1)), 1.0)
+    rngs = [np.random.default_rng(i) for i in range(n)]
+    loop.start(Start(base, joints, goal[:, np.newaxis]), rngs)
+    return loop
+
+
+def constraints(robot, backend, n=1):
+    one = ObstacleFilter(KEPT)
+    one.reset(SimpleNamespace(robot=robot, backend=backend, dt=DT), np.arange(n))
+    return one.constraints(n)
+
+
+@ROBOTS
+def test_no_base_comes_nearer_than_its_distance(robot):
+    rng, n = np.random.default_rng(1), 32
+    angle = rng.uniform(-np.pi, np.pi, 9)
+    backend = Pillars(*(0.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)))
+    loop = loop_among(robot, backend, n)
+    wish, nearest = rng.uniform(-1.0, 1.0, (n, loop.action_size)), np.full(n, np.inf)
+    for step in range(200):
+        if step % 50 == 0:
+            wish = np.sign(rng.uniform(-1.0, 1.0, wish.shape))
+        loop.step(wish)
+        nearest = np.minimum(nearest, backend.nearest)
+    # A turn and a drive at once lead a little off the straight way.
+    assert KEPT - 0.005 < nearest.min() < KEPT + 0.02
+    assert np.linalg.norm(loop.state.base_pose[:, :2], axis=1).max() > 0.3
+
+
+@ROBOTS
+def test_far_from_obstacles_commands_stay_bit_identical(robot):
+    backend, plain = Pillars([9.0, 9.0]), AnalyticBackend()
+    loops = [loop_among(robot, backend, 8), loop_among(robot, plain, 8, [])]
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        action = rng.uniform(-2.0, 2.0, (8, loops[0].action_size))
+        for loop in loops:
+            loop.step(action)
+    np.testing.assert_array_equal(backend.state.base_pose, plain.state.base_pose)
+    np.testing.assert_array_equal(loops[0].joint_command, loops[1].joint_command)
+
+
+def test_a_base_slides_along_a_wall(robot):
+    backend = Pillars(*([1.0, y] for y in np.linspace(-1.0, 3.0, 81)))
+    loop = loop_among(robot, backend, 1)
+    backend.state.base_pose[:] = spatial.planar_pose(np.array([0.6]), np.zeros(1), np.zeros(1))
+    for _ in range(50):
+        loop.step(np.array([[0.7, 0.7, 0.0]]))
+    x, y = backend.state.base_pose[0, :2]
+    assert x == pytest.approx(1.0 - RADIUS - KEPT, abs=0.01)
+    assert y == pytest.approx(50 * DT * robot.base.max_velocity * 0.7, rel=0.2)
+
+
+def test_a_base_may_leave_an_obstacle_that_it_touches(robot):
+    backend = Pillars([RADIUS, 0.0])
+    loop = loop_among(robot, backend, 1)
+    backend.state.base_pose[:] = spatial.IDENTITY
+    loop.step(np.array([[-1.0, 0.0, 0.0]]))
+    assert backend.state.base_pose[0, 0] == pytest.approx(-robot.base.max_velocity * DT)
+
+
+def corner(x, y):
+    point, ahead = np.array([[[x, y]]]), np.array([[[1.0, 0.0]]])
+    return Fixed(ObstacleDistances(point, ahead, np.array([[KEPT]])))
+
+
+def test_a_base_turns_its_corner_away_before_it_leaves_its_way(robot):
+    held = constraints(robot, corner(0.3, 0.3)).hold(np.array([[[0.5, 0.0, 0.0]]]))[0, 0]
+    assert held[0] == pytest.approx(0.5, rel=0.05)
+    approach = held[0] * robot.base.max_velocity - 0.3 * held[2] * robot.base.max_rotation
+    assert approach == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
+    held = constraints(robot, corner(0.3, 0.05)).hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
+    assert held[2] == pytest.approx(1.0)
+    limit = 0.05 * robot.base.max_rotation
+    assert held[0] * robot.base.max_velocity == pytest.approx(limit, rel=1e-3)
+
+
+def test_candidates_of_the_feasibility_filter_keep_the_distance(robot):
+    backend = Pillars(*([RADIUS + KEPT, y] for y in np.linspace(-1.0, 1.0, 21)))
+    filters = [ObstacleFilter(KEPT), FeasibilityFilter()]
+    loop = loop_among(robot, backend, 64, filters)
+    rng, lower_upper = np.random.default_rng(0), robot.finite_joint_limits
+    loop.joint_command = rng.uniform(*lower_upper, (64, len(robot.arm)))
+    backend.state.base_pose[:] = spatial.IDENTITY
+    before = loop.state.base_pose[:, 0].copy()
+    loop.step(rng.uniform(-1.0, 1.0, (64, 3)))
+    assert (loop.state.base_pose[:, 0] - before).max() < 1e-4
+
+
+@ROBOTS
+def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_rows(robot):
+    backend, rng = Pillars([0.4, 0.0], [0.0, 0.45]), np.random.default_rng(4)
+    base, joints = start_of(robot, 64)
+    backend.reset(base, joints)
+    limits = constraints(robot, backend, 64)
+    action = rng.uniform(-2.0, 2.0, (64, 1, action_size(robot.base)))
+    held = limits.hold(action)
+    speed = np.linalg.norm(base_twist(robot.base, base, held[:, 0], DT)[:, :2], axis=1)
+    assert speed.max() <= robot.base.max_velocity * (1.0 + 1e-12)
+    rows = np.array([3, 11])
+    np.testing.assert_array_equal(limits.of(rows).hold(action[rows]), held[rows])
+
+
+def test_a_backend_without_distances_raises(robot):
+    with pytest.raises(KinfeasError, match="AnalyticBackend"):
+        loop_among(robot, AnalyticBackend(), 1)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        None,
+        lambda: 1 / 0,
+        lambda: ObstacleDistances(np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), np.zeros((2, 1))),
+        lambda: ObstacleDistances(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1)),
+        lambda: ObstacleDistances(
+            np.full((1, 1, 2), np.nan), np.zeros((1, 1, 2)), np.zeros((1, 1))
+        ),
+    ],
+)
+def test_wrong_answers_of_a_backend_raise_errors_that_name_it(robot, answer):
+    with pytest.raises((KinfeasError, ZeroDivisionError, ValueError)) as caught:
+        constraints(robot, Fixed(answer))
+    told = [str(caught.value), *getattr(caught.value, "__notes__", [])]
+    assert any("Fixed" in text for text in told)

@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+
+from kinfeas.config import PluginSpec
+from kinfeas.control.filters.rollout import RolloutPlanner
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import WITHIN
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.evaluation.episodes import run_episodes
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+
+EPISODES = 8
+NEAR = {"horizon": 2.0, "replan_interval": 1.0, "num_samples": 8}
+
+
+class Still:
+    """Leaves the base where it is, and counts the rows of its calls."""
+
+    def __init__(self, size):
+        self.size, self.asked = size, []
+
+    def act(self, policy_input):
+        self.asked.append(len(policy_input.observation))
+        return np.zeros((len(policy_input.observation), self.size))
+
+
+def world_of(robot, task="ggr_restricted", **parameters):
+    filters = (PluginSpec("rollout_planner", parameters),) if parameters else ()
+    config = WorldConfig(max_failures=99, filters=filters)
+    return World(load_robot(robot), load_task(task, {}), config, seed=3)
+
+
+def run(robot, policy, task="ggr_restricted", episodes=EPISODES, first=0, **parameters):
+    world = world_of(robot, task, **parameters)
+    return run_episodes(world, load_policy(policy, world.robot), episodes, first=first)
+
+
+def planner_of(world, policy, **parameters):
+    """Return a planner of a started world's loop."""
+    world.loop.set_policy(policy)
+    world.start(range(4))
+    planner = RolloutPlanner(**parameters)
+    planner.reset(world.loop, np.arange(4))
+    return planner
+
+
+def test_fewer_failures_than_the_policy_alone():
+    alone, ahead = (run("tiago", "follow_ee", **given) for given in ({}, NEAR))
+    assert ahead.failures.sum() < 0.8 * alone.failures.sum()
+    assert (ahead.failures == 0).sum() > (alone.failures == 0).sum()
+
+
+@pytest.mark.parametrize(
+    ("robot", "policy", "task", "cost"),
+    [
+        ("tiago", "pretrained", "door", "jump_cost"),
+        ("hsr", "follow_ee_feedback", "ggr_restricted", "deviation_cost"),
+    ],
+)
+def test_costs_lead_to_fewer_jumps_and_deviations(robot, policy, task, cost):
+    free, dear = (run(robot, policy, task, 12, **NEAR, **{cost: value}) for value in (0.0, 0.1))
+    counts = [
+        one.joint_jumps.sum() if cost == "jump_cost" else (one.max_deviation > WITHIN).sum()
+        for one in (free, dear)
+    ]
+    assert counts[1] < counts[0]
+    assert dear.failures.sum() <= free.failures.sum()
+
+
+def test_episodes_do_not_depend_on_each_other():
+    together = run("hsr", "follow_ee", episodes=4, **NEAR)
+    alone = run("hsr", "follow_ee", episodes=1, first=2, **NEAR)
+    for name in ("failures", "steps", "mean_deviation", "joint_jumps"):
+        assert getattr(alone, name)[0] == getattr(together, name)[2]
+
+
+def test_no_offset_where_the_policy_does_not_fail():
+    world = world_of("pr2")
+    policy = Still(3)
+    planner = planner_of(world, policy, horizon=0.1, replan_interval=0.1, num_samples=8)
+    command = planner(np.zeros((4, 3)), world.loop.policy_input)
+    np.testing.assert_array_equal(command, np.zeros((4, 3)))
+    assert policy.asked == [4]
+
+
+def test_more_samples_only_where_they_may_help(monkeypatch):
+    world = world_of("pr2")
+    planner = planner_of(world, Still(3), num_samples=12)
+    # Row 0 never fails, 1 is helped by the second sample, 2 by the last one, 3 fails already.
+    asked = []
+
+    def outcome(now, rows, offsets, limit):
+        k = offsets.shape[1]
+        asked.append((rows.tolist(), k))
+        cost = np.where(rows == 0, 0.0, 5.0)[:, np.newaxis].repeat(k, axis=1)
+        if k > 1:
+            cost[rows == 1, 1] = 0.0
+            cost[rows == 2, -1] = 3.0 if k == 4 else 5.0
+        return cost, (rows == 3)[:, np.newaxis].repeat(k, axis=1)
+
+    monkeypatch.setattr(planner, "_rollout", outcome)
+    planner(np.zeros((4, 3)), world.loop.policy_input)
+    assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 7), ([2], 4)]
+    np.testing.assert_array_equal(planner.offset.any(axis=1), [False, True, True, False])
+
+
+def test_aborted_rollouts_would_not_have_been_chosen(monkeypatch):
+    world = world_of("tiago")
+    planner = planner_of(world, load_policy("follow_ee", world.robot), num_samples=16)
+    short = planner.plan(planner._now(), np.arange(4))
+    rollout = planner._rollout
+
+    def to_the_end(now, rows, offsets, limit):
+        return rollout(now, rows, offsets, np.full(len(rows), np.inf))
+
+    monkeypatch.setattr(planner, "_rollout", to_the_end)
+    np.testing.assert_array_equal(short, planner.plan(planner._now(), np.arange(4)))
+    assert short.any()
+
+
+def test_needs_a_policy_without_a_state():
+    class Recurrent(Still):
+        def reset(self, loop, rows):
+            pass
+
+    world = world_of("hsr", **NEAR)
+    with pytest.raises(KinfeasError, match="rollout_planner"):
+        world.start([0])
+    world.loop.set_policy(Recurrent(3))
+    with pytest.raises(KinfeasError, match="rollout_planner"):
+        world.start([0])
