@@ -73,7 +73,7 @@ def test_a_file_without_the_list_raises(tmp_path, text):
 def test_backend_and_robot_are_no_parameters(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("adapters: [{name: base_noise, parameters: {robot: 1}}]")
-    with pytest.raises(KinfeasError, match="base_noise.*robot"):
+    with pytest.raises(KinfeasError, match=r"base_noise.*robot"):
         wrap(AnalyticBackend(), read_sim2real(str(path)).adapters, load_robot("hsr"))
 
 
