@@ -29,7 +29,7 @@ from kinfeas.robots.elements import parse_xml
 from kinfeas.robots.loading import build_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.spec import (
-    FASTEST_JOINT,
+    MAX_JOINT_VELOCITY,
     ArmJointSpec,
     BaseSpec,
     Drive,
@@ -218,7 +218,7 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
 
 
 def _joint(joint: Joint) -> ArmJointSpec:
-    known = 0.0 < joint.velocity <= FASTEST_JOINT
+    known = 0.0 < joint.velocity <= MAX_JOINT_VELOCITY
     return ArmJointSpec(
         soft_limits=_one_turn(joint),
         velocity=None if known else _SLIDE if joint.kind == "prismatic" else _TURN,

@@ -1,4 +1,4 @@
-"""A robot: what its YAML file and its URDF say, as everything else takes it."""
+"""The robot model: base, arm, gripper and URDF; joint displacements and the fingerprint."""
 
 import hashlib
 import json
@@ -14,43 +14,33 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core import spatial
 from kinfeas.core.spatial import Array
-from kinfeas.robots.spec import Drive, Gripper, PoseTolerance
+from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance
 from kinfeas.robots.urdf import Joint, Urdf
 
-__all__ = ["ArmJoint", "Base", "Gripper", "PoseTolerance", "Robot"]
+_ROUNDING = 1.001
+"""Factor on the velocity limits, so that a motion at the limit is no joint jump."""
+
+_DIGITS = 9
+"""Decimals in the fingerprint: nanometres and nanoradians, far above rounding errors."""
 
 
 @dataclass(frozen=True)
-class Base:
-    """How the base drives.
+class Base(BaseSpec):
+    """Drive and limits of the base, and `frame`, its root link on the floor."""
 
-    Attributes:
-        drive: Whether it moves in any direction or only along its heading.
-        max_velocity: m/s.
-        max_rotation: rad/s.
-        max_acceleration: m/s^2.
-        max_rotation_acceleration: rad/s^2.
-        frame: Root link, on the floor.
-    """
-
-    drive: Drive
-    max_velocity: float
-    max_rotation: float
-    max_acceleration: float
-    max_rotation_acceleration: float
     frame: str
 
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A joint that IK moves; radians for turning joints, metres for sliding ones.
+    """A joint that IK moves, in radians, or metres if it is prismatic.
 
     Attributes:
         name: Name in the URDF.
         lower: Soft lower limit, -inf if continuous.
         upper: Soft upper limit, inf if continuous.
-        velocity: Largest speed, per second.
-        continuous: Whether it turns without end.
+        velocity: Velocity limit, per second.
+        continuous: Whether it has no limits.
     """
 
     name: str
@@ -62,28 +52,25 @@ class ArmJoint:
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """All that is known of a robot.
-
-    The arrays that its properties return are read-only.
+    """A robot. The arrays that its properties return are read-only.
 
     Attributes:
         name: Short name.
         urdf_path: File that physics engines load.
-        urdf: What that file says.
+        urdf: Links and joints of that file.
         ee_frame: Link that motions move and IK places.
         tool_tip: Position of the tool tip in the EE frame, shape (3,), metres.
         gripper_rotation: Quaternion xyzw, shape (4,), from the common gripper convention (x is the
             approach, y the finger axis) to the EE frame: R_world_ee = R_world_gripper * it.
-        base: How the base drives.
+        base: Drive and limits of the base.
         arm: Joints that IK moves, from the root to the EE.
-        fixed_joints: Positions of all other joints, except those that follow an arm joint.
-        home: Named configurations of the arm, each of shape (j,); `home` is one of them.
+        fixed_joints: Positions of all other joints, except those that mimic an arm joint.
+        home: Named configurations of the arm, each of shape (j,); one is named `home`.
         goal_heights: Lowest and highest EE goal in metres, for `ggr` and `ggr_restricted`.
-        pose_tolerance: How far a pose may be missed and still count as feasible; None for not at
-            all.
-        ignored_collisions: Pairs of links that may touch, besides those next to each other.
-        gripper: How the gripper closes; None if it does not.
-        counterbalanced: Arm joints whose share of the arm's weight springs carry, not motors.
+        pose_tolerance: Pose error that still counts as feasible; None for exact IK.
+        ignored_collisions: Pairs of links that may touch, besides adjacent ones.
+        gripper: Finger joints and their positions; None without a gripper.
+        counterbalanced: Arm joints whose gravity load is carried by springs.
     """
 
     name: str
@@ -104,12 +91,12 @@ class Robot:
 
     @cached_property
     def continuous(self) -> NDArray[np.bool_]:
-        """Whether each arm joint turns without end, shape (j,)."""
+        """Whether each arm joint is continuous, shape (j,)."""
         return _read_only([joint.continuous for joint in self.arm])
 
     @cached_property
     def max_joint_velocity(self) -> Array:
-        """Largest speed of each arm joint, shape (j,), rad/s or m/s."""
+        """Velocity limit of each arm joint, shape (j,), rad/s or m/s."""
         return _read_only([joint.velocity for joint in self.arm])
 
     @cached_property
@@ -132,55 +119,40 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
     return array
 
 
-_ROUNDING = 1.001
-"""Must not turn a motion at the very limit into a jump."""
-
-
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
-    """Return how far each joint has to go, the short way round where it has no end.
+    """Return the displacement of each joint, in (-pi, pi] for continuous joints.
 
     Args:
-        robot: Whose arm it is.
+        robot: The robot.
         before: Joint positions, shape (..., j), radians or metres.
-        after: The same.
-
-    Returns:
-        Shape (..., j), radians or metres.
+        after: Joint positions, shape (..., j).
     """
     return np.where(robot.continuous, spatial.wrap(after - before), after - before)
 
 
 def joint_jumps(robot: Robot, before: Array, after: Array, dt: float) -> NDArray[np.bool_]:
-    """Return whether a joint would have to move faster than it can, shape (...).
+    """Return whether a joint exceeds its velocity limit, shape (...).
 
     Args:
-        robot: Whose arm it is.
+        robot: The robot.
         before: Joint positions, shape (..., j), radians or metres.
-        after: Where they are to be `dt` seconds later.
+        after: Joint positions `dt` seconds later, shape (..., j).
         dt: Seconds.
     """
     longest = robot.max_joint_velocity * dt * _ROUNDING
-    joint_jump: NDArray[np.bool_] = np.any(
+    jumps: NDArray[np.bool_] = np.any(
         np.abs(joint_displacement(robot, before, after)) > longest, axis=-1
     )
-    return joint_jump
-
-
-DIGITS = 9
-"""Decimals that count: nanometres and nanoradians, far above what rounding does."""
+    return jumps
 
 
 def fingerprint(robot: Robot) -> str:
-    """Return `sha256:` and the hash of a robot's kinematics, 64 hexadecimal digits.
+    """Return `sha256:` and the hash of the kinematics that a policy depends on.
 
-    It covers what gives a policy's observation and action their meaning: the names of the base
-    frame and of the EE frame, the joints on the way between them, each with its origin, its axis
-    and where it stands or what it follows, the names and soft limits of the arm's joints in order,
-    and how the base drives and how fast.
-
-    It leaves out what may be mended or tuned under a trained policy: shapes for self-collision,
-    pose_tolerance, accelerations, velocities of the arm's joints, the tool tip and the gripper,
-    masses, named configurations, goal heights, and the names of links along the way.
+    The hash covers the base and EE frames, the joints between them (type, origin, axis, position or
+    mimic), the names and soft limits of the arm's joints, and drive and velocity limits of the
+    base. A trained policy stays valid under all other changes: collision shapes, tolerances,
+    accelerations, joint velocities, tool tip, gripper, masses, configurations and goal heights.
     """
     facts = {
         "frames": [robot.base.frame, robot.ee_frame],
@@ -193,14 +165,13 @@ def fingerprint(robot: Robot) -> str:
 
 
 def _joint(robot: Robot, joint: Joint) -> list[object]:
-    # A matrix, for a quaternion of half a turn has no sign that rounding would leave alone.
+    # A matrix, since the sign of a quaternion of a half turn depends on rounding.
     turn = Rotation.from_quat(joint.origin[3:]).as_matrix()
     origin = _rounded(*joint.origin[:3], *turn.ravel())
     return [joint.kind, origin, _rounded(*joint.axis), *_position(robot, joint)]
 
 
 def _position(robot: Robot, joint: Joint) -> list[object]:
-    """Return what the joint's position is, or what it follows: the arm's joint, times, plus."""
     if not joint.moves:
         return []
     leader, scale, offset = robot.urdf.followed(joint)
@@ -210,7 +181,7 @@ def _position(robot: Robot, joint: Joint) -> list[object]:
 
 
 def _rounded(*values: float) -> list[object]:
-    """Return numbers as JSON takes them: rounded, without a negative zero, null for infinity."""
+    # JSON has no infinity; the sum turns -0 into 0.
     return [
-        float(np.round(value, DIGITS)) + 0.0 if math.isfinite(value) else None for value in values
+        float(np.round(value, _DIGITS)) + 0.0 if math.isfinite(value) else None for value in values
     ]

@@ -1,4 +1,4 @@
-"""What the YAML file of a robot may say: the schema, and what can be checked without the URDF."""
+"""The YAML file of a robot as dataclasses; `robot.Robot` describes the meaning of its keys."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,45 +11,39 @@ from kinfeas.core.names import check_name
 
 Drive = Literal["omnidirectional", "differential"]
 
-# What no robot has exceeded; larger numbers are mistakes, or would make anything feasible.
-FASTEST_JOINT = 1000.0
-Speed = Annotated[float, Interval(low=0.0, high=100.0, open_low=True)]
-JointSpeed = Annotated[float, Interval(low=0.0, high=FASTEST_JOINT, open_low=True)]
+MAX_JOINT_VELOCITY = 1000.0
+"""rad/s or m/s; larger numbers in a URDF stand for no limit."""
+
+Velocity = Annotated[float, Interval(low=0.0, high=100.0, open_low=True)]
+JointVelocity = Annotated[float, Interval(low=0.0, high=MAX_JOINT_VELOCITY, open_low=True)]
 Acceleration = Annotated[float, Interval(low=0.0, high=1e4, open_low=True)]
 Effort = Annotated[float, Interval(low=0.0, high=1e5, open_low=True)]
 
 GOAL_HEIGHTS = ("ggr", "ggr_restricted")
-QUATERNION_TOLERANCE = 1e-3
-"""Four digits by hand are enough for a unit quaternion; it is normalised when read."""
 
 
 @dataclass(frozen=True)
 class BaseSpec:
-    """The block `base`: how the base drives, m/s, rad/s, m/s^2 and rad/s^2."""
+    """The block `base`: drive type, and limits in m/s, rad/s, m/s^2 and rad/s^2."""
 
     drive: Drive
-    max_velocity: Speed
-    max_rotation: Speed
+    max_velocity: Velocity
+    max_rotation: Velocity
     max_acceleration: Acceleration
     max_rotation_acceleration: Acceleration
 
 
 @dataclass(frozen=True)
 class ArmJointSpec:
-    """A block within `arm`: what differs from the URDF, m or rad, and per second."""
+    """A block within `arm`: values in place of the URDF's, m or rad, and per second."""
 
     soft_limits: tuple[float, float] | None = None
-    velocity: JointSpeed | None = None
-
-    def __post_init__(self) -> None:
-        """Check that the limits ascend."""
-        if self.soft_limits is not None:
-            _check_ascending("soft_limits", self.soft_limits)
+    velocity: JointVelocity | None = None
 
 
 @dataclass(frozen=True)
 class PoseTolerance:
-    """How far a pose may be missed and still count as feasible.
+    """Pose error that still counts as feasible.
 
     Attributes:
         position: Metres.
@@ -62,13 +56,13 @@ class PoseTolerance:
 
 @dataclass(frozen=True)
 class Gripper:
-    """How the gripper closes; other joints of its fingers follow them as the URDF says.
+    """A two-finger gripper; mimic joints of the fingers move along.
 
     Attributes:
-        fingers: Joints that carry one finger each.
+        fingers: Joint of each finger.
         closed: Their position when closed, rad or m.
         open: Their position when open, rad or m.
-        effort: Largest torque or force of each, N m or N.
+        effort: Effort limit of each, N m or N.
     """
 
     fingers: tuple[str, str]
@@ -77,7 +71,7 @@ class Gripper:
     effort: Effort
 
     def __post_init__(self) -> None:
-        """Check that there are two fingers, and that they move."""
+        """Check that the fingers differ and move."""
         if self.fingers[0] == self.fingers[1]:
             raise ValueError("'fingers' must name two joints")
         if self.closed == self.open:
@@ -86,7 +80,7 @@ class Gripper:
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """The whole file; `urdf` is relative to it, and `robot.Robot` says what the rest means."""
+    """The whole file; `urdf` is relative to it."""
 
     name: str
     urdf: Path
@@ -104,20 +98,19 @@ class RobotSpec:
     counterbalanced: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check what needs no look into the URDF."""
+        """Check everything that does not need the URDF."""
         check_name(self.name)
         if not self.arm:
             raise ValueError("'arm' must name at least one joint")
-        if abs(math.hypot(*self.gripper_rotation) - 1.0) > QUATERNION_TOLERANCE:
+        # Four digits are precise enough in a file; the quaternion is normalised on loading.
+        if abs(math.hypot(*self.gripper_rotation) - 1.0) > 1e-3:
             raise ValueError("'gripper_rotation' must be a unit quaternion x y z w")
         if "home" not in self.home:
             raise ValueError("'home' must hold a configuration of the name 'home'")
         if set(self.goal_heights) != set(GOAL_HEIGHTS):
             raise ValueError(f"'goal_heights' must hold {' and '.join(GOAL_HEIGHTS)}, and no more")
-        for name, heights in self.goal_heights.items():
-            _check_ascending(f"goal_heights.{name}", heights)
-
-
-def _check_ascending(name: str, bounds: tuple[float, float]) -> None:
-    if not bounds[0] < bounds[1]:
-        raise ValueError(f"{name!r} must ascend, not go from {bounds[0]:g} to {bounds[1]:g}")
+        for name, (low, high) in self.goal_heights.items():
+            if not low < high:
+                raise ValueError(
+                    f"'goal_heights.{name}' must ascend, not go from {low:g} to {high:g}"
+                )

@@ -1,33 +1,37 @@
-"""A URDF file as a checked tree of links and joints."""
+"""URDF files: a checked tree of links and joints."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, Protocol, TypeVar, cast, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.robots.elements import Element, read_xml
-
-MAX_DEPTH = 200
-"""Joints between the root and a link, or that follow one another: more than any robot has."""
 
 ShapeKind = Literal["box", "cylinder", "sphere"]
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 
+MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+"""Attributes of <inertia>, and their row and column."""
+
+SLACK = 1e-6
+"""Share of a principal moment that counts as rounding."""
+
+_MAX_MASS, _MAX_MOMENT = 1e5, 1e7  # kg and kg m^2
+
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A primitive that stands for part of a link in collision checks.
+    """A primitive of a link's collision geometry.
 
     Attributes:
-        kind: Which primitive it is.
+        kind: Kind of primitive.
         size: Box: full x, y and z; cylinder: radius and length along z; sphere: radius. Metres.
         pose: Pose of its centre in the link's frame, shape (7,).
     """
@@ -43,9 +47,9 @@ class Link:
 
     Attributes:
         name: Unique name.
-        mass: Kilograms, 0 for a mere frame.
+        mass: Kilograms; 0 for a frame without inertia.
         shapes: Primitives of its collision geometry.
-        mesh_collisions: Whether it has collision meshes besides, which are not read.
+        mesh_collisions: Whether it also has collision meshes, which are not read.
     """
 
     name: str
@@ -56,7 +60,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Mimic:
-    """The joint that another one follows: position = multiplier * position of joint + offset."""
+    """A coupling to another joint: position = multiplier * position of `joint` + offset."""
 
     joint: str
     multiplier: float
@@ -65,24 +69,24 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """What holds a link to its parent; radians for turning joints, metres for sliding ones.
+    """A joint; positions are radians, or metres if it is prismatic.
 
     Attributes:
         name: Unique name.
-        kind: How it moves.
-        parent: Link that it stands on.
-        child: Link that it moves.
+        kind: Joint type.
+        parent: Parent link.
+        child: Child link.
         origin: Pose of the child in the parent's frame at position 0, shape (7,).
         axis: Unit vector in the joint's frame.
         lower: Hard lower limit; -inf for a continuous joint, 0 for a fixed one.
         upper: Hard upper limit; inf for a continuous joint, 0 for a fixed one.
-        soft_lower: Lower limit of the safety controller, the hard one if it gives none.
-        soft_upper: Upper limit of the safety controller, the hard one if it gives none.
-        velocity: Largest speed, per second; inf for a continuous joint without a limit.
-        effort: Largest force or torque, N or N m; inf where none is given.
+        soft_lower: Lower limit of the safety controller, by default the hard one.
+        soft_upper: Upper limit of the safety controller, by default the hard one.
+        velocity: Velocity limit, per second; inf for a continuous joint without a limit.
+        effort: Effort limit, N or N m; inf where none is given.
         damping: N s/m or N m s/rad.
         friction: N or N m.
-        mimic: The joint that it follows, or None.
+        mimic: Coupling to another joint, or None.
     """
 
     name: str
@@ -103,15 +107,20 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether the joint has a position."""
+        """Whether the joint is not fixed."""
         return self.kind != "fixed"
+
+    @property
+    def rest(self) -> float:
+        """The position nearest to 0 within the hard limits."""
+        return min(max(0.0, self.lower), self.upper)
 
     def pose_at(self, position: float) -> Array:
         """Return the pose of the child in the parent's frame at `position`, shape (7,)."""
         return compose(self.origin, self.motion_at(position))
 
     def motion_at(self, position: float) -> Array:
-        """Return the pose of the child at `position`, seen from its `origin`, shape (7,)."""
+        """Return the pose of the child relative to `origin` at `position`, shape (7,)."""
         along = position * np.array(self.axis)
         if self.kind == "prismatic":
             return make_pose(along, Rotation.identity())
@@ -120,13 +129,13 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A tree of links, held together by joints.
+    """A tree of links and joints.
 
     Attributes:
         name: Name of the robot.
         links: Links by name, in the file's order.
         joints: Joints by name, in the file's order.
-        root: The one link without a parent.
+        root: The link without a parent.
     """
 
     name: str
@@ -136,7 +145,7 @@ class Urdf:
 
     @cached_property
     def on(self) -> dict[str, list[Joint]]:
-        """The joints right on each link, in the file's order."""
+        """The joints whose parent is each link, in the file's order."""
         found: dict[str, list[Joint]] = {link: [] for link in self.links}
         for joint in self.joints.values():
             found[joint.parent].append(joint)
@@ -144,7 +153,7 @@ class Urdf:
 
     @cached_property
     def rigid(self) -> dict[str, frozenset[str]]:
-        """The links that cannot move against each link, itself included."""
+        """The links that are joined rigidly to each link, itself included."""
         found: dict[str, frozenset[str]] = {}
         for base in (self.root, *(joint.child for joint in self.joints.values() if joint.moves)):
             group = [base]
@@ -158,7 +167,7 @@ class Urdf:
         return {joint.child: joint for joint in self.joints.values()}
 
     def path_to(self, link: str) -> tuple[Joint, ...]:
-        """Return the joints, fixed ones too, that lead from the root to `link`."""
+        """Return the joints, fixed ones too, from the root to `link`."""
         path = []
         while link != self.root:
             path.append(self._above[link])
@@ -167,16 +176,10 @@ class Urdf:
 
     def below(self, joint: str) -> frozenset[str]:
         """Return the links that the joint of this name carries."""
-        found = [self.joints[joint].child]
-        for link in found:
-            found += [one.child for one in self.on[link]]
-        return frozenset(found)
+        return frozenset(_descendants(self.on, self.joints[joint].child))
 
     def followed(self, joint: Joint) -> tuple[Joint, float, float]:
-        """Return the joint that `joint` follows in the end, or itself, with scale and offset.
-
-        The position of `joint` is scale * position of that one + offset.
-        """
+        """Return the joint at the end of the mimic chain (or `joint`), multiplier and offset."""
         scale, offset = 1.0, 0.0
         while joint.mimic is not None:
             offset += scale * joint.mimic.offset
@@ -185,108 +188,15 @@ class Urdf:
         return joint, scale, offset
 
 
-def find_root(links: Collection[str], joints: Iterable[Joint], source: str) -> str:
-    """Return the one link without a parent.
-
-    Args:
-        links: Names of all links.
-        joints: What joins them.
-        source: File name for the error.
-
-    Raises:
-        KinfeasError: If a joint names an unknown link, a link hangs on two joints, links and
-            joints do not form one tree, or it is deeper than `MAX_DEPTH`.
-    """
-    parents: dict[str, str] = {}
-    for joint in joints:
-        where = f"{source}: joint {joint.name!r}"
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise KinfeasError(f"{where}: there is no link {link!r}")
-        if joint.child in parents:
-            raise KinfeasError(f"{where}: link {joint.child!r} hangs on another joint, too")
-        parents[joint.child] = joint.parent
-    roots = [link for link in links if link not in parents]
-    if len(roots) > 1:
-        raise KinfeasError(f"{source}: one root link is allowed, not {', '.join(roots)}")
-    depth = _depths(roots, parents)
-    if lost := set(links) - depth.keys():
-        raise KinfeasError(f"{source}: link {min(lost)!r} hangs on a closed loop of joints")
-    if not roots:
-        raise KinfeasError(f"{source}: there is no <link>")
-    deepest = max(depth, key=depth.__getitem__)
-    if depth[deepest] > MAX_DEPTH:
-        raise KinfeasError(
-            f"{source}: link {deepest!r} is {depth[deepest]} joints away from the root, at most "
-            f"{MAX_DEPTH} are allowed"
-        )
-    return roots[0]
-
-
-def _depths(roots: Iterable[str], parents: Mapping[str, str]) -> dict[str, int]:
-    """Return how many joints `roots` and all links below them are away from the roots."""
-    children: dict[str, list[str]] = {}
-    for child, parent in parents.items():
-        children.setdefault(parent, []).append(child)
-    found = dict.fromkeys(roots, 0)
-    todo = list(found)
-    for link in todo:
-        below = children.get(link, [])
-        found |= dict.fromkeys(below, found[link] + 1)
-        todo += below
+def _descendants(on: Mapping[str, list[Joint]], link: str) -> list[str]:
+    found = [link]
+    for one in found:
+        found += [joint.child for joint in on[one]]
     return found
 
 
-def check_mimics(joints: Mapping[str, Joint], source: str) -> None:
-    """Check that every joint that follows another one ends up at one that moves by itself.
-
-    Raises:
-        KinfeasError: If a joint follows an unknown or a fixed joint, in the end itself, or over
-            more than `MAX_DEPTH` others.
-    """
-    for name, joint in joints.items():
-        where, seen, mimic = f"{source}: joint {name!r}, <mimic>", {name}, joint.mimic
-        while mimic is not None:
-            if mimic.joint not in joints or not joints[mimic.joint].moves:
-                raise KinfeasError(f"{where}: there is no moving joint {mimic.joint!r}")
-            if mimic.joint in seen:
-                raise KinfeasError(f"{where}: the joint follows itself")
-            if len(seen) > MAX_DEPTH:
-                raise KinfeasError(f"{where}: at most {MAX_DEPTH} joints may follow one another")
-            seen.add(mimic.joint)
-            mimic = joints[mimic.joint].mimic
-
-
-__all__ = [
-    "Joint",
-    "JointKind",
-    "Link",
-    "Mimic",
-    "Shape",
-    "ShapeKind",
-    "Urdf",
-    "parse_urdf",
-    "urdf_of",
-]
-
-MOMENTS = {
-    "ixx": (0, 0),
-    "iyy": (1, 1),
-    "izz": (2, 2),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyz": (1, 2),
-}
-"""Attributes of <inertia>, and where they stand in the matrix."""
-
-SLACK = 1e-6
-"""Share of a moment that is no more than a rounding."""
-
-_HEAVIEST, _MOST_INERTIA = 1e5, 1e7  # kg and kg m^2
-
-
 def parse_urdf(path: Path) -> Urdf:
-    """Return the robot that a URDF file describes.
+    """Return the links and joints of a URDF file.
 
     Raises:
         KinfeasError: If the file cannot be read, is not XML or no tree of supported joints, or
@@ -296,42 +206,59 @@ def parse_urdf(path: Path) -> Urdf:
 
 
 def urdf_of(robot: Element) -> Urdf:
-    """Return the robot that an element <robot> describes; errors as in `parse_urdf`."""
-    links = _by_name(robot, "link", _link)
-    joints = _by_name(robot, "joint", _joint)
-    root = find_root(links, joints.values(), robot.where)
-    check_mimics(joints, robot.where)
-    urdf = Urdf(robot.text("name"), links, joints, root)
-    for joint in joints.values():
-        _check_following(urdf, joint, robot.where)
+    """Return the links and joints of an element <robot>; errors as in `parse_urdf`."""
+    links = {name: _link(name, element) for name, element in _named(robot, "link")}
+    joints = {name: _joint(name, element) for name, element in _named(robot, "joint")}
+    urdf = Urdf(robot.text("name"), links, joints, _find_root(links, joints.values(), robot))
+    if lost := set(links).difference(_descendants(urdf.on, urdf.root)):
+        raise robot.error(f"link {min(lost)!r} is on a closed loop of joints")
+    _check_mimics(joints, robot)
     return urdf
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-_N = TypeVar("_N", bound=_Named)
-
-
-def _by_name(robot: Element, tag: str, read: Callable[[Element], _N]) -> dict[str, _N]:
-    found: dict[str, _N] = {}
+def _named(robot: Element, tag: str) -> Iterable[tuple[str, Element]]:
+    names = set()
     for element in robot.children(tag):
         name = element.text("name")
-        named = Element(element.xml, f"{robot.where}: {tag} {name!r}")
-        if name in found:
-            raise named.error(f"there are two {tag}s of this name")
-        found[name] = read(named)
-    return found
+        if name in names:
+            raise robot.error(f"{tag} {name!r}: there are two {tag}s of this name")
+        names.add(name)
+        yield name, Element(element.xml, f"{robot.where}: {tag} {name!r}")
 
 
-def _link(element: Element) -> Link:
-    # A physics engine reads these elsewhere, from the same file: they are checked here for it.
+def _find_root(links: Mapping[str, Link], joints: Iterable[Joint], robot: Element) -> str:
+    children = set()
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise robot.error(f"joint {joint.name!r}: there is no link {link!r}")
+        if joint.child in children:
+            raise robot.error(f"joint {joint.name!r}: link {joint.child!r} has another parent, too")
+        children.add(joint.child)
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        raise robot.error(f"must have one root link, not {', '.join(roots) or 'none'}")
+    return roots[0]
+
+
+def _check_mimics(joints: Mapping[str, Joint], robot: Element) -> None:
+    for name, joint in joints.items():
+        where, seen, mimic = f"joint {name!r}, <mimic>", {name}, joint.mimic
+        while mimic is not None:
+            if mimic.joint not in joints or not joints[mimic.joint].moves:
+                raise robot.error(f"{where}: there is no moving joint {mimic.joint!r}")
+            if mimic.joint in seen:
+                raise robot.error(f"{where}: the joint follows itself")
+            seen.add(mimic.joint)
+            mimic = joints[mimic.joint].mimic
+
+
+def _link(name: str, element: Element) -> Link:
+    # Physics engines read visual shapes from the same file: they are checked here.
     _shapes(element.children("visual"))
     collisions = element.children("collision")
     shapes = tuple(_shapes(collisions))
-    return Link(element.text("name"), _mass(element), shapes, len(shapes) < len(collisions))
+    return Link(name, _mass(element), shapes, len(shapes) < len(collisions))
 
 
 def _mass(link: Element) -> float:
@@ -339,12 +266,20 @@ def _mass(link: Element) -> float:
     if inertial is None:
         return 0.0
     inertial.origin()
-    inertia = inertial.need("inertia")
-    for product in ("ixy", "ixz", "iyz"):
-        inertia.number(product, 0.0, _MOST_INERTIA)
-    for moment in ("ixx", "iyy", "izz"):
-        inertia.not_negative(moment, most=_MOST_INERTIA)
-    return inertial.need("mass").not_negative("value", most=_HEAVIEST)
+    read_moments(inertial.need("inertia"))
+    return inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+
+
+def read_moments(inertia: Element) -> Array:
+    """Return the matrix of an <inertia>, shape (3, 3), kg m^2."""
+    moments = np.zeros((3, 3))
+    for name, (row, column) in MOMENTS.items():
+        diagonal = row == column
+        value = inertia.number(
+            name, None if diagonal else 0.0, _MAX_MOMENT, 0.0 if diagonal else -math.inf
+        )
+        moments[row, column] = moments[column, row] = value
+    return moments
 
 
 def _shapes(elements: Iterable[Element]) -> list[Shape]:
@@ -368,36 +303,41 @@ def read_shape(element: Element) -> Shape | None:
     raise geometry.error("must hold a <box>, <cylinder>, <sphere> or <mesh>")
 
 
-def _joint(element: Element) -> Joint:
+def _joint(name: str, element: Element) -> Joint:
     kind = element.text("type")
     if kind not in get_args(JointKind):
         raise element.error(f"type must be one of {', '.join(get_args(JointKind))}, not {kind!r}")
-    lower, upper = _limits(element, kind)
+    fixed = kind == "fixed"
+    lower, upper = (0.0, 0.0) if fixed else _limits(element, kind)
     soft_lower, soft_upper = _soft_limits(element, kind, lower, upper)
-    velocity, effort = _rates(element, kind)
-    damping, friction = _dynamics(element)
+    limit, dynamics, mimic = map(element.child, ("limit", "dynamics", "mimic"))
+    velocity, effort, damping, friction = math.inf, math.inf, 0.0, 0.0
+    if limit is not None:
+        velocity = limit.number("velocity", 0.0, minimum=0.0)
+        effort = limit.number("effort", math.inf, minimum=0.0)
+    if dynamics is not None:
+        damping = dynamics.number("damping", 0.0, minimum=0.0)
+        friction = dynamics.number("friction", 0.0, minimum=0.0)
     return Joint(
-        name=element.text("name"),
+        name=name,
         kind=cast("JointKind", kind),
         parent=element.need("parent").text("link"),
         child=element.need("child").text("link"),
         origin=element.origin(),
-        axis=_axis(element, kind),
+        axis=(1.0, 0.0, 0.0) if fixed else _axis(element),  # exporters write 0 0 0 for fixed joints
         lower=lower,
         upper=upper,
         soft_lower=soft_lower,
         soft_upper=soft_upper,
-        velocity=velocity,
-        effort=effort,
+        velocity=0.0 if fixed else velocity,
+        effort=0.0 if fixed else effort,
         damping=damping,
         friction=friction,
-        mimic=_mimic(element, kind),
+        mimic=None if fixed or mimic is None else _mimic(mimic),
     )
 
 
 def _limits(joint: Element, kind: str) -> tuple[float, float]:
-    if kind == "fixed":
-        return 0.0, 0.0
     if kind == "continuous":
         return -math.inf, math.inf
     limit = joint.need("limit")
@@ -411,36 +351,17 @@ def _soft_limits(joint: Element, kind: str, lower: float, upper: float) -> tuple
     safety = joint.child("safety_controller")
     if safety is None or kind in ("fixed", "continuous"):
         return lower, upper
-    soft_lower = safety.number("soft_lower_limit", lower)
-    soft_upper = safety.number("soft_upper_limit", upper)
-    if not lower <= soft_lower <= soft_upper <= upper:
+    soft = safety.number("soft_lower_limit", lower), safety.number("soft_upper_limit", upper)
+    if not lower <= soft[0] <= soft[1] <= upper:
         raise safety.error(
-            f"soft limits {soft_lower:g} to {soft_upper:g} must lie in {lower:g} to {upper:g}"
+            f"soft limits {soft[0]:g} to {soft[1]:g} are not in {lower:g} to {upper:g}"
         )
-    return soft_lower, soft_upper
+    return soft
 
 
-def _rates(joint: Element, kind: str) -> tuple[float, float]:
-    """Return the largest velocity and effort."""
-    if kind == "fixed":
-        return 0.0, 0.0
-    limit = joint.child("limit")
-    if limit is None:  # only a continuous joint comes here without one
-        return math.inf, math.inf
-    return limit.not_negative("velocity", 0.0), limit.not_negative("effort", math.inf)
-
-
-def _dynamics(joint: Element) -> tuple[float, float]:
-    """Return damping and friction."""
-    dynamics = joint.child("dynamics")
-    if dynamics is None:
-        return 0.0, 0.0
-    return dynamics.not_negative("damping", 0.0), dynamics.not_negative("friction", 0.0)
-
-
-def _axis(joint: Element, kind: str) -> tuple[float, float, float]:
+def _axis(joint: Element) -> tuple[float, float, float]:
     element, default = joint.child("axis"), (1.0, 0.0, 0.0)
-    if element is None or kind == "fixed":  # for which exporters write 0 0 0
+    if element is None:
         return default
     axis = np.array(element.vector("xyz", 3, default))
     length = float(np.linalg.norm(axis))
@@ -450,27 +371,9 @@ def _axis(joint: Element, kind: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _check_following(urdf: Urdf, joint: Joint, source: str) -> None:
-    _, scale, offset = urdf.followed(joint)
-    if not (abs(scale) <= FARTHEST and abs(offset) <= FARTHEST):
-        raise KinfeasError(
-            f"{source}: joint {joint.name!r}, <mimic>: 'multiplier' and 'offset' must be at most "
-            f"{FARTHEST:g} in size, together with those of the joints that it follows"
-        )
-
-
-def _mimic(joint: Element, kind: str) -> Mimic | None:
-    element = joint.child("mimic")
-    if element is None or kind == "fixed":
-        return None
-    return Mimic(
-        element.text("joint"), element.number("multiplier", 1.0), element.number("offset", 0.0)
+def _mimic(element: Element) -> Mimic:
+    scale, offset = (
+        element.number("multiplier", 1.0, FARTHEST),
+        element.number("offset", 0.0, FARTHEST),
     )
-
-
-def read_moments(inertia: Element) -> Array:
-    """Return the moments that an element <inertia> says, shape (3, 3), kg m^2."""
-    moments = np.zeros((3, 3))
-    for name, (row, column) in MOMENTS.items():
-        moments[row, column] = moments[column, row] = inertia.number(name, 0.0)
-    return moments
+    return Mimic(element.text("joint"), scale, offset)

@@ -7,7 +7,7 @@ from kinfeas import config
 from kinfeas.control.loop import Step
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig, limit_distance, reward
-from kinfeas.robots.robot import PoseTolerance
+from kinfeas.robots.spec import PoseTolerance
 
 PAPER = RewardConfig(failure="indicator", action_penalty=0.01, limit_penalty=0.0)
 

@@ -1,0 +1,369 @@
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import fcl
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose, make_pose, rotation
+from kinfeas.robots.loading import load_robot, read_robot
+from kinfeas.robots.robot import fingerprint, joint_displacement, joint_jumps
+
+URDF = """
+<robot name="crane">
+  <link name="floor"/><link name="mast"/><link name="boom"/><link name="hook"/>
+  <link name="flag"/><link name="bell"/><link name="claw"/>
+  <joint name="lift" type="prismatic"><parent link="floor"/><child link="mast"/>
+    <axis xyz="0 0 1"/><limit lower="0.2" upper="1" velocity="0.1" effort="1"/></joint>
+  <joint name="swing" type="revolute"><parent link="mast"/><child link="boom"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/>
+    <safety_controller soft_lower_limit="-1.5" soft_upper_limit="1.5"/></joint>
+  <joint name="spin" type="continuous"><parent link="boom"/><child link="hook"/></joint>
+  <joint name="wave" type="revolute"><parent link="mast"/><child link="flag"/>
+    <limit lower="0.5" upper="1" velocity="1" effort="1"/></joint>
+  <joint name="ring" type="revolute"><parent link="flag"/><child link="bell"/>
+    <limit lower="-9" upper="9" velocity="1" effort="1"/>
+    <mimic joint="wave" multiplier="2" offset="0.1"/></joint>
+  <joint name="grip" type="revolute"><parent link="hook"/><child link="claw"/>
+    <limit lower="-9" upper="9" velocity="1" effort="1"/><mimic joint="swing"/></joint>
+</robot>
+"""
+
+
+def crane() -> dict:
+    return {
+        "name": "crane",
+        "urdf": "crane.urdf",
+        "ee_frame": "hook",
+        "tool_tip": [0.1, 0, 0],
+        "gripper_rotation": [0, 0, 0.7071, 0.7071],
+        "base": {
+            "drive": "differential",
+            "max_velocity": 0.2,
+            "max_rotation": 1,
+            "max_acceleration": 1,
+            "max_rotation_acceleration": 2,
+        },
+        "arm": {"lift": {}, "swing": {"velocity": 0.5}, "spin": {"velocity": 3}},
+        "home": {"home": [0.5, 0.0, 9.0], "low": [0.2, 1.5, 0.0]},
+        "goal_heights": {"ggr": [0.2, 1.2], "ggr_restricted": [0.4, 1.0]},
+    }
+
+
+def write(folder: Path, spec: dict, urdf: str = URDF) -> Path:
+    (folder / "crane.urdf").write_text(urdf)
+    path = folder / "crane.yaml"
+    path.write_text(yaml.safe_dump(spec, sort_keys=False))
+    return path
+
+
+GRIPPER = {"fingers": ["wave", "grip"], "closed": 0.5, "open": 0.9, "effort": 5.0}
+
+
+def test_reads_a_robot(tmp_path):
+    spec = crane() | {
+        "pose_tolerance": {"position": 0.1, "rotation": 0.2},
+        "ignored_collisions": [["mast", "hook"], ["hook", "mast"]],
+        "gripper": GRIPPER,
+        "counterbalanced": ["swing"],
+    }
+    robot = load_robot(str(write(tmp_path, spec)))
+    assert (robot.name, robot.ee_frame, robot.base.frame) == ("crane", "hook", "floor")
+    assert robot.urdf_path == tmp_path / "crane.urdf"
+    assert (robot.base.drive, robot.base.max_rotation_acceleration) == ("differential", 2.0)
+    np.testing.assert_array_equal(robot.home["low"], [0.2, 1.5, 0.0])
+    np.testing.assert_allclose(robot.gripper_rotation, [0, 0, 0.5**0.5, 0.5**0.5])
+    assert robot.goal_heights == {"ggr": (0.2, 1.2), "ggr_restricted": (0.4, 1.0)}
+    assert (robot.pose_tolerance.position, robot.pose_tolerance.rotation) == (0.1, 0.2)
+    assert robot.ignored_collisions == {frozenset(("mast", "hook"))}
+    assert (robot.gripper.fingers, robot.gripper.open) == (("wave", "grip"), 0.9)
+    assert robot.counterbalanced == {"swing"}
+
+
+def test_arm_limits_are_read_only_arrays(tmp_path):
+    robot = read_robot(write(tmp_path, crane()))
+    expected = (
+        (robot.continuous, [False, False, True]),
+        (robot.max_joint_velocity, [0.1, 0.5, 3.0]),
+        (robot.joint_limits[0], [0.2, -1.5, -math.inf]),
+        (robot.joint_limits[1], [1.0, 1.5, math.inf]),
+        (robot.finite_joint_limits[0], [0.2, -1.5, -math.pi]),
+        (robot.finite_joint_limits[1], [1.0, 1.5, math.pi]),
+    )
+    for found, values in expected:
+        np.testing.assert_array_equal(found, values, strict=True)
+        with pytest.raises(ValueError, match="read-only"):
+            found[0] = 0.0
+
+
+WITHOUT_SWING = {"arm": {"lift": {}, "spin": {"velocity": 3}}, "home": {"home": [0.5, 0.0]}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "positions"),
+    [
+        ({}, {"wave": 0.5, "ring": 1.1}),  # as near to 0 as the limits allow
+        ({"fixed_joints": {"wave": 0.7}}, {"wave": 0.7, "ring": 1.5}),
+        (
+            WITHOUT_SWING | {"fixed_joints": {"swing": 0.3}},
+            {"swing": 0.3, "wave": 0.5, "ring": 1.1, "grip": 0.3},
+        ),
+    ],
+)
+def test_other_joints_are_fixed_or_mimic(tmp_path, changes, positions):
+    assert read_robot(write(tmp_path, crane() | changes)).fixed_joints == pytest.approx(positions)
+
+
+def test_a_joint_above_the_ee_may_mimic_the_arm(tmp_path):
+    assert len(read_robot(write(tmp_path, crane() | {"ee_frame": "claw"})).arm) == 3
+
+
+BASE, ARM = crane()["base"], crane()["arm"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"wheels": 4}, "'wheels'"),
+        ({"tool_tip": [0.1, 0.0]}, "'tool_tip'"),
+        ({"tool_tip": [0.1, 0.0, math.nan]}, "'tool_tip.2'"),
+        ({"urdf": "none.urdf"}, "none.urdf"),
+        ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
+        ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
+        ({"base": BASE | {"drive": "legs"}}, "'base.drive'"),
+        ({"base": BASE | {"max_velocity": 0}}, "'base.max_velocity'"),
+        ({"base": BASE | {"max_velocity": math.inf}}, "'base.max_velocity'"),
+        ({"base": BASE | {"max_acceleration": 1e9}}, "'base.max_acceleration'"),
+        ({"name": "a/b"}, "'name'"),
+        ({"pose_tolerance": {"position": -0.1, "rotation": 0.2}}, "'pose_tolerance.position'"),
+        ({"pose_tolerance": {"position": 0.1, "rotation": 100}}, "'pose_tolerance.rotation'"),
+        ({"arm": {}}, "'arm'"),
+        ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
+        ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
+        ({"arm": {"lift": {"speed": 1}}}, "'arm.lift.speed'"),
+        ({"arm": {"lift": {"velocity": 0}}}, "'arm.lift.velocity'"),
+        ({"arm": {"swing": {}, "lift": {}}}, "'arm'"),
+        ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
+        ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
+        ({"arm": ARM | {"spin": {"velocity": 3, "soft_limits": [-1, 1]}}}, "'arm.spin'"),
+        ({"arm": ARM | {"swing": {"soft_limits": [-3, 1]}}}, "'arm.swing'.*-3"),
+        ({"arm": ARM | {"swing": {"soft_limits": [1, -1]}}}, "'arm.swing'"),
+        (WITHOUT_SWING, "'swing'"),
+        ({"home": {"low": [0.5, 0, 0]}}, "'home'"),
+        ({"home": {"home": [0.5]}}, "'home.home'"),
+        ({"home": {"home": [0.5, 1.6, 0]}}, "'home.home': swing.*1.6"),
+        ({"goal_heights": {"ggr": [0.2, 1.2]}}, "'goal_heights'"),
+        ({"goal_heights": {"ggr": [1, 0], "ggr_restricted": [0, 1]}}, "'goal_heights.ggr'"),
+        ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae'"),
+        ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift'"),
+        ({"fixed_joints": {"ring": 0.5}}, "'fixed_joints.ring'"),
+        ({"fixed_joints": {"wave": 0.1}}, "'fixed_joints.wave'"),
+        ({"ignored_collisions": [["mast", "sea"]]}, "'ignored_collisions'.*'sea'"),
+        ({"ignored_collisions": [["mast", "mast"]]}, "'ignored_collisions'"),
+        ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
+        ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
+        ({"gripper": GRIPPER | {"fingers": ["wave", "wave"]}}, "'fingers'"),
+        ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
+        ({"gripper": GRIPPER | {"open": 0.5}}, "'open'"),
+        ({"gripper": GRIPPER | {"effort": 0.0}}, "effort"),
+        ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
+        *[({key: None}, f"'{key}'") for key in crane()],  # None stands for a missing key
+    ],
+)
+def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
+    spec = {key: value for key, value in (crane() | changes).items() if value is not None}
+    with pytest.raises(KinfeasError, match=f"^{tmp_path}.*{where}"):
+        read_robot(write(tmp_path, spec))
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "arm.urdf.xacro", "nobody"])
+def test_a_robot_is_a_yaml_file_or_a_known_name(name):
+    with pytest.raises(KinfeasError, match=name):
+        load_robot(name)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('lower="-2" upper="2"', 'lower="0" upper="0"'),  # no room to move
+        ('upper="2" velocity="1"', 'upper="2" velocity="1e16"'),  # no velocity limit
+    ],
+)
+def test_joints_of_the_arm_need_limits(tmp_path, old, new):
+    spec = crane() | {"arm": ARM | {"swing": {}}}
+    urdf = URDF.replace(old, new)
+    if "0" in new[:10]:
+        urdf = urdf.replace("1.5", "0")
+    with pytest.raises(KinfeasError, match=r"'arm\.swing'"):
+        read_robot(write(tmp_path, spec, urdf))
+
+
+@pytest.mark.parametrize(
+    ("follower", "multiplier", "allowed"),
+    [("revolute", "-2", True), ("revolute", "0.5", False), ("prismatic", "1", False)],
+)
+def test_mimics_of_a_continuous_joint_have_its_period(tmp_path, follower, multiplier, allowed):
+    joint = URDF[URDF.index('<joint name="grip"') : URDF.index("</robot>")]
+    other = joint.replace('"revolute"', f'"{follower}"')
+    other = other.replace('joint="swing"', f'joint="spin" multiplier="{multiplier}"')
+    path = write(tmp_path, crane(), URDF.replace(joint, other))
+    if allowed:
+        read_robot(path)
+    else:
+        with pytest.raises(KinfeasError, match=r"'arm\.spin'.*'grip'"):
+            read_robot(path)
+
+
+def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path):
+    robot = read_robot(write(tmp_path, crane()))
+    before = np.array([0.5, 0.0, math.pi - 0.01])
+    after = np.array([0.5, 0.05, -math.pi + 0.01])
+    np.testing.assert_allclose(joint_displacement(robot, before, after), [0.0, 0.05, 0.02])
+    assert not joint_jumps(robot, before, after, 0.1)  # just at the limit of 0.5 rad/s
+    assert joint_jumps(robot, before, after, 0.099)
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "drive", "limits", "heights"),
+    [
+        ("pr2", 7, "omnidirectional", (0.2, 1.0), ((0.2, 1.2), (0.4, 1.0))),
+        ("tiago", 8, "differential", (0.2, 0.4), ((0.2, 1.5), (0.4, 1.1))),
+        ("hsr", 5, "omnidirectional", (0.2, 1.5), ((0.2, 1.4), (0.4, 1.1))),
+    ],
+)
+def test_shipped_robots_are_those_of_the_method(name, joints, drive, limits, heights):
+    robot = load_robot(name)
+    assert (robot.name, len(robot.arm), robot.base.drive) == (name, joints, drive)
+    assert (robot.base.max_velocity, robot.base.max_rotation) == limits
+    assert tuple(robot.goal_heights[task] for task in ("ggr", "ggr_restricted")) == heights
+    assert (robot.pose_tolerance is None) == (name != "hsr")
+    assert all(finger in robot.fixed_joints for finger in robot.gripper.fingers)
+
+
+def test_the_shipped_gripper_axes_follow_the_convention(robot):
+    turn = Rotation.from_quat(robot.gripper_rotation).inv()
+    length = np.linalg.norm(robot.tool_tip)
+    np.testing.assert_allclose(turn.apply(robot.tool_tip), [length, 0, 0], atol=1e-12)
+    fingers = {"pr2": [0, 1, 0], "tiago": [0, 0, 1], "hsr": [0, 1, 0]}  # in the EE frame
+    np.testing.assert_allclose(np.abs(turn.apply(fingers[robot.name])), [0, 1, 0], atol=1e-12)
+
+
+def test_shipped_configurations_are_free_of_self_collision(robot):
+    for configuration in robot.home.values():
+        assert touching(robot, configuration) == set()
+
+
+def test_self_collision_is_found():
+    across = np.array([0.5, 0.8, -1.4, -1.2, 0.0, -0.7, 0.0])  # into the idle left arm
+    assert any("l_" in link for pair in touching(load_robot("pr2"), across) for link in pair)
+
+
+def touching(robot, positions):
+    """Return the pairs of links that FCL finds in contact, less adjacent and ignored ones."""
+    at = robot.fixed_joints | {j.name: q for j, q in zip(robot.arm, positions, strict=True)}
+    solids = []
+    for link in robot.urdf.links.values():
+        pose = IDENTITY
+        for joint in robot.urdf.path_to(link.name):
+            leader, scale, offset = robot.urdf.followed(joint)
+            position = scale * at[leader.name] + offset if joint.moves else 0.0
+            pose = compose(pose, joint.pose_at(position))
+        solids += [(link.name, solid(shape, compose(pose, shape.pose))) for shape in link.shapes]
+    rigid = robot.urdf.rigid
+    joined = {frozenset((rigid[j.parent], rigid[j.child])) for j in robot.urdf.joints.values()}
+    return {
+        frozenset((a, b))
+        for i, (a, one) in enumerate(solids)
+        for b, other in solids[:i]
+        if frozenset((rigid[a], rigid[b])) not in joined | {frozenset([rigid[a]])}
+        and frozenset((a, b)) not in robot.ignored_collisions
+        and fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult())
+    }
+
+
+def solid(shape, pose):
+    kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
+    placement = fcl.Transform(rotation(pose).as_matrix(), pose[:3])
+    return fcl.CollisionObject(kinds[shape.kind](*shape.size), placement)
+
+
+# Policies of another fingerprint raise an error, so these change only with the robot.
+KNOWN = {
+    "pr2": "sha256:4cc5c688f1cf919bdf0619051a89089c00006cbffbd35df32d6c6c326eb794ec",
+    "tiago": "sha256:b4ed2eee5e8e022bb02865c7c820859c62ee2397c170c7c072d3519558b00d30",
+    "hsr": "sha256:619dc04fe5826c6529f7ae8bc1c879dfee07299e4eab23793e96400f10ba315c",
+}
+
+
+def test_the_fingerprint_is_stable(robot):
+    assert fingerprint(robot) == KNOWN[robot.name]
+
+
+def with_joint(robot, name, **changes):
+    joints = dict(robot.urdf.joints)
+    joints[name] = replace(joints[name], **changes)
+    return replace(robot, urdf=replace(robot.urdf, joints=joints))
+
+
+def with_arm(robot, **changes):
+    return replace(robot, arm=(replace(robot.arm[0], **changes), *robot.arm[1:]))
+
+
+def moved(robot, name, metres):
+    origin = robot.urdf.joints[name].origin.copy()
+    origin[2] += metres
+    return with_joint(robot, name, origin=origin)
+
+
+OTHER = {
+    "velocity": lambda r: replace(r, base=replace(r.base, max_velocity=0.3)),
+    "rotation": lambda r: replace(r, base=replace(r.base, max_rotation=0.3)),
+    "drive": lambda r: replace(r, base=replace(r.base, drive="differential")),
+    "base frame": lambda r: replace(r, base=replace(r.base, frame="odom")),
+    "soft limit": lambda r: with_arm(r, lower=r.arm[0].lower + 1e-3),
+    "fewer joints": lambda r: replace(
+        r, arm=r.arm[:-1], fixed_joints={**r.fixed_joints, r.arm[-1].name: 0.0}
+    ),
+    "torso": lambda r: replace(r, fixed_joints={**r.fixed_joints, "torso_lift_joint": 0.2}),
+    "link length": lambda r: moved(r, "r_elbow_flex_joint", 1e-5),
+    "axis": lambda r: with_joint(r, "r_elbow_flex_joint", axis=(0.0, 0.0, 1.0)),
+    "EE frame": lambda r: replace(r, ee_frame="r_gripper_palm_link"),
+}
+
+SAME = {
+    "acceleration": lambda r: replace(r, base=replace(r.base, max_acceleration=0.1)),
+    "joint velocity": lambda r: with_arm(r, velocity=0.1),
+    "tool tip": lambda r: replace(r, tool_tip=np.zeros(3)),
+    "pose_tolerance": lambda r: replace(r, pose_tolerance=None),
+    "collisions": lambda r: replace(r, ignored_collisions=frozenset()),
+    "home": lambda r: replace(r, home={}),
+    "left arm": lambda r: moved(r, "l_elbow_flex_joint", 0.1),
+    "rounding": lambda r: moved(r, "r_elbow_flex_joint", 1e-13),
+}
+
+
+@pytest.mark.parametrize("change", OTHER)
+def test_other_kinematics_have_another_fingerprint(change):
+    pr2 = load_robot("pr2")
+    assert fingerprint(OTHER[change](pr2)) != fingerprint(pr2)
+
+
+@pytest.mark.parametrize("change", SAME)
+def test_other_changes_keep_the_fingerprint(change):
+    pr2 = load_robot("pr2")
+    assert fingerprint(SAME[change](pr2)) == fingerprint(pr2)
+
+
+def test_the_sign_of_a_quaternion_keeps_the_fingerprint():
+    pr2 = load_robot("pr2")
+    origin = pr2.urdf.joints["r_elbow_flex_joint"].origin
+    turned = np.concatenate([origin[:3], -rotation(origin).as_quat()])
+    other = with_joint(pr2, "r_elbow_flex_joint", origin=turned)
+    assert fingerprint(other) == fingerprint(pr2)
+    half = [make_pose(np.zeros(3), rotation(np.array([0, 0, 0, 1.0, 0, 0, w]))) for w in (1e-17, 0)]
+    first, second = (with_joint(pr2, "r_elbow_flex_joint", origin=pose) for pose in half)
+    assert fingerprint(first) == fingerprint(second)
