@@ -5,8 +5,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from kinfeas.config import load
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.evaluation.evaluate import Trial, evaluate
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -23,7 +22,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=None, help="folder of the run; else temporary")
     given = parser.parse_args()
 
-    config = load(TrainConfig, default_recipe("train", "pr2"))
+    config = load_section(TrainConfig, "train", "pr2")
     few = replace(config.learner, learning_starts=min(3000, given.steps // 2))
     schedule = replace(
         config.schedule,

@@ -10,10 +10,9 @@ import pytest
 import typer
 from markdown_it import MarkdownIt
 
-from kinfeas import config
 from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros.names import read_topics
 from kinfeas.tasks.loading import load_task
@@ -140,7 +139,7 @@ RECIPES = re.findall(
 @pytest.mark.parametrize(("key", "default", "pr2", "tiago"), RECIPES)
 def test_recipes_of_the_page_on_training(key, default, pr2, tiago):
     def value(robot):
-        known = asdict(config.load(TrainConfig, default_recipe("train", robot)))
+        known = asdict(load_section(TrainConfig, "train", robot))
         for part in key.split("."):
             known = known[part]
         return list(known) if isinstance(known, tuple) else known

@@ -106,7 +106,7 @@ def test_wheel_holds_the_data_beside_the_code(wheel):
         ) in names
     for robot in ("pr2", "tiago", "hsr"):
         assert {f"kinfeas/robots/{robot}.yaml", f"kinfeas/robots/{robot}.urdf"} <= names
-    assert any(name.startswith("kinfeas/configs/train/") for name in names)
+    assert any(name.startswith("kinfeas/configs/robots/") for name in names)
 
 
 def test_wheel_is_told_of_every_folder_with_modules():

@@ -10,7 +10,7 @@ from typing import Any
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.runs import Run
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.io.folders import write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_best, write_trained
 from kinfeas.policies.network import WEIGHTS
@@ -45,7 +45,7 @@ def publish(
 def train_command(settings: TrainConfig) -> str:
     """Return the line that makes a run again: what its settings change of the default recipe."""
     name = Path(settings.robot).stem
-    plain = config.to_mapping(config.load(TrainConfig, default_recipe("train", name)))
+    plain = config.to_mapping(load_section(TrainConfig, "train", name))
     changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
     words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
     for key, value in changed.items():

@@ -9,7 +9,7 @@ from kinfeas.benchmark.checks import check_names, check_robots, check_task
 from kinfeas.benchmark.job import FILTERS
 from kinfeas.config import Interval
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
-from kinfeas.config.recipes import find_recipe
+from kinfeas.config.recipes import load_recipe
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.envs.physics import PhysicsSettings, physics_config
 from kinfeas.envs.world import WorldConfig
@@ -30,7 +30,7 @@ class Training:
     Attributes:
         robot: Name or YAML file.
         algorithm: `sac` or `td3`.
-        recipe: Name or file; `train/ROBOT` where there is one, else `train/default`, by default.
+        recipe: Name or file; by default the section `train` of the robot.
         settings: Assignments `a.b=c` that win over the recipe.
         steps: Environment steps in all; the recipe's schedule if neither is set.
         minutes: Wall-clock time in all.
@@ -218,7 +218,7 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
         KinfeasError: If there is none, or it is wrong: a key, a value, a robot, a task, a task's
             motion or scene; or if two robots or two tasks would have the same name in the tables.
     """
-    study = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), overrides)
+    study = load_recipe(BenchmarkConfig, name, "benchmark", overrides)
     named = [*study.robots, *(training.robot for training in study.trainings)]
     named += [robot for variant in study.variants for robot in variant.robots]
     named += [robot for aid in study.aids for robot in aid.robots or ()]

@@ -3,9 +3,8 @@
 import json
 from pathlib import Path
 
-from kinfeas import config
 from kinfeas.benchmark.study import BenchmarkConfig, Training
-from kinfeas.config.recipes import default_recipe, find_recipe
+from kinfeas.config.recipes import load_recipe, load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.robots.loading import load_robot
@@ -18,11 +17,6 @@ def settings_of(training: Training, seed: int) -> TrainConfig:
     Raises:
         KinfeasError: If its recipe or its settings are wrong.
     """
-    path = (
-        default_recipe("train", load_robot(training.robot).name)
-        if training.recipe is None
-        else find_recipe(training.recipe, "train")
-    )
     said: dict[str, object] = {
         "robot": training.robot,
         "seed": seed,
@@ -31,7 +25,10 @@ def settings_of(training: Training, seed: int) -> TrainConfig:
     if training.steps is not None or training.minutes is not None:
         said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
     own = [f"{key}={json.dumps(value)}" for key, value in said.items()]
-    return config.load(TrainConfig, path, [*own, *training.settings])
+    overrides = [*own, *training.settings]
+    if training.recipe is None:
+        return load_section(TrainConfig, "train", load_robot(training.robot).name, overrides)
+    return load_recipe(TrainConfig, training.recipe, "train", overrides)
 
 
 def to_train(study: BenchmarkConfig, out: Path) -> list[tuple[TrainConfig, Path]]:

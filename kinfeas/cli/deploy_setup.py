@@ -46,17 +46,16 @@ def read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> 
     """Return the settings for a robot, with the user's guards."""
     from kinfeas import config
     from kinfeas.config import strict_yaml
-    from kinfeas.config.recipes import default_recipe
+    from kinfeas.config.recipes import section
     from kinfeas.sim2real.deploy.config import DeployConfig
     from kinfeas.sim2real.deploy.guard_config import Guards
 
-    path = default_recipe("deploy", robot.name)
-    data = strict_yaml.read(path)
+    data, source = section("deploy", robot.name)
     if guards is not None:
         config.load(Guards, guards)  # so that errors name this file
-        recipe = config.from_mapping(DeployConfig, data, str(path))
+        recipe = config.from_mapping(DeployConfig, data, source)
         data["guards"] = config.to_mapping(recipe.guards) | strict_yaml.read(guards)
-    return config.from_mapping(DeployConfig, data, str(path), overrides)
+    return config.from_mapping(DeployConfig, data, source, overrides)
 
 
 def make_task(wanted: Goal, config: "DeployConfig") -> "Task":

@@ -68,8 +68,7 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     Raises:
         KinfeasError: If recipe, robot, task, a key or a value is wrong.
     """
-    from kinfeas.config import load
-    from kinfeas.config.recipes import default_recipe, find_recipe
+    from kinfeas.config.recipes import load_recipe, load_section
     from kinfeas.core.registry import from_anywhere
     from kinfeas.envs.world import World
     from kinfeas.training.config import TrainConfig
@@ -80,16 +79,17 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
         folder = "train_physics" if wishes.init is None else "finetune_physics"
     if recipe is None and wishes.robot is None and wishes.init is not None:
         wishes = replace(wishes, robot=robot_of(wishes.init))
+    overrides = [*wishes.overrides(), *overrides]
     if recipe is None:
-        path = default_recipe(folder, options.read_robot(wishes.robot or TrainConfig.robot).name)
+        name = options.read_robot(wishes.robot or TrainConfig.robot).name
+        settings = load_section(TrainConfig, folder, name, overrides)
     else:
-        path = find_recipe(recipe, folder)
-    settings = load(TrainConfig, path, [*wishes.overrides(), *overrides])
+        settings = load_recipe(TrainConfig, recipe, folder, overrides)
     if (settings.physics is None) == bool(wishes.pybullet):
         raise KinfeasError(
-            f"{path}: a recipe without 'physics', which --world pybullet needs"
+            f"{recipe}: a recipe without 'physics', which --world pybullet needs"
             if wishes.pybullet
-            else f"{path}: a recipe with 'physics', which needs --world pybullet"
+            else f"{recipe}: a recipe with 'physics', which needs --world pybullet"
         )
     # What names something unknown is refused before there is a folder.
     robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)

@@ -1,57 +1,92 @@
-"""Recipes: YAML files that come with the package, by name, and the user's own, by path."""
+"""Shipped configuration: sections of the robots' files, and recipes by name or path."""
 
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, TypeVar
 
+from kinfeas.config import from_mapping, load, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.io.files import is_path
 
-_SUFFIX = ".yaml"
+T = TypeVar("T")
+
+# The package is installed as plain files: numba caches its kernels beside them.
+_ROOT = Path(str(files("kinfeas.configs").joinpath("")))
+_ROBOTS = _ROOT / "robots"
 
 
 def recipes(folder: str) -> list[str]:
-    """Return the names of the recipes that come with the package in a folder, such as `train`."""
-    place = _root() / folder
-    return sorted(
-        path.relative_to(_root()).with_suffix("").as_posix() for path in place.glob(f"*{_SUFFIX}")
-    )
+    """Return the names of the shipped recipes of a folder or section: `paper/pr2`, `train/pr2`."""
+    place = _ROBOTS if folder in _read_robot("default") else _ROOT / folder
+    return sorted(f"{folder}/{path.stem}" for path in place.glob("*.yaml"))
 
 
-def find_recipe(name: str, folder: str, prefix: str = "") -> Path:
+def find_recipe(name: str, folder: str) -> Path:
     """Return the file of a recipe.
 
     Args:
-        name: Path of a YAML file, or the name of a recipe that comes with the package.
-        folder: Where such names are listed from, for the error.
-        prefix: What such names begin with that `name` lacks, such as `sim2real/`.
+        name: Path of a YAML file, or name of a shipped one, such as `paper/pr2`.
+        folder: Shipped folder in which the name may also be, as `pr2`.
 
     Raises:
-        KinfeasError: If there is neither.
+        KinfeasError: If there is no such file.
     """
-    if (own := Path(name)).is_file():
-        return own
-    shipped = _root() / f"{prefix}{name.removesuffix(_SUFFIX)}{_SUFFIX}"
-    if not shipped.is_file() or not shipped.resolve().is_relative_to(_root().resolve()):
-        names = [one.removeprefix(prefix) for one in recipes(folder)]
-        if name and (own.is_dir() or _is_file_name(name)):
-            wrong = "is a folder" if own.is_dir() else "there is no such file"
-            raise KinfeasError(f"{name}: {wrong}; known by name are {', '.join(sorted(names))}")
-        raise KinfeasError(f"unknown configuration {name!r}{no_such(name, names)}, or a file")
-    return shipped
+    shipped = [_ROOT / f"{stem}.yaml" for stem in (name, f"{folder}/{name}")]
+    for path in (Path(name), *(one for one in shipped if one.resolve().is_relative_to(_ROOT))):
+        if path.is_file():
+            return path
+    known = no_such(name, recipes(folder))
+    raise KinfeasError(f"unknown configuration {name!r}{known}, or a YAML file")
 
 
-def default_recipe(folder: str, robot: str) -> Path:
-    """Return the recipe of a robot by its name, or the one for any robot."""
-    own = _root() / folder / f"{robot}{_SUFFIX}"
-    return own if robot == Path(robot).name and own.is_file() else _root() / folder / "default.yaml"
+def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
+    """Return a robot's settings in a section of `configs/robots`, and their source for errors.
+
+    The robot's file changes keys of the same section of `default.yaml`.
+
+    Args:
+        name: `train`, `train_physics`, `finetune_physics`, `pybullet`, `deploy` or `baselines`.
+        robot: Name of a robot, with or without a file.
+    """
+    data = _merged(_read_robot("default")[name], _read_robot(robot).get(name, {}))
+    return data, f"configs/robots/{robot}.yaml, {name}"
 
 
-def _is_file_name(name: str) -> bool:
-    """Return whether a path is meant, and no name, which may begin with one of our folders."""
-    folders = [one.name for one in _root().iterdir() if one.is_dir()]
-    return is_path(name) and Path(name).parts[0] not in folders
+def load_section(cls: type[T], name: str, robot: str, overrides: Sequence[str] = ()) -> T:
+    """Return a robot's settings in a section as an instance of the dataclass `cls`.
+
+    Raises:
+        KinfeasError: If an assignment of `overrides` is invalid.
+    """
+    return from_mapping(cls, *section(name, robot), overrides)
 
 
-def _root() -> Path:
-    # The package is installed as plain files, never zipped: numba caches its kernels beside them.
-    return Path(str(files("kinfeas.configs").joinpath("")))
+def load_recipe(cls: type[T], name: str, folder: str, overrides: Sequence[str] = ()) -> T:
+    """Return a recipe as an instance of the dataclass `cls`.
+
+    Args:
+        cls: Frozen dataclass.
+        name: Path of a YAML file, or name of a shipped recipe: `paper/pr2`, or `train/pr2` for the
+            section `train` of a robot.
+        folder: As of `find_recipe`.
+        overrides: Assignments `a.b=c`.
+
+    Raises:
+        KinfeasError: If there is no such recipe, or it is invalid.
+    """
+    kind, _, robot = name.partition("/")
+    if kind in _read_robot("default") and name in recipes(kind):
+        return load_section(cls, kind, robot, overrides)
+    return load(cls, find_recipe(name, folder), overrides)
+
+
+def _read_robot(name: str) -> dict[str, Any]:
+    """Return the sections of a robot's shipped file, if it has one."""
+    path = _ROBOTS / f"{name}.yaml"
+    return strict_yaml.read(path) if name == Path(name).name and path.is_file() else {}
+
+
+def _merged(data: Any, changes: Any) -> Any:
+    if not isinstance(data, Mapping) or not isinstance(changes, Mapping):
+        return changes
+    return {**data, **{key: _merged(data.get(key), value) for key, value in changes.items()}}

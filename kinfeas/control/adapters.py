@@ -48,7 +48,7 @@ def read_sim2real(name: str) -> Sim2Real:
     Raises:
         KinfeasError: If there is neither, or it is empty, or an entry of it is not allowed.
     """
-    path = find_recipe(name, FOLDER, f"{FOLDER}/")
+    path = find_recipe(name, FOLDER)
     if not strict_yaml.read(path):
         raise KinfeasError(f"{path}: must hold a list 'adapters', which is [] for none")
     return config.load(Sim2Real, path)

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from kinfeas import config
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.physics import PhysicsConfig
 from kinfeas.backends.pybullet.stage import Stage, task_scene
 from kinfeas.config import Interval, PluginSpec
 from kinfeas.config.quantities import PositiveSeconds
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.control.execution import ExecutionConfig, ExecutionSettings
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.ik import IkOptions
@@ -100,5 +99,4 @@ def physics_config(robot: Robot, overrides: Sequence[str] = ()) -> PhysicsEvalua
     Raises:
         KinfeasError: If one of them is not allowed.
     """
-    path = default_recipe("physics", robot.name)
-    return config.load(PhysicsEvaluationConfig, path, overrides)
+    return load_section(PhysicsEvaluationConfig, "pybullet", robot.name, overrides)

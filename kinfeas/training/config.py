@@ -1,4 +1,4 @@
-"""What a training run is made of: the schema of `configs/train/*.yaml`."""
+"""What a training run is made of: the schema of the sections `train` of `configs/robots`."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal

@@ -1,43 +1,57 @@
-from pathlib import Path
-
 import pytest
 
-from kinfeas import config
-from kinfeas.benchmark.study import read_benchmark
-from kinfeas.benchmark.trainings import to_train
-from kinfeas.config.recipes import default_recipe, find_recipe, recipes
+from kinfeas.config.recipes import find_recipe, load_recipe, load_section, recipes, section
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.physics import PhysicsEvaluationConfig
+from kinfeas.policies.baselines.demonstrated_base import BaselineConfig
+from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.training.config import TrainConfig
 
-
-@pytest.mark.parametrize("name", recipes("train"))
-def test_shipped_training_recipes_are_valid(name):
-    assert config.load(TrainConfig, find_recipe(name, "train"))
-
-
-def test_a_name_with_and_without_its_suffix():
-    assert find_recipe("train/default", "train") == find_recipe("train/default.yaml", "train")
-
-
-def test_a_path_wins(tmp_path):
-    own = tmp_path / "own.yaml"
-    own.write_text("seed: 3\n")
-    assert find_recipe(str(own), "train") == own
+SCHEMAS = {
+    "train": TrainConfig,
+    "train_physics": TrainConfig,
+    "finetune_physics": TrainConfig,
+    "pybullet": PhysicsEvaluationConfig,
+    "deploy": DeployConfig,
+    "baselines": BaselineConfig,
+}
 
 
-@pytest.mark.parametrize("name", ["train/defalt", "nothing", "../pyproject", "", "/no.yaml"])
-def test_an_unknown_name_says_what_there_is(name):
-    with pytest.raises(KinfeasError, match="train/default"):
-        find_recipe(name, "train")
+@pytest.mark.parametrize("name", [name for part in SCHEMAS for name in recipes(part)])
+def test_shipped_sections_are_valid(name):
+    part, robot = name.split("/")
+    assert load_section(SCHEMAS[part], part, robot)
 
 
-@pytest.mark.parametrize("robot", ["no_such_robot", "../train/default", "a/b"])
-def test_a_robot_without_its_own_takes_the_default(robot):
-    assert default_recipe("train", robot).name == "default.yaml"
+@pytest.mark.parametrize("name", recipes("paper"))
+def test_shipped_trainings_are_valid(name):
+    assert load_recipe(TrainConfig, name, "train")
 
 
-@pytest.mark.parametrize("name", ["benchmark/study", "benchmark/quick"])
-def test_shipped_studies_are_valid(name):
-    study = read_benchmark(name)
-    for settings, _ in to_train(study, Path("out")):
-        assert settings.task == "ggr"
+def test_robot_file_changes_keys_of_the_default():
+    default = section("train", "default")[0]
+    tiago = load_section(TrainConfig, "train", "tiago")
+    assert tiago.learner.net_arch == (256, 256, 256)
+    assert tiago.world.ik.restarts == default["world"]["ik"]["restarts"]
+    assert load_recipe(TrainConfig, "train/tiago", "train") == tiago
+
+
+@pytest.mark.parametrize("robot", ["no_such_robot", "../robots/pr2", "a/b"])
+def test_robot_without_a_file_has_the_default(robot):
+    assert section("train", robot)[0] == section("train", "default")[0]
+
+
+def test_path_wins_over_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.yaml").write_text("seed: 3\n")
+    assert load_recipe(TrainConfig, "own.yaml", "train", ["num_envs=2"]).seed == 3
+
+
+def test_folder_of_a_name_may_be_left_out():
+    assert find_recipe("paper", "sim2real") == find_recipe("sim2real/paper", "sim2real")
+
+
+@pytest.mark.parametrize("name", ["train/tiagoo", "nothing", "../pyproject", "", "/no.yaml", "."])
+def test_unknown_name_is_an_error_with_the_known_ones(name):
+    with pytest.raises(KinfeasError, match="train/tiago"):
+        load_recipe(TrainConfig, name, "train")

@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime
 
 from kinfeas import config
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.control.drive import action_size
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter
 from kinfeas.core.backend import ObstacleDistances
@@ -141,7 +141,7 @@ def training(robot, steps=20_000):
         "schedule.evaluations=1",
         "schedule.evaluation_episodes=20",
     ]
-    chosen = config.load(TrainConfig, default_recipe("train", robot), settings)
+    chosen = load_section(TrainConfig, "train", robot, settings)
     with TemporaryDirectory() as temporary:
         out = Path(temporary) / "run"
         progress = train(chosen, out)

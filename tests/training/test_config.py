@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from kinfeas import config
+from kinfeas.config.recipes import load_recipe, recipes
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World
@@ -10,7 +11,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-RECIPES = sorted([*(CONFIGS / "train").glob("*.yaml"), *(CONFIGS / "paper").glob("*.yaml")])
+RECIPES = [*recipes("train"), *recipes("paper")]
 PAPER = [CONFIGS / "paper" / f"{name}.yaml" for name in ("pr2", "tiago", "hsr", "td3")]
 
 
@@ -18,13 +19,9 @@ def load(path):
     return config.load(TrainConfig, path)
 
 
-def test_there_are_recipes():
-    assert {path.stem for path in RECIPES} >= {"default", "pr2", "tiago", "hsr", "sturdy_noise"}
-
-
-@pytest.mark.parametrize("path", RECIPES, ids=lambda path: f"{path.parent.name}/{path.stem}")
-def test_every_recipe_loads_and_makes_a_world(path):
-    recipe = load(path)
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_recipe_loads_and_makes_a_world(name):
+    recipe = load_recipe(TrainConfig, name, "train")
     robot = load_robot(recipe.robot)
     task = registry.build("kinfeas.tasks", recipe.task, recipe.task_parameters)
     assert World(robot, task, recipe.world, recipe.seed).start([0]).shape[0] == 1
@@ -61,7 +58,8 @@ def test_the_papers_robots(robot):
 
 
 def test_sturdy_noise_differs_from_the_default_in_the_noise_alone():
-    sturdy, default = (load(CONFIGS / n) for n in ("paper/sturdy_noise.yaml", "train/default.yaml"))
+    names = ("paper/sturdy_noise", "train/default")
+    sturdy, default = (load_recipe(TrainConfig, name, "train") for name in names)
     assert sturdy.world.adapters[0].parameters["linear"] == 0.15
     assert sturdy.learner == default.learner
     assert sturdy.world.reward == default.world.reward

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinfeas import config
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.policy import PolicyInput
@@ -25,7 +24,7 @@ _THERE = 0.05
 
 @dataclass(frozen=True)
 class BaselineConfig:
-    """What baselines know of a robot: a file of its name in `configs/baselines`.
+    """Settings of baselines: the section `baselines` of a robot.
 
     Attributes:
         forward_shift: How far ahead of the demonstrator's base the robot's stands, metres.
@@ -82,6 +81,6 @@ def _length(vectors: Array) -> Array:
 
 
 def demonstrated_base(robot: Robot) -> DemonstratedBase:
-    """Return the policy for a robot with the shift that `configs/baselines` gives it, or none."""
-    known = config.load(BaselineConfig, default_recipe("baselines", robot.name))
+    """Return the policy for a robot with the shift of its section `baselines`."""
+    known = load_section(BaselineConfig, "baselines", robot.name)
     return DemonstratedBase(robot.base, known.forward_shift)

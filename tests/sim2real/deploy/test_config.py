@@ -1,19 +1,18 @@
 import pytest
 
-from kinfeas import config
-from kinfeas.config.recipes import default_recipe, recipes
+from kinfeas.config.recipes import load_section, recipes
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.config import DeployConfig, build_backend
 
 
 def test_the_default_file_says_what_the_defaults_are():
-    assert config.load(DeployConfig, default_recipe("deploy", "any")) == DeployConfig()
+    assert load_section(DeployConfig, "deploy", "any") == DeployConfig()
 
 
 @pytest.mark.parametrize("name", recipes("deploy"))
 def test_every_shipped_file_is_allowed(name):
-    config.load(DeployConfig, default_recipe("deploy", name.split("/")[-1]))
+    load_section(DeployConfig, "deploy", name.split("/")[-1])
 
 
 def test_a_backend_is_given_what_it_asks_for(monkeypatch):
