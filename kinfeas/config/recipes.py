@@ -35,8 +35,9 @@ def find_recipe(name: str, folder: str) -> Path:
     for path in (Path(name), *(one for one in shipped if one.resolve().is_relative_to(_ROOT))):
         if path.is_file():
             return path
-    known = no_such(name, recipes(folder))
-    raise KinfeasError(f"unknown configuration {name!r}{known}, or a YAML file")
+    files = (_ROOT / folder).is_dir()
+    names = [one.removeprefix(f"{folder}/") if files else one for one in recipes(folder)]
+    raise KinfeasError(f"unknown configuration {name!r}{no_such(name, names)}, or a YAML file")
 
 
 def section(name: str, robot: str) -> tuple[dict[str, Any], str]:

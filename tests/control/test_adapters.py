@@ -54,7 +54,7 @@ def test_a_list_of_ones_own_goes_by_its_path(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "told"),
-    [("hars", "harsh"), ("./nope.yaml", "nope.yaml"), ("", "harsh"), ("sim2real/paper", "paper")],
+    [("hars", "harsh"), ("./nope.yaml", "nope.yaml"), ("", "harsh")],
 )
 def test_an_unknown_list_raises(tmp_path, monkeypatch, name, told):
     monkeypatch.chdir(tmp_path)
