@@ -1,1 +1,1 @@
-"""Scenes: rooms, furniture and handles, and what loads them."""
+"""Scenes: rooms, furniture and handles. May import kinematics and lower packages."""

@@ -1,4 +1,4 @@
-"""What a scene must be: nothing stands within something else, and every handle can be reached."""
+"""Checks of a scene: places, overlaps, reachable handles and inertias; collisions by python-fcl."""
 
 from collections.abc import Iterable, Mapping
 from itertools import combinations
@@ -14,16 +14,16 @@ from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.urdf import SLACK, Shape, Urdf, read_moments
 from kinfeas.scenes.objects import SceneObject, moving_joint
 
-_THINNEST = 1e-4  # m, of what is left of a shape that is made smaller
+_THINNEST = 1e-4  # m, of a shrunk shape
 
 
 class Solids:
-    """Shapes in space, looked at as one; not for several threads at once.
+    """A group of shapes for collision checks; not thread-safe.
 
     Args:
         shapes: Primitives with their poses in one frame.
-        less: How much smaller to take them from side to side, metres: two groups that are taken
-            `less` smaller touch where the shapes reach into each other by more than that.
+        less: Metres by which each shape is shrunk in total along each axis. Two groups that are
+            shrunk by `less` touch where their shapes overlap by more than that.
     """
 
     def __init__(self, shapes: Iterable[Shape], less: float = 0.0) -> None:
@@ -36,7 +36,7 @@ class Solids:
         self._group.setup()
 
     def place(self, rotations: Array, positions: Array) -> None:
-        """Move the k shapes, whose poses turn into `rotations` (k, 3, 3) and `positions` (k, 3)."""
+        """Move the k shapes to orientations (k, 3, 3) and positions (k, 3)."""
         for solid, turn, place in zip(self._objects, rotations, positions, strict=True):
             solid.setTransform(self._fcl.Transform(turn, place))
         self._group.update()
@@ -60,16 +60,16 @@ def _solid(fcl: Any, shape: Shape, less: float) -> Any:
 
 
 OVERLAP = 1e-3
-"""Metres that one object may reach into another one, as where it stands on it."""
+"""Metres by which two objects may overlap, as where one is on the other."""
 
 HEIGHTS = (0.1, 1.6)
-"""Metres above the floor between which robots reach for handles."""
+"""Allowed heights of handles, metres."""
 
-_GRIPPER = (0.1, 0.06, 0.06)  # m, what has to be free in front of a handle
-_BEFORE = 0.03  # m, where that begins
-_BASE = (0.2, 0.3)  # m, radius and height of the slimmest base
-_DISTANCES = np.linspace(0.3, 1.1, 5)  # m, from the handle to the middle of the base
-_BEARINGS = np.linspace(-1.2, 1.2, 9)  # rad, away from straight in front of it
+_GRIPPER = (0.1, 0.06, 0.06)  # m, box that must be free in front of a handle
+_BEFORE = 0.03  # m, from the handle to that box
+_BASE = (0.2, 0.3)  # m, radius and height of a small base
+_DISTANCES = np.linspace(0.3, 1.1, 5)  # m, from the handle to the base
+_BEARINGS = np.linspace(-1.2, 1.2, 9)  # rad, from the handle's normal
 
 
 def check(
@@ -81,14 +81,14 @@ def check(
     """Check that no objects overlap and that every handle can be reached.
 
     Args:
-        source: What the error begins with.
-        size: Of the floor along x and y, metres.
-        objects: What stands there, by name.
+        source: Beginning of the error.
+        size: Size of the floor along x and y, metres.
+        objects: Objects by name.
         handles: World poses (7,) with x along the approach, by name.
 
     Raises:
-        KinfeasError: If an object stands off or below the floor or within another one, or a
-            gripper has no room in front of a handle, or a base none near it.
+        KinfeasError: If an object is off or below the floor or overlaps another one, or there is no
+            room for a gripper in front of a handle, or for a base near it.
     """
     check_places(source, size, objects)
     shapes = [shape for one in objects.values() for _, shape in one.shapes()]
@@ -100,11 +100,7 @@ def check(
 def check_places(
     source: str, size: tuple[float, float], objects: Mapping[str, SceneObject]
 ) -> None:
-    """Check that all objects stand on the floor and not within each other; arguments as above.
-
-    Raises:
-        KinfeasError: If one does not.
-    """
+    """Check that all objects are on the floor and do not overlap; arguments and errors as above."""
     for name, one in objects.items():
         _check_floor(f"{source}: object {name!r}", size, one)
     _check_overlaps(source, objects)
@@ -114,11 +110,11 @@ def _check_floor(where: str, size: tuple[float, float], one: SceneObject) -> Non
     if np.any(np.abs(one.pose[:2]) > np.array(size) / 2.0):
         x, y = one.pose[:2]
         raise KinfeasError(
-            f"{where} stands at ({x:g}, {y:g}), off the floor of {size[0]:g} x {size[1]:g} m"
+            f"{where} is at ({x:g}, {y:g}), off the floor of {size[0]:g} x {size[1]:g} m"
         )
     sunk = max((-_lowest(shape) for _, shape in one.shapes()), default=0.0)
     if sunk > OVERLAP:
-        raise KinfeasError(f"{where} reaches {sunk:.3g} m below the floor")
+        raise KinfeasError(f"{where} is {sunk:.3g} m below the floor")
 
 
 def _lowest(shape: Shape) -> float:
@@ -141,8 +137,7 @@ def _check_overlaps(source: str, objects: Mapping[str, SceneObject]) -> None:
     for a, b in combinations(objects, 2):
         if solids[a].touches(solids[b]):
             raise KinfeasError(
-                f"{source}: objects {a!r} and {b!r} stand within each other, by more than the "
-                f"{1000.0 * OVERLAP:g} mm that are allowed"
+                f"{source}: objects {a!r} and {b!r} overlap by more than {1000.0 * OVERLAP:g} mm"
             )
 
 
@@ -155,10 +150,12 @@ def _check_handle(where: str, size: tuple[float, float], scene: Solids, pose: Ar
     middle[0] = -_BEFORE - _GRIPPER[0] / 2.0
     if scene.touches(Solids([Shape("box", _GRIPPER, compose(pose, middle))])):
         raise KinfeasError(
-            f"{where}: something stands within {_BEFORE + _GRIPPER[0]:g} m before it"
+            f"{where}: there is an object within {_BEFORE + _GRIPPER[0]:g} m in front of it"
         )
     if not _room_for_a_base(size, scene, pose):
-        raise KinfeasError(f"{where}: no base finds room within {_DISTANCES[-1]:g} m before it")
+        raise KinfeasError(
+            f"{where}: there is no room for a base within {_DISTANCES[-1]:g} m in front of it"
+        )
 
 
 def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) -> bool:
@@ -170,7 +167,7 @@ def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) ->
             place = handle[:2] + distance * np.array([np.cos(bearing), np.sin(bearing)])
             if np.any(np.abs(place) > np.array(size) / 2.0 - radius):
                 continue
-            # A little above the floor, on which something flat may lie.
+            # 1 cm above the floor, so that flat objects do not count.
             stand = make_pose(np.array([*place, height / 2.0 + 0.01]), Rotation.identity())
             if not scene.touches(Solids([Shape("cylinder", (radius, height), stand)])):
                 return True
@@ -178,15 +175,15 @@ def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) ->
 
 
 def check_inertia(path: Path, urdf: Urdf, *, fixed: bool) -> None:
-    """Check that each link that can move has an <inertial> that physics engines can move.
+    """Check that each link that can move has a mass and plausible moments of inertia.
 
     Args:
         path: The URDF.
-        urdf: What it says.
-        fixed: Whether its root link stays where it is.
+        urdf: Its links and joints.
+        fixed: Whether its root link is fixed to the world.
 
     Raises:
-        KinfeasError: If it has none, or no mass, or moments that no body has.
+        KinfeasError: If one has not.
     """
     robot = read_xml(path, "robot")
     hangs = {joint.child for joint in urdf.joints.values() if not joint.moves}
@@ -196,19 +193,19 @@ def check_inertia(path: Path, urdf: Urdf, *, fixed: bool) -> None:
             continue
         named, inertial = Element(link.xml, f"{path}: link {name!r}"), link.child("inertial")
         if inertial is None:
-            raise named.error("it can move, and <inertial> is missing")
+            raise named.error("a moving link needs <inertial>")
         if urdf.links[name].mass > 0.0:
             _check_moments(named, read_moments(inertial.need("inertia")))
-        elif name not in hangs:  # a frame may hang on what has a mass
-            raise named.error("it can move, and its mass must be above 0")
+        elif name not in hangs:  # frames on a link with mass need none
+            raise named.error("a moving link needs a mass above 0")
 
 
 def _check_moments(link: Element, moments: Array) -> None:
     small, middle, large = np.linalg.eigvalsh(moments)
     if small <= 0.0:
-        raise link.error("it can move, and all principal moments of inertia must be above 0")
+        raise link.error("all principal moments of inertia must be above 0")
     if large - small - middle > SLACK * large:
         raise link.error(
-            f"it can move, and its largest principal moment of inertia, {large:.3g}, must be at "
-            f"most the sum of the other two, {small + middle:.3g}"
+            f"the largest principal moment of inertia, {large:.3g}, must be at most the sum of the "
+            f"other two, {small + middle:.3g}"
         )

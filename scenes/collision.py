@@ -1,4 +1,4 @@
-"""Does a robot touch the furniture? Exactly, by python-fcl, for starts that must not."""
+"""Collisions between a robot and a scene, by python-fcl."""
 
 from functools import lru_cache
 
@@ -16,7 +16,7 @@ from kinfeas.scenes.scene import Scene
 
 
 class SceneCollision:
-    """The shapes of a scene as it stands, ready to be touched."""
+    """The collision shapes of a scene."""
 
     def __init__(self, scene: Scene) -> None:
         self.solids = Solids(shape for one in scene.objects.values() for _, shape in one.shapes())
@@ -25,16 +25,16 @@ class SceneCollision:
 def robot_touches(
     collision: SceneCollision, robot: Robot, base_pose: Array, joint_positions: Array
 ) -> bool:
-    """Return whether any part of a robot touches anything of a scene; its floor is not looked at.
+    """Return whether the robot is in contact with an object of the scene; the floor is left out.
 
     Args:
         collision: The scene.
-        robot: What stands in it, its joints other than the arm's at rest.
+        robot: The robot; joints outside the arm are at `robot.fixed_joints`.
         base_pose: World pose of its base, shape (7,).
         joint_positions: Arm joints, shape (j,), radians or metres.
     """
     model, scratch, solids = _parts(robot)
-    touches_itself(model, joint_positions, scratch)  # for the places that it leaves in `scratch`
+    touches_itself(model, joint_positions, scratch)  # writes the poses of the shapes
     turn = rotation(base_pose).as_matrix()
     solids.place(turn @ scratch.rotation, scratch.position @ turn.T + base_pose[:3])
     return solids.touches(collision.solids)
@@ -42,7 +42,6 @@ def robot_touches(
 
 @lru_cache(maxsize=8)
 def _parts(robot: Robot) -> tuple[CollisionModel, CollisionScratch, Solids]:
-    """Return the robot's shapes, in the order of its collision model, and what places them."""
     model = build_collision_model(robot)
     shapes = [shape for link in robot.urdf.links.values() for shape in link.shapes]
     return model, make_collision_scratch(model), Solids(shapes)

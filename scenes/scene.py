@@ -1,4 +1,4 @@
-"""Scenes: a room with furniture, read from YAML; objects and handles go by their names."""
+"""Scenes: a room with objects and handles, read from YAML."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,13 +34,13 @@ _SHIPPED = ("room",)
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A room and what stands in it.
+    """A room with objects.
 
     Attributes:
         name: Short name.
-        size: Of the floor along x and y, metres; the origin is its middle.
-        objects: What stands there, by name.
-        handles: Where grippers take hold, by name.
+        size: Size of the floor along x and y, metres; the origin is its centre.
+        objects: Objects by name.
+        handles: Handles by name.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Scene:
         return compose(self.objects[handle.object].link_poses()[handle.link], handle.pose)
 
     def with_poses(self, poses: Mapping[str, Array]) -> "Scene":
-        """Return the scene with objects elsewhere, as a task draws it; `check` says if it can be.
+        """Return the scene with other object poses; `check_places` checks them.
 
         Args:
             poses: World poses, shape (7,), by the names of objects.
@@ -70,13 +70,13 @@ class Scene:
         return replace(self, objects={**self.objects, **moved})
 
     def with_joints(self, positions: Mapping[str, Mapping[str, float]]) -> "Scene":
-        """Return the scene with doors and drawers opened.
+        """Return the scene with other joint positions.
 
         Args:
             positions: Positions in rad or m, by the names of objects and joints.
 
         Raises:
-            KinfeasError: If there is no such object or joint, or a position is beyond its limits.
+            KinfeasError: If there is no such object or joint, or a position is out of its limits.
         """
         moved = {}
         for name, given in positions.items():
@@ -85,23 +85,14 @@ class Scene:
             moved[name] = replace(found, joint_positions={**found.joint_positions, **given})
         return replace(self, objects={**self.objects, **moved})
 
-    def check(self) -> None:
-        """Check that no objects overlap and that every handle can be reached.
-
-        Raises:
-            KinfeasError: If they do, or one cannot.
-        """
-        poses = {name: self.handle_pose(name) for name in self.handles}
-        check(f"scene {self.name}", self.size, self.objects, poses)
-
     def check_places(self, source: str) -> None:
-        """Check that all objects stand on the floor and not within each other.
+        """Check that all objects are on the floor and do not overlap.
 
         Args:
-            source: What the error begins with.
+            source: Beginning of the error.
 
         Raises:
-            KinfeasError: If one does not.
+            KinfeasError: If they are not.
         """
         check_places(source, self.size, self.objects)
 
@@ -113,11 +104,11 @@ def read_scene(name_or_path: str, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene of a YAML file (`my/scene.yaml`) or of a shipped name (`room`).
 
     Args:
-        name_or_path: What is to be loaded.
+        name_or_path: Path or name.
         overrides: Assignments such as `objects.box.position=[2.725, 0.2, 0.635]`.
 
     Raises:
-        KinfeasError: If there is no such scene, one of its files is broken, objects overlap or a
+        KinfeasError: If there is no such scene, one of its files is invalid, objects overlap or a
             handle cannot be reached.
     """
     path = _find(name_or_path)
@@ -172,19 +163,20 @@ def _find_urdf(name: Path, beside: Path, where: str) -> Path:
 
 def _check_shapes(urdf: Urdf, file: Path) -> None:
     if not any(link.shapes or link.mesh_collisions for link in urdf.links.values()):
-        raise KinfeasError(f"{file}: has no <collision>, so that nothing would stand there")
+        raise KinfeasError(f"{file}: has no <collision>")
     for link in urdf.links.values():
         if link.mesh_collisions:
-            allowed = "boxes, cylinders and spheres are allowed in a scene"
-            raise KinfeasError(f"{file}: link {link.name!r} has a collision mesh, only {allowed}")
+            raise KinfeasError(
+                f"{file}: link {link.name!r} has a collision mesh; objects of a scene have boxes, "
+                "cylinders and spheres"
+            )
 
 
 def _check_mimics(urdf: Urdf, file: Path) -> None:
     for joint in urdf.joints.values():
         if joint.mimic is not None:
             raise KinfeasError(
-                f"{file}: joint {joint.name!r} follows {joint.mimic.joint!r}, by <mimic>; in a "
-                "scene every joint moves by itself"
+                f"{file}: joint {joint.name!r} has <mimic>, which scenes do not support"
             )
 
 

@@ -30,16 +30,13 @@ def test_the_room_is_ten_metres_square_with_walls_of_two(room):
     assert np.abs(points[:, :2]).max(axis=1).min() == pytest.approx(5.0)
 
 
-@pytest.mark.parametrize(("name", "centre"), [("pick_table", (3.0, 0.0)), ("place_table", None)])
-def test_tables_are_as_the_method_has_them(room, name, centre):
-    table = room.objects[name]
-    points = corners(table)
-    np.testing.assert_allclose(np.ptp(points, axis=0), [0.75, 0.75, 0.52], atol=1e-9)
-    assert points[:, 2].max() == pytest.approx(0.52)
-    np.testing.assert_allclose(table.pose[:2], centre or (0.25, -2.75))
-
-
-def test_the_box_stands_on_the_near_edge_of_its_table(room):
+def test_tables_and_box_are_those_of_the_method(room):
+    for name, centre in (("pick_table", (3.0, 0.0)), ("place_table", (0.25, -2.75))):
+        table = room.objects[name]
+        points = corners(table)
+        np.testing.assert_allclose(np.ptp(points, axis=0), [0.75, 0.75, 0.52], atol=1e-9)
+        assert points[:, 2].max() == pytest.approx(0.52)
+        np.testing.assert_allclose(table.pose[:2], centre)
     box = room.objects["box"]
     assert not box.fixed
     points = corners(box)
@@ -69,7 +66,7 @@ def test_handles_are_where_the_method_has_them(room):
         np.testing.assert_allclose(rotation(pose).apply([0.0, 0.0, 1.0]), [0.0, 0.0, 1.0])
 
 
-def test_handles_know_the_joints_that_they_move(room):
+def test_handles_name_the_joints_that_move_them(room):
     assert room.handles["door"].joint == "hinge"
     assert room.handles["drawer"].joint == "slide"
 
@@ -95,35 +92,34 @@ def test_a_task_may_move_objects(room):
     np.testing.assert_array_equal(moved.objects["place_table"].pose, pose)
     assert moved.objects["pick_table"] is room.objects["pick_table"]
     np.testing.assert_allclose(room.objects["place_table"].pose[:2], [0.25, -2.75])
-    moved.check()
+    moved.check_places("moved")
 
-
-def test_what_a_task_moves_into_something_is_found(room):
-    pose = make_pose(np.array([2.725, 0.0, 0.5]), rotation(room.objects["box"].pose))
-    with pytest.raises(KinfeasError, match="'pick_table' and 'box' stand within each other"):
-        room.with_poses({"box": pose}).check()
+    box = make_pose(np.array([2.725, 0.0, 0.5]), rotation(room.objects["box"].pose))
+    with pytest.raises(KinfeasError, match=r"^moved: .*'pick_table' and 'box'"):
+        room.with_poses({"box": box}).check_places("moved")
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "where"),
     [
-        (lambda room: room.with_poses({"boxx": None}), "no object 'boxx'.*mean 'box'"),
-        (lambda room: room.with_joints({"door": {}}), "no object 'door'"),
-        (lambda room: room.with_joints({"door_shelf": {"slide": 0.0}}), "no moving joint 'slide'"),
-        (lambda room: room.with_joints({"door_shelf": {"hinge": 2.0}}), r"in \[0, 1.92\], not 2"),
-        (lambda room: room.handle_pose("dor"), "no handle 'dor'.*mean 'door'"),
+        (lambda room: room.with_poses({"boxx": None}), "'boxx'.*'box'"),
+        (lambda room: room.with_joints({"door": {}}), "'door'"),
+        (lambda room: room.with_joints({"door_shelf": {"slide": 0.0}}), "'slide'"),
+        (lambda room: room.with_joints({"door_shelf": {"hinge": 2.0}}), "hinge.*2"),
+        (lambda room: room.handle_pose("dor"), "'dor'.*'door'"),
+        (lambda _: read_scene("rom"), "'rom'.*'room'"),
+        (lambda _: read_scene("none/none.yaml"), "none.yaml"),
     ],
 )
-def test_unknown_names_are_refused(room, change, message):
-    with pytest.raises(KinfeasError, match=message):
+def test_unknown_names_are_errors(room, change, where):
+    with pytest.raises(KinfeasError, match=where):
         change(room)
 
 
-def test_a_user_writes_a_scene_with_shipped_furniture(write):
-    scene = read_scene(write())
-    assert scene.name == "mine"
-    assert list(scene.objects) == ["table", "shelf"]
-    assert scene.objects["shelf"].joint_positions == {"hinge": 0.0}
+def test_a_scene_with_shipped_furniture(write):
+    scene = read_scene(write(), ["objects.shelf.joints.hinge=0.5"])
+    assert (scene.name, list(scene.objects)) == ("mine", ["table", "shelf"])
+    assert scene.objects["shelf"].joint_positions == {"hinge": 0.5}
 
 
 def test_the_documented_scene_is_one(tmp_path):
@@ -133,100 +129,60 @@ def test_the_documented_scene_is_one(tmp_path):
     assert list(read_scene(str(path)).objects) == ["table", "cupboard", "mug"]
 
 
-def test_a_user_brings_furniture(write, tmp_path, room):
-    own = room.objects["pick_table"]
-    (tmp_path / "bench.urdf").write_text(own.urdf_path.read_text())
-    scene = read_scene(write("table.urdf", "bench.urdf"))
-    assert scene.objects["table"].urdf_path == tmp_path / "bench.urdf"
-    assert scene.objects["table"].mass == own.mass
-
-
 @pytest.mark.parametrize("folder", ["parts", "parts/../parts", "."])
-def test_furniture_may_lie_in_another_folder(write, tmp_path, room, folder):
-    own = room.objects["pick_table"].urdf_path.read_text()
+def test_a_scene_with_other_furniture(write, tmp_path, room, folder):
+    own = room.objects["pick_table"]
     (tmp_path / "parts").mkdir()
-    (tmp_path / folder / "bench.urdf").write_text(own)
+    (tmp_path / folder / "bench.urdf").write_text(own.urdf_path.read_text())
     for name in (f"{folder}/bench.urdf", f"{tmp_path}/{folder}/bench.urdf"):
-        found = read_scene(write("table.urdf", name)).objects["table"].urdf_path
-        assert found.samefile(tmp_path / folder / "bench.urdf")
-
-
-def test_only_a_bare_name_is_that_of_a_shipped_urdf(write):
-    with pytest.raises(KinfeasError, match=r"there is no file '.*parts/table\.urdf'"):
-        read_scene(write("table.urdf", "parts/table.urdf"))
-    with pytest.raises(KinfeasError, match="cannot be read: File name too long"):
-        read_scene(write("table.urdf", f"{'a' * 300}.urdf"))
-
-
-def test_overrides_win(write):
-    scene = read_scene(write(), ["objects.shelf.joints.hinge=0.5"])
-    assert scene.objects["shelf"].joint_positions == {"hinge": 0.5}
+        table = read_scene(write("table.urdf", name)).objects["table"]
+        assert table.urdf_path.samefile(tmp_path / folder / "bench.urdf")
+        assert table.mass == own.mass
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "where"),
     [
-        ("table.urdf", "tabel.urdf", "'objects.table.urdf': there is no file .*tabel.urdf'; ship"),
-        ("table.urdf", "../box.urdf", "there is no file"),
-        (
-            "object: shelf",
-            "object: shell",
-            "'handles.door.object': there is no object 'shell' .*'s",
-        ),
-        (
-            "link: handle",
-            "link: knob",
-            "'handles.door.link': 'shelf' has no link 'knob'; known are",
-        ),
-        ("urdf: table.urdf, ", "", "'objects.table.urdf' is missing"),
-        ("position: [1.0,", "place: [1.0,", "unknown key 'objects.table.place'"),
-        ("[1.0, 0.0, 0.0]", "[1.0, 0.0]", "'objects.table.position' must be a list of 3"),
-        ("[1.0, 0.0, 0.0]", "[[0.0, 1.0], 0.0, 0.0]", "must be a number in"),
-        ("4.0, 3.0", "4.0, 0.0", r"size.1' must be a number in \(0, 10000\]"),
-        ("0.4]}", "0.4], joints: {hinge: -1}}", r"joints': hinge must be in \[0, 1.92\], not -1"),
-        ("0.4]}", "0.4], joints: {slide: 0}}", "no moving joint 'slide'; known are hinge"),
-        ("0.4]}", "0.4], joints: {door_to_handle: 0}}", "no moving joint 'door_to_handle'"),
+        ("table.urdf", "tabel.urdf", "'objects.table.urdf'.*table.urdf"),
+        ("table.urdf", "parts/table.urdf", "'objects.table.urdf'"),
+        ("object: shelf", "object: shell", "'handles.door.object'.*'shell'.*'shelf'"),
+        ("link: handle", "link: knob", "'handles.door.link'.*'knob'"),
+        ("urdf: table.urdf, ", "", "'objects.table.urdf'"),
+        ("position: [1.0,", "place: [1.0,", "'objects.table.place'"),
+        ("[1.0, 0.0, 0.0]", "[1.0, 0.0]", "'objects.table.position"),
+        ("4.0, 3.0", "4.0, 0.0", r"size.1'"),
+        ("0.4]}", "0.4], joints: {hinge: -1}}", "joints': hinge.*-1"),
+        ("0.4]}", "0.4], joints: {slide: 0}}", "'slide'.*hinge"),
+        ("0.4]}", "0.4], joints: {door_to_handle: 0}}", "'door_to_handle'"),
     ],
 )
-def test_wrong_scenes_are_refused_in_one_line(write, old, new, message):
+def test_an_invalid_scene_is_an_error_with_its_key(write, old, new, where):
     path = write(old, new)
-    with pytest.raises(KinfeasError, match=message) as caught:
-        read_scene(path)
-    assert str(caught.value).startswith(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_unknown_scenes_are_refused(tmp_path):
-    with pytest.raises(KinfeasError, match=r"unknown scene 'rom'.*mean 'room'.*path of a YAML"):
-        read_scene("rom")
-    with pytest.raises(KinfeasError, match="cannot be read"):
-        read_scene(str(tmp_path / "none.yaml"))
-
-
-def test_a_broken_urdf_and_meshes_are_refused(write, tmp_path):
-    path = write("table.urdf", "own.urdf")
-    (tmp_path / "own.urdf").write_text("<robot name='a'><link name='a'>")
-    with pytest.raises(KinfeasError, match=r"own\.urdf: not XML"):
-        read_scene(path)
-    (tmp_path / "own.urdf").write_text("<robot name='a'><link name='a'/></robot>")
-    with pytest.raises(KinfeasError, match=r"own\.urdf: has no <collision>"):
-        read_scene(path)
-    mesh = "<collision><geometry><mesh filename='a.stl'/></geometry></collision>"
-    (tmp_path / "own.urdf").write_text(f"<robot name='a'><link name='a'>{mesh}</link></robot>")
-    with pytest.raises(KinfeasError, match="link 'a' has a collision mesh, only boxes"):
+    with pytest.raises(KinfeasError, match=f"^{path}: .*{where}"):
         read_scene(path)
 
 
-def test_a_joint_that_follows_another_one_is_refused(write, tmp_path, room):
-    path = write("shelf_with_door.urdf", "own.urdf")
-    own = room.objects["door_shelf"].urdf_path.read_text()
-    mimic = own.replace(
-        '<joint name="door_to_handle" type="fixed">',
-        '<joint name="door_to_handle" type="continuous"><mimic joint="hinge"/>',
-    )
-    assert mimic != own
-    (tmp_path / "own.urdf").write_text(mimic)
-    with pytest.raises(
-        KinfeasError, match=r"own\.urdf: joint 'door_to_handle' follows 'hinge', by"
-    ):
-        read_scene(path)
+LINK = "<robot name='a'><link name='a'>{}</link></robot>"
+MIMIC = """<robot name='a'><link name='a'><collision><geometry><sphere radius='1'/></geometry>
+</collision></link><link name='b'/><link name='c'/>
+<joint name='one' type='continuous'><parent link='a'/><child link='b'/></joint>
+<joint name='two' type='continuous'><parent link='b'/><child link='c'/><mimic joint='one'/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    ("urdf", "where"),
+    [
+        ("<robot name='a'><link name='a'>", "XML"),
+        (LINK.format(""), "<collision>"),
+        (
+            LINK.format("<collision><geometry><mesh filename='a.stl'/></geometry></collision>"),
+            "'a'",
+        ),
+        (MIMIC, "'two'"),
+    ],
+)
+def test_furniture_is_made_of_primitives_without_mimic_joints(write, tmp_path, urdf, where):
+    (tmp_path / "own.urdf").write_text(urdf)
+    with pytest.raises(KinfeasError, match=rf"own\.urdf: .*{where}"):
+        read_scene(write("table.urdf", "own.urdf"))
