@@ -1,0 +1,340 @@
+"""Pictures and films of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+from matplotlib import patheffects, rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from mpl_toolkits.mplot3d import Axes3D
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import ConvexHull
+
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.evaluation.recording import Recording
+from kinfeas.io.run_log import REACHED, Record
+from kinfeas.kinematics.chain import build_chain
+from kinfeas.kinematics.forward import forward
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.viz.drawing import (
+    Solid,
+    add_axes,
+    corners,
+    draw_floor,
+    draw_solids,
+    robot_solids,
+    scene_solids,
+    show_all,
+    surrounds,
+)
+from kinfeas.viz.film import SIZE, write_caption
+from kinfeas.viz.style import (
+    ARM,
+    BASE,
+    BODY,
+    DESIRED,
+    EE,
+    FAILURE,
+    GOAL,
+    INK,
+    STYLE,
+    failures_text,
+)
+
+_ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
+_PALEST = 0.62
+_NEAR = 1.0  # m, of furniture from the paths' bounds
+_AROUND, _HEIGHT = 0.7, 1.6  # m, of a film's view beyond the paths, and above the floor
+_CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
+
+
+def episodes_figure(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    titles: Sequence[str] | None = None,
+    scene: Scene | None = None,
+) -> Figure:
+    """Return a picture with a column for each episode: from the side, and from above.
+
+    Args:
+        robot: Robot model.
+        recordings: At least one episode.
+        titles: Of the columns; by default number, result and duration.
+        scene: Furniture.
+    """
+    count = len(recordings)
+    titles = titles or [_title(recording) for recording in recordings]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
+        grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
+        for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
+            furniture = [] if scene is None else _furniture_near(scene, recording)
+            side = add_axes(figure, grid[0, column], _side(recording), _ELEVATION)
+            _draw_side(side, robot, recording, [one for object_ in furniture for one in object_])
+            side.set_title(title)
+            top = figure.add_subplot(grid[1, column])
+            for one in furniture:
+                _draw_outline(top, corners(one), (0.86, 0.79, 0.69, 0.6), 1.8)
+            _draw_top(top, robot, recording)
+        columns = {1: 3, 2: 4}.get(count, 7)
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=columns, fontsize=10)
+    return figure
+
+
+def record_figure(record: Record, robot: Robot) -> Figure:
+    """Return a picture of a recorded run with the furniture near it.
+
+    Raises:
+        KinfeasError: If the run has another arm, or its scene is missing.
+    """
+    seconds = record.time[-1] - record.time[0]
+    end = record.event[-1] or "the record breaks off"
+    title = fill(f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}", 50)
+    return episodes_figure(robot, [as_recording(record, robot)], [title], scene_of(record))
+
+
+def as_recording(record: Record, robot: Robot) -> Recording:
+    """Return a recorded run as an episode; the achieved EE pose is that of the measured joints.
+
+    Raises:
+        KinfeasError: If the run has another arm.
+    """
+    joints = tuple(joint.name for joint in robot.arm)
+    if record.about.joints != joints:
+        raise KinfeasError(
+            f"the record has the joints {', '.join(record.about.joints)}, and the arm of robot "
+            f"{robot.name!r} {', '.join(joints)}"
+        )
+    ee = forward(build_chain(robot), record.joint_positions)
+    last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
+    return Recording(
+        episode=0,
+        base_pose=record.base_pose,
+        joint_positions=record.joint_positions,
+        desired=record.desired,
+        ee_pose=spatial.compose(record.base_pose, ee),
+        feasible=record.feasible,
+        goals=record.goal[last],
+        reached=record.event[-1].startswith(REACHED),
+        dt=record.about.dt,
+    )
+
+
+def scene_of(record: Record) -> Scene | None:
+    """Return the furniture at the start of a run; None without a scene.
+
+    Raises:
+        KinfeasError: If the scene or one of its objects is missing.
+    """
+    if not record.about.scene:
+        return None
+    poses = {name: np.array(pose) for name, pose in record.about.objects.items()}
+    return read_scene(record.about.scene).with_poses(poses)
+
+
+def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArray[np.intp]:
+    """Return the indices of moments at even distances of the base's path, with start and end.
+
+    Args:
+        recording: The episode.
+        spacing: Metres of the base's path between two moments.
+        most: Largest number of moments.
+    """
+    base = recording.base_pose[:, :2]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
+    count = int(np.clip(1 + round(way[-1] / spacing), 2, most))
+    return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A fixed view: heading to the right of the picture, and the corners of what is seen."""
+
+    heading: float
+    corners: Array
+
+
+def watch(base: Array, goal: Array, points: Array) -> Camera:
+    """Return a camera beside the path from `base` to `goal`.
+
+    Args:
+        base: World position of the base at the start, shape (3,), metres.
+        goal: World position of the EE's goal, shape (3,).
+        points: Further positions in view, shape (k, 3).
+    """
+    way = goal[:2] - base[:2]
+    around = np.concatenate([points, base[np.newaxis], goal[np.newaxis]])
+    low, high = around.min(axis=0) - _AROUND, around.max(axis=0) + _AROUND
+    low[2], high[2] = 0.0, max(high[2] - _AROUND, _HEIGHT)
+    return Camera(float(np.arctan2(way[1], way[0]) + _TURN), np.array([low, high]))
+
+
+def moment_image(
+    robot: Robot, recording: Recording, camera: Camera, moment: int = -1
+) -> NDArray[np.uint8]:
+    """Return an image of one moment and the paths until then, shape (360, 480, 3)."""
+    end = len(recording.feasible) if moment == -1 else moment + 1
+    with rc_context(STYLE):
+        figure = Figure(figsize=(SIZE[0] / 100, SIZE[1] / 100), dpi=100)
+        canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
+        axes = add_axes(figure, (0.0, 0.0, 1.0, 1.0), camera.heading, _ELEVATION)
+        draw_floor(axes, camera.corners)
+        posture = recording.base_pose[moment], recording.joint_positions[moment]
+        draw_solids(axes, robot_solids(robot, *posture))
+        _draw_paths(axes, recording, end)
+        show_all(axes, camera.corners, SIZE[0] / SIZE[1])
+        canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeFilm:
+    """An episode in the analytic world, to be written by `write_film`."""
+
+    recording: Recording
+    robot: Robot
+    title: str
+
+    @property
+    def times(self) -> Array:
+        """Seconds since the start of the episode, shape (t,)."""
+        return np.arange(len(self.recording.feasible), dtype=np.float64) * self.recording.dt
+
+    def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
+        """Return the picture of one moment; its caption gives the playback speed."""
+        kept = self.recording
+        points = np.concatenate([kept.base_pose[:, :3], kept.desired[:, :3]])
+        camera = watch(kept.base_pose[0, :3], kept.goal[:3], points)
+        image = Image.fromarray(moment_image(self.robot, kept, camera, moment))
+        end = None
+        if moment == len(kept.feasible) - 1:
+            end = ("goal reached" if kept.reached else "goal not reached", kept.reached)
+        failures = int(np.sum(~kept.feasible[: moment + 1]))
+        write_caption(image, self.title, (self.times[moment], speed), failures, end)
+        return image
+
+
+def _title(recording: Recording) -> str:
+    end = "goal reached" if recording.reached else "goal missed"
+    failures = failures_text(int(np.sum(~recording.feasible)))
+    seconds = (len(recording.feasible) - 1) * recording.dt
+    return f"Episode {recording.episode}: {end}, {failures}, {seconds:.0f} s"
+
+
+def _furniture_near(scene: Scene, recording: Recording) -> list[list[Solid]]:
+    """Return the solids of each object near the paths."""
+    paths = np.concatenate([recording.base_pose[:, :2], recording.ee_pose[:, :2]])
+    low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
+    near: dict[str, list[Solid]] = {
+        name: []
+        for name, one in scene.objects.items()
+        if np.all((one.pose[:2] > low) & (one.pose[:2] < high)) and not surrounds(scene, one)
+    }
+    for name, solid in scene_solids(scene):
+        if name in near:
+            near[name].append(solid)
+    return list(near.values())
+
+
+def _side(recording: Recording) -> float:
+    """Return the heading of a side view on which the body hides little of the arm."""
+    travel = recording.goal[:2] - recording.base_pose[0, :2]
+    heading = float(np.arctan2(travel[1], travel[0]))
+    arm = (recording.ee_pose[:, :2] - recording.base_pose[:, :2]).mean(axis=0)
+    headings = (heading + _TURN, heading + np.pi - _TURN)
+    return max(headings, key=lambda one: float(arm @ [np.sin(one), -np.cos(one)]))
+
+
+def _draw_side(
+    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[Solid]
+) -> None:
+    drawn = moments(recording)
+    solids = list(furniture)
+    for place, moment in enumerate(drawn):
+        colours = _pale(BODY, place, len(drawn)), _pale(ARM, place, len(drawn))
+        posture = recording.base_pose[moment], recording.joint_positions[moment]
+        solids += robot_solids(robot, *posture, colours)
+    points = np.concatenate([corners(solids), recording.desired[:, :3], recording.goals[:, :3]])
+    floor = draw_floor(axes, points)
+    draw_solids(axes, solids)
+    _draw_paths(axes, recording)
+    show_all(axes, np.concatenate([points, floor]), 1.5)
+
+
+def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
+    drawn = moments(recording)
+    for place, moment in enumerate(drawn):
+        posture = recording.base_pose[moment], recording.joint_positions[moment]
+        body = [solid for solid in robot_solids(robot, *posture) if solid.colour == BODY]
+        if body:
+            colour = (*to_rgb(_pale(BODY, place, len(drawn))), 0.55)
+            _draw_outline(axes, corners(body), colour, 2.0)
+        reach = np.stack([recording.base_pose[moment, :2], recording.ee_pose[moment, :2]])
+        axes.plot(*reach.T, color=_pale(ARM, place, len(drawn)), lw=3.0, zorder=5)
+    _draw_paths(axes, recording)
+    pose = recording.base_pose[moments(recording, 0.3, 12)]
+    heading = spatial.yaw(pose)
+    axes.quiver(
+        pose[:, 0], pose[:, 1], np.cos(heading), np.sin(heading), color=BASE, zorder=6,
+        angles="xy", units="inches", scale_units="inches", scale=4.2, width=0.026, pivot="tail",
+    )  # fmt: skip
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+
+
+def _draw_outline(axes: Axes, points: Array, colour: tuple[float, ...], order: float) -> None:
+    outline = points[ConvexHull(points[:, :2]).vertices, :2]
+    axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="#9aa2ad", lw=0.9, zorder=order))
+
+
+def _draw_paths(axes: Axes, recording: Recording, end: int | None = None) -> None:
+    """Draw base and EE paths until moment `end`, failures and goals, into 2-D or 3-D axes."""
+    size = 3 if isinstance(axes, Axes3D) else 2
+
+    def draw(points: Array, *marker: str, **how: Any) -> None:
+        if len(points):  # mplot3d cannot draw nothing
+            axes.plot(*points[:, :size].T, *marker, **how)
+
+    base, ee = recording.base_pose[:end], recording.ee_pose[:end]
+    draw(base, color=BASE, lw=2.2, zorder=2.8)
+    draw(ee, color=EE, lw=2.4, zorder=7, path_effects=_CASING)
+    draw(recording.desired[:end], color=DESIRED, lw=1.2, ls=(0, (4, 3)), zorder=8)
+    draw(ee[~recording.feasible[:end]], "o", color=FAILURE, ms=5.0, mew=0.0, zorder=12)
+    draw(ee[:1], "o", color="white", mec=EE, mew=2.0, ms=8.0, zorder=10)
+    draw(base[:1], "o", color="white", mec=BASE, mew=2.0, ms=8.0, zorder=6.5)
+    for goal in recording.goals:
+        draw(np.stack([goal, goal * [1, 1, 0, 1, 1, 1, 1]]), color=GOAL, lw=1.3, ls=":", zorder=6)
+    draw(recording.goals, "*", color=GOAL, mec=INK, mew=0.7, ms=16.0, zorder=11)
+
+
+def _pale(colour: str, place: int, count: int) -> str:
+    """Return a colour that is the paler the earlier: `place` 0 of `count` is the palest."""
+    share = _PALEST * (1.0 - place / max(count - 1, 1))
+    return to_hex([part + (1.0 - part) * share for part in to_rgb(colour)])
+
+
+def _legend() -> list[Line2D]:
+    def entry(label: str, **how: Any) -> Line2D:
+        return Line2D([], [], label=label, **how)
+
+    return [
+        entry("base path and heading", color=BASE, lw=2.2, marker=">", ms=7),
+        entry("arm, base to EE", color=ARM, lw=3.0),
+        entry("EE desired", color=DESIRED, lw=1.2, ls=(0, (4, 3))),
+        entry("EE achieved", color=EE, lw=2.4),
+        entry("no IK solution", color=FAILURE, lw=0, marker="o", ms=6),
+        entry("start", color="white", lw=0, marker="o", mec=DESIRED, mew=2.0, ms=8),
+        entry("goal", color=GOAL, lw=0, marker="*", mec=INK, mew=0.7, ms=15),
+    ]

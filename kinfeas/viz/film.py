@@ -1,0 +1,178 @@
+"""Films as GIF or MP4 files, or as a PNG with some of their pictures."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib import get_data_path
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.io.files import replacing
+from kinfeas.viz.style import DESIRED, EE, FAILURE, GOAL, INK, failures_text
+
+SUFFIXES = (".gif", ".mp4", ".png")
+SIZE = (480, 360)
+"""Width and height of a picture in pixels."""
+
+_GIF, _MP4 = (8.0, 56), (25.0, 300)  # pictures per second, largest number of pictures
+_REST_SECONDS = 1.5  # of the last picture
+_COLOURS = 72  # of a GIF
+_PANELS = (2, 2)  # of a PNG
+
+
+class Film(Protocol):
+    """An episode as a sequence of pictures."""
+
+    @property
+    def times(self) -> Array:
+        """Seconds since the start of the episode, shape (t,)."""
+        ...
+
+    def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
+        """Return the picture of one moment, captioned with the playback speed."""
+        ...
+
+
+def check_film_path(path: Path) -> None:
+    """Check the suffix of a film, and that MP4 can be written.
+
+    Raises:
+        KinfeasError: If the suffix is not one of `SUFFIXES`, or `av` is not installed.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
+    if path.suffix.lower() == ".mp4":
+        _av()
+
+
+def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = None) -> None:
+    """Write a film as GIF or MP4, or four of its pictures as PNG.
+
+    Args:
+        film: What is shown.
+        path: File with one of `SUFFIXES`.
+        on_done: Called with 1 after each picture, `count_pictures` times.
+
+    Raises:
+        KinfeasError: If the suffix is another one, or the file cannot be written.
+    """
+    check_film_path(path)
+    moments, suffix = _moments(film.times, path), path.suffix.lower()
+    rate = 0.0 if suffix == ".png" else (_GIF if suffix == ".gif" else _MP4)[0]
+    speed = max(1.0, film.times[-1] * rate / len(moments))
+
+    def pictures() -> Iterator[Image.Image]:
+        for moment in moments:
+            yield film.picture(int(moment), speed)
+            if on_done is not None:
+                on_done(1)
+
+    shown = list(pictures())
+    with replacing(path) as fresh:
+        if suffix == ".png":
+            _write_png(shown, fresh)
+        elif suffix == ".gif":
+            _write_gif(shown, fresh, rate)
+        else:
+            _write_mp4(shown, fresh, rate)
+
+
+def count_pictures(film: Film, path: Path) -> int:
+    """Return the number of pictures that `write_film` draws."""
+    return len(_moments(film.times, path))
+
+
+def write_caption(
+    image: Image.Image,
+    title: str,
+    time: tuple[float, float],
+    failures: int,
+    result: tuple[str, bool] | None = None,
+) -> None:
+    """Write a caption into the lower left corner of a picture.
+
+    Args:
+        image: The picture.
+        title: First words of the caption.
+        time: Seconds since the start, and playback speed.
+        failures: Number of IK failures until then.
+        result: Result of the episode and whether it is a success; None before its end.
+    """
+    faster = f"  ({time[1]:.1f}x)" if time[1] > 1.05 else ""
+    text = f"{title}   {time[0]:.1f} s{faster}   "
+    lines = [[(text, INK), (failures_text(failures), FAILURE if failures else EE)]]
+    if result is not None:
+        lines.append([(result[0], EE if result[1] else FAILURE)])
+    font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", 13)
+    draw = ImageDraw.Draw(image, "RGBA")
+    for number, words in enumerate(lines):
+        left, low = 10.0, image.height - 26 - 27 * number
+        width = sum(draw.textlength(text, font=font) for text, _ in words)
+        frame = (left - 5, low - 4, left + width + 6, low + 19)
+        draw.rounded_rectangle(frame, 5, fill=(255, 255, 255, 205))
+        for text, colour in words:
+            draw.text((left, low), text, fill=colour, font=font)
+            left += draw.textlength(text, font=font)
+
+
+def _moments(times: Array, path: Path) -> NDArray[np.intp]:
+    last = len(times) - 1
+    if path.suffix.lower() == ".png":
+        count = _PANELS[0] * _PANELS[1]
+    else:
+        rate, most = _GIF if path.suffix.lower() == ".gif" else _MP4
+        count = min(most, int(np.ceil(times[-1] * rate)))
+    return np.unique(np.linspace(0, last, max(2, count)).round().astype(np.intp))
+
+
+def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:
+    columns, gap = _PANELS[0], 6
+    width, height = pictures[0].size
+    rows = -(-len(pictures) // columns)
+    whole = Image.new(
+        "RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), "white"
+    )
+    for number, picture in enumerate(pictures):
+        row, column = divmod(number, columns)
+        whole.paste(picture, (column * (width + gap), row * (height + gap)))
+    whole.save(path, optimize=True)
+
+
+def _write_gif(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
+    # One palette, so that the background does not flicker.
+    some = [*pictures[:: max(1, len(pictures) // 8)], pictures[-1]]
+    width, height = pictures[0].size
+    sheet = Image.new("RGB", (width, height * (len(some) + 1)), "white")
+    for number, picture in enumerate(some):
+        sheet.paste(picture, (0, number * height))
+    for number, colour in enumerate((EE, FAILURE, GOAL, DESIRED)):  # however small in the pictures
+        sheet.paste(colour, (0, len(some) * height + 60 * number, width, (len(some) + 1) * height))
+    palette = sheet.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT)
+    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    duration = [round(1000.0 / rate)] * len(flat)
+    duration[-1] = round(1000.0 * _REST_SECONDS)
+    flat[0].save(path, save_all=True, append_images=flat[1:], duration=duration, loop=0)
+
+
+def _write_mp4(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
+    av = _av()
+    shown = [*pictures, *[pictures[-1]] * round(_REST_SECONDS * rate)]
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx264", rate=round(rate), options={"crf": "23"})
+        stream.width, stream.height = shown[0].size
+        stream.pix_fmt = "yuv420p"
+        for picture in shown:
+            file.mux(stream.encode(av.VideoFrame.from_image(picture)))
+        file.mux(stream.encode(None))
+
+
+def _av() -> Any:
+    try:
+        import av
+    except ImportError as error:
+        raise KinfeasError("MP4 needs av: pip install 'kinfeas[video]'; GIF does not") from error
+    return av

@@ -1,0 +1,279 @@
+"""HTML pages of scenes and episodes in 3-D, made by viser; they need no server."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, compose
+from kinfeas.evaluation.recording import Recording
+from kinfeas.robots.robot import Robot
+from kinfeas.robots.tree import Joint, Shape
+from kinfeas.scenes.objects import free_joints
+from kinfeas.scenes.scene import Scene
+from kinfeas.viz.drawing import joint_poses, robot_parts, scene_solids
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
+
+_FLOOR = (245, 246, 248)
+_AROUND = 1.5  # m, of floor beyond the paths
+_PIECE = 0.02  # m, length of the pieces of a path
+_SCENE_FRAMES, _SCENE_RATE = 90, 30.0
+_TURN = 3.0  # rad, range of a joint without limits
+_RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest number
+_STILL = 1e-4  # m, and of a quaternion
+_WALL = 4.0  # m; longer boxes hide the room
+
+Positions = dict[str, dict[str, float]]
+
+
+class ScenePage:
+    """A scene on a viser server, with movable doors and drawers.
+
+    Args:
+        scene: The scene.
+        port: Port on this machine; 0 for any free one.
+
+    Raises:
+        KinfeasError: If viser is not installed.
+    """
+
+    def __init__(self, scene: Scene, port: int = 0) -> None:
+        self._scene, self._server = scene, _start(scene.name, port)
+        self._server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
+        self._server.initial_camera.look_at = np.zeros(3)
+        self._server.scene.add_grid(
+            "/floor", *scene.size, cell_size=1.0, plane_color=_FLOOR, plane_opacity=1
+        )
+        self.solids = _draw_scene(self._server, scene)
+
+    @property
+    def address(self) -> str:
+        """Address for a browser."""
+        return f"http://127.0.0.1:{self._server.get_port()}"
+
+    def html(self) -> str:
+        """Return a page on which all joints open and close."""
+        film = self._server.get_scene_serializer()
+        for frame in range(_SCENE_FRAMES if self._joints() else 0):
+            share = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
+            positions: Positions = {}
+            for name, joint in self._joints():
+                at = self._scene.objects[name].joint_positions[joint.name]
+                opened = at + share * (_range(joint)[1] - at)
+                positions.setdefault(name, {})[joint.name] = opened
+            self.move(positions)
+            film.insert_sleep(1.0 / _SCENE_RATE)
+        html: str = film.as_html()
+        return html
+
+    def add_sliders(self) -> None:
+        """Add a slider for each joint."""
+        sliders: dict[tuple[str, str], Any] = {}
+
+        def follow(_: object) -> None:
+            positions: Positions = {}
+            for (name, joint), slider in sliders.items():
+                positions.setdefault(name, {})[joint] = slider.value
+            self.move(positions)
+
+        for name, joint in self._joints():
+            low, high = _range(joint)
+            at = self._scene.objects[name].joint_positions[joint.name]
+            step = (high - low) / 200.0
+            slider = self._server.gui.add_slider(f"{name}: {joint.name}", low, high, step, at)
+            slider.on_update(follow)
+            sliders[name, joint.name] = slider
+
+    def move(self, positions: Mapping[str, Mapping[str, float]]) -> None:
+        """Move joints to positions, rad or m, by object and joint."""
+        moved = scene_solids(self._scene.with_joints(positions))
+        for drawn, (name, solid) in zip(self.solids, moved, strict=True):
+            if name in positions:
+                _place(drawn, solid.shape.pose)
+
+    def close(self) -> None:
+        """Stop the server."""
+        _stop(self._server)
+
+    def _joints(self) -> list[tuple[str, Joint]]:
+        return [
+            (name, joint)
+            for name, one in self._scene.objects.items()
+            for joint in free_joints(one.urdf).values()
+        ]
+
+
+def episode_html(
+    recording: Recording, robot: Robot, times: Array, scene: Scene | None = None
+) -> str:
+    """Return the page of an episode, drawn from the robot's primitive shapes.
+
+    Args:
+        recording: The episode, t moments.
+        robot: Robot model.
+        times: Of the moments, shape (t,), seconds.
+        scene: Furniture.
+
+    Raises:
+        KinfeasError: If viser is not installed.
+    """
+    desired, ee = recording.desired[:, :3], recording.ee_pose[:, :3]
+    paths = {BASE: recording.base_pose[:, :3] + [0.0, 0.0, 0.01], DESIRED: desired, EE: ee}
+    with _serving(robot.name) as server:
+        _draw_paths(server, paths, recording.goals[:, :3], desired[~recording.feasible])
+        if scene is not None:
+            _draw_scene(server, scene)
+        tree, parts = robot_parts(robot)
+        bodies: dict[int, Any] = {}
+        for number, part in enumerate(parts):
+            name = f"/robot/{part.joint}"
+            if part.joint not in bodies:
+                bodies[part.joint] = server.scene.add_frame(name, show_axes=False)
+            _draw(server, f"{name}/{number}", part.shape, ARM if part.arm else BODY)
+        film = server.get_scene_serializer()
+        shown = moments(times)
+        for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
+            relative = joint_poses(tree, recording.joint_positions[moment])
+            poses = compose(recording.base_pose[moment], relative)
+            for body, frame in bodies.items():
+                _place(frame, poses[body])
+            film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
+        html: str = film.as_html()
+        return html
+
+
+def pybullet_html(film: Any) -> str:
+    """Return the page of a `PyBulletFilm`, with everything that moves.
+
+    Raises:
+        KinfeasError: If viser is not installed.
+    """
+    from kinfeas.backends.pybullet.camera import link_poses, show_moment, visual_shapes
+
+    recording = film.recording
+    paths = {
+        BASE: recording.base + [0.0, 0.0, 0.01], DESIRED: recording.desired, EE: recording.ee
+    }  # fmt: skip
+    with _serving(film.title) as server:
+        _draw_paths(server, paths, recording.goals, recording.desired[recording.failures > 0])
+        server.initial_camera.position, server.initial_camera.look_at = film.eye[0], film.target[0]
+        frames: dict[tuple[int, int], Any] = {}
+        for number, one in enumerate(visual_shapes(film.physics)):
+            if one.shape.kind == "box" and max(one.shape.size) > _WALL:
+                continue
+            name = f"/world/{one.body}-{one.link + 1}"
+            if (one.body, one.link) not in frames:
+                frames[one.body, one.link] = server.scene.add_frame(name, show_axes=False)
+            _draw(server, f"{name}/{number}", one.shape, one.colour)
+        label = f"{failures_text(int(recording.failures.sum()))}, {recording.outcome}"
+        position = recording.goals[-1] + [0.0, 0.0, 0.15]
+        result = server.scene.add_label("/outcome", label, position=position, visible=False)
+        serializer, links, shown = server.get_scene_serializer(), list(frames), moments(film.times)
+        before = np.full((len(links), 7), np.inf)
+        for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
+            show_moment(film.physics, recording.moments[moment])
+            poses = link_poses(film.physics, links)
+            for row in np.flatnonzero(np.abs(poses - before).max(axis=1) > _STILL):
+                _place(frames[links[row]], poses[row])
+                before[row] = poses[row]
+            result.visible = bool(moment == shown[-1])
+            seconds = float(film.times[after] - film.times[moment])
+            serializer.insert_sleep(seconds or 1.0)
+        html: str = serializer.as_html()
+        return html
+
+
+def moments(times: Array) -> NDArray[np.intp]:
+    """Return indices of the moments to show, at most 15 per second, with the last one."""
+    seconds = float(times[-1] - times[0])
+    count = int(np.clip(np.ceil(seconds * _RATE), 1, min(_MOST, len(times))))
+    wanted = np.linspace(times[0], times[-1], count)
+    return np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
+
+
+def _start(title: str, port: int = 0) -> Any:
+    try:
+        import viser
+    except ImportError as error:
+        raise KinfeasError(
+            "viser is not installed, which pages need: pip install 'kinfeas[view]'"
+        ) from error
+    with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
+        return viser.ViserServer("127.0.0.1", port, title, verbose=False)
+
+
+def _stop(server: Any) -> None:
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+@contextmanager
+def _serving(title: str) -> Iterator[Any]:
+    server = _start(title)
+    try:
+        yield server
+    finally:
+        _stop(server)
+
+
+def _draw_scene(server: Any, scene: Scene) -> list[Any]:
+    return [
+        _draw(server, f"/{name}/{number}", solid.shape, solid.colour)
+        for number, (name, solid) in enumerate(scene_solids(scene))
+    ]
+
+
+def _draw(server: Any, name: str, shape: Shape, colour: str | tuple[float, ...]) -> Any:
+    how = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1), "color": _rgb(colour)}
+    if shape.kind == "box":
+        return server.scene.add_box(name, dimensions=shape.size, **how)
+    if shape.kind == "cylinder":
+        radius, height = shape.size
+        return server.scene.add_cylinder(name, radius=radius, height=height, **how)
+    return server.scene.add_icosphere(name, radius=shape.size[0], **how)
+
+
+def _draw_paths(server: Any, paths: Mapping[str, Array], goals: Array, failures: Array) -> None:
+    """Draw paths (t, 3) by colour, goals and failures over a floor; place the camera."""
+    points = np.concatenate([*paths.values(), goals])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, size = (low + high) / 2.0 * [1.0, 1.0, 0.0], high - low + 2.0 * _AROUND
+    server.scene.add_grid(
+        "/floor", size[0], size[1], cell_size=0.5, plane_color=_FLOOR, plane_opacity=1,
+        position=middle,
+    )  # fmt: skip
+    for colour, path in paths.items():
+        kept = [0]
+        for index in range(1, len(path)):
+            if np.linalg.norm(path[index] - path[kept[-1]]) >= _PIECE:
+                kept.append(index)
+        lines = np.stack([path[kept[:-1]], path[kept[1:]]], axis=1)
+        if len(lines):
+            server.scene.add_line_segments(
+                f"/paths/{colour[1:]}", lines, _rgb(colour), thickness=3.0, thickness_units="screen"
+            )
+    for number, goal in enumerate(goals):
+        server.scene.add_icosphere(f"/goals/{number}", 0.025, color=_rgb(GOAL), position=goal)
+    if len(failures):
+        server.scene.add_point_cloud("/failures", failures, _rgb(FAILURE), point_size=0.025)
+    away = np.array([1.8, -2.6, 2.0]) * max(1.0, float(size.max()) / 4.0)
+    server.initial_camera.position = middle + away
+    server.initial_camera.look_at = middle + [0.0, 0.0, 0.5]
+
+
+def _place(drawn: Any, pose: Array) -> None:
+    drawn.position, drawn.wxyz = pose[:3], np.roll(pose[3:], 1)
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    return max(joint.lower, -_TURN), min(joint.upper, _TURN)
+
+
+def _rgb(colour: str | tuple[float, ...]) -> tuple[int, ...]:
+    shares = to_rgb(colour) if isinstance(colour, str) else colour
+    return tuple(round(255.0 * share) for share in shares)

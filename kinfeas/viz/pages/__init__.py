@@ -1,1 +1,0 @@
-"""Pages of HTML that stand alone: reports, and scenes to turn about."""

@@ -1,1 +1,0 @@
-"""Pictures: what can be looked at without a browser."""
