@@ -19,13 +19,19 @@ from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.reachability import reachable
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.viz.pictures.projection import Painted, draw_floor, draw_solids, look
-from kinfeas.viz.pictures.solids import robot_faces
-from kinfeas.viz.pictures.style import BASE, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
+from kinfeas.viz.drawing import (
+    add_axes,
+    corners,
+    draw_floor,
+    draw_solids,
+    faces,
+    robot_solids,
+    show_all,
+)
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
 
 IMAGES = Path(__file__).parent / "images"
 ROBOTS = ("pr2", "tiago", "hsr")
-BODY, ARM = "#c3c9d2", "#5b93cf"
 HEADINGS, CELLS, REACH = 24, 61, 1.2
 HEIGHTS, GOALS_A_HEIGHT = np.linspace(0.1, 1.7, 17), 80
 
@@ -106,16 +112,13 @@ def stance(robot: Robot, hand: Array) -> tuple[Array, Array]:
 
 def outline(axes: Axes, robot: Robot, base: Array, joints: Array) -> None:
     """Draw the robot from above."""
-    faces = robot_faces(robot, base, joints)
-    for arm, colour in ((False, BODY), (True, ARM)):
-        points = [face.corners[:, :2] for face in faces if face.arm == arm]
-        if arm:
-            for corners in points:
-                axes.add_patch(Polygon(corners, facecolor=colour, edgecolor="none", zorder=2.5))
-        else:
-            joined = np.concatenate(points)
-            hull = joined[ConvexHull(joined).vertices]
-            axes.add_patch(Polygon(hull, facecolor=colour, edgecolor="#9aa2ad", zorder=2))
+    solids = robot_solids(robot, base, joints)
+    body = corners([solid for solid in solids if solid.colour == BODY])[:, :2]
+    hull = body[ConvexHull(body).vertices]
+    axes.add_patch(Polygon(hull, facecolor=BODY, edgecolor="#9aa2ad", zorder=2))
+    for solid in solids:
+        for face in faces(solid.shape) if solid.colour == ARM else ():
+            axes.add_patch(Polygon(face[:, :2], facecolor=ARM, edgecolor="none", zorder=2.5))
 
 
 def seen() -> Figure:
@@ -184,23 +187,19 @@ def stances(robot: Robot, hand: Array) -> Array:
 def feasible() -> Figure:
     """Return the picture of where a base may stand."""
     figure = Figure(figsize=(9.6, 5.6), layout="constrained")
-    above, below = figure.subplots(2, 3, height_ratios=(0.75, 1.0))
+    grid = figure.add_gridspec(2, 3, height_ratios=(0.75, 1.0))
+    below = [figure.add_subplot(grid[1, column]) for column in range(3)]
     hand = make_pose(np.array([0.0, 0.0, 0.8]), Rotation.identity())
-    for name, side, plan in zip(ROBOTS, above, below, strict=True):
+    for column, (name, plan) in enumerate(zip(ROBOTS, below, strict=True)):
         robot = load_robot(name)
         pose = in_gripper_convention(robot, hand)
-        view = look(np.deg2rad(25.0), np.deg2rad(25.0))
         base, joints = stance(robot, pose)
-        faces = [
-            Painted(face.corners, ARM if face.arm else BODY)
-            for face in robot_faces(robot, base, joints)
-        ]
-        draw_floor(side, view, np.concatenate([face.corners for face in faces]))
-        draw_solids(side, view, faces)
-        side.plot(*view.flat(pose[:3]), "o", color=GOAL, ms=8, mec="white", zorder=6)
-        side.set_aspect("equal", adjustable="datalim")
-        side.autoscale_view()
-        side.set_axis_off()
+        solids = robot_solids(robot, base, joints)
+        side = add_axes(figure, grid[0, column], np.deg2rad(25.0), np.deg2rad(25.0))
+        floor = draw_floor(side, corners(solids))
+        draw_solids(side, solids)
+        side.plot(*pose[:3, np.newaxis], "o", color=GOAL, ms=8, mec="white", zorder=6)
+        show_all(side, np.concatenate([corners(solids), floor]), 1.3)
         side.set_title(name)
         edges = np.linspace(-REACH, REACH, CELLS + 1)
         shares = stances(robot, pose)
@@ -213,9 +212,7 @@ def feasible() -> Figure:
                       arrowprops={"arrowstyle": "-|>", "color": GOAL, "lw": 2})  # fmt: skip
         plan.set_aspect("equal")
         plan.set(xlabel="base, x from the hand (m)", ylabel="y (m)" if name == "pr2" else "")
-    figure.colorbar(
-        mesh, ax=list(below), label="share of headings\nwith an IK solution", shrink=0.9
-    )
+    figure.colorbar(mesh, ax=below, label="share of headings\nwith an IK solution", shrink=0.9)
     return figure
 
 

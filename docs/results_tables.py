@@ -23,7 +23,7 @@ from kinfeas.benchmark.plot import table_figure
 from kinfeas.benchmark.table import Cell
 from kinfeas.benchmark.text import to_markdown
 from kinfeas.policies.loading import BASELINES
-from kinfeas.viz.pictures.style import png
+from kinfeas.viz.style import png
 
 DOCS = Path(__file__).parent
 README = DOCS.parent / "README.md"

@@ -10,10 +10,10 @@ from kinfeas.evaluation.evaluate import Summary, Trial, evaluate, trial_reachabi
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 from kinfeas.policies.network import read_network
-from kinfeas.viz.pages.report import Picture, Report, Row, paper_success
-from kinfeas.viz.pictures.episodes import episodes_figure
-from kinfeas.viz.pictures.learning_curve import learning_curve, read_metrics
-from kinfeas.viz.pictures.style import png
+from kinfeas.viz.episodes import episodes_figure
+from kinfeas.viz.plots import learning_curve, read_metrics
+from kinfeas.viz.report import Picture, Report, Row, paper_success
+from kinfeas.viz.style import png
 
 SHOWN = 3
 """Episodes in the picture: the first ones, not the best."""

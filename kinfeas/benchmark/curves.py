@@ -12,8 +12,8 @@ from matplotlib.ticker import PercentFormatter
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.paper import TITLES
-from kinfeas.viz.pictures.learning_curve import apart, read_metrics
-from kinfeas.viz.pictures.style import BASE, EE, FAINT, INK, STYLE
+from kinfeas.viz.plots import apart, read_metrics
+from kinfeas.viz.style import BASE, EE, FAINT, INK, STYLE
 
 _COLOURS = {"sac": EE, "td3": BASE}
 _POINTS = 200

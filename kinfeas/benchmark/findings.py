@@ -28,8 +28,8 @@ from kinfeas.io.files import write_file, writing
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
-from kinfeas.viz.pictures.episodes import episodes_figure
-from kinfeas.viz.pictures.style import failures_text, png
+from kinfeas.viz.episodes import episodes_figure
+from kinfeas.viz.style import failures_text, png
 
 
 @dataclass(frozen=True)

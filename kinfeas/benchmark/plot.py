@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from kinfeas.benchmark.physics import PhysicsCell
 from kinfeas.benchmark.table import Cell
 from kinfeas.benchmark.text import groups, label, title
-from kinfeas.viz.pictures.style import BASE, EE, GOAL, INK, STYLE
+from kinfeas.viz.style import BASE, EE, GOAL, INK, STYLE
 
 _BEYOND = "#e4e7eb"
 _ROW_INCHES, _PANEL_INCHES = 0.27, 2.35

@@ -8,21 +8,21 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from scipy.spatial import ConvexHull
 
 from kinfeas.benchmark.samples import thinned
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.evaluation.paper import TITLES
 from kinfeas.robots.robot import Robot
-from kinfeas.viz.pictures.projection import Painted, View, draw_solids, look
-from kinfeas.viz.pictures.solids import robot_faces
-from kinfeas.viz.pictures.style import EE, FAILURE, STYLE
+from kinfeas.viz.drawing import corners, robot_solids
+from kinfeas.viz.style import BODY, EE, FAILURE, STYLE
 
-_BODY = "#c3c9d2"
 _MARGIN = 0.15
 _MOST = 3000
 """Points of a kind that are drawn; more hide each other."""
 
-_VIEWS = ((look(0.0, np.pi / 2.0), "y (m)"), (look(0.0, 0.0), "z (m)"))
+_VIEWS = (([0, 1], "y (m)"), ([0, 2], "z (m)"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,8 @@ def workspace_figure(robots: Sequence[Covered]) -> Figure:
         figure = Figure(figsize=(width, 8.3), layout="constrained")
         panels = figure.subplots(2, len(robots), squeeze=False)
         for column, one in zip(panels.T, robots, strict=True):
-            for axes, (view, across) in zip(column, _VIEWS, strict=True):
-                _draw(axes, one, view)
+            for axes, (shown, across) in zip(column, _VIEWS, strict=True):
+                _draw(axes, one, shown)
                 axes.set(xlabel="x, ahead of the base (m)", ylabel=across)
             name = TITLES.get(one.robot.name, one.robot.name)
             column[0].set_title(f"{name}: {one.failed:.2%} of all steps infeasible")
@@ -84,15 +84,16 @@ def workspace_figure(robots: Sequence[Covered]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, one: Covered, view: View) -> None:
-    rest = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    faces = robot_faces(one.robot, rest, one.robot.home["home"])
-    draw_solids(axes, view, [Painted(face.corners, _BODY) for face in faces if not face.arm])
-    axes.plot(*view.flat(one.feasible).T, "o", color=EE, ms=2.0, mew=0.0, alpha=0.35, zorder=5)
-    axes.plot(*view.flat(one.infeasible).T, "o", color=FAILURE, ms=2.6, mew=0.0, alpha=0.7,
-              zorder=6)  # fmt: skip
-    body = [view.flat(face.corners) for face in faces if not face.arm]
-    seen = np.concatenate([view.flat(one.feasible), *body])
+def _draw(axes: Axes, one: Covered, shown: list[int]) -> None:
+    solids = robot_solids(one.robot, IDENTITY, one.robot.home["home"])
+    body = [corners([solid])[:, shown] for solid in solids if solid.colour == BODY]
+    for points in body:
+        outline = points[ConvexHull(points).vertices]
+        axes.add_patch(Polygon(outline, facecolor=BODY, edgecolor="#9aa2ad", lw=0.4, zorder=3))
+    feasible, infeasible = one.feasible[:, shown], one.infeasible[:, shown]
+    axes.plot(*feasible.T, "o", color=EE, ms=2.0, mew=0.0, alpha=0.35, zorder=5)
+    axes.plot(*infeasible.T, "o", color=FAILURE, ms=2.6, mew=0.0, alpha=0.7, zorder=6)
+    seen = np.concatenate([feasible, *body])
     # What was lost far from the base would make all else small.
     low, high = seen.min(axis=0), seen.max(axis=0)
     half = float(np.max(high - low)) / 2.0 + _MARGIN
@@ -105,5 +106,5 @@ def _legend() -> list[Line2D]:
         Line2D([], [], color=EE, lw=0, marker="o", ms=6, label="EE, some of the feasible steps"),
         Line2D([], [], color=FAILURE, lw=0, marker="o", ms=6,
                label="where it should have been, infeasible steps; some lie outside"),
-        Line2D([], [], color=_BODY, lw=0, marker="s", ms=9, label="the robot without its arm"),
+        Line2D([], [], color=BODY, lw=0, marker="s", ms=9, label="the robot without its arm"),
     ]  # fmt: skip

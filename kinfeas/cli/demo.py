@@ -19,7 +19,7 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.benchmark.comparison import Comparison
     from kinfeas.training.config import TrainConfig
-    from kinfeas.viz.pages.report import Report
+    from kinfeas.viz.report import Report
 
 PICTURES = ("learning_curve.png", "episodes.png")
 """What the pictures of the report are called beside it."""
@@ -43,7 +43,7 @@ def demo(
     from kinfeas.benchmark.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import Trial
     from kinfeas.io.files import write_file
-    from kinfeas.viz.pages.report import write_report
+    from kinfeas.viz.report import write_report
 
     settings = read_settings(Wishes(robot, None, seed, minutes), None, overrides or [])
     folder = free_folder(out)

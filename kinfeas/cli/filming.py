@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import Trial
     from kinfeas.evaluation.physics.world import PhysicsTrial
-    from kinfeas.viz.physics.film import Filmed
+    from kinfeas.viz.film import Film
 
 
 def _check_video(path: Path | None) -> Path | None:
     if path is not None:
-        from kinfeas.viz.physics.film import check_film_path
+        from kinfeas.viz.film import check_film_path
 
         check_film_path(path)
     return check_file_path(path)
@@ -104,9 +104,8 @@ def _show_physics(
     trial: "PhysicsTrial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
 ) -> None:
     from kinfeas.evaluation.physics.world import PhysicsWorld
-    from kinfeas.viz.pages.film import film_html
-    from kinfeas.viz.physics.film import make_film
-    from kinfeas.viz.physics.recording import record
+    from kinfeas.viz.pages import pybullet_html
+    from kinfeas.viz.pybullet_film import make_film, record
 
     world = PhysicsWorld(trial)
     try:
@@ -114,7 +113,7 @@ def _show_physics(
             recording = record(world, trial, policy, episode)
             film = make_film(world, trial, recording)
         _write_film(film, outputs["--video"])
-        _write(outputs["--replay"], lambda: film_html(film).encode())
+        _write(outputs["--replay"], lambda: pybullet_html(film).encode())
         _write_film(film, outputs["--picture"])
     finally:
         world.close()
@@ -125,23 +124,22 @@ def _show_analytic(
 ) -> None:
     from kinfeas.envs.world import World
     from kinfeas.evaluation.recording import record_episodes
-    from kinfeas.viz.pages.deployed_run import replay_html
-    from kinfeas.viz.pictures.episodes import episodes_figure
-    from kinfeas.viz.pictures.film import analytic_film
-    from kinfeas.viz.pictures.style import png
+    from kinfeas.viz.episodes import EpisodeFilm, episodes_figure
+    from kinfeas.viz.pages import episode_html
+    from kinfeas.viz.style import png
 
     robot = trial.robot
     with status(f"episode {episode}"):
         world = World(robot, trial.task, trial.world, trial.seed)
         (recording,) = record_episodes(world, policy, 1, first=episode)
-    film = analytic_film(recording, robot, f"{robot.name}, {trial.task.name}")
+    film = EpisodeFilm(recording, robot, f"{robot.name}, {trial.task.name}")
     _write_film(film, outputs["--video"])
-    _write(outputs["--replay"], lambda: replay_html(recording, robot, film.times).encode())
+    _write(outputs["--replay"], lambda: episode_html(recording, robot, film.times).encode())
     _write(outputs["--picture"], lambda: png(episodes_figure(robot, [recording]), dpi=110))
 
 
-def _write_film(film: "Filmed", path: Path | None) -> None:
-    from kinfeas.viz.physics.film import count_pictures, write_film
+def _write_film(film: "Film", path: Path | None) -> None:
+    from kinfeas.viz.film import count_pictures, write_film
 
     if path is not None:
         with progress("drawing", count_pictures(film, path)) as advance:

@@ -94,8 +94,8 @@ def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) 
     from kinfeas.core.checks.motion import CheckedMotion
     from kinfeas.io.files import write_file
     from kinfeas.testing.trial import sample_motions
-    from kinfeas.viz.pictures.motions import motion_figure
-    from kinfeas.viz.pictures.style import png
+    from kinfeas.viz.plots import motion_figure
+    from kinfeas.viz.style import png
 
     motion = CheckedMotion(registry.build(_GROUP, name, parameters), name)
     with status("drawing"):

@@ -156,8 +156,8 @@ def _figures(draft: "Draft") -> dict[str, object]:
 
 def _draw(robot: "Robot", path: Path) -> None:
     from kinfeas.io.files import write_file
-    from kinfeas.viz.pictures.robot import robot_figure
-    from kinfeas.viz.pictures.style import png
+    from kinfeas.viz.figures import robot_figure
+    from kinfeas.viz.style import png
 
     write_file(path, png(robot_figure(robot), dpi=130))
 

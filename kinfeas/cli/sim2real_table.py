@@ -46,8 +46,8 @@ def weigh(
         sweeps = measure_sweeps(counted, adapters, axes)
     if picture is not None:
         from kinfeas.io.files import write_file
-        from kinfeas.viz.pictures.sim2real import sim2real_figure
-        from kinfeas.viz.pictures.style import png
+        from kinfeas.viz.plots import sim2real_figure
+        from kinfeas.viz.style import png
 
         title = "{policy} on {task}, robot {robot}, {episodes} episodes".format(**costs[-1].figures)
         with status("drawing"):

@@ -109,18 +109,20 @@ def _replay(path: Path, json: Path | None, picture: Path | None, html: Path | No
 
 def _draw_run(run: "Record", robot: "Robot", path: Path) -> None:
     from kinfeas.io.files import write_file
-    from kinfeas.viz.deployed_run import replay_figure
-    from kinfeas.viz.pictures.style import png
+    from kinfeas.viz.episodes import record_figure
+    from kinfeas.viz.style import png
 
-    write_file(path, png(replay_figure(run, robot), dpi=110))
+    write_file(path, png(record_figure(run, robot), dpi=110))
 
 
 def _write_run_page(run: "Record", robot: "Robot", path: Path) -> None:
     from kinfeas.io.files import write_file
-    from kinfeas.viz.deployed_run import recording, scene_of
-    from kinfeas.viz.pages.deployed_run import replay_html
+    from kinfeas.viz.episodes import as_recording, scene_of
+    from kinfeas.viz.pages import episode_html
 
-    write_file(path, replay_html(recording(run, robot), robot, run.time, scene_of(run)).encode())
+    write_file(
+        path, episode_html(as_recording(run, robot), robot, run.time, scene_of(run)).encode()
+    )
 
 
 def _run_facts(run: "Record") -> dict[str, object]:
@@ -190,15 +192,15 @@ def _facts(scene: "Scene") -> dict[str, object]:
 
 def _draw(scene: "Scene", path: Path) -> None:
     from kinfeas.io.files import write_file
-    from kinfeas.viz.pictures.scene import scene_figure
-    from kinfeas.viz.pictures.style import png
+    from kinfeas.viz.figures import scene_figure
+    from kinfeas.viz.style import png
 
     write_file(path, png(scene_figure(scene), dpi=110))
 
 
 def _write_page(scene: "Scene", path: Path) -> None:
     from kinfeas.io.files import write_file
-    from kinfeas.viz.pages.scene import ScenePage
+    from kinfeas.viz.pages import ScenePage
 
     page = ScenePage(scene)
     try:
@@ -210,7 +212,7 @@ def _write_page(scene: "Scene", path: Path) -> None:
 def _serve(scene: "Scene") -> None:
     from threading import Event
 
-    from kinfeas.viz.pages.scene import ScenePage
+    from kinfeas.viz.pages import ScenePage
 
     page = ScenePage(scene)
     page.add_sliders()

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -14,9 +14,9 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
-from kinfeas.kinematics.chain import FIXED, Tree, build_tree
+from kinfeas.kinematics.forward import FIXED, Tree, build_tree
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.tree import Shape
+from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import SceneObject, moving_joint
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.style import ARM, BODY
@@ -60,9 +60,7 @@ def robot_solids(
     """
     tree, parts = robot_parts(robot)
     poses = compose(base_pose, joint_poses(tree, joint_positions))
-    return [
-        Solid(_placed(part.shape, poses[part.joint]), colours[part.arm]) for part in parts
-    ]
+    return [Solid(_placed(part.shape, poses[part.joint]), colours[part.arm]) for part in parts]
 
 
 @lru_cache(maxsize=8)
@@ -156,7 +154,7 @@ def faces(shape: Shape) -> list[Array]:
     return [face @ turn.T + shape.pose[:3] for face in found]
 
 
-def add_axes(figure: Figure, position: object, heading: float, elevation: float) -> Axes3D:
+def add_axes(figure: Figure, position: Any, heading: float, elevation: float) -> Axes3D:
     """Return new 3-D axes without a frame.
 
     Args:
@@ -165,8 +163,8 @@ def add_axes(figure: Figure, position: object, heading: float, elevation: float)
         heading: World direction that points to the right of the picture, radians.
         elevation: Angle from which to look down, radians.
     """
-    how = {"projection": "3d", "proj_type": "ortho", "computed_zorder": False}
-    axes = (figure.add_axes if isinstance(position, tuple) else figure.add_subplot)(position, **how)
+    add: Any = figure.add_axes if isinstance(position, tuple) else figure.add_subplot
+    axes = add(position, projection="3d", proj_type="ortho", computed_zorder=False)
     axes.view_init(elev=np.rad2deg(elevation), azim=np.rad2deg(heading) - 90.0)
     axes.set_axis_off()
     return axes
@@ -197,7 +195,7 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
     """Draw solids, shaded and sorted by depth."""
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)
-    toward = level + [0.0, 0.0, np.sin(elevation)]
+    toward = level + np.array([0.0, 0.0, np.sin(elevation)])
     light = np.array([*(rotated @ level[:2] for rotated in _LIGHT_TURN), 0.9])
     light /= np.linalg.norm(light)
     seen, colours = [], []

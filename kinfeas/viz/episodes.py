@@ -23,8 +23,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.run_log import REACHED, Record
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.viz.drawing import (
@@ -322,7 +321,8 @@ def _draw_paths(axes: Axes, recording: Recording, end: int | None = None) -> Non
 def _pale(colour: str, place: int, count: int) -> str:
     """Return a colour that is the paler the earlier: `place` 0 of `count` is the palest."""
     share = _PALEST * (1.0 - place / max(count - 1, 1))
-    return to_hex([part + (1.0 - part) * share for part in to_rgb(colour)])
+    red, green, blue = (part + (1.0 - part) * share for part in to_rgb(colour))
+    return to_hex((red, green, blue))
 
 
 def _legend() -> list[Line2D]:

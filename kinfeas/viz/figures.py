@@ -7,8 +7,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from kinfeas.core.spatial import IDENTITY, Array, rotation
-from kinfeas.kinematics.chain import build_chain
-from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.drawing import (

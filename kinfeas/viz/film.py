@@ -133,9 +133,7 @@ def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:
     columns, gap = _PANELS[0], 6
     width, height = pictures[0].size
     rows = -(-len(pictures) // columns)
-    whole = Image.new(
-        "RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), "white"
-    )
+    whole = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), "white")
     for number, picture in enumerate(pictures):
         row, column = divmod(number, columns)
         whole.paste(picture, (column * (width + gap), row * (height + gap)))

@@ -1,4 +1,4 @@
-"""The analytic world as a Gymnasium environment that can be looked at."""
+"""The analytic world as a Gymnasium environment with pictures."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -12,11 +12,11 @@ from kinfeas.envs.interface import check_reset
 from kinfeas.envs.world import WorldConfig
 
 if TYPE_CHECKING:
-    from kinfeas.viz.pictures.moment import Camera
+    from kinfeas.viz.episodes import Camera
 
 
 class RenderedMotionEnv(BaseMotionEnv):
-    """`BaseMotionEnv` with the render mode `rgb_array`, which matplotlib draws."""
+    """`BaseMotionEnv` with the render mode `rgb_array`, drawn by matplotlib."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
         "render_modes": ["rgb_array"],
@@ -34,7 +34,7 @@ class RenderedMotionEnv(BaseMotionEnv):
         """Build the world; arguments as in `make_world`, `render_mode` is `rgb_array` or None.
 
         Raises:
-            KinfeasError: If one of them is wrong.
+            KinfeasError: If an argument is invalid.
         """
         if render_mode not in (None, "rgb_array"):
             raise KinfeasError(f"render_mode must be rgb_array or None, not {render_mode!r}")
@@ -46,26 +46,29 @@ class RenderedMotionEnv(BaseMotionEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode, as in `BaseMotionEnv`."""
+        """Start an episode, as in `BaseMotionEnv`."""
         self._camera = None
         return super().reset(seed=seed, options=options)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of robot and goal, shape (360, 480, 3), if `rgb_array` was asked for.
+        """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`.
 
         Raises:
-            ResetNeeded: If no episode was begun.
+            ResetNeeded: If no episode was started.
         """
         check_reset(self.next_episode)
         if self.render_mode is None:
             return None
-        from kinfeas.viz.pictures.moment import moment_image, watch
+        from kinfeas.evaluation.recording import Recording
+        from kinfeas.viz.episodes import moment_image, watch
 
         loop = self.world.loop
-        base, ee, desired = (x[:1, :3] for x in (loop.state.base_pose, loop.ee_pose, loop.desired))
-        goal = loop.goal[:1, :3]
-        if self._camera is None:  # it stays where it is, as the base moves
-            self._camera = watch(base[0], goal[0], np.concatenate([ee, goal]))
-        posture = loop.state.base_pose[0], loop.state.joint_positions[0]
-        robot = self.world.solver.robot
-        return moment_image(robot, posture, (base, ee, desired), goal, self._camera)
+        state = loop.state
+        now = Recording(
+            0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
+            np.array([True]), loop.goal[:1], reached=False, dt=loop.dt,
+        )  # fmt: skip
+        if self._camera is None:  # it stays when the base moves
+            ends = np.stack([loop.ee_pose[0, :3], loop.goal[0, :3]])
+            self._camera = watch(state.base_pose[0, :3], loop.goal[0, :3], ends)
+        return moment_image(self.world.solver.robot, now, self._camera)

@@ -13,12 +13,13 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.tree import Joint, Shape
+from kinfeas.robots.urdf import Joint, Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.drawing import joint_poses, robot_parts, scene_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
 
+_LIFTED = np.array([0.0, 0.0, 0.01])  # m, of the base path above the floor
 _FLOOR = (245, 246, 248)
 _AROUND = 1.5  # m, of floor beyond the paths
 _PIECE = 0.02  # m, length of the pieces of a path
@@ -123,7 +124,7 @@ def episode_html(
         KinfeasError: If viser is not installed.
     """
     desired, ee = recording.desired[:, :3], recording.ee_pose[:, :3]
-    paths = {BASE: recording.base_pose[:, :3] + [0.0, 0.0, 0.01], DESIRED: desired, EE: ee}
+    paths = {BASE: recording.base_pose[:, :3] + _LIFTED, DESIRED: desired, EE: ee}
     with _serving(robot.name) as server:
         _draw_paths(server, paths, recording.goals[:, :3], desired[~recording.feasible])
         if scene is not None:
@@ -156,9 +157,7 @@ def pybullet_html(film: Any) -> str:
     from kinfeas.backends.pybullet.camera import link_poses, show_moment, visual_shapes
 
     recording = film.recording
-    paths = {
-        BASE: recording.base + [0.0, 0.0, 0.01], DESIRED: recording.desired, EE: recording.ee
-    }  # fmt: skip
+    paths = {BASE: recording.base + _LIFTED, DESIRED: recording.desired, EE: recording.ee}
     with _serving(film.title) as server:
         _draw_paths(server, paths, recording.goals, recording.desired[recording.failures > 0])
         server.initial_camera.position, server.initial_camera.look_at = film.eye[0], film.target[0]
@@ -171,7 +170,7 @@ def pybullet_html(film: Any) -> str:
                 frames[one.body, one.link] = server.scene.add_frame(name, show_axes=False)
             _draw(server, f"{name}/{number}", one.shape, one.colour)
         label = f"{failures_text(int(recording.failures.sum()))}, {recording.outcome}"
-        position = recording.goals[-1] + [0.0, 0.0, 0.15]
+        position = recording.goals[-1] + np.array([0.0, 0.0, 0.15])
         result = server.scene.add_label("/outcome", label, position=position, visible=False)
         serializer, links, shown = server.get_scene_serializer(), list(frames), moments(film.times)
         before = np.full((len(links), 7), np.inf)
@@ -263,7 +262,7 @@ def _draw_paths(server: Any, paths: Mapping[str, Array], goals: Array, failures:
         server.scene.add_point_cloud("/failures", failures, _rgb(FAILURE), point_size=0.025)
     away = np.array([1.8, -2.6, 2.0]) * max(1.0, float(size.max()) / 4.0)
     server.initial_camera.position = middle + away
-    server.initial_camera.look_at = middle + [0.0, 0.0, 0.5]
+    server.initial_camera.look_at = middle + np.array([0.0, 0.0, 0.5])
 
 
 def _place(drawn: Any, pose: Array) -> None:

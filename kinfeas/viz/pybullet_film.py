@@ -155,9 +155,7 @@ class PyBulletFilm:
         """Return the picture of one moment; its caption gives the playback speed."""
         width, height = (_FINER * side for side in self.size)
         show_moment(self.physics, self.recording.moments[moment])
-        seen = take_picture(
-            self.physics, self.eye[moment], self.target[moment], (width, height)
-        )
+        seen = take_picture(self.physics, self.eye[moment], self.target[moment], (width, height))
         image = Image.fromarray(seen.colour).convert("RGBA")
         image.alpha_composite(_paths(seen, self.recording, moment))
         small = image.convert("RGB").resize(self.size, Image.Resampling.BOX)
@@ -208,7 +206,8 @@ def _target(recording: PyBulletRecording) -> tuple[Array, Array]:
 def _eye(target: Array, distance: Array, side: float, room: Array | None) -> Array:
     """Return positions of a camera (t, 3) that looks from a side, within the walls."""
     level = np.array([np.cos(side), np.sin(side), 0.0]) * np.cos(_ELEVATION)
-    eye = target + distance[:, np.newaxis] * (level + [0.0, 0.0, np.sin(_ELEVATION)])
+    up = np.array([0.0, 0.0, np.sin(_ELEVATION)])
+    eye = target + distance[:, np.newaxis] * (level + up)
     if room is not None:
         inside = np.clip(eye[:, :2], -room, room)
         outside = np.linalg.norm(eye[:, :2] - inside, axis=1)

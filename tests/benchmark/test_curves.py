@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.benchmark.curves import curves_figure, evaluation_curve, training_curve
 from kinfeas.benchmark.runs import Run
-from kinfeas.viz.pictures.style import png
+from kinfeas.viz.style import png
 
 
 def metrics(end, success, judged):

@@ -20,7 +20,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import write_network
 from kinfeas.robots.loading import load_robot
-from kinfeas.viz.pictures.episodes import episodes_figure
+from kinfeas.viz.episodes import episodes_figure
 from tests.benchmark.benchmark_cases import figures, small_study
 
 

@@ -1,5 +1,5 @@
 from kinfeas.benchmark.plot import table_figure
-from kinfeas.viz.pictures.style import GOAL, png
+from kinfeas.viz.style import GOAL, png
 from tests.benchmark.benchmark_cases import cells
 
 

@@ -1,7 +1,7 @@
 import pytest
 
 from kinfeas.benchmark.workspace import covered, workspace_figure
-from kinfeas.viz.pictures.style import FAILURE, png
+from kinfeas.viz.style import FAILURE, png
 from tests.benchmark.benchmark_cases import result
 
 

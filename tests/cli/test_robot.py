@@ -59,7 +59,7 @@ def test_what_fails_leaves_nothing_behind(robot, tmp_path, monkeypatch, out):
     (tmp_path / "old").mkdir()
     before = sorted(tmp_path.rglob("*"))
     with monkeypatch.context() as failing:
-        failing.setattr("kinfeas.viz.pictures.robot.robot_figure", fail)
+        failing.setattr("kinfeas.viz.figures.robot_figure", fail)
         assert robot("--out", out, "--picture", "dolly.png").code == 2
     assert sorted(tmp_path.rglob("*")) == before
     assert robot("--out", out, "--picture", "dolly.png").code == 0

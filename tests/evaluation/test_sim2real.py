@@ -14,8 +14,8 @@ from kinfeas.evaluation.sim2real import (
     to_json,
     with_value,
 )
-from kinfeas.viz.pictures.sim2real import sim2real_figure
-from kinfeas.viz.pictures.style import png
+from kinfeas.viz.plots import sim2real_figure
+from kinfeas.viz.style import png
 
 ADAPTERS = (
     PluginSpec("base_noise", {"linear": 0.03}),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinfeas.backends.pybullet.physics import ROOT, Physics
 from kinfeas.core.spatial import Array
-from kinfeas.robots.tree import Shape
+from kinfeas.robots.urdf import Shape
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # vertical
 LINK = 1 << 24

@@ -1,0 +1,20 @@
+import pytest
+
+from kinfeas.core import registry
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.evaluation.recording import record_episodes
+from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.robots.loading import load_robot
+
+
+@pytest.fixture(scope="session")
+def hsr():
+    return load_robot("hsr")
+
+
+@pytest.fixture(scope="session")
+def recordings(hsr):
+    """Two episodes with IK failures."""
+    task = registry.build("kinfeas.tasks", "ggr", {})
+    world = World(hsr, task, WorldConfig(max_failures=9, max_seconds=15.0), seed=1)
+    return record_episodes(world, FollowEe(hsr.base), 2)

@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from kinfeas.core.spatial import IDENTITY, compose, planar_pose
+from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.robots.urdf import Shape
+from kinfeas.viz.drawing import (
+    Solid,
+    add_axes,
+    corners,
+    draw_floor,
+    draw_solids,
+    faces,
+    robot_solids,
+    show_all,
+)
+from kinfeas.viz.style import ARM, BODY, png
+
+
+def of_arm(solids, colour=ARM):
+    return [solid for solid in solids if solid.colour == colour]
+
+
+def test_a_robot_has_an_arm_and_a_body_above_the_floor(robot):
+    solids = robot_solids(robot, IDENTITY, robot.home["home"])
+    points = corners(solids)
+    assert {solid.colour for solid in solids} == {ARM, BODY}
+    assert -0.05 < points[:, 2].min() < 0.5 < points[:, 2].max() < 2.2
+
+
+def test_only_the_arm_moves_with_its_last_joint(robot):
+    moved = robot.home["home"].copy()
+    moved[-1] += 0.3
+    pairs = zip(
+        robot_solids(robot, IDENTITY, robot.home["home"]),
+        robot_solids(robot, IDENTITY, moved),
+        strict=True,
+    )
+    changed = [one for one, other in pairs if not np.allclose(one.shape.pose, other.shape.pose)]
+    assert changed
+    assert of_arm(changed) == changed
+
+
+def test_the_hand_is_where_the_forward_kinematics_has_it(hsr):
+    rng, chain = np.random.default_rng(0), build_chain(hsr)
+    lower, upper = hsr.finite_joint_limits
+    for joints in rng.uniform(lower, upper, (10, len(hsr.arm))):
+        arm = corners(of_arm(robot_solids(hsr, IDENTITY, joints)))
+        assert np.linalg.norm(arm - forward(chain, joints)[:3], axis=1).min() < 0.1
+
+
+def test_the_base_carries_everything(hsr):
+    base = planar_pose(np.array(1.0), np.array(-2.0), np.array(0.7))
+    home = hsr.home["home"]
+    for one, other in zip(
+        robot_solids(hsr, IDENTITY, home), robot_solids(hsr, base, home), strict=True
+    ):
+        np.testing.assert_allclose(other.shape.pose, compose(base, one.shape.pose), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape("box", (0.3, 0.2, 0.1), IDENTITY),
+        Shape("cylinder", (0.2, 0.4), IDENTITY),
+        Shape("sphere", (0.2,), IDENTITY),
+    ],
+)
+def test_faces_are_counter_clockwise_from_outside(shape):
+    for face in faces(shape):
+        normal = np.cross(face, np.roll(face, -1, axis=0)).sum(axis=0)
+        assert normal @ face.mean(axis=0) >= 0.0
+        assert np.all(np.abs(face) <= 0.4)
+
+
+def test_solids_fill_a_picture_and_the_nearer_one_is_seen():
+    figure = Figure(figsize=(2.0, 1.0))
+    axes = add_axes(figure, (0.0, 0.0, 1.0, 1.0), 0.0, np.deg2rad(20.0))
+    near = Solid(Shape("box", (1.0, 0.1, 0.5), np.array([0, -1.0, 0.25, 0, 0, 0, 1])), "#ff0000")
+    far = Solid(Shape("box", (1.0, 0.1, 0.5), np.array([0, 1.0, 0.25, 0, 0, 0, 1])), "#0000ff")
+    floor = draw_floor(axes, corners([near, far]))
+    draw_solids(axes, [near, far])
+    show_all(axes, np.concatenate([corners([near, far]), floor]), 2.0)
+    assert png(figure).startswith(b"\x89PNG")
+    _, solids = axes.collections
+    first, *_, last = solids.get_facecolors()
+    assert last[0] > last[2]  # red is drawn last
+    assert first[2] > first[0]

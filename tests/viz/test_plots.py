@@ -1,0 +1,85 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinfeas.core.checks.motion import CheckedMotion
+from kinfeas.core.errors import KinfeasError
+from kinfeas.plugins.linear import Linear
+from kinfeas.testing.trial import Samples, Trial, sample_motions
+from kinfeas.viz.plots import apart, learning_curve, motion_figure, read_metrics
+from kinfeas.viz.style import png
+
+TABLE = """steps,seconds,train/success,evaluation/success
+0,0.5,,
+1000,30,0.25,
+2000,60,0.5,0.75
+"""
+STILL = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (101, 2, 1))
+
+
+@pytest.fixture
+def run(tmp_path):
+    (tmp_path / "metrics.csv").write_text(TABLE)
+    return tmp_path
+
+
+def test_metrics_are_read_as_columns(run):
+    with (run / "metrics.csv").open("a") as file:
+        file.write("3000,9")  # cut short by a kill
+    metrics = read_metrics(run)
+    np.testing.assert_array_equal(metrics["steps"], [0.0, 1000.0, 2000.0, 3000.0])
+    np.testing.assert_array_equal(metrics["evaluation/success"], [np.nan, np.nan, 0.75, np.nan])
+
+
+@pytest.mark.parametrize(
+    "text", [None, "", "steps,seconds\n", "a,b\n1,2\n", TABLE.replace("1000", "many")]
+)
+def test_another_file_is_an_error(tmp_path, text):
+    if text is not None:
+        (tmp_path / "metrics.csv").write_text(text)
+    with pytest.raises(KinfeasError, match=r"metrics\.csv"):
+        read_metrics(tmp_path)
+
+
+def test_the_learning_curve_names_its_levels(run):
+    figure = learning_curve(read_metrics(run), {"follow_ee": 0.6, "ceiling": 0.98})
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts == ["follow_ee 60.0%", "ceiling 98.0%"]
+    assert png(figure).startswith(b"\x89PNG")
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=6).map(sorted))
+def test_labels_keep_apart(values):
+    placed = apart(values, 0.05)
+    assert all(new >= old for old, new in zip(values, placed, strict=True))
+    assert all(b - a >= 0.05 - 1e-9 for a, b in pairwise(placed))
+
+
+@pytest.mark.parametrize("limit", [0.1, None])
+def test_paths_speeds_and_limits_are_drawn(limit):
+    trial = Trial(duration=5.0, max_velocity=limit)
+    samples = sample_motions(CheckedMotion(Linear()), trial)
+    above, _, speed, _ = motion_figure("linear", samples, trial).axes
+    assert len(above.lines) == 3 * 12
+    assert len(speed.lines) == 12 + (limit is not None)
+
+
+def test_the_time_axis_ends_after_the_last_motion():
+    moving = np.zeros((100, 2, 6))
+    moving[:20, 0, 0] = moving[:40, 1, 5] = 0.1
+    moving[40:, 1, 5] = 1e-6  # too small to be seen
+    trial = Trial(duration=100.0, dt=1.0)
+    for twist, end in ((moving, 39.0), (np.zeros_like(moving), 99.0)):
+        _, _, *speeds = motion_figure("mine", Samples(STILL, twist, STILL[0], None), trial).axes
+        for axes in speeds:
+            assert end < axes.get_xlim()[1] < 1.1 * end
+
+
+def test_broken_motions_are_drawn_with_the_reason():
+    samples = Samples(STILL[:1], np.zeros((0, 2, 6)), STILL[0], "it broke")
+    figure = motion_figure("mine", samples, Trial())
+    assert "it broke" in figure.get_suptitle()
+    assert png(figure)

@@ -1,0 +1,145 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinfeas.config import PluginSpec
+from kinfeas.core.errors import KinfeasError
+from kinfeas.policies.loading import load_policy
+from kinfeas.tasks.loading import load_task
+
+pytest.importorskip("pybullet")
+
+from kinfeas.backends.pybullet.camera import link_poses, show_moment
+from kinfeas.envs.physics import physics_config
+from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
+from kinfeas.viz.film import check_film_path, count_pictures, write_film
+from kinfeas.viz.pages import pybullet_html
+from kinfeas.viz.pybullet_film import make_film, record
+from kinfeas.viz.style import FAILURE
+
+
+def start(robot, task, seconds, **changes):
+    settings = physics_config(robot, [f"world.max_seconds={seconds}"]).world
+    trial = PhysicsTrial(robot, load_task(task), 1, 1, replace(settings, **changes))
+    return PhysicsWorld(trial), trial, load_policy("follow_ee", robot)
+
+
+@pytest.fixture(scope="module")
+def film(hsr):
+    """One second in which the task is not done."""
+    world, trial, policy = start(hsr, "door", 1)
+    yield make_film(world, trial, record(world, trial, policy, 0))
+    world.close()
+
+
+def test_a_recording_has_the_episode(film):
+    recording = film.recording
+    count = len(recording.times)
+    assert count == len(recording.moments) == len(recording.desired) == len(recording.failures)
+    assert np.all(np.diff(recording.times) > 0.0)
+    assert recording.times[-1] == pytest.approx(1.0)
+    assert np.abs(recording.ee[0] - recording.desired[0]).max() < 0.01
+    assert len(recording.goals) == 1
+    assert not recording.reached
+    assert recording.done is False
+
+
+def test_paths_are_true_positions_without_sensor_errors(hsr):
+    lost = PluginSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
+    world, trial, policy = start(hsr, "ggr", 1, adapters=(lost,))
+    recording = record(world, trial, policy, 0)
+    body = world.stage.backend.sims[0].body
+    for moment, base, ee in zip(recording.moments, recording.base, recording.ee, strict=True):
+        show_moment(body.physics, moment)
+        seen = link_poses(body.physics, [(body.body, body.links[hsr.ee_frame])])
+        np.testing.assert_allclose(base[:2], body.planar()[:2], atol=1e-9)
+        np.testing.assert_allclose(ee, seen[0, :3], atol=1e-6)
+    world.close()
+
+
+def test_the_camera_stays_in_the_room_and_moves_smoothly(film):
+    assert film.eye.shape == film.target.shape == film.recording.base.shape
+    assert np.abs(film.eye[:, :2]).max() < 5.0
+    assert np.all(film.eye[:, 2] > 0.5)
+    assert np.linalg.norm(np.diff(film.eye, axis=0), axis=1).max() < 0.1
+
+
+def count_red(image):
+    red = np.array([int(FAILURE[i : i + 2], 16) for i in (1, 3, 5)])
+    return np.sum(np.abs(np.asarray(image, dtype=int) - red).sum(axis=-1) < 40)
+
+
+def test_failures_are_red(film):
+    count = len(film.times)
+    red = [
+        count_red(
+            replace(film, recording=replace(film.recording, failures=failures)).picture(count - 2)
+        )
+        for failures in (np.zeros(count, dtype=int), np.ones(count, dtype=int))
+    ]
+    assert red[0] == 0
+    assert red[1] > 10
+
+
+@pytest.mark.parametrize(
+    ("reached", "done", "outcome", "succeeded"),
+    [
+        (True, None, "goal reached", True),
+        (False, None, "goal not reached", False),
+        (True, True, "goal reached, task done", True),
+        (True, False, "goal reached, task not done", False),
+        (False, True, "goal not reached, task done", False),
+    ],
+)
+def test_the_last_picture_has_the_result(film, reached, done, outcome, succeeded):
+    none = np.zeros_like(film.recording.failures)
+    recording = replace(film.recording, reached=reached, done=done, failures=none)
+    assert (recording.outcome, recording.succeeded) == (outcome, succeeded)
+    last = len(recording.times) - 1
+    assert bool(count_red(replace(film, recording=recording).picture(last))) is not succeeded
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".png", ".mp4"])
+def test_films_are_written(film, tmp_path, suffix):
+    if suffix == ".mp4":
+        av = pytest.importorskip("av")
+    path, told = tmp_path / f"film{suffix}", []
+    write_film(replace(film, size=(96, 72)), path, told.append)
+    assert sum(told) == count_pictures(film, path)
+    if suffix == ".mp4":
+        with av.open(str(path)) as file:
+            shown = [frame.width for frame in file.decode(video=0)]
+        assert set(shown) == {96}
+        assert len(shown) > sum(told)  # the last picture stays
+        return
+    with Image.open(path) as image:
+        assert getattr(image, "n_frames", 1) == (sum(told) if suffix == ".gif" else 1)
+        assert image.size == ((96, 72) if suffix == ".gif" else (2 * 96 + 6, 2 * 72 + 6))
+
+
+def test_a_film_that_fails_leaves_the_old_file(film, tmp_path, monkeypatch):
+    def cut(_, path, __):
+        path.write_bytes(b"the first bytes")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("kinfeas.viz.film._write_gif", cut)
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"old")
+    with pytest.raises(KinfeasError, match=r"film\.gif"):
+        write_film(replace(film, size=(48, 36)), path)
+    assert path.read_bytes() == b"old"
+
+
+def test_a_page_is_self_contained(film):
+    pytest.importorskip("viser")
+    page = pybullet_html(film)
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert len(page) < 3_000_000
+    assert 'src="http' not in page
+
+
+def test_another_suffix_is_an_error(tmp_path):
+    with pytest.raises(KinfeasError, match=r"film\.avi"):
+        check_film_path(tmp_path / "film.avi")

@@ -1,0 +1,63 @@
+from html.parser import HTMLParser
+
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import Share
+from kinfeas.viz.report import Picture, Report, Row, machine, paper_success, to_html, write_report
+
+FIGURES = {"within_5cm": 0.9, "ik_failures_per_episode": 1.5, "mean_deviation_m": 0.002}
+REPORT = Report(
+    title="PR2 <on> ggr",
+    summary="It does.",
+    rows=[
+        Row("policy", Share(0.91, 0.88, 0.93), FIGURES, ours=True),
+        Row("paper", Share(0.902, 0.902, 0.902), {}),
+    ],
+    notes=["A note."],
+    pictures=[Picture("A picture.", b"\x89PNG...")],
+    commands=["kinfeas demo --robot 'a & b'"],
+)
+
+
+class Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.seen, self.sources = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append(tag)
+        self.sources += [value for key, value in attrs if key in ("src", "href")]
+
+
+def test_the_page_is_self_contained():
+    tags = Tags()
+    tags.feed(to_html(REPORT))
+    assert tags.seen.count("tr") == 3
+    assert tags.sources == ["data:image/png;base64,iVBORy4uLg=="]
+    assert not {"script", "link", "iframe"} & set(tags.seen)
+
+
+def test_the_page_shows_the_results_and_escapes_text():
+    page = to_html(REPORT)
+    for text in ("91.0%", "88.0% &ndash; 93.0%", "2.0 mm", "1.50", "A note.", "A picture."):
+        assert text in page
+    assert "90.2% &ndash;" not in page  # the paper gives no interval
+    assert "PR2 &lt;on&gt; ggr" in page
+    assert "a &amp; b" in page
+
+
+def test_the_machine_and_the_versions_are_named():
+    facts = machine()
+    assert {"processor", "Python", "kinfeas", "torch"} <= set(facts)
+    assert all(facts.values())
+
+
+def test_figures_of_the_paper():
+    assert paper_success("tiago", "ggr") == {"follow_ee": 0.216, "policy": 0.716}
+    assert paper_success("pr2", "fly") == paper_success("my_robot", "ggr") == {}
+
+
+def test_a_folder_that_is_missing_is_an_error(tmp_path):
+    with pytest.raises(KinfeasError, match="none"):
+        write_report(REPORT, tmp_path / "none" / "report.html")
