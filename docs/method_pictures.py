@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Polygon
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from kinfeas.control.observation import FIELDS
+from kinfeas.control.observation import TERMS
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
 from kinfeas.kinematics.ik import IkOptions, IkSolver
@@ -155,7 +155,7 @@ def seen() -> Figure:
     colours = (EE, EE, FAILURE, FAILURE, GOAL, GOAL, ARM)
     names = ("EE\nposition", "EE\norientation", "velocity\nplanned", "turn planned\nwithin 0.1 s",
              "goal\nposition", "goal\norientation", "arm joints")  # fmt: skip
-    sizes = [count for _, count in FIELDS] + [len(robot.arm)]
+    sizes = [term.width(robot) for term in TERMS.values()]
     first = 0
     for colour, name, count in zip(colours, names, sizes, strict=True):
         for cell in range(count):

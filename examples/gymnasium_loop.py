@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 import kinfeas.envs  # noqa: F401  registers the environment
-from kinfeas.control.observation import FIELDS
+from kinfeas.control.observation import TERMS
 
 
 def main() -> None:
@@ -17,9 +17,8 @@ def main() -> None:
     given = parser.parse_args()
 
     env = gymnasium.make("kinfeas/BaseMotion-v0", robot=given.robot, task="ggr")
-    names = ", ".join(f"{name} {size}" for name, size in FIELDS)
-    print(f"observation {env.observation_space.shape}: {names}, the rest joint positions")
-    print(f"action {env.action_space.shape}: base velocities as shares of their limits")
+    print(f"observation {env.observation_space.shape}: {', '.join(TERMS)}")
+    print(f"action {env.action_space.shape}: base velocities as fractions of their limits")
     env.reset(seed=0)
     env.action_space.seed(0)
     earned = 0.0

@@ -49,12 +49,14 @@ def main():
     (actions,) = session.run(["action"], {"observation": observation})
 
     # From [-1, 1] to m/s and rad/s in the base frame; the planar velocity is clipped by its norm.
-    limits = np.array([term["limit"] for term in about["action"]])
+    (term,) = about["action"]
+    limits = np.array(term["scale"])
     twist = actions[0] * limits
     planar = twist[:-1]
     twist[:-1] *= limits[0] / max(np.linalg.norm(planar), limits[0])
-    for term, value in zip(about["action"], twist, strict=True):
-        print(f"{term['name']}: {value:.3f} {term['unit']}")
+    for name, value in zip(term["entries"], twist, strict=True):
+        print(f"{name}: {value:.3f}")
+    print(term["unit"])
     return observation, twist
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import pytest
 
-from kinfeas.control.observation import observe, scaled
+from kinfeas.control.observation import Seen, observe, scaled
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
@@ -151,7 +151,7 @@ def test_the_example_observes_as_the_loop_does():
     poses[1, :, 3:] *= np.sign(poses[1, :, 6:])  # where the EE is, w >= 0 as forward kinematics say
     joints = rng.normal(size=(50, 7))
     shown = [example["observe"](*row, angles) for *row, angles in zip(*poses, joints, strict=True)]
-    np.testing.assert_allclose(shown, observe(*poses, joints), atol=1e-12)
+    np.testing.assert_allclose(shown, observe(Seen(*poses, joints)), atol=1e-12)
 
 
 def test_the_page_names_every_entry():
