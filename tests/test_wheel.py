@@ -18,8 +18,7 @@ DATA = (".yaml", ".urdf", ".txt", ".json", ".safetensors", ".typed")
 LOAD_ALL = """
 import importlib.util, sys
 from pathlib import Path
-from kinfeas import config
-from kinfeas.config.recipes import default_recipe
+from kinfeas.config.recipes import load_section
 from kinfeas.core import registry
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
@@ -34,7 +33,7 @@ for group in registry.GROUPS:
         assert Path(sys.modules[loaded.__module__].__file__).is_relative_to(sys.prefix), name
 for robot in ("pr2", "tiago", "hsr"):
     load_robot(robot)
-    config.load(TrainConfig, default_recipe("train", robot))
+    load_section(TrainConfig, "train", robot)
 """
 
 
