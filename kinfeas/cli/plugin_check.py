@@ -76,7 +76,7 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["Finding"]:
     from kinfeas.core import registry
-    from kinfeas.core.checks.parameters import MissingParameterError
+    from kinfeas.core.registry import MissingParameterError
     from kinfeas.testing import examine
 
     try:
@@ -91,13 +91,13 @@ def _examine(name: str, parameters: dict[str, object], trial: "Trial") -> list["
 
 def _draw(name: str, parameters: dict[str, object], trial: "Trial", path: Path) -> None:
     from kinfeas.core import registry
-    from kinfeas.core.checks.motion import CheckedMotion
+    from kinfeas.core.checked_motion import CheckedMotion
     from kinfeas.io.files import write_file
     from kinfeas.testing.trial import sample_motions
     from kinfeas.viz.plots import motion_figure
     from kinfeas.viz.style import png
 
-    motion = CheckedMotion(registry.build(_GROUP, name, parameters), name)
+    motion = CheckedMotion(registry.build(_GROUP, name, parameters), name, every_step=True)
     with status("drawing"):
         figure = motion_figure(name, sample_motions(motion, trial), trial)
         write_file(path, png(figure, dpi=110))

@@ -10,8 +10,7 @@ from typing import Any
 from kinfeas.cli.docstrings import Docstring, read_docstring, unit
 from kinfeas.config import strict_yaml
 from kinfeas.core import registry
-from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.plugin_errors import PluginErrors
+from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.registry import GROUPS, Plugin
 from kinfeas.robots.loading import check_no_urdf, load_robot
 
@@ -46,7 +45,7 @@ def summary(plugin: Plugin) -> tuple[str, str | None]:
         if plugin.group == "kinfeas.robots":
             robot = load_robot(plugin.name)
             return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
-        with _plugin_errors(plugin):
+        with plugin_note(str(plugin)):
             return read_docstring(loaded).summary, None
     except KinfeasError as error:
         return "", " ".join(str(error).split())
@@ -75,12 +74,12 @@ def facts(plugin: Plugin) -> dict[str, Any]:
         KinfeasError: If it is broken.
     """
     loaded = _load(plugin)
-    with _plugin_errors(plugin):
+    with plugin_note(str(plugin)):
         said = read_docstring(loaded)
     known: dict[str, Any] = {**vars(plugin), "kind": GROUPS[plugin.group], "text": said.text}
     if plugin.group == "kinfeas.robots":
         return known | {"robot": _robot(plugin.name)}
-    with _plugin_errors(plugin):
+    with plugin_note(str(plugin)):
         found = parameters(loaded, said, _HANDED_IN.get(plugin.group, ()))
     if plugin.group == "kinfeas.tasks" and all(one.default is not None for one in found):
         return known | _task(plugin.name, found)
@@ -147,11 +146,6 @@ def _load(plugin: Plugin) -> Any:
     if not callable(loaded):
         registry.build(plugin.group, plugin.name, {})  # which says so
     return loaded
-
-
-def _plugin_errors(plugin: Plugin) -> PluginErrors:
-    package = plugin.target.partition(":")[0].partition(".")[0].strip()
-    return PluginErrors(f"{plugin} cannot be described:", package)
 
 
 def _parameter(name: str, kind: Any, default: str | None, said: Docstring) -> Parameter:

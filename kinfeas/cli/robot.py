@@ -97,7 +97,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
 
 
 def _checked_name(name: str) -> str:
-    from kinfeas.core.names import check_name
+    from kinfeas.core.errors import check_name
 
     try:
         check_name(name)

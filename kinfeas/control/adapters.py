@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from kinfeas import config
 from kinfeas.config import PluginSpec, strict_yaml
@@ -10,9 +10,7 @@ from kinfeas.config.recipes import find_recipe
 from kinfeas.control.execution import ExecutionAdapter, ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.backend import Backend, BackendWrapper
-from kinfeas.core.checks.adapter import CheckedAdapter
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.plugin_errors import PluginErrors, is_own, package_of
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.robots.robot import Robot
 
 FOLDER = "sim2real"
@@ -28,15 +26,6 @@ class Sim2Real:
     """
 
     adapters: tuple[PluginSpec, ...] = ()
-
-
-@runtime_checkable
-class Hooked(Protocol):
-    """An adapter that can look at what its own hooks return."""
-
-    def look_at_hooks(self, subject: str) -> None:
-        """Look at it from now on; errors call the adapter `subject`."""
-        ...
 
 
 def read_sim2real(name: str) -> Sim2Real:
@@ -63,23 +52,15 @@ def wrap(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Back
         robot: Whom it moves.
 
     Raises:
-        KinfeasError: If there is no such adapter, or it refuses its parameters. Later, if one from
-            outside raises, or returns what is malformed.
+        KinfeasError: If there is no such adapter, or a parameter is invalid.
     """
     for adapter in adapters:
         given = {"backend": backend, "robot": robot}
         if clash := given.keys() & adapter.parameters.keys():
             raise KinfeasError(f"adapter {adapter.name!r} sets {', '.join(clash)} itself")
-        given |= adapter.parameters
-        made = registry.build("kinfeas.adapters", adapter.name, given)
-        subject = f"adapter {adapter.name!r}"
-        if isinstance(made, Hooked):
-            made.look_at_hooks(subject)
-        backend = (
-            made
-            if is_own(made) or isinstance(made, Hooked)
-            else CheckedAdapter(made, subject, backend)
-        )
+        backend = registry.build("kinfeas.adapters", adapter.name, given | adapter.parameters)
+        if not isinstance(backend, BackendWrapper):
+            raise KinfeasError(f"adapter {adapter.name!r} must derive from BackendWrapper")
     return backend
 
 
@@ -88,8 +69,6 @@ def chain(backend: Backend) -> Iterator[Backend]:
     link: Any = backend
     yield link
     while isinstance(link, BackendWrapper):
-        if isinstance(link, CheckedAdapter):
-            yield link.adapter
         link = link.backend
         yield link
 
@@ -103,7 +82,7 @@ def execution_of(backend: Backend, execution: ExecutionConfig) -> ExecutionConfi
     for link in chain(backend):
         if isinstance(link, ExecutionAdapter):
             subject = f"adapter {type(link).__name__}"
-            with PluginErrors(f"{subject} fails in execution:", package_of(link)):
+            with plugin_note(subject):
                 answer: Any = link.execution(execution)
             if not isinstance(answer, ExecutionConfig):
                 got = type(answer).__name__

@@ -19,8 +19,8 @@ from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON, OBSERVATION, Seen, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
-from kinfeas.core.checks.adapter import unchecked
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.checks import check_state
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.rows import Rows
@@ -98,6 +98,7 @@ class Loop:
         """
         self.execution = execution = execution or ExecutionConfig()
         self.solver, self.backend, self.dt, self.filters = solver, backend, dt, tuple(filters)
+        self._backend_name, self._unchecked = f"backend {type(backend).__name__}", True
         self.robot = solver.robot
         self.sequence = MotionSequence(subgoals, self.robot, dt, execution)
         self.kinematic_step = KinematicStep(solver, dt)
@@ -133,7 +134,10 @@ class Loop:
         fresh = np.arange(len(rngs)) if rows is None else rows
         if isinstance(self.backend, Stochastic):
             self.backend.seed(seeds, fresh)
-        state = self.backend.reset(start.base_pose, start.joint_positions, rows)
+        with plugin_note(self._backend_name):
+            state = self.backend.reset(start.base_pose, start.joint_positions, rows)
+        self._check("reset", state, len(rngs) if rows is None else len(self.joint_command))
+        self._unchecked = True
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
         self._measure(state)
@@ -167,7 +171,12 @@ class Loop:
         sequence.move(self._next, self.paused)
         twist, arm = self._solve(command)
         self.joint_command = arm.joint_positions
-        self._measure(self.backend.step(twist, self.joint_command, self.dt))
+        with plugin_note(self._backend_name):
+            state = self.backend.step(twist, self.joint_command, self.dt)
+        if self._unchecked:
+            self._check("step", state, len(twist))
+            self._unchecked = False
+        self._measure(state)
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         step = Step(
@@ -194,7 +203,7 @@ class Loop:
             KinfeasError: If the backend has no snapshots.
         """
         if not isinstance(self.backend, Resumable):
-            name = type(unchecked(self.backend)).__name__
+            name = type(self.backend).__name__
             raise KinfeasError(f"{name} cannot be saved in the midst of a run")
         return {**self.kinematic_state(), **self.backend.snapshot()}
 
@@ -212,7 +221,7 @@ class Loop:
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""
         if not isinstance(self.backend, Resumable):
-            name = type(unchecked(self.backend)).__name__
+            name = type(self.backend).__name__
             raise KinfeasError(f"{name} cannot go on from a saved run")
         self.sequence.restore(snapshot)
         self._measure(self.backend.restore(snapshot))
@@ -253,6 +262,9 @@ class Loop:
             planned=self.planned,
             demonstrated_base=self.sequence.demonstrated_base,
         )
+
+    def _check(self, method: str, state: RobotState, n: int) -> None:
+        check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
 
     def _measure(self, state: RobotState) -> None:
         self.state = state

@@ -7,7 +7,6 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.plugin_errors import PluginErrors, package_of
 from kinfeas.core.spatial import Array
 
 Grip = Literal["close", "open"]
@@ -71,7 +70,7 @@ class BackendWrapper:
     """A backend around another one: the base class of adapters and guards.
 
     Attributes:
-        backend: What is wrapped.
+        backend: The wrapped backend.
     """
 
     backend: Backend
@@ -185,9 +184,3 @@ class Resumable(Protocol):
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures."""
         ...
-
-
-def plugin_errors(backend: Backend, method: str) -> PluginErrors:
-    """Return the context of a call of one of its methods, in which what it raises names it."""
-    name = type(backend).__name__
-    return PluginErrors(f"backend {name} fails in {method}:", package_of(backend))

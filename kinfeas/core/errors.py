@@ -1,14 +1,15 @@
-"""The error of wrong input."""
+"""The exception for bad input, and notes on the exceptions of plugins."""
 
 import difflib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 
 
 class KinfeasError(ValueError):
     """Bad input: a file, key, value, URDF, plugin or policy.
 
-    The message is one sentence that names what is wrong and what is allowed. The command line
-    prints it without a traceback and exits with code 2.
+    The message names the file, key or argument and what is wrong. The command line prints it
+    without a traceback and exits with code 2.
     """
 
 
@@ -17,3 +18,32 @@ def no_such(word: str, names: Collection[str]) -> str:
     close = difflib.get_close_matches(word, names, n=1)
     guess = f" (did you mean {close[0]!r}?)" if close else ""
     return f"{guess}; known are {', '.join(sorted(names)) or 'none'}"
+
+
+PLUGIN_ERRORS = (Exception, SystemExit)
+"""Exceptions that the code of a plugin may raise."""
+
+
+@contextmanager
+def plugin_note(plugin: str) -> Iterator[None]:
+    """Add a note that names `plugin` to the exceptions of its code."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"raised by {plugin}")
+        raise
+
+
+def is_own(thing: object) -> bool:
+    """Return whether the class of an object belongs to kinfeas."""
+    return type(thing).__module__.partition(".")[0] == "kinfeas"
+
+
+def check_name(name: str) -> None:
+    """Check that the name of a robot or task fits into tables and file names.
+
+    Raises:
+        ValueError: If it is empty, or has a `/` or a control character.
+    """
+    if not name.strip() or "/" in name or not name.isprintable():
+        raise ValueError(f"'name' must be printable, not empty and without '/', not {name!r}")

@@ -1,20 +1,20 @@
-"""Plugins by name: what the entry points of installed distributions offer.
+"""Plugins by name, from the entry points of installed distributions.
 
-Everything is looked up lazily and one name at a time, so that a broken plugin disturbs no other.
+Plugins are loaded one at a time when their name is used; a broken one does not affect the others.
 """
 
+import inspect
+import math
 import reprlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from kinfeas.core.checks.parameters import check_names, in_types, signature_of
-from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.plugin_errors import PluginErrors
+from kinfeas.config import convert
+from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.io.files import is_path
 
 GROUPS = {
@@ -25,12 +25,12 @@ GROUPS = {
     "kinfeas.backends": "backend",
     "kinfeas.filters": "command filter",
 }
-"""The entry-point groups, and what one entry of each is called."""
+"""Entry-point groups and the noun for their entries."""
 
-# What may be named by the path of a file, too.
+# Groups whose entries may also be given as the path of a YAML file.
 _FILES = ("kinfeas.robots", "kinfeas.tasks")
 
-# Motion generators are looked at when they begin.
+# Required methods; `CheckedMotion` checks those of motion generators.
 _METHODS = {
     "kinfeas.tasks": ("sample",),
     "kinfeas.adapters": ("reset", "step", "close"),
@@ -41,16 +41,28 @@ _METHODS = {
 _REGISTERED: list[EntryPoint] = []
 
 
-@dataclass(frozen=True)
-class Plugin:
-    """One entry of a group and the distribution that it comes from.
+class MissingParameterError(KinfeasError):
+    """A required parameter of a plugin is missing.
 
     Attributes:
-        group: One of `GROUPS`.
+        parameter: Its name.
+    """
+
+    def __init__(self, parameter: str, message: str) -> None:
+        super().__init__(message)
+        self.parameter = parameter
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """An entry point and its distribution.
+
+    Attributes:
+        group: Key of `GROUPS`.
         name: Name of the entry.
-        distribution: Who offers it.
-        version: Of the distribution.
-        target: The class or function, as `module:name`.
+        distribution: Name of the distribution.
+        version: Version of the distribution.
+        target: Class or function, as `module:name`.
     """
 
     group: str
@@ -64,24 +76,23 @@ class Plugin:
 
 
 def register(group: str, name: str, factory: type | FunctionType) -> None:
-    """Offer a class or function of this process by name, beside what is installed.
+    """Register a class or function under a name in this process, without an entry point.
 
-    For scripts and notebooks; processes that are started later do not know of it. A second call
-    with the same name replaces the first one.
+    For scripts and notebooks. A second call with the same name replaces the first registration.
 
     Args:
-        group: One of `GROUPS`.
-        name: Name to find it by.
-        factory: What an entry point would name: it must stand at the top of its module.
+        group: Key of `GROUPS`.
+        name: Name of the plugin.
+        factory: Class or function at the top level of its module.
 
     Raises:
-        KinfeasError: If there is no such group, an installed distribution offers that name, or
-            `factory` is not at the top of a module.
+        KinfeasError: If the group is unknown, an installed distribution has that name, or
+            `factory` is not at the top level of a module.
     """
     if any(entry.name == name and entry not in _REGISTERED for entry in _entries(group)):
         raise KinfeasError(f"{GROUPS[group]} {name!r} is installed already; choose another name")
     if "." in factory.__qualname__:
-        raise KinfeasError(f"{factory.__qualname__} must stand at the top of its module")
+        raise KinfeasError(f"{factory.__qualname__} must be at the top level of its module")
     target = f"{factory.__module__}:{factory.__qualname__}"
     _REGISTERED[:] = [entry for entry in _REGISTERED if (entry.group, entry.name) != (group, name)]
     _REGISTERED.append(EntryPoint(name, target, group))
@@ -99,51 +110,102 @@ def names(group: str) -> list[str]:
 
 
 def check_unique(group: str, name: str) -> None:
-    """Raise if `name` is unknown in a group or claimed twice, as `load` does."""
+    """Raise an error if a name is unknown in a group or ambiguous, as `load` does."""
     _find(group, name)
 
 
 def load(group: str, name: str) -> Any:
-    """Return the class or function that `name` stands for in a group of `GROUPS`.
+    """Return the class or function `name` of a group of `GROUPS`.
 
     Raises:
-        KinfeasError: If the name is unknown or claimed twice, or if its module does not import.
+        KinfeasError: If the name is unknown or ambiguous, or its module cannot be imported.
     """
     return _import(_find(group, name))
 
 
 def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
-    """Return what the class or function `name` makes of keyword parameters.
+    """Return the object that the class or function `name` makes of keyword parameters.
 
     Args:
-        group: One of `GROUPS`.
+        group: Key of `GROUPS`.
         name: Name of an entry point.
-        parameters: Keyword parameters, as a YAML block gives them; it is given what that makes of
-            them in the types that they are annotated with, such as a Path or a dataclass.
+        parameters: Keyword parameters as in YAML; they are converted to their annotated types,
+            such as a Path or a dataclass.
 
     Raises:
-        KinfeasError: As `load`; also if a parameter is unknown, missing, refused or not of the
-            type that it is annotated with, or if what is made is nothing of that kind.
+        KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
+            lacks a method of its group.
     """
     entry = _find(group, name)
-    factory, subject = _import(entry), _plugin(entry)
+    factory, subject = _import(entry), str(_plugin(entry))
     if not callable(factory):
-        kind = type(factory).__name__
-        raise KinfeasError(f"{subject} must be a class or a function, not {kind}")
-    with PluginErrors(f"{subject} fails:", _package(entry)):
-        with _refusing(subject):
+        raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
+    with plugin_note(subject):
+        try:
             signature = signature_of(factory)
             check_names(signature, parameters)
-        typed = in_types(signature, parameters, str(subject))
-        with _refusing(subject):
-            built = factory(**typed)
-    _check_methods(built, group, str(subject))
+            built = factory(**in_types(signature, parameters))
+        except (ValueError, TypeError, ImportError) as error:
+            raise KinfeasError(f"{subject}: {error}") from error
+    lacks = [method for method in _METHODS.get(group, ()) if not hasattr(built, method)]
+    if lacks:
+        raise KinfeasError(
+            f"{subject} must return an object with the methods {', '.join(lacks)}, "
+            f"not {type(built).__name__}"
+        )
     return built
 
 
 def from_anywhere(name_or_path: str) -> str:
-    """Return a path as an absolute one, to be read from another folder later, and a name as is."""
+    """Return the absolute form of a path; names are returned unchanged."""
     return str(Path(name_or_path).absolute()) if is_path(name_or_path) else name_or_path
+
+
+def signature_of(factory: Any) -> inspect.Signature:
+    """Return the signature of a class or function, with evaluated annotations if possible."""
+    try:
+        return inspect.signature(factory, eval_str=True)
+    # Names that are imported for a type checker only.
+    except (NameError, AttributeError, SyntaxError, TypeError):
+        return inspect.signature(factory)
+
+
+def check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:
+    """Check that parameters match a signature by name.
+
+    Raises:
+        KinfeasError: If one is unknown or missing.
+    """
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    taken = {p.name: p for p in signature.parameters.values() if p.kind in by_name}
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+    for name in given:
+        if name not in taken and not open_ended:
+            raise KinfeasError(f"unknown parameter {name!r}{no_such(name, taken)}")
+    for name, parameter in taken.items():
+        if parameter.default is parameter.empty and name not in given:
+            raise MissingParameterError(
+                name, f"the parameter {name!r} is missing; known are {', '.join(sorted(taken))}"
+            )
+
+
+def in_types(signature: inspect.Signature, given: Mapping[str, object]) -> dict[str, object]:
+    """Return keyword parameters, as in YAML, converted to their annotated types.
+
+    Raises:
+        KinfeasError: If one has another type or range.
+    """
+    typed = dict(given)
+    for name in given.keys() & signature.parameters.keys():
+        value, parameter = given[name], signature.parameters[name]
+        # The plugin decides about infinite numbers.
+        endless = isinstance(value, float) and not math.isfinite(value)
+        if endless or value is parameter.default:
+            continue
+        converted = convert(parameter.annotation, value, "parameters", name)
+        # Numbers stay as written, for errors that quote them.
+        typed[name] = value if isinstance(value, int | float) else converted
+    return typed
 
 
 def _entries(group: str) -> list[EntryPoint]:
@@ -162,44 +224,20 @@ def _find(group: str, name: object) -> EntryPoint:
         raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{no_such(name, names(group))}")
     if len(matches) > 1:
         owners = " and ".join(sorted(_plugin(entry).distribution for entry in matches))
-        raise KinfeasError(
-            f"{GROUPS[group]} {name!r} is claimed by {owners}; uninstall all but one"
-        )
+        raise KinfeasError(f"{GROUPS[group]} {name!r} exists in {owners}; uninstall all but one")
     return matches[0]
 
 
 def _plugin(entry: EntryPoint) -> Plugin:
     distribution, version = (entry.dist.name, entry.dist.version) if entry.dist else ("?", "?")
-    # One that was half removed has neither.
+    # Both are None after an incomplete removal.
     return Plugin(entry.group, entry.name, distribution or "?", version or "?", entry.value)
 
 
 def _import(entry: EntryPoint) -> Any:
-    subject = f"{_plugin(entry)} cannot be loaded:"
-    if entry.pattern.match(entry.value) is None:
-        raise KinfeasError(f"{subject} its entry point must be module:name, not {entry.value!r}")
-    # Whatever an outside module does on import is its own affair.
-    with PluginErrors(subject, _package(entry)):
-        return entry.load()
-
-
-def _package(entry: EntryPoint) -> str:
-    """Return the top-level package of an entry's code."""
-    return entry.value.partition(":")[0].partition(".")[0].strip()
-
-
-@contextmanager
-def _refusing(subject: Plugin) -> Iterator[None]:
-    """Turn what a constructor refuses its parameters with into an error that names the plugin."""
     try:
-        yield
-    except (ValueError, TypeError) as error:
-        raise KinfeasError(f"{subject}: {error}") from error
-
-
-def _check_methods(built: object, group: str, subject: str) -> None:
-    """Raise if what an entry has made lacks a method that all of its kind have."""
-    lacks = [name for name in _METHODS.get(group, ()) if not callable(getattr(built, name, None))]
-    if lacks:
-        words, got = ", ".join(lacks), type(built).__name__
-        raise KinfeasError(f"{subject} must return an object with the methods {words}, not {got}")
+        return entry.load()
+    except (Exception, SystemExit) as error:  # the code of others, run on import
+        raise KinfeasError(
+            f"{_plugin(entry)} cannot be loaded: {type(error).__name__}: {error}"
+        ) from error

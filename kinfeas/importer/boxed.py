@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.plugin_errors import PluginErrors
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, link_pose, place
 from kinfeas.robots.elements import (
@@ -186,11 +185,14 @@ def _load(path: Path, where: str) -> Array:
         )
     import trimesh
 
-    with PluginErrors(f"{where}: {str(path)!r} cannot be read as a mesh:"):
+    try:
         scene = trimesh.load_scene(path)
         metres = trimesh.units.unit_conversion(scene.units or "meters", "meters")
         return np.asarray(scene.to_mesh().triangles, dtype=np.float64) * metres
-    raise AssertionError  # the context raises, or the block returns
+    except Exception as error:  # readers of meshes raise anything on broken files
+        raise KinfeasError(
+            f"{where}: {str(path)!r} cannot be read as a mesh: {type(error).__name__}: {error}"
+        ) from error
 
 
 _PLAY = 0.02

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from kinfeas.config import Interval
 from kinfeas.config.quantities import Metres
-from kinfeas.core.names import check_name
+from kinfeas.core.errors import check_name
 
 Drive = Literal["omnidirectional", "differential"]
 

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas import config
 from kinfeas.config import Interval, strict_yaml
 from kinfeas.config.quantities import Distance, Metres, Position, Radians
-from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.names import check_name
+from kinfeas.core.errors import KinfeasError, check_name, no_such
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver

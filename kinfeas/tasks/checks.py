@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.core.checks.arrays import are_unit, instead
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.names import check_name
-from kinfeas.core.plugin_errors import PluginErrors, package_of
+from kinfeas.core.checks import are_unit, check_array
+from kinfeas.core.errors import KinfeasError, check_name, plugin_note
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import Subgoal, Task
@@ -18,8 +16,7 @@ from kinfeas.tasks.task import Subgoal, Task
 class CheckedTask:
     """A task that passes on another one's episodes if they have the right form.
 
-    What the task's own code raises becomes an error that names it and the line. Whatever else the
-    task has can be asked of this.
+    Exceptions of the task get a note that names it. Other attributes are those of the task.
 
     Args:
         task: Draws the episodes.
@@ -35,16 +32,14 @@ class CheckedTask:
 
     def __init__(self, task: Task, name: str) -> None:
         self.task, self.subject = task, f"task {name!r}"
-        package = package_of(task)
-        with PluginErrors(f"{self.subject} fails:", package):
+        with plugin_note(self.subject):
             self.name, self.subgoals = task.name, task.subgoals
         self._check_name()
         self._check_subgoals()
-        self._sample = PluginErrors(f"{self.subject} fails in sample:", package)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
-        with self._sample:
+        with plugin_note(self.subject):
             start = self.task.sample(solver, rng)
         check_start(start, self.subject, len(self.subgoals), len(solver.robot.arm))
         return start
@@ -101,9 +96,6 @@ def check_start(start: Start, subject: str, subgoals: int, joints: int) -> None:
     shapes = {"base_pose": (7,), "joint_positions": (joints,), "target_poses": (subgoals, 7)}
     for name, shape in shapes.items():
         value: Any = getattr(start, name, None)
-        if got := instead(value, shape):
-            raise KinfeasError(f"{subject} must sample a {name} of shape {shape}, not {got}")
-        if not np.isfinite(value).all():
-            raise KinfeasError(f"{subject} samples a {name} with numbers that are not finite")
+        check_array(value, shape, f"{subject}: sampled {name}")
         if name != "joint_positions" and not are_unit(value):
             raise KinfeasError(f"{subject} samples a {name} whose quaternion is not of unit length")

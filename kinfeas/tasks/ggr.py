@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config.quantities import Distance, Metres
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.names import check_name
+from kinfeas.core.errors import KinfeasError, check_name
 from kinfeas.core.spatial import Array, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from kinfeas.core import registry
-from kinfeas.core.plugin_errors import is_own
+from kinfeas.core.errors import is_own
 from kinfeas.io.files import is_path
 from kinfeas.tasks.chain import read_chain
 from kinfeas.tasks.checks import CheckedTask

@@ -10,9 +10,9 @@ from kinfeas.config.quantities import Seconds
 from kinfeas.control.execution import Frame, SubgoalMotion
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip
-from kinfeas.core.checks.parameters import MissingParameterError
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.registry import MissingParameterError
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from kinfeas.core.checks.motion import CheckedMotion, ConformanceError
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.checked_motion import CheckedMotion, ConformanceError
+from kinfeas.core.errors import PLUGIN_ERRORS
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.spatial import Array
 from kinfeas.testing.rules import RULES, Probe, run_trial
-from kinfeas.testing.trial import Trial
+from kinfeas.testing.trial import Trial, describe
 
 __all__ = ["RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "examine"]
 
@@ -58,7 +58,7 @@ def check_motion_generator(  # noqa: PLR0913  knobs of a test: by keyword, each 
         ConformanceError: Names the generator and the first rule it was seen to break.
     """
     trial = Trial(target_poses, seed, duration, dt, max_velocity, max_angular_velocity)
-    run_trial(Probe(CheckedMotion(generator), trial))
+    run_trial(Probe(CheckedMotion(generator, every_step=True), trial))
 
 
 def examine(
@@ -76,14 +76,16 @@ def examine(
         on_step: Called after each of the trial's steps.
     """
     found: dict[str, str] = {}
+    subject = f"motion generator {name or type(generator).__name__}"
     try:
-        probe = Probe(CheckedMotion(generator, name), trial or Trial(), found)
+        motion = CheckedMotion(generator, name, every_step=True)
+        probe = Probe(motion, trial or Trial(), found)
         run_trial(probe, on_step)
         ended = True
     except ConformanceError as error:
         found[error.rule] = str(error)
         ended = False
-    except KinfeasError as error:  # what its own code raised
-        found["form"] = str(error)
+    except PLUGIN_ERRORS as error:
+        found["form"] = describe(error, subject)
         ended = False
     return [Finding(rule, found.get(rule), ended or rule in found) for rule in RULES]

@@ -1,14 +1,16 @@
 """Sample motions: what a motion generator is put to, and what it makes of that."""
 
+import traceback
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import LONGEST
-from kinfeas.core.checks.arrays import are_unit
-from kinfeas.core.checks.motion import CheckedMotion
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.checked_motion import CheckedMotion
+from kinfeas.core.checks import are_unit
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
 from kinfeas.core.spatial import Array, integrate, make_pose
 
 _MOST_STEPS = 1_000_000
@@ -107,9 +109,18 @@ def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
             ee_pose = integrate(ee_pose, twist, trial.dt)
             poses.append(ee_pose)
             twists.append(twist)
-    except KinfeasError as error:
-        broken = str(error)
+    except PLUGIN_ERRORS as error:
+        broken = describe(error, motion.subject)
     return Samples(np.stack(poses), np.array(twists).reshape(-1, len(goal), 6), goal, broken)
+
+
+def describe(error: BaseException, subject: str) -> str:
+    """Return the message of an error; that of a plugin's own exception has subject and place."""
+    if isinstance(error, KinfeasError):
+        return str(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(frame.filename).name}, line {frame.lineno}"
+    return f"{subject} raises {type(error).__name__}: {error} ({place})"
 
 
 def _trials(rng: np.random.Generator, targets: Array) -> tuple[Array, Array]:

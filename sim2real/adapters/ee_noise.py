@@ -3,7 +3,7 @@
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapters.adapter import Adapter, seen
+from kinfeas.sim2real.adapters.adapter import Adapter, measured
 from kinfeas.sim2real.adapters.draws import Number
 from kinfeas.sim2real.vectors import displaced
 
@@ -39,4 +39,4 @@ class EeNoise(Adapter):
         noise = self.normal(6)
         noise[:, :3] *= self.number("linear")
         noise[:, 3:] *= self.number("angular")
-        return seen(state, ee_in_base=displaced(exact, noise))
+        return measured(state, ee_in_base=displaced(exact, noise))

@@ -2,7 +2,7 @@
 
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapters.adapter import Adapter, seen
+from kinfeas.sim2real.adapters.adapter import Adapter, measured
 from kinfeas.sim2real.adapters.draws import Number
 
 
@@ -25,4 +25,4 @@ class JointNoise(Adapter):
     def modify_state(self, state: RobotState) -> RobotState:
         """Return the state with noise on the joint positions."""
         noise = self.normal(state.joint_positions.shape[1]) * self.number("deviation")
-        return seen(state, joint_positions=self.joints(state.joint_positions + noise))
+        return measured(state, joint_positions=self.joints(state.joint_positions + noise))

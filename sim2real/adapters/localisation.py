@@ -5,7 +5,7 @@ import numpy as np
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapters.adapter import Adapter, Memory, seen
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory, measured
 from kinfeas.sim2real.adapters.draws import Number
 from kinfeas.sim2real.vectors import displaced
 
@@ -73,7 +73,7 @@ class Localisation(Adapter):
         """Return the state with the base beside where it is."""
         error = np.zeros((len(state.base_pose), 6))
         error[:, [0, 1, 5]] = self.memory["error"]
-        return seen(state, base_pose=displaced(state.base_pose, error))
+        return measured(state, base_pose=displaced(state.base_pose, error))
 
     def _each(self, name: str) -> Array:
         """Return a deviation for x, y and yaw, shape (n, 3)."""

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapters.adapter import Adapter, Memory, seen
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory, measured
 from kinfeas.sim2real.adapters.delay_buffer import LATEST, around, filled, pushed, slots_for
 from kinfeas.sim2real.adapters.draws import Number
 
@@ -43,7 +43,7 @@ class SensorLatency(Adapter):
         n = len(state.base_pose)
         times = np.full((n, slots), -np.inf)
         times[:, -1] = 0.0
-        lines = {name: filled(values, slots) for name, values in _measured(state).items()}
+        lines = {name: filled(values, slots) for name, values in _measurements(state).items()}
         return {"clock": np.zeros(n), "shown": np.zeros(n), "times": times, **lines}
 
     def on_step(self, state: RobotState, dt: float) -> None:
@@ -54,7 +54,7 @@ class SensorLatency(Adapter):
         shown = np.maximum(self.memory["shown"], clock - late[:, 0])
         times = pushed(self.memory["times"], clock, slots)
         lines = {}
-        for name, values in _measured(state).items():
+        for name, values in _measurements(state).items():
             line = self.memory.get(name)
             before = filled(values, times.shape[1] - 1) if line is None else line
             lines[name] = pushed(before, values, slots)
@@ -70,7 +70,7 @@ class SensorLatency(Adapter):
         }
         age = self.memory["clock"] - self.memory["shown"]
         was["age"] = age + was["age"] if "age" in was else age
-        return seen(state, **was)
+        return measured(state, **was)
 
     def _between(self, name: str, line: Array, index: NDArray[np.intp], share: Array) -> Array:
         """Return what a line, shape (n, s, ...), holds at `index`, and `share` of the way on."""
@@ -85,7 +85,7 @@ class SensorLatency(Adapter):
         return np.where(share > 0.0, moved, before)
 
 
-def _measured(state: RobotState) -> dict[str, Array]:
+def _measurements(state: RobotState) -> dict[str, Array]:
     """Return what was measured, by the names of the state's fields."""
     found = {name: getattr(state, name) for name in _MEASURED}
     return {name: values for name, values in found.items() if values is not None}

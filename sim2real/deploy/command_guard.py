@@ -13,9 +13,9 @@ from kinfeas.core.backend import (
     Grip,
     RealTimeBackend,
     RobotState,
-    plugin_errors,
 )
-from kinfeas.core.checks.backend import BackendAnswers
+from kinfeas.core.checks import check_state
+from kinfeas.core.errors import plugin_note
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.guard_config import Guards
@@ -57,7 +57,7 @@ class CommandGuard(Passing):
         self.robot, self._guards, self._clock = robot, guards, clock
         self._real_time = backend if isinstance(backend, RealTimeBackend) else None
         self._arm_limited = backend if isinstance(backend, ArmLimited) else None
-        self._answers = BackendAnswers(backend, len(robot.arm))
+        self._name = f"backend {type(backend).__name__}"
         self._limits = _limits(robot, guards)
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
         self._velocity, self._dt = np.zeros(3), 0.0
@@ -74,9 +74,9 @@ class CommandGuard(Passing):
             KinfeasError: If a backend from outside fails, or returns no state.
         """
         if self._arm_limited is not None:
-            with plugin_errors(self.backend, "limit_arm"):
+            with plugin_note(self._name):
                 self._arm_limited.limit_arm(self._joint_speed)
-        with plugin_errors(self.backend, "reset"):
+        with plugin_note(self._name):
             state = self.backend.reset(base_pose, joint_positions, env_ids)
         self._take("reset", state)
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
@@ -117,13 +117,14 @@ class CommandGuard(Passing):
         """
         if self._real_time is None:
             return None
-        with plugin_errors(self.backend, "read"):
+        with plugin_note(self._name):
             state = self._real_time.read()
-        return self._answers.state(state, "read")
+        check_state(state, 1, len(self.robot.arm), f"{self._name}: read", finite=False)
+        return state
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Pass on to a backend that draws random numbers."""
-        with plugin_errors(self.backend, "seed"):
+        with plugin_note(self._name):
             super().seed(seeds, env_ids)
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
@@ -151,12 +152,13 @@ class CommandGuard(Passing):
         Raises:
             KinfeasError: If a backend from outside fails.
         """
-        with plugin_errors(self.backend, "close"):
+        with plugin_note(self._name):
             self.backend.close()
 
     def _take(self, method: str, answer: RobotState) -> RobotState:
         """Return what was measured just now, if it is a state."""
-        self._state, self._measured = self._answers.state(answer, method), self._clock()
+        check_state(answer, 1, len(self.robot.arm), f"{self._name}: {method}", finite=False)
+        self._state, self._measured = answer, self._clock()
         return self._state
 
     def _check_fresh(self) -> None:

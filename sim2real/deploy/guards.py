@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import wrap
 from kinfeas.core.backend import Backend, RealTimeBackend, RobotState
-from kinfeas.core.plugin_errors import BLAMED
+from kinfeas.core.errors import PLUGIN_ERRORS
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.command_guard import CommandGuard, check_age, check_command
@@ -176,7 +176,7 @@ class Guarded(Passing):
         """
         try:
             self._commands.stop()
-        except BLAMED as error:
+        except PLUGIN_ERRORS as error:
             # What has led here is what the user must hear of; the watchdog tries again.
             self.unstopped = reason_of(error)
 
@@ -185,7 +185,7 @@ class Guarded(Passing):
         self.stop()
         try:
             self.backend.close()
-        except BLAMED as error:
+        except PLUGIN_ERRORS as error:
             if not self.unstopped:  # or else it is known already that nothing can be sent
                 self.unclosed = reason_of(error)
 

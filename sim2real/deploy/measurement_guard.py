@@ -6,7 +6,7 @@ import numpy as np
 
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
-from kinfeas.core.checks.arrays import instead
+from kinfeas.core.checks import array_fault
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.guard_config import Guards
@@ -65,7 +65,7 @@ class MeasurementGuard:
         wanted = (1, 7), (1, len(self._robot.arm))
         if shapes != wanted:
             _refuse(f"measurements have the shapes {shapes}, those of this robot are {wanted}")
-        if state.age is not None and instead(state.age, (1,)):
+        if state.age is not None and array_fault(state.age, (1,), finite=False):
             _refuse("the age of the measurements is no array of one number")
         if not np.isfinite(state.base_pose).all():
             _refuse("the measured base pose is not finite")

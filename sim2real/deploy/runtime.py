@@ -12,9 +12,7 @@ import numpy as np
 from kinfeas.control.adapters import execution_of
 from kinfeas.control.drive import action_size
 from kinfeas.control.loop import Loop
-from kinfeas.core.backend import plugin_errors
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.plugin_errors import BLAMED
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, plugin_note
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.core.start import episode_rng
 from kinfeas.io.run_log import REACHED, TASK_DONE, Moment, Recorder
@@ -121,7 +119,7 @@ class _Run:
                 done = self.setup.task.done()
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
-        except BLAMED as error:
+        except PLUGIN_ERRORS as error:
             # A mistake in somebody's code, who needs to know where.
             self.guarded.stop()
             traceback.print_exc()
@@ -205,7 +203,7 @@ class _Run:
 
 def _stop_call(backend: Watched) -> StopCall:
     """Return how another process stops the base, if the backend says it."""
-    with plugin_errors(backend, "stop_call"):
+    with plugin_note(f"backend {type(backend).__name__}"):
         call: Any = backend.stop_call()
     if not isinstance(call, StopCall):
         name, got = type(backend).__name__, type(call).__name__

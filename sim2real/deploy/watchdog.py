@@ -18,8 +18,7 @@ from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from typing import Protocol, runtime_checkable
 
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.plugin_errors import BLAMED
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
 from kinfeas.sim2real.link.fault import reason_of
 
 AGAIN, TIMES = 0.05, 10
@@ -154,7 +153,7 @@ def main(order: str) -> None:
     os.dup2(2, 1)  # what libraries print must not be read as answers
     try:
         stop = _Stopping(_connect(StopCall(**given["stop"])))
-    except BLAMED as error:
+    except PLUGIN_ERRORS as error:
         sys.exit(f"watchdog: {reason_of(error)}")
     os.write(answers, _READY)
     if _watch(stop, given["seconds"], answers):
@@ -181,7 +180,7 @@ class _Stopping:
         failed = ""
         try:
             self._stop()
-        except BLAMED as error:
+        except PLUGIN_ERRORS as error:
             failed = f"the base could not be commanded to zero: {reason_of(error)}"
         if self._said != (why, bool(failed)):
             _say(f"{why}: {failed or 'base commanded to zero'}")

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.backend import Grip, RobotState
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.plugin_errors import BLAMED
+from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
 from kinfeas.core.spatial import Array, wrap
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.rate import Rate
@@ -161,8 +160,8 @@ class LinkBackend:
             return
         try:
             self.link.drive(np.zeros(3))
-        except BLAMED:
-            with suppress(*BLAMED):
+        except PLUGIN_ERRORS:
+            with suppress(*PLUGIN_ERRORS):
                 self._hold()
             raise
         self._hold()

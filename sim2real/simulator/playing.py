@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from kinfeas.core import registry
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.plugin_errors import PluginErrors, package_of
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.link import Hosted, RobotLink
@@ -53,8 +52,7 @@ def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLi
     kind = registry.load("kinfeas.backends", backend)
     if not isinstance(kind, Hosted):
         raise KinfeasError(f"backend {backend!r} is on no bus that a robot can be played on")
-    package = kind.__module__.partition(".")[0]
-    with PluginErrors(f"backend {backend!r} fails in robot_link:", package):
+    with plugin_note(f"backend {backend!r}"):
         link = kind.robot_link(robot, topics)
     if not isinstance(link, RobotLink):
         must = "must return a RobotLink from robot_link"
@@ -77,7 +75,8 @@ def play(
         KinfeasError: If there is no bus, or it has broken. The robot goes on for a while then: who
             is connected to it still is. Also if a link from outside fails, at once.
     """
-    with _plugin_errors(link, "open"):
+    name = f"robot link {type(link).__name__}"
+    with plugin_note(name):
         link.open(player.orders())
     rate, begin, broken = Rate(1.0 / role.rate), time.monotonic(), None
     end = math.inf if role.seconds is None else begin + role.seconds
@@ -85,7 +84,7 @@ def play(
         on_ready()
         while time.monotonic() < end:
             readings = player.measure()
-            with _plugin_errors(link, "report"):
+            with plugin_note(name):
                 link.report(*readings)
             ticks = round(rate.wait() * role.rate)
             for _ in range(min(max(ticks, 1), _CATCH_UP)):
@@ -95,7 +94,7 @@ def play(
     except KeyboardInterrupt:
         pass  # as a robot is switched off that has no end of its own
     finally:
-        with _plugin_errors(link, "close"):
+        with plugin_note(name):
             link.close()
     if broken is not None:
         raise KinfeasError(str(broken))
@@ -107,13 +106,8 @@ def play(
 
 def _fault(link: RobotLink) -> Fault | None:
     try:
-        with _plugin_errors(link, "check"):
+        with plugin_note(f"robot link {type(link).__name__}"):
             link.check()
     except Fault as fault:
         return fault
     return None
-
-
-def _plugin_errors(link: RobotLink, method: str) -> PluginErrors:
-    """Return the context of a call of one of its methods, in which what it raises names it."""
-    return PluginErrors(f"robot link {type(link).__name__} fails in {method}:", package_of(link))

@@ -220,7 +220,7 @@ def test_a_backend_that_cannot_be_closed_does_not_hide_the_run(kinfeas, tmp_path
                    "--json", "run.json")  # fmt: skip
     assert done.code == 0
     assert REACHED in done.out
-    blamed = "backend Clinging fails in close: RuntimeError: still busy (test_deploy.py, line "
+    blamed = "still busy"
     assert done.err.startswith(f"the backend could not be closed: {blamed}")
     assert done.err.count("\n") == 1
     assert read_record(tmp_path / "run.csv").event[-1] == REACHED

@@ -9,7 +9,7 @@ from kinfeas.config.recipes import recipes
 from kinfeas.control.adapters import chain, execution_of, read_sim2real, wrap
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core import registry
-from kinfeas.core.checks.adapter import CheckedAdapter
+from kinfeas.core.backend import BackendWrapper
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.envs.world import World, WorldConfig
@@ -77,7 +77,7 @@ def test_backend_and_robot_are_no_parameters(tmp_path):
         wrap(AnalyticBackend(), read_sim2real(str(path)).adapters, load_robot("hsr"))
 
 
-class ExecutionChanger:
+class ExecutionChanger(BackendWrapper):
     """An adapter whose execution is that of a test."""
 
     answer = None
@@ -136,7 +136,7 @@ def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2,
     names = ("changer", "base_noise", "head_start")
     innermost = Named()
     backend = wrap(innermost, [PluginSpec(name) for name in names], pr2)
-    kinds = [type(link).__name__ for link in chain(backend) if type(link) is not CheckedAdapter]
+    kinds = [type(link).__name__ for link in chain(backend)]
     assert kinds == ["HeadStart", "BaseNoise", "ExecutionChanger", "Named"]
     found = execution_of(backend, ExecutionConfig(time_scale=0.8))
     assert found == ExecutionConfig(time_scale=0.4, head_start=3.0)

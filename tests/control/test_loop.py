@@ -1,4 +1,5 @@
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
-from kinfeas.core.checks.adapter import CheckedAdapter
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -257,12 +257,37 @@ def test_backends_that_draw_get_a_seed_for_each_episode(solver):
 
 
 def test_a_backend_that_cannot_be_saved_is_named(solver):
-    for backend in (Recorder(), CheckedAdapter(Recorder(), "adapter 'mine'", Recorder())):
-        loop = Loop(solver, [SubgoalMotion(Linear())], backend)
-        with pytest.raises(KinfeasError, match="Recorder"):
-            loop.snapshot()
-        with pytest.raises(KinfeasError, match="Recorder"):
-            loop.restore({})
+    loop = Loop(solver, [SubgoalMotion(Linear())], Recorder())
+    with pytest.raises(KinfeasError, match="Recorder"):
+        loop.snapshot()
+    with pytest.raises(KinfeasError, match="Recorder"):
+        loop.restore({})
+
+
+class Broken(AnalyticBackend):
+    """A backend that returns invalid states after some steps."""
+
+    steps = 0
+
+    def step(self, base_twist, joint_targets, dt):
+        state = super().step(base_twist, joint_targets, dt)
+        self.steps += 1
+        return replace(state, joint_positions=state.joint_positions[:, 1:])
+
+
+def test_states_of_backends_are_checked_at_the_first_step(solver):
+    loop = make_loop(solver, 4, Broken())
+    with pytest.raises(KinfeasError, match="backend Broken: step: joint_positions"):
+        loop.step(np.zeros((4, loop.action_size)))
+
+
+def test_exceptions_of_backends_name_them(solver):
+    backend = Broken()
+    loop = make_loop(solver, 4, backend)
+    backend.step = lambda *arguments: {}["key"]
+    with pytest.raises(KeyError) as caught:
+        loop.step(np.zeros((4, loop.action_size)))
+    assert caught.value.__notes__ == ["raised by backend Broken"]
 
 
 def test_snapshot_goes_on_to_the_bit(solver):

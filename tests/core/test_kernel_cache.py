@@ -49,29 +49,17 @@ def test_kernels_are_kept_in_the_temporary_folder_where_they_can_be_nowhere_else
     assert list(folder.rglob("*.nbc"))
 
 
-def test_numba_has_its_way_where_it_can_cache(monkeypatch):
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    kernel_cache.settle()
-    assert not numba.config.CACHE_DIR
-
-
 def test_nothing_is_run_that_another_user_may_have_written(nowhere):
     folder = nowhere / f"kinfeas-{os.getuid()}"
     folder.mkdir()
     folder.chmod(0o777)
-    with pytest.raises(KinfeasError, match=r"is not this user's alone.*let NUMBA_CACHE_DIR name"):
+    with pytest.raises(KinfeasError, match="NUMBA_CACHE_DIR"):
         kernel_cache.settle()
     folder.rmdir()
     folder.symlink_to(nowhere)
-    with pytest.raises(KinfeasError, match="is not this user's alone"):
+    with pytest.raises(KinfeasError, match="NUMBA_CACHE_DIR"):
         kernel_cache.settle()
     assert not numba.config.CACHE_DIR
-
-
-def test_a_file_in_the_way_is_a_clear_error(nowhere):
-    (nowhere / f"kinfeas-{os.getuid()}").write_text("")
-    with pytest.raises(KinfeasError, match=r"no folder for compiled kernels \(File exists\)"):
-        kernel_cache.settle()
 
 
 def test_the_users_own_folder_for_caches_comes_first(nowhere, monkeypatch):

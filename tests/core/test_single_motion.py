@@ -1,7 +1,6 @@
 """A generator written for one motion becomes one for n."""
 
 import inspect
-import re
 
 import numpy as np
 import pytest
@@ -105,9 +104,9 @@ def test_looks_like_the_class_it_is_made_from():
 
 
 def test_constructor_errors_come_through():
-    with pytest.raises(KinfeasError, match=r"^height must be at least 0, not -1$"):
+    with pytest.raises(KinfeasError, match="height"):
         Batched(height=-1)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'width'"):
+    with pytest.raises(TypeError, match="width"):
         Batched(width=1)
 
 
@@ -125,12 +124,6 @@ def test_a_class_without_a_constructor_takes_no_parameters():
 
     assert not inspect.signature(Still).parameters
     check_motion_generator(Still(), duration=1.0)
-
-
-def test_numbers_in_the_state_are_float64():
-    state = Batched().start(poses(2, 0), poses(2, 1), rngs(2))
-    assert state["steps"].dtype == np.float64
-    assert state["steps"].shape == (2,)
 
 
 def test_state_may_be_written_into_by_the_single_motion_only():
@@ -162,11 +155,6 @@ class Growing(Approach):
     def start(self, ee_pose: Array, target_pose: Array, rng):
         points = 2 + int(10 * np.linalg.norm(ee_pose - target_pose))
         return {"goal": target_pose, "path": np.zeros((points, 3))}
-
-
-def test_states_of_unlike_shapes_are_refused():
-    with pytest.raises(KinfeasError, match=r"Growing.start returned states of unlike shapes"):
-        batched(Growing)().start(poses(5, 0), poses(5, 1), rngs(5))
 
 
 class Straight:
@@ -208,38 +196,9 @@ def test_each_row_has_its_own_dt():
     assert all(type(dt) is float for dt in seconds)
 
 
-class OldTwist(Straight):
-    def twist(self, state, ee_pose, dt):
-        return np.zeros(6), state
-
-
-class OldGoal(Straight):
-    def goal_pose(self, state):
-        return IDENTITY
-
-
-@pytest.mark.parametrize(
-    ("single", "takes"),
-    [
-        (OldTwist, "twist(state, ee_pose, target_pose, dt), not twist(state, ee_pose, dt)"),
-        (OldGoal, "goal_pose(state, target_pose), not goal_pose(state)"),
-    ],
-)
-def test_other_parameters_are_refused(single, takes):
-    with pytest.raises(
-        TypeError, match=re.escape(f"{single.__name__} must have the method {takes}")
-    ):
-        batched(single)()
-
-
 def test_only_classes_can_be_batched():
-    with pytest.raises(KinfeasError, match="batched takes a class, not"):
+    with pytest.raises(KinfeasError, match="batched"):
         batched(Approach())
-
-
-def test_as_many_rngs_as_motions():
-    with pytest.raises(ValueError, match="zip"):
-        Batched().start(poses(2, 0), poses(2, 1), rngs(1))
 
 
 class NoPair(Approach):
@@ -253,12 +212,6 @@ class ShortTwist(Approach):
         return twist[:3], state
 
 
-class MixedTwist(Approach):
-    def twist(self, state, ee_pose, target_pose, dt):
-        twist, state = super().twist(state, ee_pose, target_pose, dt)
-        return [*twist[:5], None], state
-
-
 class WordInState(Approach):
     def start(self, ee_pose, target_pose, rng):
         return {**super().start(ee_pose, target_pose, rng), "way": "up"}
@@ -270,20 +223,17 @@ class NoState(Approach):
 
 
 @pytest.mark.parametrize(
-    ("single", "sentence"),
+    ("single", "word"),
     [
-        (NoPair, r"NoPair.twist must return a pair: the twist and the next state"),
-        (ShortTwist, r"ShortTwist.twist must return a twist of shape \(6,\).*not \(3,\)"),
-        (
-            MixedTwist,
-            r"MixedTwist.twist must return a twist of shape \(6,\).*not an array of object",
-        ),
-        (WordInState, r"WordInState.start must return .* and 'way' is neither"),
-        (NoState, r"NoState.start must return a state that is a dict of numbers, not a ndarray"),
+        (NoPair, "NoPair.twist"),
+        (ShortTwist, "ShortTwist.twist"),
+        (WordInState, "WordInState.start.*'way'"),
+        (NoState, "NoState.start"),
+        (Growing, "Growing.start"),
     ],
 )
-def test_what_a_single_motion_answers_is_checked(single, sentence):
+def test_invalid_answers_name_class_and_method(single, word):
     generator = batched(single)()
-    with pytest.raises(KinfeasError, match=sentence):
-        state = generator.start(poses(2, 0), poses(2, 1), rngs(2))
-        generator.twist(state, poses(2, 0), poses(2, 1), np.full(2, 0.1))
+    with pytest.raises(KinfeasError, match=word):
+        state = generator.start(poses(5, 0), poses(5, 1), rngs(5))
+        generator.twist(state, poses(5, 0), poses(5, 1), np.full(5, 0.1))

@@ -53,25 +53,25 @@ def sound(solver):
 
 LONG = np.array([0, 0, 0, 0, 0, 0, 1.01])
 BAD = {
-    "nothing": (lambda start: None, r"must sample a base_pose of shape \(7,\), not NoneType"),
-    "a flat base": (lambda start: replace(start, base_pose=IDENTITY[:3]), r"not \(3,\)"),
+    "nothing": (lambda start: None, "base_pose"),
+    "a flat base": (lambda start: replace(start, base_pose=IDENTITY[:3]), "base_pose"),
     "too few joints": (
         lambda start: replace(start, joint_positions=np.zeros(2)),
-        r"joint_positions of shape \(7,\), not \(2,\)",
+        "joint_positions",
     ),
-    "no goals": (lambda start: replace(start, target_poses=np.empty((0, 7))), r"not \(0, 7\)"),
+    "no goals": (lambda start: replace(start, target_poses=np.empty((0, 7))), "target_poses"),
     "too many goals": (
         lambda start: replace(start, target_poses=np.tile(IDENTITY, (3, 1))),
-        r"target_poses of shape \(1, 7\), not \(3, 7\)",
+        "target_poses",
     ),
-    "words": (lambda start: replace(start, base_pose=IDENTITY.astype(str)), "not an array of <U"),
+    "words": (lambda start: replace(start, base_pose=IDENTITY.astype(str)), "base_pose"),
     "a goal of nan": (
         lambda start: replace(start, target_poses=np.full((1, 7), np.nan)),
-        "samples a target_poses with numbers that are not finite",
+        "target_poses is not finite",
     ),
     "endless joints": (
         lambda start: replace(start, joint_positions=np.full(7, np.inf)),
-        "samples a joint_positions with numbers that are not finite",
+        "joint_positions is not finite",
     ),
     "zeros": (
         lambda start: replace(start, target_poses=np.zeros((1, 7))),
@@ -85,9 +85,9 @@ BAD = {
 def test_malformed_episodes_are_refused(pr2, name):
     change, sentence = BAD[name]
     task = Given(change(sound(pr2)))
-    with pytest.raises(KinfeasError, match=rf"^task 'mine' .*{sentence}"):
+    with pytest.raises(KinfeasError, match=rf"^task 'mine'.*{sentence}"):
         CheckedTask(task, "mine").sample(pr2, RNG)
-    with pytest.raises(KinfeasError, match=rf"^task 'given' .*{sentence}"):
+    with pytest.raises(KinfeasError, match=rf"^task 'given'.*{sentence}"):
         World(pr2.robot, task, WorldConfig(), seed=0).start([0])
 
 
@@ -97,12 +97,10 @@ def test_malformed_goals_are_the_tasks_fault_in_a_ceiling_too(pr2):
         draw_goals(pr2, task, 1, 0)
 
 
-@pytest.mark.parametrize("error", [RuntimeError("boom"), KeyError("x"), SystemExit(5)])
-def test_what_its_code_raises_names_it_and_the_line(pr2, error):
-    task = CheckedTask(Given(error), "mine")
-    name = type(error).__name__
-    with pytest.raises(KinfeasError, match=rf"^task 'mine' fails in sample: {name}: .*\n*.*line"):
-        task.sample(pr2, RNG)
+def test_its_exceptions_get_a_note(pr2):
+    with pytest.raises(KeyError) as caught:
+        CheckedTask(Given(KeyError("x")), "mine").sample(pr2, RNG)
+    assert caught.value.__notes__ == ["raised by task 'mine'"]
 
 
 @pytest.mark.parametrize(
@@ -117,7 +115,6 @@ def test_what_its_code_raises_names_it_and_the_line(pr2, error):
         (Given(name=""), "'name' must be printable, not empty"),
         (Given(name="a/b"), "'name' must be printable, not empty and without '/', not 'a/b'"),
         (Given(name=3), "'name' must be a string, not 3"),
-        (object(), "fails: AttributeError: 'object' object has no attribute 'name'"),
     ],
 )
 def test_tasks_that_are_none(task, sentence):

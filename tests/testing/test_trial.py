@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.checks.motion import CheckedMotion
+from kinfeas.core.checked_motion import CheckedMotion
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.plugins.linear import Linear
@@ -39,18 +39,18 @@ def test_motions_lead_from_their_starts_to_their_goals():
 
 
 def test_motions_that_break_are_shown_as_far_as_they_came():
-    samples = sample_motions(CheckedMotion(Fades(), "fades"), Trial())
+    samples = sample_motions(CheckedMotion(Fades(), "fades", every_step=True), Trial())
     assert samples.ee_pose.shape == (4, 12, 7)
-    assert samples.broken == "motion generator fades returns numbers from twist that are not finite"
+    assert samples.broken.startswith("motion generator fades ")
 
 
 @pytest.mark.parametrize(
     ("times", "message"),
     [
-        ({"duration": np.inf}, r"must be times in \(0, 100000\] s, not inf and 0.1"),
-        ({"duration": np.nan}, "not nan and 0.1"),
-        ({"dt": 0.0}, "not 120 and 0"),
-        ({"duration": 1e4, "dt": 1e-6}, "at most 1,000,000 steps, not 10,000,000,000"),
+        ({"duration": np.inf}, "duration"),
+        ({"duration": np.nan}, "duration"),
+        ({"dt": 0.0}, "dt"),
+        ({"duration": 1e4, "dt": 1e-6}, "steps"),
     ],
 )
 def test_steps_that_nobody_can_count_are_refused(times, message):
@@ -60,10 +60,11 @@ def test_steps_that_nobody_can_count_are_refused(times, message):
 
 @pytest.mark.parametrize("target", [0.0, np.nan, 1.0, np.r_[np.inf, 0, 0, 0, 0, 0, 1]])
 def test_targets_that_are_no_poses_are_not_the_generators_fault(target):
-    with pytest.raises(KinfeasError, match="target_poses must be finite, with unit quaternions"):
+    with pytest.raises(KinfeasError, match="target_poses"):
         Trial(np.full((1, 7), target)).poses()
 
 
-def test_targets_of_a_wrong_shape():
-    with pytest.raises(KinfeasError, match="target_poses must have shape"):
-        Trial(np.zeros((2, 6))).poses()
+@pytest.mark.parametrize("shape", [(), (7,), (2, 6), (0, 7)])
+def test_targets_of_a_wrong_shape(shape):
+    with pytest.raises(KinfeasError, match="target_poses"):
+        Trial(np.zeros(shape)).poses()

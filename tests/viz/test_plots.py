@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.core.checks.motion import CheckedMotion
+from kinfeas.core.checked_motion import CheckedMotion
 from kinfeas.core.errors import KinfeasError
 from kinfeas.plugins.linear import Linear
 from kinfeas.testing.trial import Samples, Trial, sample_motions

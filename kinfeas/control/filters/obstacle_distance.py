@@ -13,9 +13,8 @@ from kinfeas.control.filters.half_spaces import project
 from kinfeas.core.backend import (
     ObstacleDistances,
     SupportsObstacleDistances,
-    plugin_errors,
 )
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Base
@@ -114,7 +113,7 @@ class ObstacleFilter:
         Raises:
             KinfeasError: If the backend fails or returns something else.
         """
-        with plugin_errors(self._innermost, "obstacle_distances"):
+        with plugin_note(f"backend {type(self._innermost).__name__}"):
             found: Any = self._loop.backend.obstacle_distances(self._range)
         name = type(self._innermost).__name__
         if not isinstance(found, ObstacleDistances) or len(found.distance) != n:

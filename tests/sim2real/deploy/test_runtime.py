@@ -426,45 +426,37 @@ class BrokenRobot(RealTimeRobot):
 
 
 @pytest.mark.parametrize("method", ["reset", "seed"])
-@pytest.mark.parametrize("error", [RuntimeError("boom"), SystemExit(5), OSError("no bus")])
-def test_a_backend_that_cannot_begin_is_one_sentence(run, method, error):
-    backend = Broken(method, error)
-    name = type(error).__name__
-    with pytest.raises(KinfeasError, match=rf"^backend Broken fails in {method}: {name}: .*line"):
-        run(backend, Drive(), real_time=False)
+def test_exceptions_of_a_backend_name_it(run, method):
+    with pytest.raises(RuntimeError) as caught:
+        run(Broken(method, RuntimeError("boom")), Drive(), real_time=False)
+    assert "raised by backend Broken" in caught.value.__notes__
 
 
 def test_a_backend_that_measures_nothing_is_one_sentence(run):
-    with pytest.raises(
-        KinfeasError, match=r"^backend Broken must return a RobotState from reset, "
-    ):
+    with pytest.raises(KinfeasError, match=r"^backend Broken: reset must return a RobotState"):
         run(Broken("reset"), Drive(), real_time=False)
 
 
-@pytest.mark.parametrize(
-    ("method", "sentence"),
-    [("read", "read: KeyError: 'boom'"), ("stop_call", "stop_call: KeyError: 'boom'")],
-)
-def test_a_robot_that_cannot_begin_is_one_sentence(run, pr2, method, sentence):
+@pytest.mark.parametrize("method", ["read", "stop_call"])
+def test_exceptions_of_a_robot_name_it(run, pr2, method):
     def breaks(_):
         raise KeyError("boom")
 
     robot = BrokenRobot(pr2.robot, method, breaks)
     guards = Guards(watchdog=None if method == "read" else 0.5)
-    with pytest.raises(KinfeasError, match=f"^backend BrokenRobot fails in {sentence}"):
+    with pytest.raises(KeyError) as caught:
         run(robot, Drive(), guards=guards)
+    assert "raised by backend BrokenRobot" in caught.value.__notes__
 
 
 @pytest.mark.parametrize(("method", "answer", "sentence"), [
-    ("reset", lambda _: None, "backend BrokenRobot must return a RobotState from reset, not None"),
-    ("reset", lambda state: replace(state, joint_positions=[[0.0] * 7]), "must return joint_posi"),
-    ("read", lambda _: None, "backend BrokenRobot must return a RobotState from read, not None"),
-    ("read", lambda state: replace(state, age="old"), "backend BrokenRobot must return an age of"),
+    ("reset", lambda _: None, "backend BrokenRobot: reset must return a RobotState"),
+    ("reset", lambda state: replace(state, joint_positions=[[0.0] * 7]), "joint_positions"),
+    ("read", lambda _: None, "backend BrokenRobot: read must return a RobotState"),
+    ("read", lambda state: replace(state, age="old"), "backend BrokenRobot: read: age"),
     ("read", lambda state: replace(state, base_pose=state.base_pose * np.nan),
      "the measured base pose is not finite"),
     ("stop_call", lambda _: None, "backend BrokenRobot must return a StopCall from stop_call, not"),
-    ("stop_call", lambda _: StopCall("a:b", {"number": np.zeros(2)}),
-     "backend BrokenRobot fails in stop_call: TypeError: .*JSON"),
 ])  # fmt: skip
 def test_a_robot_that_begins_with_nonsense_is_one_sentence(run, pr2, method, answer, sentence):
     robot = BrokenRobot(pr2.robot, method, answer)
@@ -476,20 +468,21 @@ def test_a_robot_that_begins_with_nonsense_is_one_sentence(run, pr2, method, ans
 
 
 @pytest.mark.parametrize(("answer", "sentence"), [
-    (lambda _: None, "must return a RobotState from step, not NoneType"),
+    (lambda _: None, "step must return a RobotState"),
     (lambda state: replace(state, age="old"),
-     "must return an age of shape (1,) from step, not str"),
+     "step: age"),
     (lambda state: replace(state, base_pose=state.base_pose.astype(complex)),
-     "must return a base_pose of shape (1, 7) from step, not an array of complex128"),
+     "step: base_pose"),
     (lambda state: replace(state, ee_in_base=np.zeros(3)),
-     "must return an ee_in_base of shape (1, 7) from step, not (3,)"),
+     "step: ee_in_base"),
 ])  # fmt: skip
 def test_a_robot_that_talks_nonsense_is_stopped_with_one_sentence(
     run, pr2, capsys, answer, sentence
 ):
     robot = BrokenRobot(pr2.robot, "step", answer)
     outcome, record = run(robot, Drive(), guards=Guards(watchdog=None))
-    assert (outcome.code, outcome.reason) == (Code.FAULT, f"backend BrokenRobot {sentence}")
+    assert outcome.code == Code.FAULT
+    assert outcome.reason.startswith(f"backend BrokenRobot: {sentence}")
     assert record.event[-1] == outcome.reason
     assert not robot.commands[-1][1].any()
     assert capsys.readouterr().err == ""
@@ -519,11 +512,7 @@ def test_a_robot_that_does_not_let_go_is_told_beside_what_the_run_came_to(run, p
     assert record.event[-1] == outcome.reason
     assert not robot.commands[-1][1].any()
     assert (robot.closed, outcome.unstopped) == (1, "")
-    said = re.escape(f"backend Clinging fails in close: {type(error).__name__}: {error}")
-    own = isinstance(error, KinfeasError)
-    assert re.match(
-        str(error) if own else rf"{said} \(test_runtime.py, line \d+\)$", outcome.unclosed
-    )
+    assert outcome.unclosed == str(error)
 
 
 def test_why_a_run_cannot_begin_is_not_hidden_by_a_robot_that_does_not_let_go(run, pr2):

@@ -72,8 +72,9 @@ def test_a_link_from_outside_that_fails_is_one_sentence(player, monkeypatch, met
         raise RuntimeError("boom")
 
     monkeypatch.setattr(memory, method, fails)
-    with pytest.raises(KinfeasError, match=rf"^robot link Memory fails in {method}: Runtime.*line"):
+    with pytest.raises(RuntimeError) as caught:
         play(player, memory, Role(rate=50.0, seconds=0.1), lambda: None)
+    assert caught.value.__notes__ == ["raised by robot link Memory"]
 
 
 class Hosting:
@@ -91,7 +92,6 @@ class Hosting:
 @pytest.mark.parametrize(
     ("answer", "sentence"),
     [
-        (RuntimeError("boom"), r"fails in robot_link: RuntimeError: boom \(test_pla.*line \d+\)$"),
         (None, "must return a RobotLink from robot_link, not NoneType$"),
     ],
 )

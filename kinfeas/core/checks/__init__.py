@@ -1,1 +1,0 @@
-"""Checks of what plugins return: shapes, finiteness, parameters."""
