@@ -22,7 +22,7 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.training.progress import Progress
+    from kinfeas.training.run import Progress
 
 __all__ = ["Run", "evaluate", "export", "load_policy", "train"]
 
@@ -86,7 +86,7 @@ def train(  # noqa: PLR0913 - the options of the command
     Raises:
         KinfeasError: If an argument or a setting is wrong, or the folder holds a run already.
     """
-    from kinfeas.training.run_folder import check_new
+    from kinfeas.training.run import check_new
     from kinfeas.training.train import train as run
 
     if processes is not None and _world(world) == "analytic":

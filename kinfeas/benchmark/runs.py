@@ -12,7 +12,7 @@ from kinfeas.evaluation.evaluate import worker_pool
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.run_status import finished
+from kinfeas.training.run import finished
 
 if TYPE_CHECKING:
     from kinfeas.training.train import Report

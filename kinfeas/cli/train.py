@@ -25,7 +25,7 @@ from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
-    from kinfeas.training.progress import Progress
+    from kinfeas.training.run import Progress
     from kinfeas.training.train import Report
 
 _RECIPE = "by default the recipe's, else {}."
@@ -139,7 +139,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
     ones: PyBullet's state cannot be saved.
     """
     options.check_robot(robot)
-    from kinfeas.training.run_folder import check_begun, check_new
+    from kinfeas.training.run import check_begun, check_new
 
     if processes is not None and world is WorldName.ANALYTIC:
         raise KinfeasError("--processes needs --world pybullet")
@@ -169,7 +169,7 @@ def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them fro
 
 def _finished(folder: Path, overrides: Sequence[str]) -> "Progress | None":
     """Return how far a run came that has nothing left to do, and say so; None for any other."""
-    from kinfeas.training.run_status import finished
+    from kinfeas.training.run import finished
 
     progress = finished(folder, overrides)
     if progress is not None:
@@ -193,7 +193,7 @@ def resume_run(folder: Path, overrides: Sequence[str] = ()) -> "Progress":
 
 
 def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
-    from kinfeas.training.run_folder import SETTINGS
+    from kinfeas.training.run import SETTINGS
 
     try:
         with training_bar() as report:

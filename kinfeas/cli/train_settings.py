@@ -72,7 +72,7 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     from kinfeas.core.registry import from_anywhere
     from kinfeas.envs.world import World
     from kinfeas.training.config import TrainConfig
-    from kinfeas.training.origin import fitted
+    from kinfeas.training.run import with_initial_policy
 
     folder = "train"
     if wishes.pybullet:
@@ -95,7 +95,7 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
     robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
     World(options.read_robot(robot), task, settings.world, settings.seed)
     named = replace(settings, robot=from_anywhere(robot), task=from_anywhere(settings.task))
-    return fitted(named)
+    return with_initial_policy(named)
 
 
 def default_folder(settings: "TrainConfig") -> Path:

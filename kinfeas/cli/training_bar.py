@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from kinfeas.cli.output import LINE_SECONDS, minutes
 
 if TYPE_CHECKING:
-    from kinfeas.training.progress import Progress
+    from kinfeas.training.run import Progress
 
 
 @contextmanager

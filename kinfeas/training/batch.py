@@ -1,5 +1,9 @@
-"""Episodes side by side that restart by themselves, as a learner wants them; without torch."""
+"""Episodes side by side that restart by themselves, in this or another process; without torch."""
 
+import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +14,8 @@ from numpy.typing import NDArray
 from kinfeas.control import observation
 from kinfeas.control.loop import Rows
 from kinfeas.envs.world import Transition, World
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.worlds import physics_world
 
 StepResult = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -20,23 +26,26 @@ StepResult = tuple[
 class Batch:
     """n episodes in one world; observations are scaled to about unit range.
 
-    An action holds for a few control periods, and earns their mean. An episode that ends within
-    them earns the mean of those until its end; the next one begins after the last period.
+    An action is repeated for a few control periods and earns their mean reward. If an episode ends
+    within them, the mean is over the periods until its end; the next one begins after the last
+    period.
 
     Attributes:
-        world: Where they happen.
-        size: How many there are.
+        world: World of the episodes.
+        size: Number n of episodes.
         action_repeat: Control periods of an action.
+        saves_world: Whether snapshots hold the state of the world; PyBullet's cannot be saved.
         next_episode: Number of the episode that begins next.
     """
 
     world: World
     size: int
     action_repeat: int = 1
+    saves_world: bool = True
     next_episode: int = 0
 
     def __post_init__(self) -> None:
-        """Find the factors of the observations."""
+        """Set the scale of the observations."""
         self.scale = observation.scale(self.world.robot).astype(np.float32)
 
     def start(self) -> NDArray[np.float32]:
@@ -53,7 +62,7 @@ class Batch:
         over = np.zeros(self.size, dtype=np.bool_)
         infos: list[dict[str, Any]] = [{} for _ in range(self.size)]
         for _ in range(self.action_repeat):
-            # Rows whose episode is over are stepped along with the others, and not looked at.
+            # Rows whose episode is over are stepped along with the others, and ignored.
             transition = self.world.step(actions)
             earned += np.where(over, 0.0, transition.reward)
             periods += ~over
@@ -68,24 +77,25 @@ class Batch:
         return seen, (earned / periods).astype(np.float32), over, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that the episodes go on from, by name."""
-        return {**self.world.snapshot(), "next_episode": np.array(self.next_episode)}
+        """Return the state to resume from, by name."""
+        world = self.world.snapshot() if self.saves_world else {}
+        return {**world, "next_episode": np.array(self.next_episode)}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Go on from what `snapshot` returned; return the observations, shape (n, d).
+        """Resume from a snapshot and return the observations, shape (n, d).
+
+        Without a state of the world the next episodes begin.
 
         Raises:
-            ValueError: If the snapshot is of another number of episodes, or counts below 0.
+            ValueError: If the number of the next episode is negative.
         """
-        if len(snapshot["steps"]) != self.size:
-            raise ValueError(f"a snapshot of {len(snapshot['steps'])}, not {self.size} episodes")
         self.next_episode = int(snapshot["next_episode"])
         if self.next_episode < 0:
-            raise ValueError(f"a snapshot whose next episode is {self.next_episode}")
-        return self._scaled(self.world.restore(snapshot))
+            raise ValueError(f"'next_episode' is {self.next_episode}")
+        return self._scaled(self.world.restore(snapshot)) if self.saves_world else self.start()
 
     def _note_ends(self, infos: list[dict[str, Any]], transition: Transition, rows: Rows) -> None:
-        """Write what became of the episodes in `rows`, as Stable-Baselines3 looks for it."""
+        """Write the ends of the episodes in `rows` as Stable-Baselines3 reads them."""
         final = self._scaled(transition.observation[rows])
         for place, row in enumerate(rows):
             infos[row] = {
@@ -101,3 +111,30 @@ class Batch:
 
     def _scaled(self, seen: NDArray[np.float64]) -> NDArray[np.float32]:
         return observation.scaled(seen, self.scale)
+
+
+_batch: Batch | None = None  # of a worker process
+
+
+def begin_worker() -> None:
+    """Prepare a worker process: leave Ctrl-C to its parent, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def build_batch(config: TrainConfig, rows: int, first: int) -> None:
+    """Build this worker's PyBullet world of `rows` episodes; episode `first` begins next."""
+    global _batch
+    _batch = Batch(physics_world(config), rows, config.action_repeat, False, first)
+
+
+def call_batch(method: str, *arguments: Any) -> Any:
+    """Return the result of a method of this worker's batch."""
+    return getattr(_batch, method)(*arguments)

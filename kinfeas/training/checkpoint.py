@@ -1,83 +1,48 @@
 """Checkpoints to resume from: tensors in safetensors, numbers in JSON; nothing is unpickled."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import ReplayBuffer
 
-from kinfeas.config import Interval
 from kinfeas.training.learner import Learner
-from kinfeas.training.state import Tally, checked, loading, read_state, write_state
+from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-_WORLD = ("world.base_pose", "world.joint_positions", "world.sent", "world.desired")
-_FINITE = ("policy.", "buffer.", "log_ent_coef", *_WORLD)
-"""What the names of tensors begin with in which every number is finite."""
-_STATES = "world.motion."
-"""What the names of motions' states begin with."""
-_UNSIGNED = ".unsigned"
+_UNSIGNED = ".unsigned"  # suffix of unsigned numbers stored as signed
 
 Tensors = dict[str, torch.Tensor]
-
-
-@dataclass(frozen=True)
-class _Buffer:
-    """How far the replay buffer is filled."""
-
-    position: Tally
-    full: bool
-
-
-@dataclass(frozen=True)
-class _Random:
-    """NumPy's global random state, less its keys."""
-
-    kind: Literal["MT19937"]
-    position: Annotated[int, Interval(low=0, high=624)]
-    has_gauss: Annotated[int, Interval(low=0, high=1)]
-    gauss: float
-
-
-@dataclass(frozen=True)
-class _Numbers:
-    """What of a learner is no tensor."""
-
-    updates: Tally
-    buffer: _Buffer
-    random: _Random
 
 
 def save_learner(
     folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
 ) -> None:
-    """Write all that a run goes on from into an existing folder.
+    """Write the state of a run into an existing folder.
 
     Args:
-        folder: Where to write.
+        folder: The checkpoint.
         learner: Networks, optimizers, replay buffer.
         world: Snapshot of the environments.
-        state: Counters and whatever else fits into JSON.
+        state: Further entries for the JSON.
     """
     random, random_tensors = _random_state()
-    tensors = _tensors(learner, world) | random_tensors
+    tensors = _world_tensors(world) | _networks(learner) | random_tensors
     optimizers: dict[str, Any] = {}
     for name, optimizer in _optimizers(learner).items():
         saved = optimizer.state_dict()
         optimizers[name] = saved["param_groups"]
         for index, slots in saved["state"].items():
             tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
-    buffer = learner.replay_buffer
-    assert buffer is not None
-    filled = buffer.buffer_size if buffer.full else buffer.pos
+    buffer = _buffer(learner)
     for name in _BUFFER:
-        tensors[f"buffer.{name}"] = tensors[f"buffer.{name}"][:filled]
+        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[: buffer.size()])
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     about = {
         "optimizers": optimizers,
@@ -92,126 +57,103 @@ def save_learner(
 def load_learner(
     folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Bring a fresh learner to where a checkpoint left off; return the num_envs' snapshot.
+    """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
-    The global random numbers of torch and NumPy, which SB3 draws from, go on from there, too.
+    The global random states of torch and NumPy, which SB3 draws from, are restored as well.
 
     Args:
-        folder: Where to read.
+        folder: The checkpoint.
         learner: Networks, optimizers, replay buffer.
-        world: A fresh snapshot of the environments, which the saved one has to be like.
+        world: A fresh snapshot of the environments with the layout of the saved one.
 
     Raises:
         KinfeasError: If the checkpoint is missing, truncated, or of another configuration.
     """
     about = read_state(folder)
     with loading(folder):
-        entries = {key: about[key] for key in ("updates", "buffer", "random")}
-        numbers = checked(_Numbers, entries)
         tensors = load_file(folder / _TENSORS)
-        _check_layout(tensors, learner, world)
-        _check_finite(tensors)
-        learner.policy.load_state_dict(_below("policy.", tensors))
-        if (entropy := _learned_entropy(learner)) is not None:
-            entropy.copy_(tensors["log_ent_coef"])
+        _check_world(_world_tensors(world), tensors)
+        for key, values in _networks(learner).items():
+            _check_like(key, tensors[key], values)
+            values.copy_(tensors[key])
         for name, optimizer in _optimizers(learner).items():
-            _load_optimizer(
-                optimizer, about["optimizers"][name], _below(f"optimizer.{name}.", tensors)
-            )
-        _load_buffer(learner, numbers.buffer, _below("buffer.", tensors))
-        learner._n_updates = numbers.updates
-        _load_random_state(numbers.random, tensors)
+            groups = about["optimizers"][name]
+            _load_optimizer(optimizer, groups, _below(f"optimizer.{name}.", tensors))
+        _load_buffer(_buffer(learner), about["buffer"], _below("buffer.", tensors))
+        learner._n_updates = int(about["updates"])
+        _load_random_state(about["random"], tensors)
         return _world_arrays(tensors)
 
 
-def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
-    """Return a checkpoint's tensors, the buffer whole, but for optimizers and random states."""
-    tensors = _world_tensors(world)
-    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
-    if (entropy := _learned_entropy(learner)) is not None:
-        tensors["log_ent_coef"] = entropy
-    for name in _BUFFER:
-        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(learner.replay_buffer, name))
-    return tensors
+def _check_world(wanted: Tensors, tensors: Tensors) -> None:
+    """Raise unless the saved world has the tensors of a fresh one, a row an environment.
 
-
-def _check_layout(tensors: Tensors, learner: Learner, world: Mapping[str, NDArray[Any]]) -> None:
-    """Raise unless names, shapes and types are those that the learner would save.
-
-    Motions that have not begun have no state yet, and adapters begin with one slot and add more.
+    Motions that have not begun have no state yet, and delay buffers of adapters grow along axis 1.
     """
-    wanted = _tensors(learner, world) | _random_state()[1]
-    for name, optimizer in _optimizers(learner).items():
-        for index, values in enumerate(optimizer.param_groups[0]["params"]):
-            slots = {"step": torch.zeros(()), "exp_avg": values, "exp_avg_sq": values}
-            slots = {f"optimizer.{name}.{index}.{slot}": like for slot, like in slots.items()}
-            # Those of a network that has not learned yet are not there.
-            wanted |= slots if slots.keys() & tensors.keys() else {}
-    rows = {len(wanted[key]) for key in ("world.steps",) if key in wanted}
-    grown: dict[str, int] = {}
-    for key in sorted(wanted.keys() | tensors.keys()):
-        found, like = tensors.get(key), wanted.get(key)
-        if found is None:
-            raise ValueError(f"{key} is missing")
-        shape = tuple(found.shape)
-        if like is None:
-            if not key.startswith(_STATES) or shape[:1] != (*rows,):
-                raise ValueError(f"{key} is unknown")
-            continue
-        expected = [*like.shape]
-        if key.startswith("buffer."):
-            expected[0] = len(found)
-        elif key.startswith("world.") and expected[1:2] == [1] and len(shape) > 1:
-            expected[1] = grown.setdefault(key.rpartition(".")[0], shape[1])
-        if shape != tuple(expected) or found.dtype != like.dtype:
-            raise ValueError(
-                f"{key} holds {found.dtype} of shape {shape}, not {like.dtype} of shape "
-                f"{tuple(expected)}"
-            )
+    rows = {len(values) for key, values in wanted.items() if key == "world.steps"}
+    for key, like in wanted.items():
+        _check_like(key, tensors[key], like, grows=like.dim() > 1 and like.shape[1] == 1)
+    for key in _below("world.", tensors).keys() - _below("world.", wanted).keys():
+        if not key.startswith("motion.") or {len(tensors[f"world.{key}"])} != rows:
+            raise ValueError(f"world.{key} is unknown")
 
 
-def _check_finite(tensors: Tensors) -> None:
-    for key, values in tensors.items():
-        if key.startswith(_FINITE) and not torch.isfinite(values).all():
-            raise ValueError(f"{key} holds numbers that are not finite")
+def _check_like(key: str, found: torch.Tensor, like: torch.Tensor, grows: bool = False) -> None:
+    """Raise unless types and shapes agree; an axis 1 that `grows` may be longer."""
+    shape = found.shape
+    if grows and found.dim() == like.dim():
+        shape = torch.Size([shape[0], 1, *shape[2:]])
+    if shape != like.shape or found.dtype != like.dtype:
+        raise ValueError(
+            f"{key} holds {found.dtype} of shape {tuple(found.shape)}, not {like.dtype} of shape "
+            f"{tuple(like.shape)}"
+        )
 
 
 def _load_optimizer(optimizer: torch.optim.Optimizer, groups: Any, tensors: Tensors) -> None:
+    parameters = optimizer.param_groups[0]["params"]
     state: dict[int, Tensors] = {}
     for key, values in tensors.items():
         index, slot = key.split(".")
+        if slot != "step":
+            _check_like(key, values, parameters[int(index)])
         state.setdefault(int(index), {})[slot] = values
     optimizer.load_state_dict({"state": state, "param_groups": groups})
 
 
-def _load_buffer(learner: Learner, about: _Buffer, tensors: Tensors) -> None:
-    buffer = learner.replay_buffer
-    assert buffer is not None
-    if about.position >= buffer.buffer_size:
-        raise ValueError(f"its replay buffer goes on beyond its size of {buffer.buffer_size}")
-    buffer.pos, buffer.full = about.position, about.full
-    filled = buffer.buffer_size if buffer.full else buffer.pos
+def _load_buffer(buffer: ReplayBuffer, about: Mapping[str, Any], tensors: Tensors) -> None:
+    buffer.pos, buffer.full = int(about["position"]), bool(about["full"])
+    if not 0 <= buffer.pos < buffer.buffer_size:
+        raise ValueError(f"the position of its replay buffer is {buffer.pos}")
     for name in _BUFFER:
-        room, values = getattr(buffer, name), tensors[name].numpy()
-        # Assignment alone would stretch one row over many.
-        if values.shape != (filled, *room.shape[1:]):
-            raise ValueError(f"its replay buffer holds {name} of shape {values.shape}")
-        room[:filled] = values
+        room = getattr(buffer, name)[: buffer.size()]
+        _check_like(name, tensors[name], torch.from_numpy(room))
+        room[:] = tensors[name].numpy()
 
 
 def _random_state() -> tuple[dict[str, Any], Tensors]:
-    """Return the global random states as what goes into JSON and what goes into tensors."""
+    """Return the global random states, the numbers for JSON and the tensors."""
     kind, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 - SB3 draws there
     about = {"kind": kind, "position": position, "has_gauss": has_gauss, "gauss": gauss}
     numpy_keys = torch.from_numpy(np.asarray(keys).astype(np.int64))
     return about, {"random.torch": torch.get_rng_state(), "random.numpy": numpy_keys}
 
 
-def _load_random_state(about: _Random, tensors: Tensors) -> None:
+def _load_random_state(about: Mapping[str, Any], tensors: Tensors) -> None:
+    for key, like in _random_state()[1].items():
+        _check_like(key, tensors[key], like)
     torch.set_rng_state(tensors["random.torch"])
     keys = tensors["random.numpy"].numpy().astype(np.uint32)
-    state = (about.kind, keys, about.position, about.has_gauss, about.gauss)
+    state = (about["kind"], keys, about["position"], about["has_gauss"], about["gauss"])
     np.random.set_state(state)  # noqa: NPY002 - as above
+
+
+def _networks(learner: Learner) -> Tensors:
+    """Return the weights, which share memory with the learner's, and SAC's learned entropy."""
+    tensors = {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
+    if isinstance(learner, SAC) and learner.log_ent_coef is not None:
+        tensors["log_ent_coef"] = learner.log_ent_coef.detach()
+    return tensors
 
 
 def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
@@ -221,11 +163,9 @@ def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
     return found
 
 
-def _learned_entropy(learner: Learner) -> torch.Tensor | None:
-    """Return the logarithm of SAC's entropy coefficient, if it is learned."""
-    if not isinstance(learner, SAC) or learner.log_ent_coef is None:
-        return None
-    return learner.log_ent_coef.detach()
+def _buffer(learner: Learner) -> ReplayBuffer:
+    assert learner.replay_buffer is not None
+    return learner.replay_buffer
 
 
 def _below(prefix: str, tensors: Tensors) -> Tensors:
@@ -233,12 +173,12 @@ def _below(prefix: str, tensors: Tensors) -> Tensors:
 
 
 def _world_tensors(world: Mapping[str, NDArray[Any]]) -> Tensors:
-    """Return the snapshot with unsigned numbers seen as signed: torch saves no others."""
+    """Return the snapshot with unsigned numbers viewed as signed: torch saves no others."""
     tensors = {}
     for key, values in world.items():
         unsigned = values.dtype == np.uint64
         seen = values.view(np.int64) if unsigned else values
-        # A copy, since several entries may show the same memory.
+        # A copy, since several entries may share memory.
         tensors[f"world.{key}{_UNSIGNED if unsigned else ''}"] = torch.from_numpy(np.array(seen))
     return tensors
 

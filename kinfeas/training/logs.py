@@ -1,4 +1,4 @@
-"""What a training run writes down as it goes: `metrics.csv` and TensorBoard."""
+"""Logs of a training run: `metrics.csv` and TensorBoard."""
 
 import csv
 from contextlib import suppress
@@ -11,7 +11,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import writing
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
-"""What is taken over from SB3's own log."""
+"""Figures of SB3's own log that are kept."""
 
 _EVALUATED = (
     "success",
@@ -24,7 +24,7 @@ _EVALUATED = (
 COLUMNS = (
     "steps", "seconds", "train/success", *LEARNER, *(f"evaluation/{name}" for name in _EVALUATED)
 )  # fmt: skip
-"""Of `metrics.csv`, in order."""
+"""Columns of `metrics.csv`, in order."""
 
 _FLUSH_SECONDS = 10
 
@@ -33,7 +33,7 @@ class Logs:
     """The logs of a run, open for writing; a context manager."""
 
     def __init__(self, out: Path, steps: int) -> None:
-        """Open them for a run that goes on from `steps`; what lies beyond is dropped.
+        """Open them for a run that resumes from `steps`; later rows are dropped.
 
         Args:
             out: Folder of the run.
@@ -64,7 +64,7 @@ class Logs:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError):  # what a full disk did not take: `write` has raised for it
+        with suppress(OSError):  # a full disk; `write` has raised for it
             self._file.close()
         with writing(self._folder):
             self._board.close()
@@ -78,7 +78,7 @@ class Logs:
         with writing(self.path):
             self._table.writerow(row)
             self._file.flush()
-        with writing(self._folder):  # by a thread, which hands on its errors
+        with writing(self._folder):  # its thread passes on its errors
             for key, value in row.items():
                 if key != "steps":
                     self._board.add_scalar(key, value, int(row["steps"]))

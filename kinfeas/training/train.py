@@ -1,8 +1,11 @@
-"""A training run: collect, learn, evaluate, save; and go on after any interruption."""
+"""A training run: collect, learn, evaluate, save; and resume after any interruption."""
 
 import shutil
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +22,6 @@ from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import WEIGHTS, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.interruption import uninterrupted
 from kinfeas.training.learner import (
     check_losses,
     explore,
@@ -30,19 +32,21 @@ from kinfeas.training.learner import (
     without_denormals,
 )
 from kinfeas.training.logs import LEARNER, Logs
-from kinfeas.training.origin import first_policy, fitted
-from kinfeas.training.process_env import ProcessVecEnv
-from kinfeas.training.progress import Progress
-from kinfeas.training.run_folder import SETTINGS, check_begun, check_new
-from kinfeas.training.run_status import (
+from kinfeas.training.run import (
+    SETTINGS,
+    Progress,
+    check_begun,
+    check_new,
     evaluations_due,
     identity,
+    initial_policy,
+    loading,
+    read_progress,
     read_settings,
-    read_standing,
     share_done,
+    with_initial_policy,
 )
-from kinfeas.training.state import loading
-from kinfeas.training.vec_env import EpisodesVecEnv, WorldVecEnv
+from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
 from kinfeas.training.worlds import (
     EVALUATION_SEED,
     FRESH_SEED,
@@ -54,24 +58,23 @@ from kinfeas.training.worlds import (
 
 LOG_SECONDS = 2.0
 
-
 Report = Callable[[Progress], None]
 
 
 def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progress:
-    """Train from the beginning and return how far it came.
+    """Train from the beginning and return the progress.
 
     Args:
-        config: What to do.
-        out: Folder of the run, made anew.
+        config: Settings of the run.
+        out: New folder of the run.
         report: Called every few seconds.
 
     Raises:
         KinfeasError: If the folder exists with something in it, or cannot be written.
     """
     check_new(out)
-    # What is wrong with the configuration shows here, before anything is written.
-    config = fitted(config)
+    # Errors of the configuration are raised here, before anything is written.
+    config = with_initial_policy(config)
     run = _Run(config, out)
     run.begin()
     with writing(out):
@@ -83,16 +86,16 @@ def train(config: TrainConfig, out: Path, report: Report | None = None) -> Progr
 
 
 def resume(out: Path, report: Report | None = None, overrides: Sequence[str] = ()) -> Progress:
-    """Go on with a run from its last checkpoint and return how far it came.
+    """Resume a run from its last checkpoint and return the progress.
 
     Args:
         out: Folder of the run.
         report: Called every few seconds.
-        overrides: Assignments such as `schedule.steps=9000`, which its settings keep.
+        overrides: Assignments such as `schedule.steps=9000`, kept in the run's settings.
 
     Raises:
-        KinfeasError: If the folder is no run, its checkpoint is broken, its robot has got other
-            kinematics, or the run still goes on.
+        KinfeasError: If the folder is no run, its checkpoint is broken, its robot has other
+            kinematics, or another process runs it.
     """
     check_begun(out)
     with alone(out):
@@ -118,23 +121,20 @@ class _Run:
         self.observation: NDArray[np.float32] | None = None
 
     def begin(self) -> None:
-        """Take the weights of the policy that the run goes on from, if there is one."""
+        """Take the weights of the initial policy, if there is one."""
         if self.config.init is not None:
-            network = first_policy(self.config, self.env.scale)
+            network = initial_policy(self.config, self.env.scale)
             take_network(self.learner, network, self.config.learner.anchor)
 
     def load(self) -> None:
-        """Take up the last checkpoint, or begin if there is none."""
+        """Load the last checkpoint, or begin if there is none."""
         self.begin()
         last, best = (find_folder(self.out / "checkpoints" / name) for name in ("last", "best"))
         if not last.is_dir():
             if best.is_dir():
-                raise KinfeasError(
-                    f"{last}: missing, and there is no other checkpoint to resume; begin anew in "
-                    "another --out"
-                )
+                raise KinfeasError(f"{last}: missing, the run cannot be resumed")
             return
-        self.progress = read_standing(self.config, last)
+        self.progress = read_progress(self.config, last)
         with loading(last):
             read_network(last, self.env.robot)
             self.env.reset()
@@ -146,7 +146,7 @@ class _Run:
         with Logs(self.out, self.progress.steps) as logs, without_denormals():
             try:
                 self._loop(logs, report)
-                self._judge_afresh()
+                self._evaluate_best()
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -158,19 +158,19 @@ class _Run:
     def _loop(self, logs: Logs, report: Report | None) -> None:
         if self.observation is None:
             self.observation = self.env.reset()
-            # First, so that at no moment there is a `best` and nothing to go on from.
+            # Before the first `best`, so that a run with a `best` can always be resumed.
             self._save()
-        judge = self._judge()
+        evaluator = self._evaluator()
         begun = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
-            # First, so that a run that was interrupted while it was being judged is judged again.
+            # First, so that an interrupted evaluation is repeated.
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
                 if report is not None:
                     report(replace(self.progress, evaluating=True))
-                self._evaluate(judge, logs)
+                self._evaluate(evaluator, logs)
                 self._save()
-                # Evaluations are no time of training.
+                # Evaluations do not count as training time.
                 begun = time.monotonic() - self.progress.seconds
                 saved = self.progress.seconds
             if self.progress.share >= 1.0:
@@ -190,19 +190,19 @@ class _Run:
         if report is not None:
             report(self.progress)
 
-    def _judge(self, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
+    def _evaluator(self, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
         if self.config.physics is not None:
             return physics_judge(self.config, offset)
         return analytic_judge(self.config, network_of(self.learner, self.env.scale), offset)
 
     def _step(self) -> None:
-        """Step all environments once, and learn from what has been seen."""
+        """Step all environments once, and learn from the replay buffer."""
         config, learner, progress = self.config.learner, self.learner, self.progress
         assert self.observation is not None
         filling = progress.steps < max(config.learning_starts, self.config.num_envs)
         random = filling and self.config.init is None
         action = explore(learner, config, self.observation, random)
-        # The world moves in its own thread while the learner works on what came before.
+        # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
             frozen = self.config.init is not None and (
@@ -221,16 +221,16 @@ class _Run:
         steps = self.config.num_envs * self.config.action_repeat
         progress.add(steps, (infos[row]["is_success"] for row in ended))
 
-    def _evaluate(self, judge: PeriodicEvaluator, logs: Logs) -> None:
-        """Evaluate the policy on fixed episodes; keep it if none was better."""
+    def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs) -> None:
+        """Evaluate the policy on fixed episodes; keep it as `best` if none was better."""
         self._losses()
         network = network_of(self.learner, self.env.scale)
         if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
-            # The best one still: nothing has been learned since it was judged.
+            # Still the best one: nothing has been learned since its evaluation.
             self.progress.evaluations = evaluations_due(self.config, self.progress)
             logs.write(self._row())
             return
-        records = judge(network, self.config.schedule.evaluation_episodes)
+        records = evaluator(network, self.config.schedule.evaluation_episodes)
         figures: Mapping[str, Any] = summarize(records)
         with uninterrupted():
             self.progress.evaluations = evaluations_due(self.config, self.progress)
@@ -243,16 +243,16 @@ class _Run:
                     "evaluation": figures,
                 }
                 self._write("best", lambda folder: self._write_policy(folder, about))
-            judged = {f"evaluation/{key}": float(value) for key, value in figures.items()}
-            logs.write(self._row() | judged)
+            row = {f"evaluation/{key}": float(value) for key, value in figures.items()}
+            logs.write(self._row() | row)
 
-    def _judge_afresh(self) -> None:
-        """Evaluate the best policy on episodes that did not choose it."""
+    def _evaluate_best(self) -> None:
+        """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
             return
-        records = self._judge(FRESH_SEED)(network, self.config.schedule.final_episodes)
+        records = self._evaluator(FRESH_SEED)(network, self.config.schedule.final_episodes)
         figures: Mapping[str, Any] = summarize(records)
         judged = replace(trained, fresh_evaluation=dict(figures))
 
@@ -268,10 +268,10 @@ class _Run:
         return row | self._losses()
 
     def _losses(self) -> dict[str, float]:
-        """Return what the learner logged last.
+        """Return the figures that the learner logged last.
 
         Raises:
-            KinfeasError: If it is not finite; then nothing more is judged or kept.
+            KinfeasError: If one is not finite; the run keeps its last checkpoint.
         """
         values = self.learner.logger.name_to_value
         losses = {key: float(values[key]) for key in LEARNER if key in values}
@@ -294,3 +294,28 @@ class _Run:
     def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
         network = network_of(self.learner, self.env.scale)
         write_network(network, folder, self.env.robot, about)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Delay Ctrl-C until the block is complete.
+
+    Raises:
+        KeyboardInterrupt: At the end of the block, if Ctrl-C came within it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python delivers no signals here
+        return
+    came = False
+
+    def note(*_: object) -> None:
+        nonlocal came
+        came = True
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt

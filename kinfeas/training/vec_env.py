@@ -1,8 +1,15 @@
-"""The world as Stable-Baselines3 sees it."""
+"""Vector environments for Stable-Baselines3: episodes in a thread or in worker processes."""
 
+import multiprocessing
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from typing import Any
 
 import numpy as np
@@ -15,88 +22,47 @@ from kinfeas.control.drive import action_size
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.interface import read_actions
 from kinfeas.envs.world import World
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.training.batch import Batch, StepResult
+from kinfeas.training.batch import Batch, StepResult, begin_worker, build_batch, call_batch
+from kinfeas.training.config import TrainConfig
+
+SHARE = 10**9
+"""Episode numbers of each process: process i runs episodes `SHARE * i`, `SHARE * i + 1`, ..."""
 
 
 class EpisodesVecEnv(VecEnv):
-    """Episodes of one robot that restart by themselves, wherever they happen.
+    """Episodes of one robot that restart by themselves, in batches that workers step.
+
+    Stable-Baselines3's own vector environments hold one episode a process; these hold a batch.
 
     Attributes:
-        robot: Who moves.
+        robot: The robot.
         scale: Factors of the observations, shape (d,).
     """
 
     render_mode = None
 
-    def __init__(self, robot: Robot, num_envs: int) -> None:
-        """Set the spaces of `num_envs` episodes."""
+    def __init__(self, robot: Robot, sizes: Sequence[int], workers: Sequence[Executor]) -> None:
         super().__init__(
-            num_envs,
+            sum(sizes),
             spaces.Box(-np.inf, np.inf, (observation.size(robot),), np.float32),
             spaces.Box(-1.0, 1.0, (action_size(robot.base),), np.float32),
         )
         self.robot = robot
         self.scale = observation.scale(robot).astype(np.float32)
+        ends = np.cumsum(sizes)
+        self._rows = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        self._workers = list(workers)
+        self._coming: list[Future[StepResult]] = []
 
     @abstractmethod
-    def reset(self) -> NDArray[np.float32]:
-        """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
-
-    @abstractmethod
-    def step_wait(self) -> StepResult:
-        """Return observations, rewards, dones and infos; where done, a new episode has begun."""
-
-    @abstractmethod
-    def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that can be gone on from, by name; a step under way ends first."""
-
-    @abstractmethod
-    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Go on from what `snapshot` returned; return the observations, shape (n, d).
-
-        Raises:
-            ValueError: If the snapshot is of another number of environments.
-        """
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute once for each of the asked-for environments."""
-        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: the environments are one."""
-        raise NotImplementedError("the environments of a world share their attributes")
-
-    def env_method(
-        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
-    ) -> list[Any]:
-        """Refuse: the environments are one."""
-        raise NotImplementedError("the environments of a world have no methods of their own")
-
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Return False for each of the asked-for environments."""
-        return [False for _ in self._get_indices(indices)]
-
-
-class WorldVecEnv(EpisodesVecEnv):
-    """n episodes in one world, which moves in a thread of its own; see `Batch`."""
-
-    def __init__(self, world: World, num_envs: int, action_repeat: int = 1) -> None:
-        """Put `num_envs` episodes into `world`; an action holds for `action_repeat` periods.
-
-        Raises:
-            KinfeasError: If `num_envs` is less than 1.
-        """
-        if num_envs < 1:
-            raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
-        super().__init__(world.robot, num_envs)
-        self.world, self.batch = world, Batch(world, num_envs, action_repeat)
-        self._worker = ThreadPoolExecutor(1)
-        self._coming: Future[StepResult] | None = None
+    def _submit(self, worker: int, method: str, *arguments: Any) -> Future[Any]:
+        """Let a worker call a method of its `Batch`."""
 
     def reset(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
-        return self.batch.start()
+        return np.concatenate(self._ask("start"))
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Begin a step with the actions, shape (n, a).
@@ -104,34 +70,157 @@ class WorldVecEnv(EpisodesVecEnv):
         Raises:
             KinfeasError: If the actions are of another shape or not finite.
         """
-        commands = read_actions(actions, (self.num_envs, self.world.action_size))
-        # A copy, for whoever asked may change the actions meanwhile.
-        self._coming = self._worker.submit(self.batch.step, commands.copy())
+        assert self.action_space.shape is not None
+        # A copy, for the caller may change the actions meanwhile.
+        commands = read_actions(actions, (self.num_envs, *self.action_space.shape)).copy()
+        self._coming = [
+            self._submit(worker, "step", commands[rows]) for worker, rows in enumerate(self._rows)
+        ]
 
     def step_wait(self) -> StepResult:
         """Return observations, rewards, dones and infos; where done, a new episode has begun."""
-        if self._coming is None:
-            raise RuntimeError("step_wait needs a step_async before it")
-        coming, self._coming = self._coming, None
-        return coming.result()
+        coming, self._coming = self._coming, []
+        seen, rewards, dones, infos = zip(*self._results(coming), strict=True)
+        return (
+            np.concatenate(seen),
+            np.concatenate(rewards),
+            np.concatenate(dones),
+            [info for part in infos for info in part],
+        )
 
+    @abstractmethod
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that the episodes go on from, by name; a step under way ends first."""
-        if self._coming is not None:
-            self._coming.result()
-        return self.batch.snapshot()
+        """Return the state to resume from, by name; a step in progress ends first."""
 
+    @abstractmethod
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
-        """Go on from what `snapshot` returned; return the observations, shape (n, d)."""
-        return self.batch.restore(snapshot)
+        """Resume from a snapshot and return the observations, shape (n, d)."""
 
     def close(self) -> None:
-        """Close the world's backend; a step under way ends first."""
-        self._worker.shutdown()
-        self.world.loop.backend.close()
+        """End the workers; a step in progress ends first."""
+        for worker in self._workers:
+            worker.shutdown(cancel_futures=True)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute once for each of the environments."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Raise NotImplementedError: the environments share their attributes."""
+        raise NotImplementedError("the environments of a world share their attributes")
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        """Raise NotImplementedError: the environments have no methods of their own."""
+        raise NotImplementedError("the environments of a world have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Return False for each of the environments."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _ask(self, method: str, *arguments: Any) -> list[Any]:
+        return self._results(
+            [self._submit(worker, method, *arguments) for worker in range(len(self._workers))]
+        )
+
+    def _results(self, coming: Sequence[Future[Any]]) -> list[Any]:
+        return [future.result() for future in coming]
+
+
+class WorldVecEnv(EpisodesVecEnv):
+    """n episodes in one world, which a thread steps while the learner works; see `Batch`."""
+
+    def __init__(self, world: World, num_envs: int, action_repeat: int = 1) -> None:
+        if num_envs < 1:
+            raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
+        super().__init__(world.robot, [num_envs], [ThreadPoolExecutor(1)])
+        self.world, self.batch = world, Batch(world, num_envs, action_repeat)
+
+    def _submit(self, worker: int, method: str, *arguments: Any) -> Future[Any]:
+        return self._workers[worker].submit(getattr(self.batch, method), *arguments)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state to resume from, by name; a step in progress ends first."""
+        (state,) = self._ask("snapshot")
+        return dict(state)
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """Resume from a snapshot and return the observations, shape (n, d)."""
+        return np.concatenate(self._ask("restore", snapshot))
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Use another seed from the next reset on."""
         if seed is not None:
             self.world.seed, self.batch.next_episode = seed, 0
         return [seed] * self.num_envs
+
+    def close(self) -> None:
+        """End the thread and close the world's backend."""
+        super().close()
+        self.world.loop.backend.close()
+
+
+class ProcessVecEnv(EpisodesVecEnv):
+    """Episodes in PyBullet worlds, a batch in each of a few processes.
+
+    Each process has its own episode numbers, so that a run is the same to the bit however fast the
+    processes are. Snapshots hold the numbers of the next episodes only.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        """Start the processes and build their worlds.
+
+        Raises:
+            KinfeasError: If a world cannot be built.
+        """
+        parts = np.array_split(np.arange(config.num_envs), config.processes)
+        context = multiprocessing.get_context("spawn")
+        workers = [ProcessPoolExecutor(1, context, begin_worker) for _ in parts]
+        sizes = [len(part) for part in parts]
+        super().__init__(load_robot(config.robot), sizes, workers)
+        try:
+            self._results(
+                [
+                    worker.submit(build_batch, config, size, SHARE * i)
+                    for i, (worker, size) in enumerate(zip(workers, sizes, strict=True))
+                ]
+            )
+        except KinfeasError:
+            self.close()
+            raise
+
+    def _submit(self, worker: int, method: str, *arguments: Any) -> Future[Any]:
+        try:
+            return self._workers[worker].submit(call_batch, method, *arguments)
+        except BrokenExecutor as error:
+            raise self._death() from error
+
+    def _results(self, coming: Sequence[Future[Any]]) -> list[Any]:
+        try:
+            return super()._results(coming)
+        except BrokenExecutor as error:
+            raise self._death() from error
+
+    def _death(self) -> KinfeasError:
+        return KinfeasError(
+            f"one of {len(self._workers)} training processes died, as if killed or out of memory; "
+            "try fewer --processes"
+        )
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the numbers of the next episodes, a number a process."""
+        parts = self._ask("snapshot")
+        return {"next_episode": np.array([part["next_episode"] for part in parts])}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
+        """Begin the next episodes of a snapshot and return the observations, shape (n, d)."""
+        numbers = snapshot["next_episode"]
+        return np.concatenate(
+            self._results(
+                [
+                    self._submit(worker, "restore", {"next_episode": number})
+                    for worker, number in enumerate(numbers)
+                ]
+            )
+        )

@@ -16,7 +16,7 @@ from kinfeas.control import drive, observation
 from kinfeas.envs.world import WorldConfig
 from kinfeas.policies.baselines.follow_ee import FollowEe
 from kinfeas.robots.loading import load_robot
-from kinfeas.training.progress import Progress
+from kinfeas.training.run import Progress
 
 KEYS = {
     "ik_warm_us", "ik_cold_us", "ik_cold_solved", "pinocchio_warm_us", "pinocchio_cold_us",

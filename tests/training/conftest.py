@@ -1,50 +1,54 @@
-"""Runs so small that they take a few seconds."""
+"""Runs of a few hundred steps."""
 
 import hashlib
-from pathlib import Path
 
 import pytest
 
 from kinfeas import config
 from kinfeas.training.config import TrainConfig
+from kinfeas.training.train import train
 
 TINY = {
+    "robot": "hsr",
     "num_envs": 8,
-    "world": {"max_seconds": 5.0, "adapters": [{"name": "base_noise"}]},
+    "world": {"max_seconds": 1.5, "adapters": [{"name": "base_noise"}]},
     "learner": {
         "net_arch": [16, 16],
         "batch_size": 32,
-        "learning_starts": 200,
-        "buffer_size": 1_000,
-        "gradient_steps": 1,
+        "learning_starts": 80,
+        "buffer_size": 240,
     },
     "schedule": {
-        "steps": 1_600,
+        "steps": 320,
         "minutes": None,
         "evaluations": 2,
-        "evaluation_episodes": 4,
-        "final_episodes": 4,
-        "checkpoint_seconds": 0.2,
+        "evaluation_episodes": 2,
+        "final_episodes": 2,
+        "checkpoint_seconds": 0.05,
     },
 }
 
 
-def _tiny(*overrides: str) -> TrainConfig:
-    return config.from_mapping(TrainConfig, TINY, "tiny", overrides)
-
-
-def _digest(folder: Path) -> dict[str, str]:
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
-
-
 @pytest.fixture(scope="session")
 def tiny():
-    """Return a configuration with overrides as `--set` takes them."""
-    return _tiny
+    """Settings of a small run, with overrides as `--set` takes them."""
+    return lambda *overrides: config.from_mapping(TrainConfig, TINY, "tiny", overrides)
 
 
 @pytest.fixture(scope="session")
 def digest():
-    """Return what tells whether anything in a folder has changed."""
-    return _digest
+    """A function that returns the hashes of all files in a folder."""
+
+    def hashes(folder):
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        return {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+    return hashes
+
+
+@pytest.fixture(scope="session")
+def whole(tiny, tmp_path_factory):
+    """A finished run that nothing interrupted."""
+    out = tmp_path_factory.mktemp("whole") / "run"
+    train(tiny(), out)
+    return out

@@ -1,10 +1,13 @@
 """No training meets the episodes that its policy is judged on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kinfeas import config
 from kinfeas.benchmark.speed import random_network
+from kinfeas.envs.physics import PhysicsChanges
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import evaluation_world
 from kinfeas.kinematics.ik import IkOptions
@@ -59,44 +62,17 @@ def test_nor_does_one_with_physics():
     assert apart(learned, judged(settings, settings.seed))
 
 
-def test_evaluations_stay_what_they_have_always_been(robot):
-    task = load_task("ggr")
-    world = World(robot, task, evaluation_world(), seed=1)
-    for episode in range(EPISODES):
-        start = task.sample(world.solver, np.random.default_rng((1, episode)))
-        np.testing.assert_array_equal(goal(world, episode), start.target_poses[0])
-
-
 IK = {"restarts": 2, "pose_tolerance": False, "self_collision": False, "position_tolerance": 1e-3}
-SOLVED = {
-    "restarts": 24,
-    "pose_tolerance": False,
-    "self_collision": False,
-    "position_tolerance": 1e-3,
-}
 
 
-def test_what_counts_as_a_solution_is_the_run_s_where_it_is_judged(monkeypatch, tiny):
-    judged = []
-    monkeypatch.setattr(worlds, "run_episodes", lambda world, *_: judged.append(world.config.ik))
-    settings = tiny(f"world.ik={IK}")
+def test_evaluations_have_the_run_s_ik_with_more_restarts_and_its_filters(monkeypatch, tiny):
+    analytic, physical = [], []
+    monkeypatch.setattr(worlds, "run_episodes", lambda world, *_: analytic.append(world.config))
+    monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: physical.append(trial.settings))
+    settings = tiny(f"world.ik={IK}", "world.filters=[{name: feasibility}]")
     network = random_network(load_robot(settings.robot))
     worlds.analytic_judge(settings, network)(network, 1)
-    assert judged == [IkOptions(**SOLVED)]
-
-
-def test_nor_is_it_another_with_physics(monkeypatch):
-    trials = []
-    monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: trials.append(trial))
-    told = {"robot": "hsr", "physics": {}, "world": {"ik": IK}}
-    worlds.physics_judge(config.from_mapping(TrainConfig, told, "physical"))(None, 3)
-    assert trials[0].settings.ik == IkOptions(**SOLVED)
-
-
-@pytest.mark.parametrize("asks", ["physics", "world"])
-def test_a_training_with_physics_is_judged_yielding_if_it_learns_so(monkeypatch, asks):
-    trials = []
-    monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: trials.append(trial))
-    told = {"robot": "hsr", "physics": {}, asks: {"feasibility_filter": True}}
-    worlds.physics_judge(config.from_mapping(TrainConfig, told, "physical"))(None, 3)
-    assert trials[0].settings.execution.feasibility_filter
+    worlds.physics_judge(replace(settings, physics=PhysicsChanges()))(network, 1)
+    for judged in (*analytic, *physical):
+        assert judged.ik == IkOptions(**{**IK, "restarts": 24})
+        assert judged.filters == settings.world.filters

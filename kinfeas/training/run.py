@@ -1,0 +1,277 @@
+"""A run's folder, settings and progress, read without torch."""
+
+import json
+import shlex
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+
+from kinfeas import config as configuration
+from kinfeas.config import Interval
+from kinfeas.config.quantities import NotNegative
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import writing
+from kinfeas.io.folders import find_folder
+from kinfeas.io.policy_metadata import read_trained
+from kinfeas.policies import pretrained
+from kinfeas.policies.network import Network, read_network
+from kinfeas.robots.loading import load_robot
+from kinfeas.training.config import ScheduleConfig, TrainConfig
+
+SETTINGS = "config.yaml"
+"""File with the settings of a run, the first that it writes."""
+
+_Tally = Annotated[int, Interval(low=0)]
+_RECENT = 256  # training episodes in the reported success rate
+_FORMAT, _STATE = 1, "state.json"
+_BROKEN = (
+    ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
+)  # fmt: skip
+
+
+@dataclass
+class Progress:
+    """Progress of a run.
+
+    Attributes:
+        steps: Environment steps so far.
+        seconds: Wall-clock time so far, over all parts of the run.
+        share: Share of the run that is done, 0-1.
+        best: Score of the best checkpoint, the mean of success and of the share of episodes in
+            which the EE was never more than 5 cm off, 0-1; -1 before the first one.
+        evaluations: Number of evaluations.
+        recent: Whether each of the last training episodes was without a failure.
+        evaluating: Whether an evaluation begins now.
+    """
+
+    steps: int = 0
+    seconds: float = 0.0
+    share: float = 0.0
+    best: float = -1.0
+    evaluations: int = 0
+    recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    evaluating: bool = False
+
+    @property
+    def success(self) -> float:
+        """Share of recent training episodes without a failure, NaN before the first has ended."""
+        return float(np.mean(self.recent)) if self.recent else float("nan")
+
+    def add(self, steps: int, successes: Iterable[bool]) -> None:
+        """Count `steps` more, and the successes among the episodes that ended in them."""
+        self.steps += steps
+        self.recent.extend(successes)
+
+    def saved(self) -> dict[str, object]:
+        """Return the fields of a checkpoint."""
+        names = ("steps", "seconds", "best", "evaluations")
+        return {**{name: getattr(self, name) for name in names}, "recent": list(self.recent)}
+
+
+@dataclass(frozen=True)
+class _Saved:
+    """Fields of a checkpoint."""
+
+    steps: _Tally
+    seconds: NotNegative
+    best: Annotated[float, Interval(low=-1.0, high=1.0)]
+    evaluations: _Tally
+    recent: tuple[bool, ...]
+
+
+def check_new(out: Path) -> None:
+    """Check that a run can begin in a folder.
+
+    Raises:
+        KinfeasError: If it is not empty, it cannot be written, or TensorBoard does not support its
+            name.
+    """
+    _check_name(out)
+    with writing(out):
+        # Hidden files may be left by a run that was killed while it wrote its first file.
+        if out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir()):
+            if (out / SETTINGS).is_file():
+                again = f"--resume {shlex.quote(str(out))}"
+                raise KinfeasError(f"{out}: already there; use {again}, or another --out")
+            raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
+        nearest = next(place for place in (out, *out.parents) if place.exists())
+        TemporaryFile(dir=nearest).close()
+
+
+def check_begun(out: Path) -> None:
+    """Check that a run has begun in a folder.
+
+    Raises:
+        KinfeasError: If it has not, or TensorBoard does not support the name of the folder.
+    """
+    _check_name(out)
+    with writing(out):
+        if not (out / SETTINGS).is_file():
+            raise KinfeasError(f"{out}: not a training run: there is no {SETTINGS} in it")
+
+
+def _check_name(out: Path) -> None:
+    try:
+        str(out).encode()
+    except UnicodeEncodeError as error:
+        raise KinfeasError(
+            f"{str(out)!a}: TensorBoard needs a name that is text in this locale; use another "
+            "name, a UTF-8 locale, or PYTHONUTF8=1"
+        ) from error
+
+
+def read_settings(out: Path, overrides: Sequence[str] = ()) -> TrainConfig:
+    """Return the settings of the run in a folder, changed by assignments `a.b=c`.
+
+    Raises:
+        KinfeasError: If there is no run, or its settings are broken.
+    """
+    check_begun(out)
+    return configuration.load(TrainConfig, out / SETTINGS, overrides)
+
+
+def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
+    """Return the progress of a finished run, None for any other.
+
+    Args:
+        out: Folder of the run.
+        overrides: Assignments `a.b=c` to its settings.
+
+    Raises:
+        KinfeasError: If the folder is no run, or its settings or its checkpoint are broken.
+    """
+    config, last = read_settings(out, overrides), find_folder(out / "checkpoints" / "last")
+    if not last.is_dir():
+        return None
+    progress = read_progress(config, last)
+    ended = progress.share >= 1.0 and progress.evaluations >= evaluations_due(config, progress)
+    return progress if ended and read_trained(out).fresh_evaluation else None
+
+
+def read_progress(config: TrainConfig, last: Path) -> Progress:
+    """Return the progress of a run by its last checkpoint.
+
+    Raises:
+        KinfeasError: If the checkpoint is broken, or of a run with other settings.
+    """
+    state = read_state(last)
+    with loading(last):
+        # Keys that did not exist when the checkpoint was written have their defaults.
+        told = identity(configuration.from_mapping(TrainConfig, state["config"], str(last)))
+        for key, value in identity(config).items():
+            if told[key] != value:
+                raise KinfeasError(
+                    f"{last}: a checkpoint of another run: its {key} is {told[key]}, "
+                    f"but {last.parents[1] / SETTINGS} has {value}"
+                )
+        entries = {one.name: state["progress"][one.name] for one in fields(_Saved)}
+        saved = configuration.from_mapping(_Saved, entries, str(last / _STATE))
+    progress = Progress(**{**vars(saved), "recent": deque(saved.recent, maxlen=_RECENT)})
+    # The schedule may have been made longer.
+    progress.share = share_done(config.schedule, progress)
+    progress.evaluations = min(progress.evaluations, evaluations_due(config, progress))
+    return progress
+
+
+def share_done(schedule: ScheduleConfig, progress: Progress) -> float:
+    """Return the share of a run's steps, or of its time if that is more, 0-1."""
+    shares = [0.0]
+    if schedule.steps is not None:
+        shares.append(progress.steps / schedule.steps)
+    if schedule.minutes is not None:
+        shares.append(progress.seconds / (60.0 * schedule.minutes))
+    return min(1.0, max(shares))
+
+
+def evaluations_due(config: TrainConfig, progress: Progress) -> int:
+    """Return the number of evaluations due by now; an initial policy is evaluated as well."""
+    return (config.init is not None) + int(progress.share * config.schedule.evaluations)
+
+
+def identity(config: TrainConfig) -> dict[str, object]:
+    """Return the settings that must not change when a run is resumed: all but the schedule."""
+    mapping = configuration.to_mapping(config)
+    del mapping["schedule"]
+    return mapping
+
+
+def with_initial_policy(config: TrainConfig) -> TrainConfig:
+    """Return the configuration with the layers and the absolute path of its initial policy.
+
+    Raises:
+        KinfeasError: If that policy cannot be read, or was not trained.
+    """
+    if config.init is None:
+        return config
+    net_arch = tuple(len(bias) for bias in initial_policy(config).biases[:-1])
+    init = config.init if config.init == pretrained.NAME else str(Path(config.init).absolute())
+    return replace(config, init=init, learner=replace(config.learner, net_arch=net_arch))
+
+
+def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None) -> Network:
+    """Return the policy that a run starts from.
+
+    Args:
+        config: Its `init` is not None.
+        scale: Scale of the run's observations, shape (o,), which the policy must share.
+
+    Raises:
+        KinfeasError: If it cannot be read, was not trained, or has another scale.
+    """
+    init, robot = config.init, load_robot(config.robot)
+    if init == pretrained.NAME:
+        folder = pretrained.find(robot.name)
+    elif init and Path(init).is_dir():  # an empty path is the current folder
+        folder = Path(init)
+    else:
+        raise KinfeasError(
+            f"init: {init or repr(init)}: neither the folder of a training run or of a checkpoint "
+            f"nor {pretrained.NAME!r}"
+        )
+    network = read_network(folder, robot)
+    if scale is not None and not np.array_equal(network.scale, scale):
+        raise KinfeasError(f"init: {init}: its observations have another scale")
+    return network
+
+
+def write_state(folder: Path, entries: Mapping[str, Any]) -> None:
+    """Write the numbers of a checkpoint into an existing folder as JSON."""
+    text = json.dumps({"format": _FORMAT, **entries})
+    (folder / _STATE).write_text(text, encoding="utf-8")
+
+
+def read_state(folder: Path) -> dict[str, Any]:
+    """Return the entries that `write_state` wrote, and the format.
+
+    Raises:
+        KinfeasError: If there is no checkpoint, or a broken one.
+    """
+    with loading(folder):
+        about: dict[str, Any] = json.loads((folder / _STATE).read_text(encoding="utf-8"))
+        if about["format"] != _FORMAT:
+            raise ValueError(f"its format is {about['format']}, not {_FORMAT}")
+        return about
+
+
+@contextmanager
+def loading(folder: Path) -> Iterator[None]:
+    """Raise a `KinfeasError` that names the folder for a missing or broken checkpoint."""
+    try:
+        yield
+    except KinfeasError:
+        raise
+    except FileNotFoundError as error:
+        raise KinfeasError(f"{folder}: no checkpoint to resume: a file is missing") from error
+    except _BROKEN as error:
+        reason = " ".join(str(error).split())[:200]
+        raise KinfeasError(
+            f"{folder}: broken checkpoint, or one of another run: {type(error).__name__}: {reason}"
+        ) from error

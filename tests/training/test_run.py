@@ -1,0 +1,174 @@
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from kinfeas import config
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.policy_metadata import Trained, write_trained
+from kinfeas.training.run import (
+    Progress,
+    check_begun,
+    check_new,
+    evaluations_due,
+    finished,
+    identity,
+    read_progress,
+    read_state,
+    share_done,
+    write_state,
+)
+
+
+@pytest.mark.parametrize("name", ["new", "new/below", "empty", "half"])
+def test_a_run_begins_in_an_empty_folder(tmp_path, name):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "half" / ".half").mkdir(parents=True)
+    before = sorted(tmp_path.rglob("*"))
+    check_new(tmp_path / name)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("name", ["my run", "others", "file", "file/run", "n" * 300, "r\udcfcn"])
+def test_a_run_cannot_begin_elsewhere(tmp_path, name):
+    (tmp_path / "file").touch()
+    for folder, file in (("others", "notes.txt"), ("my run", "config.yaml")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / file).touch()
+    with pytest.raises(KinfeasError) as caught:
+        check_new(tmp_path / name)
+    assert (f"--resume '{tmp_path}/my run'" in str(caught.value)) == (name == "my run")
+    if name == "my run":
+        check_begun(tmp_path / name)
+    else:
+        with pytest.raises(KinfeasError):
+            check_begun(tmp_path / name)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_raises(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(KinfeasError, match="run"):
+        check_new(tmp_path / "run")
+    tmp_path.chmod(0o700)
+
+
+@pytest.mark.parametrize(
+    ("schedule", "share"),
+    [
+        ("{steps: 2000, minutes: null}", 0.2),
+        ("{steps: null, minutes: 2}", 0.25),
+        ("{steps: 2000, minutes: 2}", 0.25),
+        ("{steps: 2000, minutes: 20}", 0.2),
+        ("{steps: 300, minutes: 20}", 1.0),
+    ],
+)
+def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
+    assert share_done(tiny(f"schedule={schedule}").schedule, Progress(400, 30.0)) == share
+
+
+@pytest.mark.parametrize(("init", "first"), [("null", 0), ("pretrained", 1)])
+def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
+    settings = tiny(f"init={init}", "schedule.evaluations=4")
+    due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
+    assert due == [first, first, first + 2, first + 4]
+
+
+def test_success_is_that_of_recent_episodes():
+    progress = Progress()
+    assert np.isnan(progress.success)
+    progress.add(8, [True, False])
+    assert (progress.steps, progress.success) == (8, 0.5)
+    progress.add(8, [True] * 256)
+    assert progress.success == 1.0
+
+
+@pytest.fixture
+def stand(tiny, tmp_path):
+    """A function that writes the files of a run and returns its settings and last checkpoint."""
+    best, last = tmp_path / "checkpoints" / "best", tmp_path / "checkpoints" / "last"
+
+    def write(steps=320, evaluations=2, fresh=True):
+        settings = tiny()
+        progress = Progress(steps, 9.0, evaluations=evaluations)
+        for folder in (best, last):
+            folder.mkdir(parents=True)
+        config.dump(settings, tmp_path / "config.yaml")
+        write_state(last, {"config": identity(settings), "progress": progress.saved()})
+        figures = {"success": 0.5} if fresh else {}
+        terms = {"observation": (), "action": ()}
+        write_trained(Trained(robot="hsr", layers=3, fresh_evaluation=figures, **terms), best)
+        return settings, last
+
+    return write
+
+
+def test_a_run_with_nothing_left_to_do_is_finished(stand, tmp_path):
+    stand()
+    progress = finished(tmp_path)
+    assert (progress.steps, progress.seconds, progress.share) == (320, 9.0, 1.0)
+    assert finished(tmp_path, ["schedule.steps=640"]) is None
+    shutil.rmtree(tmp_path / "checkpoints")
+    assert finished(tmp_path) is None
+
+
+@pytest.mark.parametrize("left", [{"steps": 312}, {"evaluations": 1}, {"fresh": False}])
+def test_a_run_with_something_left_to_do_is_not(stand, tmp_path, left):
+    stand(**left)
+    assert finished(tmp_path) is None
+
+
+def test_a_longer_schedule_changes_share_and_evaluations(stand, tiny):
+    _, last = stand()
+    progress = read_progress(tiny("schedule.steps=640"), last)
+    assert (progress.share, progress.evaluations) == (0.5, 1)
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [("seed=3", "seed"), ("num_envs=4", "num_envs"), ("learner.gamma=0.9", "learner")],
+)
+def test_a_checkpoint_of_other_settings_raises(stand, tiny, override, key):
+    _, last = stand()
+    with pytest.raises(KinfeasError, match=f"{last}: .* its {key} is"):
+        read_progress(tiny(override), last)
+
+
+def test_settings_that_a_checkpoint_lacks_have_their_defaults(stand):
+    settings, last = stand()
+    state = read_state(last)
+    del state["config"]["init"], state["config"]["learner"]["critic_steps"]
+    (last / "state.json").write_text(json.dumps(state))
+    assert read_progress(settings, last).steps == 320
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("steps", float("inf")), ("steps", "many"), ("steps", -8), ("steps", 1.5),
+        ("seconds", float("nan")), ("seconds", -1.0), ("best", 2.0), ("best", None),
+        ("evaluations", -1), ("recent", 3), ("recent", [0.5]),
+    ],
+)  # fmt: skip
+def test_wrong_progress_raises(stand, tmp_path, key, value):
+    _, last = stand()
+    state = read_state(last)
+    state["progress"][key] = value
+    (last / "state.json").write_text(json.dumps(state))
+    with pytest.raises(KinfeasError, match=rf"state\.json: .*'{key}[.0]*'"):
+        finished(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", "3", '{"format": 2}', '{"format": 1}', "\0", "[" * 100_000, None]
+)
+def test_a_foreign_checkpoint_raises(stand, content):
+    settings, last = stand()
+    if content is None:
+        (last / "state.json").unlink()
+    else:
+        (last / "state.json").write_text(content)
+    with pytest.raises(KinfeasError, match=f"{last}: "):
+        read_progress(settings, last)
