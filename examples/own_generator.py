@@ -6,7 +6,7 @@ import numpy as np
 
 from kinfeas.core import registry, spatial
 from kinfeas.core.single_motion import batched
-from kinfeas.evaluation.evaluate import Trial, evaluate
+from kinfeas.evaluation.evaluate import EvalConfig, evaluate
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -51,7 +51,7 @@ def main() -> None:
     registry.register("kinfeas.motion_generators", "wave", Wave)
     robot = load_robot("pr2")
     task = load_task("ggr", {"motion": {"generator": "wave"}, "distance": [1.0, 1.5]})
-    figures = evaluate(Trial(robot, task, episodes), load_policy("pretrained", robot))
+    figures = evaluate(EvalConfig(robot, task, episodes), load_policy("pretrained", robot))
     print(f"{episodes} episodes, success {figures['success']:.2f}")
 
 

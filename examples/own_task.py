@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from kinfeas.evaluation.evaluate import Trial, evaluate
+from kinfeas.evaluation.evaluate import EvalConfig, evaluate
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -40,7 +40,7 @@ def main() -> None:
     for name in given.robots:
         robot = load_robot(name)
         ceiling = measure_reachability(robot, WATER_PLANTS, given.episodes, seed=1).share
-        trial = Trial(robot, WATER_PLANTS, given.episodes)
+        trial = EvalConfig(robot, WATER_PLANTS, given.episodes)
         figures = evaluate(trial, load_policy("pretrained", robot), "pretrained", ceiling)
         seconds = figures["mean_steps"] * trial.world.dt
         print(

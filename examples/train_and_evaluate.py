@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinfeas.config.recipes import load_section
-from kinfeas.evaluation.evaluate import Trial, evaluate
+from kinfeas.evaluation.evaluate import EvalConfig, evaluate
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
@@ -39,7 +39,7 @@ def main() -> None:
         print(f"{progress.steps} steps in {progress.seconds:.1f} s")
         print("the run holds", ", ".join(sorted(path.name for path in out.iterdir())))
         robot = load_robot(config.robot)
-        trial = Trial(robot, load_task(config.task), given.episodes)
+        trial = EvalConfig(robot, load_task(config.task), given.episodes)
         for name in (str(out), "follow_ee", "follow_ee_feedback"):
             figures = evaluate(trial, load_policy(name, robot))
             failures = figures["ik_failures_per_episode"]

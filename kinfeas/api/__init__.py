@@ -136,26 +136,30 @@ def evaluate(  # noqa: PLR0913 - the options of the command
     Raises:
         KinfeasError: If an argument or a setting is wrong.
     """
-    from kinfeas.evaluation import by_name
+    from kinfeas.evaluation import evaluate as evaluation
 
     name = str(policy)
     check_policy(name)
-    names = (name, _name(robot) or robot_of(name), str(task))
     specs = () if adapters is None else options.read_adapters(str(adapters))
-    count = by_name.EPISODES[_world(world)] if episodes is None else episodes
+    count = evaluation.default_episodes(_world(world)) if episodes is None else episodes
     for key, value, low, high in (
         ("episodes", count, 1, MOST_EPISODES),
         ("seed", seed, 0, LAST_SEED),
         ("processes", processes, 1, MOST_PROCESSES),
     ):
         convert(Annotated[int, Interval(low=low, high=high)], value, "the arguments", key)
-    trial, driver = by_name.make_trial(
-        names, world, count, seed, options.with_filters(filters, _assignments(settings))
+    chosen, driver = evaluation.prepare(
+        name,
+        _name(robot) or robot_of(name),
+        str(task),
+        world,
+        episodes=count,
+        seed=seed,
+        overrides=options.with_filters(filters, _assignments(settings)),
     )
-    by_name.check_adapters(specs, trial.robot)
-    ceiling = by_name.ceiling_of(trial)
-    trial = by_name.within(trial, specs)
-    return by_name.run_evaluation(trial, driver, name, ceiling, processes, on_done)
+    evaluation.check_adapters(specs, chosen.robot)
+    ceiling = evaluation.reachability_of(chosen)
+    return evaluation.evaluate(chosen.within(specs), driver, name, ceiling, processes, on_done)
 
 
 def export(

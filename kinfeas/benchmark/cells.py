@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,8 @@ from kinfeas.benchmark.records import to_lists
 from kinfeas.benchmark.samples import WorkspaceSamples
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import summarize
-from kinfeas.envs.physics import PhysicsSettings
+from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World
-from kinfeas.evaluation.episodes import run_episodes
-from kinfeas.evaluation.evaluate import worker_pool
-from kinfeas.evaluation.physics.evaluate import is_judged, physics_figures, run_part
-from kinfeas.evaluation.physics.world import PhysicsRecords, PhysicsTrial
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.files import write_file, writing
 from kinfeas.policies.loading import BASELINES, load_policy
@@ -101,8 +96,8 @@ def check_baselines(jobs: Sequence[Job]) -> None:
 def compute(job: Job) -> Result:
     """Return what a job finds: its figures, and for a learned policy samples of the workspace."""
     robot, task = load_robot(job.robot), load_task(job.task, job.parameters)
-    if isinstance(job.world, PhysicsSettings):
-        return _compute_part(job, robot, task, job.world)
+    if job.physical:
+        return _compute_part(job, robot, task)
     if job.policy == CEILING:
         ceiling = measure_reachability(robot, task, job.episodes, job.seed, job.world.ik)
         share = ceiling.share
@@ -115,13 +110,15 @@ def compute(job: Job) -> Result:
     return result if samples is None else {**result, "workspace": samples.kept()}
 
 
-def _compute_part(job: Job, robot: Robot, task: Task, settings: PhysicsSettings) -> Result:
+def _compute_part(job: Job, robot: Robot, task: Task) -> Result:
     """Return what happened in each episode of a part, and what these alone come to."""
-    trial = PhysicsTrial(robot, task, job.episodes, job.seed, settings)
-    episodes = range(job.first, job.first + job.episodes)
-    records = run_part(trial, load_policy(job.source, robot), episodes)
-    figures = physics_figures(records, judged=is_judged(trial))
-    return {"figures": figures, "records": to_lists(records)}
+    world = World(robot, task, job.world, job.seed)
+    try:
+        policy = load_policy(job.source, robot)
+        records = run_episodes(world, policy, job.episodes, first=job.first)
+    finally:
+        world.close()
+    return {"figures": summarize(records), "records": to_lists(records)}
 
 
 def _stored(path: Path, job: Job, wanted: dict[str, Any]) -> Result | None:
@@ -143,9 +140,9 @@ def _check(job: Job, held: Result) -> None:
     for key in _CEILING_FIGURES if job.policy == CEILING else _FIGURES:
         float(held["figures"][key])
     if job.physical:
-        for entry in fields(PhysicsRecords):
-            if len(held["records"][entry.name]) != job.episodes:
-                raise ValueError(entry.name)
+        for name, values in held["records"].items():
+            if len(values) != job.episodes:
+                raise ValueError(name)
     elif "workspace" in held:
         for kind in ("feasible", "infeasible"):
             np.reshape(np.array(held["workspace"][kind], dtype=float), (-1, 3))

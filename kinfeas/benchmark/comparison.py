@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kinfeas.core.metrics import Share
 from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import Summary, Trial, evaluate, trial_reachability
+from kinfeas.evaluation.evaluate import EvalConfig, Summary, evaluate, reachability_of
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import QUICK_BASELINES, load_policy
 from kinfeas.policies.network import read_network
@@ -31,7 +31,7 @@ class Comparison:
         ceiling: Share of the goals that some base pose can reach.
     """
 
-    trial: Trial
+    trial: EvalConfig
     run: Path
     policy: Summary
     baselines: dict[str, Summary]
@@ -39,7 +39,7 @@ class Comparison:
 
 
 def compare(
-    trial: Trial, run: Path, processes: int = 1, on_done: Callable[[float], None] | None = None
+    trial: EvalConfig, run: Path, processes: int = 1, on_done: Callable[[float], None] | None = None
 ) -> Comparison:
     """Return how a trained policy does beside the baselines and the ceiling.
 
@@ -61,7 +61,7 @@ def compare(
             trial, policy, name, ceiling, processes, lambda ended: done(ended / trial.episodes)
         )
 
-    ceiling = trial_reachability(trial, done)
+    ceiling = reachability_of(trial, done)
     baselines = {name: judge(name) for name in QUICK_BASELINES}
     return Comparison(trial, run, judge(str(run)), baselines, ceiling)
 

@@ -2,14 +2,10 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 from kinfeas.config import PluginSpec
-from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig
 from kinfeas.tasks.loading import task_name
-
-W = TypeVar("W", WorldConfig, PhysicsSettings)
 
 CEILING = "ceiling"
 """What takes the place of a policy where the ceiling of a task is to be found."""
@@ -46,13 +42,13 @@ class Job:
     training_seed: int | None
     episodes: int
     seed: int
-    world: WorldConfig | PhysicsSettings
+    world: WorldConfig
     first: int = 0
 
     @property
     def physical(self) -> bool:
         """Whether it happens in the PyBullet world."""
-        return isinstance(self.world, PhysicsSettings)
+        return self.world.backend != "analytic"
 
     @property
     def task_name(self) -> str:
@@ -74,7 +70,7 @@ class Job:
         return f"{Path(self.robot).stem}-{self.task_name}{variant}-{policy}{seed}{part}"
 
 
-def world_for(policy: str, world: W) -> W:
+def world_for(policy: str, world: WorldConfig) -> WorldConfig:
     """Return the world of a policy by its name in the table, with the filters in its name."""
     named = [one.removesuffix("_filter") for one in FILTERS if f"{one}:" in policy]
     present = [one.name for one in world.filters]

@@ -7,13 +7,9 @@ from kinfeas.benchmark.cells import Result
 from kinfeas.benchmark.job import Job
 from kinfeas.benchmark.records import from_lists
 from kinfeas.benchmark.table import Cell, common, interval, mean_of
-from kinfeas.core.metrics import Share, join
-from kinfeas.envs.physics import PhysicsSettings
+from kinfeas.core.metrics import Metrics, Share, join, summarize
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
-from kinfeas.evaluation.physics.evaluate import PhysicsMetrics, is_judged, physics_figures
-from kinfeas.evaluation.physics.world import PhysicsTrial
 from kinfeas.robots.loading import load_robot
-from kinfeas.tasks.loading import load_task
 
 
 @dataclass(frozen=True)
@@ -87,13 +83,9 @@ def tabulate_physics(
 def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> PhysicsCell:
     """Return the cell of some training seeds, each of them given in parts."""
     job, world = sources[0][0][0], sources[0][0][0].world
-    assert isinstance(world, PhysicsSettings)
     episodes = sum(part.episodes for part, _ in sources[0])
-    trial = PhysicsTrial(load_robot(job.robot), load_task(job.task), episodes)
-    judged = is_judged(replace(trial, settings=world))
     figures = [
-        physics_figures(join([from_lists(result["records"]) for _, result in parts]), judged=judged)
-        for parts in sources
+        summarize(join([from_lists(result["records"]) for _, result in parts])) for parts in sources
     ]
     seeds = [parts[0][0].training_seed for parts in sources]
     ceiling = {
@@ -115,11 +107,11 @@ def _cell(sources: Sequence[Sequence[tuple[Job, Result]]], analytic: Cell) -> Ph
         time_scale=world.time_scale,
         head_start=world.head_start,
         filters=tuple(one.name for one in world.filters),
-        objects=world.objects,
+        objects=bool(world.backend_parameters.get("objects", True)),
     )
 
 
-def _task_success(figures: Sequence[PhysicsMetrics], episodes: int) -> Share | None:
+def _task_success(figures: Sequence[Metrics], episodes: int) -> Share | None:
     """Return the share of tasks done over the training seeds, None where none can be."""
     shares = [share for found in figures if (share := found["task_success"]) is not None]
     return interval(shares, episodes) if shares else None

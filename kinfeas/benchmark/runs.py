@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from kinfeas import config
 from kinfeas.core.errors import KinfeasError
-from kinfeas.evaluation.evaluate import worker_pool
+from kinfeas.envs.episodes import worker_pool
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig

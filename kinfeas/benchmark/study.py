@@ -11,9 +11,8 @@ from kinfeas.config import Interval
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import load_recipe
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.envs.physics import PhysicsSettings, physics_config
-from kinfeas.envs.world import WorldConfig
-from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.envs.world import WorldConfig, evaluation_world
+from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.policies.loading import BASELINES
 from kinfeas.robots.loading import load_robot
 
@@ -240,14 +239,14 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
     return study
 
 
-def row_settings(physics: PhysicsBenchmark, row: PhysicsRow, robot: str) -> PhysicsSettings:
+def row_settings(physics: PhysicsBenchmark, row: PhysicsRow, robot: str) -> WorldConfig:
     """Return the PyBullet world of one robot in one row.
 
     Raises:
         KinfeasError: If a setting is wrong, or is none of the world.
     """
     said = [*physics.settings, *row.settings]
-    known = physics_config(load_robot(robot), said)
+    known = read_settings(load_robot(robot).name, "pybullet", said)
     if ignored := sorted(config.assigned(said).keys() - {"world"}):
         raise KinfeasError(
             f"the settings of 'physics' in a study may be world.KEY=VALUE, not {ignored[0]}.KEY"

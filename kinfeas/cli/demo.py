@@ -41,7 +41,7 @@ def demo(
     """
     options.check_robot(robot)
     from kinfeas.benchmark.comparison import compare, make_report
-    from kinfeas.evaluation.evaluate import Trial
+    from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file
     from kinfeas.viz.report import write_report
 
@@ -50,7 +50,7 @@ def demo(
     train_run(settings, folder)
     task = options.read_task(settings.task, settings.task_parameters)
     # Not the seed of training, whose episodes the policy has seen.
-    trial = Trial(options.read_robot(settings.robot), task, episodes, settings.seed + 1)
+    trial = EvalConfig(options.read_robot(settings.robot), task, episodes, settings.seed + 1)
     with progress("evaluating") as advance:
         comparison = compare(trial, folder, _processes(), advance)
     write_json(comparison.policy, folder / "evaluation.json")

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 
-_WORLD = "pybullet"
-"""The backend that holds a task's furniture, too."""
-
 
 class Wishes(NamedTuple):
     """What was said of the run."""
@@ -88,25 +85,21 @@ def make_setup(wishes: Wishes, robot: "Robot", config: "DeployConfig", task: "Ta
     from kinfeas.control.adapters import read_sim2real
     from kinfeas.control.filters import build_filters
     from kinfeas.control.filters.rollout import RolloutPlanner
-    from kinfeas.core.backend import RealTimeBackend
+    from kinfeas.core.backend import RealTimeBackend, build_backend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
-    from kinfeas.sim2real.deploy.config import build_backend
     from kinfeas.sim2real.deploy.deployment import Setup
     from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
     from kinfeas.sim2real.deploy.warm_up import warm_up
+    from kinfeas.tasks.task import SupportsTaskScenes
 
     adapters = read_sim2real(wishes.sim2real).adapters if wishes.sim2real is not None else ()
     policy, solver = load_policy(wishes.policy, robot), IkSolver(robot, config.ik)
     filters = build_filters(config.filters)
     warm_up(solver, policy, task, wishes.dt, adapters, filters)
-    if wishes.backend == _WORLD:
-        from kinfeas.backends.pybullet.stage import Stage, task_scene
-
-        backend = build_backend(_WORLD, config.backend, robot=robot, scene=task_scene(task))
-        task = Stage(task, backend)
-    else:
-        backend = build_backend(wishes.backend, config.backend, robot=robot)
+    backend = build_backend(wishes.backend, config.backend, robot=robot)
+    if isinstance(backend, SupportsTaskScenes):
+        task = backend.stage(task)
     # A world without a clock waits for a look, and so comes out the same each time.
     if wishes.real_time or isinstance(backend, RealTimeBackend):
         filters = [

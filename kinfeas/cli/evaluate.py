@@ -118,7 +118,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     options.check_robot(robot)
     check_policy(policy)
-    from kinfeas.evaluation.by_name import EPISODES, ceiling_of, make_trial, run_evaluation, within
+    from kinfeas.evaluation.evaluate import default_episodes, prepare, reachability_of
+    from kinfeas.evaluation.evaluate import evaluate as run_evaluation
 
     outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
     read = {"--robot": robot, "--task": task, "--adapters": sim2real}
@@ -132,7 +133,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     said: dict[str, object] = {"--head-start": head_start, "--time-scale": time_scale}
     said |= {"--no-objects": without_objects or None, "--gui": gui or None}
     given = [name for name, value in said.items() if value is not None]
-    count = episodes or EPISODES[world]
+    count = episodes or default_episodes(world)
     if world is WorldName.ANALYTIC and given:
         raise KinfeasError(f"{given[0]} needs --world pybullet")
     shown = {**outputs, "--picture": picture if sim2real is None else None, "--json": None}
@@ -140,13 +141,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     assignments = options.with_filters(filters, overrides or [])
     if world is WorldName.PYBULLET:
         assignments = physics_assignments(head_start, time_scale, without_objects, assignments)
-    trial, driver = make_trial((policy, robot, task), world, count, seed, assignments)
+        if gui:
+            assignments, processes = [*assignments, "world.backend_parameters.gui=true"], 1
+    chosen, driver = prepare(
+        policy, robot, task, world, episodes=count, seed=seed, overrides=assignments
+    )
     with progress("ceiling") as advance:
-        ceiling = ceiling_of(trial, advance)
+        ceiling = reachability_of(chosen, advance)
 
     def run(some: "Specs", on_done: "OnDone | None") -> "Summary":
-        put = within(trial, some)
-        return run_evaluation(put, driver, policy, ceiling, processes, on_done, gui=gui)
+        return run_evaluation(chosen.within(some), driver, policy, ceiling, processes, on_done)
 
     if sim2real is None:
         with progress(f"{count} episodes", count) as advance:
@@ -161,12 +165,12 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         _show(summary)
         show()
         say_written(picture)
-    show_episode(within(trial, adapters), driver, number, shown)
+    show_episode(chosen.within(adapters), driver, number, shown)
 
 
 def _adapters(sim2real: str, robot: str) -> "Specs":
     """Return the adapters of a list, after a check that they can be built."""
-    from kinfeas.evaluation.by_name import check_adapters
+    from kinfeas.evaluation.evaluate import check_adapters
 
     adapters = options.read_adapters(sim2real)
     check_adapters(adapters, options.read_robot(robot))

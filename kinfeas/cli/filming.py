@@ -11,8 +11,7 @@ from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
-    from kinfeas.evaluation.evaluate import Trial
-    from kinfeas.evaluation.physics.world import PhysicsTrial
+    from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.viz.film import Film
 
 
@@ -77,7 +76,7 @@ def shown_episode(episode: int | None, count: int, *, shown: bool) -> int:
 
 
 def show_episode(
-    trial: "Trial | PhysicsTrial",
+    chosen: "EvalConfig",
     policy: "Policy",
     episode: int,
     outputs: Mapping[str, Path | None],
@@ -85,33 +84,31 @@ def show_episode(
     """Run an episode once more and write it as film, page or picture.
 
     Args:
-        trial: What the policy is put to.
+        chosen: The evaluation.
         policy: Moves the base.
         episode: Number of the episode.
         outputs: Where to, by the option; nowhere if None.
     """
-    from kinfeas.evaluation.physics.world import PhysicsTrial
-
     if not any(outputs.values()):
         return
-    if isinstance(trial, PhysicsTrial):
-        _show_physics(trial, policy, episode, outputs)
+    if chosen.world.backend == "pybullet":
+        _show_physics(chosen, policy, episode, outputs)
     else:
-        _show_analytic(trial, policy, episode, outputs)
+        _show_analytic(chosen, policy, episode, outputs)
 
 
 def _show_physics(
-    trial: "PhysicsTrial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
+    chosen: "EvalConfig", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
 ) -> None:
-    from kinfeas.evaluation.physics.world import PhysicsWorld
+    from kinfeas.envs.world import World
     from kinfeas.viz.pages import pybullet_html
     from kinfeas.viz.pybullet_film import make_film, record
 
-    world = PhysicsWorld(trial)
+    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
     try:
         with status(f"episode {episode}"):
-            recording = record(world, trial, policy, episode)
-            film = make_film(world, trial, recording)
+            recording = record(world, policy, episode)
+            film = make_film(world, recording)
         _write_film(film, outputs["--video"])
         _write(outputs["--replay"], lambda: pybullet_html(film).encode())
         _write_film(film, outputs["--picture"])
@@ -120,7 +117,7 @@ def _show_physics(
 
 
 def _show_analytic(
-    trial: "Trial", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
+    chosen: "EvalConfig", policy: "Policy", episode: int, outputs: Mapping[str, Path | None]
 ) -> None:
     from kinfeas.envs.world import World
     from kinfeas.evaluation.recording import record_episodes
@@ -128,11 +125,11 @@ def _show_analytic(
     from kinfeas.viz.pages import episode_html
     from kinfeas.viz.style import png
 
-    robot = trial.robot
+    robot = chosen.robot
     with status(f"episode {episode}"):
-        world = World(robot, trial.task, trial.world, trial.seed)
+        world = World(robot, chosen.task, chosen.world, chosen.seed)
         (recording,) = record_episodes(world, policy, 1, first=episode)
-    film = EpisodeFilm(recording, robot, f"{robot.name}, {trial.task.name}")
+    film = EpisodeFilm(recording, robot, f"{robot.name}, {chosen.task.name}")
     _write_film(film, outputs["--video"])
     _write(outputs["--replay"], lambda: episode_html(recording, robot, film.times).encode())
     _write(outputs["--picture"], lambda: png(episodes_figure(robot, [recording]), dpi=110))

@@ -24,17 +24,17 @@ def physics_assignments(
         KinfeasError: If an option is out of range, or --set says something of the same setting.
     """
     from kinfeas.config import assigned
-    from kinfeas.envs.physics import PhysicsSettings
+    from kinfeas.envs.world import WorldConfig
 
     numbers = {
         "--head-start": ("head_start", head_start),
         "--time-scale": ("time_scale", time_scale),
     }
-    options.check_settings(PhysicsSettings, numbers)
+    options.check_settings(WorldConfig, numbers)
     told = {option: entry for option, entry in numbers.items() if entry[1] is not None}
     wishes: dict[str, tuple[str, object]] = dict(told)
     if without_objects:
-        wishes["--no-objects"] = ("objects", False)
+        wishes["--no-objects"] = ("backend_parameters.objects", False)
     world = assigned(overrides).get("world")
     for option, (key, _) in wishes.items():
         if isinstance(world, Mapping) and key in world:

@@ -85,12 +85,9 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
         settings = load_section(TrainConfig, folder, name, overrides)
     else:
         settings = load_recipe(TrainConfig, recipe, folder, overrides)
-    if (settings.physics is None) == bool(wishes.pybullet):
-        raise KinfeasError(
-            f"{recipe}: a recipe without 'physics', which --world pybullet needs"
-            if wishes.pybullet
-            else f"{recipe}: a recipe with 'physics', which needs --world pybullet"
-        )
+    wanted = "pybullet" if wishes.pybullet else "analytic"
+    if settings.world.backend != wanted:
+        raise KinfeasError(f"{recipe}: 'world.backend' must be {wanted!r} for --world {wanted}")
     # What names something unknown is refused before there is a folder.
     robot, task = settings.robot, options.read_task(settings.task, settings.task_parameters)
     World(options.read_robot(robot), task, settings.world, settings.seed)
@@ -101,8 +98,9 @@ def read_settings(wishes: Wishes, recipe: str | None, overrides: list[str]) -> "
 def default_folder(settings: "TrainConfig") -> Path:
     """Return `runs/ROBOT-TASK-SEED`, with `-pybullet` behind it for a run with physics."""
     robot, task = Path(settings.robot).stem, Path(settings.task).stem
-    physics = "" if settings.physics is None else "-pybullet"
-    return Path("runs") / f"{robot}-{task}-{settings.seed}{physics}"
+    backend = settings.world.backend
+    suffix = "" if backend == "analytic" else f"-{backend}"
+    return Path("runs") / f"{robot}-{task}-{settings.seed}{suffix}"
 
 
 def best_figures(folder: Path) -> dict[str, Any]:
@@ -121,7 +119,7 @@ def best_figures(folder: Path) -> dict[str, Any]:
         "robot": best.robot,
         "trained_with": settings.robot,
         "task": settings.task,
-        "world": "analytic" if settings.physics is None else "pybullet",
+        "world": settings.world.backend,
         "policy": str(folder),
         "steps": best.steps,
         **best.fresh_evaluation,

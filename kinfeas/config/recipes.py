@@ -46,10 +46,11 @@ def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
     The robot's file changes keys of the same section of `default.yaml`.
 
     Args:
-        name: `train`, `train_physics`, `finetune_physics`, `pybullet`, `deploy` or `baselines`.
+        name: `train`, `train_physics`, `finetune_physics`, `deploy`, `baselines`, or a backend,
+            whose section has the settings of evaluations.
         robot: Name of a robot, with or without a file.
     """
-    data = _merged(_read_robot("default")[name], _read_robot(robot).get(name, {}))
+    data = _merged(_read_robot("default").get(name, {}), _read_robot(robot).get(name, {}))
     return data, f"configs/robots/{robot}.yaml, {name}"
 
 

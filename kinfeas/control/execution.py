@@ -82,11 +82,14 @@ class ExecutionSettings:
         head_start: Seconds that the EE rests at first while the base moves already.
         arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
             another configuration.
+        grasp_settle_time: Motion seconds for which a sub-goal with a grip continues after the
+            arrival.
     """
 
     time_scale: TimeScale = 1.0
     head_start: Seconds = 0.0
     arm_settle_timeout: Seconds = ARM_SETTLE_TIMEOUT
+    grasp_settle_time: Seconds = GRASP_SETTLE_TIME
 
     @property
     def execution(self) -> ExecutionConfig:
@@ -94,7 +97,7 @@ class ExecutionSettings:
         return ExecutionConfig(
             self.time_scale,
             self.head_start,
-            GRASP_SETTLE_TIME,
+            self.grasp_settle_time,
             arm_settle_timeout=self.arm_settle_timeout,
         )
 

@@ -1,5 +1,6 @@
-"""What moves the robots: the analytic world, PyBullet, a real robot, a test double."""
+"""Backends that move robots: the contract, and protocols for the optional abilities of backends."""
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -7,6 +8,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 
 Grip = Literal["close", "open"]
@@ -147,6 +150,51 @@ class SupportsObstacleDistances(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Contacts:
+    """Contacts of one robot with its surroundings.
+
+    A contact is a triple: link of the robot, other body and link of that body, by the numbers of
+    the backend.
+
+    Attributes:
+        base: Contacts of links that the arm does not carry.
+        arm: Contacts of the links of arm and hand.
+    """
+
+    base: frozenset[tuple[int, int, int]]
+    arm: frozenset[tuple[int, int, int]]
+
+
+@runtime_checkable
+class SupportsContacts(Protocol):
+    """A backend that measures contacts."""
+
+    def contacts(self, env_id: int) -> Contacts:
+        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        ...
+
+
+@runtime_checkable
+class SupportsRendering(Protocol):
+    """A backend with a camera."""
+
+    def render(self, env_id: int, goal: Array) -> NDArray[np.uint8]:
+        """Return an RGB picture of a robot and its goal position (3,), shape (h, w, 3)."""
+        ...
+
+
+@runtime_checkable
+class BatchLimited(Protocol):
+    """A backend whose robots cost memory.
+
+    Attributes:
+        max_batch: Largest number of robots that one process should simulate.
+    """
+
+    max_batch: int
+
+
 @runtime_checkable
 class RealTimeBackend(Protocol):
     """A backend whose robot moves by a clock of its own: a real one, or a process that plays one.
@@ -184,3 +232,23 @@ class Resumable(Protocol):
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures."""
         ...
+
+
+def build_backend(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
+    """Return the backend of an entry point.
+
+    Args:
+        name: Entry point in the group kinfeas.backends.
+        parameters: Keyword parameters of its constructor.
+        offered: Objects of the run, such as `robot`; passed on if the constructor names them.
+
+    Raises:
+        KinfeasError: If the backend is unknown, or a parameter is wrong or offered by the run.
+    """
+    factory = registry.load("kinfeas.backends", name)
+    known = inspect.signature(factory).parameters if callable(factory) else {}
+    given = {key: value for key, value in offered.items() if key in known}
+    for key in given.keys() & parameters.keys():
+        raise KinfeasError(f"backend {name!r}: the parameter {key!r} follows from the run")
+    backend: Backend = registry.build("kinfeas.backends", name, {**given, **parameters})
+    return backend

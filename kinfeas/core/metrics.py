@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TypedDict, TypeVar
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,10 @@ class EpisodeRecords:
             where the last sub-goal was never begun.
         joint_jumps: Steps in which a joint moved faster than its limit, shape (n,).
         steps: Length of the episode, shape (n,).
+        task_done: Whether the objects ended as the task asks for, or the goal was reached if the
+            task has no objects, shape (n,); None if the backend cannot tell.
+        base_collisions: Collisions of the base, shape (n,); None if the backend cannot tell.
+        arm_collisions: Collisions of the arm, shape (n,); None if the backend cannot tell.
     """
 
     reached: NDArray[np.bool_]
@@ -38,6 +42,9 @@ class EpisodeRecords:
     final_distance: Array
     joint_jumps: NDArray[np.intp]
     steps: NDArray[np.intp]
+    task_done: NDArray[np.bool_] | None = None
+    base_collisions: NDArray[np.intp] | None = None
+    arm_collisions: NDArray[np.intp] | None = None
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -50,14 +57,13 @@ class EpisodeRecords:
         return (self.max_deviation <= WITHIN) & (self.final_distance <= WITHIN)
 
 
-Records = TypeVar("Records", bound=EpisodeRecords)
-
-
-def join(parts: Sequence[Records]) -> Records:
-    """Return the episodes of all parts, one after the other; there is at least one part."""
-    names = [entry.name for entry in fields(parts[0])]
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return type(parts[0])(**joined)
+def join(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
+    """Return the episodes of all parts, one after the other; at least one part."""
+    joined: dict[str, Any] = {}
+    for entry in fields(EpisodeRecords):
+        values = [getattr(part, entry.name) for part in parts]
+        joined[entry.name] = None if values[0] is None else np.concatenate(values)
+    return EpisodeRecords(**joined)
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,10 @@ def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
 
 
 class Metrics(TypedDict):
-    """What a number of episodes come to: `low` and `high` are the ends of a share's interval."""
+    """Metrics of episodes; `low` and `high` are the ends of the interval of a share.
+
+    Task success and collisions are null where the backend cannot tell.
+    """
 
     episodes: int
     success: float
@@ -107,13 +116,21 @@ class Metrics(TypedDict):
     mean_deviation_m: float
     joint_jumps_per_episode: float
     mean_steps: float
+    task_success: float | None
+    task_success_low: float | None
+    task_success_high: float | None
+    base_collisions: float | None
+    arm_collisions: float | None
+    collision_free_rate: float | None
 
 
 def summarize(records: EpisodeRecords) -> Metrics:
-    """Return the figures of method and README: shares in 0-1, distances in metres."""
+    """Return the metrics of episodes: shares in 0-1, distances in metres."""
     episodes = len(records.reached)
     success = wilson(int(records.success.sum()), episodes)
     within = wilson(int(records.within.sum()), episodes)
+    done, base, arm = records.task_done, records.base_collisions, records.arm_collisions
+    task = None if done is None else wilson(int(done.sum()), episodes)
     return {
         "episodes": episodes,
         "success": success.value,
@@ -127,4 +144,12 @@ def summarize(records: EpisodeRecords) -> Metrics:
         "mean_deviation_m": float(records.mean_deviation.mean()),
         "joint_jumps_per_episode": float(records.joint_jumps.mean()),
         "mean_steps": float(records.steps.mean()),
+        "task_success": task.value if task else None,
+        "task_success_low": task.low if task else None,
+        "task_success_high": task.high if task else None,
+        "base_collisions": None if base is None else float(base.mean()),
+        "arm_collisions": None if arm is None else float(arm.mean()),
+        "collision_free_rate": (
+            None if base is None or arm is None else float(np.mean(base + arm == 0))
+        ),
     }

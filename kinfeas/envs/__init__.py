@@ -1,20 +1,16 @@
-"""The analytic world: batched environment and Gymnasium environment; their ids."""
+"""The Markov decision process, its Gymnasium environments and episodes run in it."""
 
 from gymnasium.envs import registration
 
 ENVIRONMENT = "kinfeas/BaseMotion-v0"
-"""What Gymnasium calls it."""
+"""Gymnasium id of the environment without physics."""
 
 PHYSICS_ENVIRONMENT = "kinfeas/BaseMotionPyBullet-v0"
-"""What it calls the one in the PyBullet world."""
+"""Gymnasium id of the environment in PyBullet."""
 
 
 def register() -> None:
-    """Make `gymnasium.make` and `make_vec` know the environments; a second call changes nothing.
-
-    Entry points are named, not imported: whoever wants another module of this package does not
-    wait for the kernels.
-    """
+    """Register the environments with Gymnasium; a second call changes nothing."""
     if ENVIRONMENT not in registration.registry:
         registration.register(
             ENVIRONMENT,
@@ -23,7 +19,10 @@ def register() -> None:
         )
     if PHYSICS_ENVIRONMENT not in registration.registry:
         registration.register(
-            PHYSICS_ENVIRONMENT, entry_point="kinfeas.envs.physics_gym:PhysicsMotionEnv"
+            PHYSICS_ENVIRONMENT,
+            entry_point="kinfeas.envs.gym:BaseMotionEnv",
+            vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
+            kwargs={"backend": "pybullet"},
         )
 
 

@@ -1,33 +1,45 @@
-"""The world as a Gymnasium environment of one episode at a time."""
+"""The world as a Gymnasium environment of one episode at a time, and what the vector one shares."""
 
+import os
+import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.envs.interface import (
-    action_space,
-    check_reset,
-    make_world,
-    observation_space,
-    read_actions,
-    read_seed,
-    step_info,
-    world_seed,
-)
-from kinfeas.envs.world import World, WorldConfig
+from kinfeas.control.observation import HORIZON, OBSERVATION, TERMS
+from kinfeas.core.backend import SupportsContacts, SupportsRendering
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.envs.world import Transition, World, WorldConfig, evaluation_world
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+
+_FARTHEST = 1000.0
+"""Metres; beyond any episode, since the bounds of a Gymnasium space are finite."""
+
+_BEYOND, _NOISE = 0.1, 0.5
+"""Distance beyond a joint limit at most, rad or m: of motors in a simulation, and of adapters."""
+
+_SCREEN = sys.platform != "linux" or bool(os.environ.get("DISPLAY"))
 
 
 class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """One robot whose base is to keep the EE's motion feasible.
+    """One robot whose base motion keeps the EE motion feasible.
 
-    `reset(seed=s)` begins episode 0 of seed s, each reset without a seed the episode after it.
-    Observations are as `kinfeas.control.observation` describes them, not scaled.
+    `reset(seed=s)` begins episode 0 of seed s, each reset without a seed the next one.
+    Observations are those of `kinfeas.control.observation`, unscaled.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
+        "render_modes": ["human", "rgb_array"] if _SCREEN else ["rgb_array"],
+        "render_fps": 50,  # at the default control period of PyBullet
+    }
 
     def __init__(
         self,
@@ -35,14 +47,32 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         task: str = "ggr",
         world: WorldConfig | None = None,
         task_parameters: Mapping[str, object] | None = None,
+        backend: str = "analytic",
+        render_mode: str | None = None,
     ) -> None:
-        """Build the world; arguments as in `make_world`."""
-        self._enter(make_world(robot, task, task_parameters, world))
+        """Build the world.
 
-    def _enter(self, world: World, beyond: float = 0.0) -> None:
-        """Take a world, and its spaces; `beyond` is as in `observation_space`."""
-        self.world = world
-        self.observation_space = observation_space(self.world, beyond)
+        Args:
+            robot: Name or YAML file of the robot.
+            task: Entry-point name or YAML file of the task.
+            world: Settings of the world; those of `learning_world` by default.
+            task_parameters: Keyword parameters of the task, or changes to its file.
+            backend: Backend of the default settings.
+            render_mode: `human` (a window of the simulation), `rgb_array` or None.
+
+        Raises:
+            KinfeasError: If an argument is wrong, or the backend is not installed.
+        """
+        if render_mode not in (None, "human", "rgb_array"):
+            raise KinfeasError(f"render_mode must be human, rgb_array or None, not {render_mode!r}")
+        config = world or learning_world(backend, robot)
+        if render_mode == "human":
+            parameters = {**config.backend_parameters, "gui": True}
+            config = replace(config, backend_parameters=parameters)
+        self.render_mode = render_mode
+        self.world = make_world(robot, task, task_parameters, config)
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / config.dt)}
+        self.observation_space = observation_space(self.world)
         self.action_space = action_space(self.world)
         self.next_episode = 0
 
@@ -52,11 +82,11 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Begin an episode and return its observation, shape (21 + j,), and its number.
 
         Args:
-            seed: Of this episode and all later ones; a random one if there never was any.
+            seed: Seed of this episode and all later ones; random at first.
             options: Not used.
 
         Raises:
-            KinfeasError: If the seed is not one whole number, or `np_random` was set.
+            KinfeasError: If the seed is not one integer, or `np_random` was set.
         """
         super().reset(seed=read_seed(seed))
         if seed is not None:
@@ -75,8 +105,8 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             action: Base command in [-1, 1], shape (3,) or (2,).
 
         Raises:
-            KinfeasError: If the action is of another shape or not finite.
-            ResetNeeded: If no episode was begun.
+            KinfeasError: If the action has another shape or is not finite.
+            ResetNeeded: Before the first reset.
         """
         check_reset(self.next_episode)
         command = read_actions(action, (self.world.action_size,))
@@ -90,6 +120,138 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             info,
         )
 
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        check_reset(self.next_episode)
+        if self.render_mode != "rgb_array":
+            return None
+        backend = self.world.backend
+        if not isinstance(backend, SupportsRendering):
+            raise KinfeasError(f"backend {self.world.config.backend!r} has no camera")
+        return backend.render(0, self.world.loop.goal[0, :3])
+
     def close(self) -> None:
-        """Close the world's backend."""
-        self.world.loop.backend.close()
+        """Close the backend."""
+        self.world.close()
+
+
+def learning_world(backend: str, robot: str) -> WorldConfig:
+    """Return the default world of the environments: rewards belong to the commanded actions.
+
+    The analytic world is that of training. Others have the settings of the robot's evaluations
+    without filters of the commands.
+    """
+    if backend == "analytic":
+        return WorldConfig()
+    config = evaluation_world(backend, load_robot(robot).name)
+    return replace(config, filters=())
+
+
+def make_world(
+    robot: str, task: str, task_parameters: Mapping[str, object] | None, config: WorldConfig
+) -> World:
+    """Return a world of seed 0; arguments as in `BaseMotionEnv`.
+
+    Raises:
+        KinfeasError: If robot, task or a parameter is wrong.
+    """
+    if not isinstance(config, WorldConfig):
+        raise KinfeasError(f"world must be a WorldConfig, not {config!r}")
+    return World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
+
+
+def observation_space(world: World) -> "spaces.Box[np.float32]":
+    """Return the space of the observation of one robot, shape (21 + j,), metres and radians."""
+    bounds = {
+        "ee_position": _FARTHEST,
+        "planned_velocity": _FARTHEST / HORIZON,
+        "goal_position": _FARTHEST,
+    }
+    poses = [name for name in OBSERVATION if name != "joint_positions"]
+    fields = np.concatenate([np.full(TERMS[name].size, bounds.get(name, 1.0)) for name in poses])
+    low, high = world.robot.finite_joint_limits
+    beyond = 0.0 if world.config.backend == "analytic" else _BEYOND
+    beyond += _NOISE if world.config.adapters else 0.0
+    return spaces.Box(
+        np.concatenate([-fields, low - beyond]).astype(np.float32),
+        np.concatenate([fields, high + beyond]).astype(np.float32),
+    )
+
+
+def action_space(world: World) -> "spaces.Box[np.float32]":
+    """Return the space of one robot's base commands, shape (3,) or (2,), shares of the limits."""
+    return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
+
+
+def read_seed(seed: int | None) -> int | None:
+    """Return a seed as a Python int, which Gymnasium asks for.
+
+    Raises:
+        KinfeasError: If it is not one integer.
+    """
+    if not isinstance(seed, int | np.integer | None):
+        raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
+    return None if seed is None else int(seed)
+
+
+def world_seed(np_random_seed: int | None) -> int:
+    """Return the seed of a world from Gymnasium's.
+
+    Raises:
+        KinfeasError: If `np_random` was set, which has no seed.
+    """
+    if np_random_seed is None or np_random_seed < 0:
+        raise KinfeasError("set the seed by reset(seed=...): np_random, which was set, has none")
+    return np_random_seed
+
+
+def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return base commands as an array.
+
+    Raises:
+        KinfeasError: If they are not finite numbers of that shape.
+    """
+    read = np.asarray(actions, dtype=np.float64)
+    if read.shape != shape or not np.isfinite(read).all():
+        got = f"not of shape {read.shape}" if read.shape != shape else "not NaN or infinite"
+        raise KinfeasError(f"an action must be finite numbers of shape {shape}, {got}")
+    return read
+
+
+def check_reset(next_episode: int) -> None:
+    """Check that an episode was begun.
+
+    Raises:
+        ResetNeeded: If not.
+    """
+    if not next_episode:
+        raise ResetNeeded("call reset first")
+
+
+def step_info(world: World, transition: Transition) -> dict[str, NDArray[Any]]:
+    """Return the infos of a step of n episodes by name, each of shape (n,).
+
+    `failures` counts from the beginning of the episode; `is_success` is a goal reached without a
+    failure. Backends that measure contacts add the numbers of contacts of base and arm.
+    """
+    step, failures = transition.step, world.failures.copy()
+    info: dict[str, NDArray[Any]] = {
+        "subgoal": step.subgoal,
+        "feasible": step.feasible,
+        "failures": failures,
+        "deviation": step.deviation,
+        "goal_distance": step.goal_distance,
+        "goal_angle": step.goal_angle,
+        "joint_jump": step.joint_jump,
+        "reached": transition.reached,
+        "is_success": transition.reached & (failures == 0),
+    }
+    if isinstance(world.backend, SupportsContacts):
+        contacts = [world.backend.contacts(row) for row in range(len(failures))]
+        info["base_contacts"] = np.array([len(one.base) for one in contacts])
+        info["arm_contacts"] = np.array([len(one.arm) for one in contacts])
+    return info

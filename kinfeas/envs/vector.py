@@ -9,9 +9,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.interface import (
+from kinfeas.envs.gym import (
     action_space,
     check_reset,
+    learning_world,
     make_world,
     observation_space,
     read_actions,
@@ -44,16 +45,18 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         task: str = "ggr",
         world: WorldConfig | None = None,
         task_parameters: Mapping[str, object] | None = None,
+        backend: str = "analytic",
     ) -> None:
-        """Build the world for `num_envs` episodes; other arguments as in `make_world`.
+        """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`.
 
         Raises:
-            KinfeasError: If `num_envs` is less than 1, or as in `make_world`.
+            KinfeasError: If `num_envs` is less than 1, or as `BaseMotionEnv`.
         """
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
-        self.world = make_world(robot, task, task_parameters, world)
+        config = world or learning_world(backend, robot)
+        self.world = make_world(robot, task, task_parameters, config)
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -120,7 +123,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         """Close the world's backend."""
         # Gymnasium also closes what could not be built.
         if hasattr(self, "world"):
-            self.world.loop.backend.close()
+            self.world.close()
 
     def _take_numbers(self, rows: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return the numbers of the episodes that begin now in `rows`, and 0 elsewhere, (n,)."""

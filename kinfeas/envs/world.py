@@ -7,42 +7,44 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval, PluginSpec
-from kinfeas.config.quantities import PositiveSeconds
+from kinfeas.config import Interval, PluginSpec, from_mapping
+from kinfeas.config.quantities import PositiveSeconds, Seconds
+from kinfeas.config.recipes import section
 from kinfeas.control import observation
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.drive import action_size
-from kinfeas.control.execution import ExecutionConfig
+from kinfeas.control.execution import ExecutionSettings
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Rows, Step
-from kinfeas.core import registry
-from kinfeas.core.backend import Backend
+from kinfeas.core.backend import build_backend
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.checks import check_start
-from kinfeas.tasks.task import StagedTask, Task, build_subgoals
-
-__all__ = ["PluginSpec", "Transition", "World", "WorldConfig"]
+from kinfeas.tasks.task import StagedTask, SupportsTaskScenes, Task, build_subgoals
 
 
 @dataclass(frozen=True)
-class WorldConfig:
-    """What the world is made of beside robot and task.
+class WorldConfig(ExecutionSettings):
+    """Settings of a world beside robot and task; see `ExecutionSettings` for those of motions.
 
     Attributes:
         dt: Control period, seconds.
-        max_failures: Kinematic failures in one episode beyond which it ends.
-        max_seconds: Of motion time in one sub-goal, its wait included, after which an episode is
+        max_failures: Steps without an IK solution in one episode beyond which it ends.
+        max_seconds: Motion time of one sub-goal, its dwell included, after which an episode is
             truncated.
-        adapters: Wrapped around the backend, the first one innermost.
-        reward: What a step earns.
-        ik: How hard IK searches.
-        filters: Change the policy's commands, in this order.
+        adapters: Adapters around the backend, the first one innermost.
+        reward: Weights of the reward.
+        ik: Search effort of IK.
+        filters: Filters of the policy's commands, in this order.
+        backend: Entry point in the group kinfeas.backends.
+        backend_parameters: Keyword parameters of the backend.
     """
 
+    arm_settle_timeout: Seconds = 0.0
+    grasp_settle_time: Seconds = 0.0
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
     max_failures: Annotated[int, Interval(low=0)] = 19
     max_seconds: PositiveSeconds = 150.0
@@ -50,6 +52,30 @@ class WorldConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     ik: IkOptions = field(default_factory=IkOptions)
     filters: tuple[PluginSpec, ...] = ()
+    backend: str = "analytic"
+    backend_parameters: dict[str, object] = field(default_factory=dict)
+
+
+def evaluation_section(backend: str, robot: str) -> tuple[dict[str, Any], str]:
+    """Return the settings of the evaluations of a robot as plain data, and their source.
+
+    Args:
+        backend: Entry point in the group kinfeas.backends; one without a section has the defaults.
+        robot: Name of the robot.
+    """
+    data, source = section(backend, robot)
+    return {**data, "world": {"backend": backend, **data.get("world", {})}}, source
+
+
+def evaluation_world(backend: str = "analytic", robot: str = "default") -> WorldConfig:
+    """Return the settings in which the policies of a robot are evaluated.
+
+    Args:
+        backend: Entry point in the group kinfeas.backends.
+        robot: Name of the robot.
+    """
+    data, source = evaluation_section(backend, robot)
+    return from_mapping(WorldConfig, data["world"], source)
 
 
 @dataclass(frozen=True)
@@ -85,35 +111,33 @@ class World:
     and from the stream.
 
     Attributes:
-        stream: Tells the episodes of a seed apart from those of other streams; empty for those that
-            policies are judged on.
+        task: The task, as the backend has set it up.
+        backend: The backend within the adapters.
+        stream: Separates the episodes of a seed from those of other streams; empty in evaluations.
     """
 
     stream: tuple[int, ...] = ()
 
-    def __init__(
-        self,
-        robot: Robot,
-        task: Task,
-        config: WorldConfig,
-        seed: int,
-        backend: Backend | None = None,
-        execution: ExecutionConfig | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, task: Task, config: WorldConfig, seed: int) -> None:
         """Build a world.
 
         Args:
-            robot: Who moves.
-            task: Draws episodes.
+            robot: Robot that moves.
+            task: Task that draws episodes.
             config: Everything else.
-            seed: Of all episodes.
-            backend: What the adapters are wrapped around; the analytic world by default.
-            execution: How the EE motions are carried out; as they are planned by default.
+            seed: Seed of all episodes.
+
+        Raises:
+            KinfeasError: If backend, task or an adapter cannot be built.
         """
-        self.robot, self.task, self.config, self.seed = robot, task, config, seed
+        self.robot, self.config, self.seed = robot, config, seed
         self.solver = IkSolver(robot, config.ik)
-        wrapped = _backend(config, robot, backend)
-        execution = execution_of(wrapped, execution or ExecutionConfig())
+        self.backend = build_backend(config.backend, config.backend_parameters, robot=robot)
+        self.task = task
+        if isinstance(self.backend, SupportsTaskScenes):
+            self.task = self.backend.stage(task)
+        wrapped = wrap(self.backend, config.adapters, robot)
+        execution = execution_of(wrapped, config.execution)
         self._max_steps = max(1, round(config.max_seconds / execution.time_scale / config.dt))
         self.loop = Loop(
             self.solver,
@@ -191,6 +215,10 @@ class World:
             step=step,
         )
 
+    def close(self) -> None:
+        """Close the backend; it may be called twice."""
+        self.loop.backend.close()
+
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that the n episodes go on from, by name."""
         # `step` counts in place.
@@ -207,9 +235,3 @@ class World:
         if isinstance(self.task, StagedTask):
             return self.task.sample_in(row, self.solver, rng)
         return self.task.sample(self.solver, rng)
-
-
-def _backend(config: WorldConfig, robot: Robot, backend: Backend | None) -> Backend:
-    if backend is None:
-        backend = registry.build("kinfeas.backends", "analytic", {})
-    return wrap(backend, config.adapters, robot)

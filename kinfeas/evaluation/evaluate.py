@@ -1,51 +1,50 @@
-"""How well a policy does: episodes run, summed up, and set beside the ceiling."""
+"""Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, join, summarize
+from kinfeas.config import PluginSpec, from_mapping
+from kinfeas.control.adapters import execution_of, wrap
+from kinfeas.core.backend import build_backend
+from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.episodes import BATCH, run_episodes
+from kinfeas.envs.episodes import OnDone, evaluate_episodes
+from kinfeas.envs.world import WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import Task
 
 
 class Summary(Metrics):
-    """The figures of a policy, and what they are of; the ceiling is null where it is not known."""
+    """Metrics of a policy and what they were measured on; the ceiling is null if not measured."""
 
     robot: str
     task: str
     policy: str
     seed: int
+    world: str
+    time_scale: float
+    head_start: float
+    filters: list[str]
+    backend_parameters: dict[str, object]
     ceiling: float | None
     ceiling_low: float | None
     ceiling_high: float | None
 
 
-def evaluation_world() -> WorldConfig:
-    """Return the world that policies are judged in: exact, and patient with failures."""
-    return WorldConfig(max_failures=99)
-
-
 @dataclass(frozen=True)
-class Trial:
-    """What a policy is put to.
+class EvalConfig:
+    """An evaluation.
 
     Attributes:
-        robot: Who moves.
-        task: Draws the episodes.
-        episodes: How many, at least 1: numbers 0 to `episodes` - 1 of the seed.
-        seed: Of all episodes.
-        world: Everything else.
+        robot: Robot that moves.
+        task: Task that draws the episodes.
+        episodes: Number of episodes, at least 1: numbers 0 to `episodes` - 1 of the seed.
+        seed: Seed of all episodes.
+        world: Settings of the world.
     """
 
     robot: Robot
@@ -54,48 +53,119 @@ class Trial:
     seed: int = 1
     world: WorldConfig = field(default_factory=evaluation_world)
 
+    def within(self, adapters: Sequence[PluginSpec]) -> "EvalConfig":
+        """Return the evaluation with more adapters around its own."""
+        world = replace(self.world, adapters=(*self.world.adapters, *adapters))
+        return replace(self, world=world)
+
 
 @dataclass(frozen=True)
-class EvaluationConfig:
-    """What can be set of an evaluation beside what it evaluates.
+class EvalSettings:
+    """Settings of an evaluation from YAML or the command line.
 
     Attributes:
         task: Keyword parameters of the task.
-        world: Where the episodes happen.
+        world: Settings of the world.
     """
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)
 
 
+def read_settings(robot: str, backend: str, overrides: Sequence[str] = ()) -> EvalSettings:
+    """Return the settings in which the policies of a robot are evaluated.
+
+    Args:
+        robot: Name of the robot.
+        backend: Entry point in the group kinfeas.backends.
+        overrides: Assignments such as `world.dt=0.05`.
+
+    Raises:
+        KinfeasError: If an assignment is wrong.
+    """
+    return from_mapping(EvalSettings, *evaluation_section(backend, robot), overrides)
+
+
+def prepare(  # noqa: PLR0913 - the options of the command
+    policy: str,
+    robot: str,
+    task: str,
+    backend: str = "analytic",
+    *,
+    episodes: int | None = None,
+    seed: int = 1,
+    overrides: Sequence[str] = (),
+) -> tuple[EvalConfig, Policy]:
+    """Return an evaluation and its policy by their names.
+
+    Args:
+        policy: Baseline, folder of a run, ONNX file or `pretrained`.
+        robot: Name or YAML file.
+        task: Name or YAML file.
+        backend: Entry point in the group kinfeas.backends.
+        episodes: Number of episodes; `default_episodes` by default.
+        seed: Seed of all episodes.
+        overrides: Assignments to `EvalSettings`.
+
+    Raises:
+        KinfeasError: If a name is unknown or a setting is wrong.
+    """
+    known = load_robot(robot)
+    settings = read_settings(known.name, backend, overrides)
+    check_adapters(settings.world.adapters, known)
+    count = default_episodes(backend) if episodes is None else episodes
+    drawn_by = load_task(task, settings.task)
+    driver = load_policy(policy, known)
+    return EvalConfig(known, drawn_by, count, seed, settings.world), driver
+
+
+def default_episodes(backend: str) -> int:
+    """Return the default number of episodes: 500, or 50 in worlds with physics."""
+    return 500 if backend == "analytic" else 50
+
+
+def check_adapters(adapters: Sequence[PluginSpec], robot: Robot) -> None:
+    """Check that adapters can be built.
+
+    Raises:
+        KinfeasError: If one cannot.
+    """
+    wrap(build_backend("analytic", {}), adapters, robot)
+
+
 def evaluate(
-    trial: Trial,
+    chosen: EvalConfig,
     policy: Policy,
     name: str = "",
     ceiling: Share | None = None,
     processes: int = 1,
-    on_done: Callable[[int], None] | None = None,
+    on_done: OnDone | None = None,
 ) -> Summary:
-    """Return the figures of a policy: shares in 0-1, distances in metres.
+    """Return the metrics of a policy: shares in 0-1, distances in metres.
 
     Args:
-        trial: What it is put to.
-        policy: Moves the base.
-        name: What to call it.
-        ceiling: Share of the trial's goals that can be reached, as `trial_reachability` finds it;
-            null in the summary by default.
-        processes: How many processes share the episodes; no figure depends on it.
+        chosen: The evaluation.
+        policy: Policy that commands the base.
+        name: Its name in the summary.
+        ceiling: Share of reachable goals, from `reachability_of`; null in the summary by default.
+        processes: Processes that share the episodes; no result depends on it.
         on_done: Called with the number of episodes that have just ended.
-
-    Returns:
-        The figures of `metrics.summarize` with robot, task, policy, seed and the ceiling.
     """
-    records = run_trial(trial, policy, processes, on_done)
+    records = run(chosen, policy, processes, on_done)
+    world = chosen.world
+    execution = execution_of(
+        wrap(build_backend("analytic", {}), world.adapters, chosen.robot), world.execution
+    )
     return {
-        "robot": trial.robot.name,
-        "task": trial.task.name,
+        "robot": chosen.robot.name,
+        "task": chosen.task.name,
         "policy": name,
-        "seed": trial.seed,
+        "seed": chosen.seed,
+        "world": world.backend,
+        "time_scale": execution.time_scale,
+        "head_start": execution.head_start,
+        "filters": [one.name for one in world.filters],
+        "backend_parameters": world.backend_parameters,
         **summarize(records),
         "ceiling": ceiling.value if ceiling else None,
         "ceiling_low": ceiling.low if ceiling else None,
@@ -103,59 +173,25 @@ def evaluate(
     }
 
 
-def trial_reachability(trial: Trial, on_done: Callable[[float], None] | None = None) -> Share:
-    """Return the share of a trial's goals that some base pose reaches."""
+def run(
+    chosen: EvalConfig, policy: Policy, processes: int = 1, on_done: OnDone | None = None
+) -> EpisodeRecords:
+    """Return the record of each episode; arguments as in `evaluate`."""
+    return evaluate_episodes(
+        chosen.robot,
+        chosen.task,
+        chosen.world,
+        chosen.seed,
+        policy,
+        chosen.episodes,
+        processes,
+        on_done,
+    )
+
+
+def reachability_of(chosen: EvalConfig, on_done: Callable[[float], None] | None = None) -> Share:
+    """Return the share of an evaluation's goals that some base pose reaches."""
     found = measure_reachability(
-        trial.robot, trial.task, trial.episodes, trial.seed, trial.world.ik, on_done
+        chosen.robot, chosen.task, chosen.episodes, chosen.seed, chosen.world.ik, on_done
     )
     return found.share
-
-
-def run_trial(
-    trial: Trial,
-    policy: Policy,
-    processes: int = 1,
-    on_done: Callable[[int], None] | None = None,
-) -> EpisodeRecords:
-    """Return what happened in each episode; arguments as in `evaluate`."""
-    if processes == 1:
-        world = World(trial.robot, trial.task, trial.world, trial.seed)
-        return run_episodes(world, policy, trial.episodes, on_done)
-    firsts = range(0, trial.episodes, BATCH)
-    counts = [min(BATCH, trial.episodes - first) for first in firsts]
-    parts = []
-    with worker_pool(min(processes, len(firsts))) as pool:
-        for part in pool.map(partial(_run_part, trial, policy), firsts, counts):
-            parts.append(part)
-            if on_done is not None:
-                on_done(len(part.reached))
-    return join(parts)
-
-
-@contextmanager
-def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool whose workers die of Ctrl-C without a word.
-
-    Raises:
-        KinfeasError: If a worker dies of anything else but an exception.
-    """
-    pool = ProcessPoolExecutor(
-        processes,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    )
-    try:
-        yield pool
-    except BrokenProcessPool as error:
-        raise KinfeasError(
-            f"one of {processes} worker processes died, as if killed or out of memory; "
-            "try fewer --processes"
-        ) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _run_part(trial: Trial, policy: Policy, first: int, count: int) -> EpisodeRecords:
-    world = World(trial.robot, trial.task, trial.world, trial.seed)
-    return run_episodes(world, policy, count, first=first)

@@ -9,8 +9,8 @@ from kinfeas.control.loop import Rows
 from kinfeas.core import spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import Transition, World
-from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
 
 

@@ -13,6 +13,7 @@ from kinfeas.core.backend import Grip
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.registry import MissingParameterError
+from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 
@@ -79,6 +80,33 @@ class StagedTask(Protocol):
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, as `Task.sample` does, and prepare the robot's row for it."""
+        ...
+
+
+@runtime_checkable
+class SupportsTaskScenes(Protocol):
+    """A backend that sets up the scene of a task."""
+
+    def stage(self, task: Task) -> Task:
+        """Return the task, set up in this backend: a `StagedTask`."""
+        ...
+
+
+@runtime_checkable
+class ReportsTaskSuccess(Protocol):
+    """A staged task that measures in the backend whether it was done."""
+
+    def task_done(
+        self, row: int, joint_positions: Array, dt: float, *, reached: bool
+    ) -> bool | None:
+        """Return whether the episode that ends in a row did its task; None if unknown.
+
+        Args:
+            row: Row of the episode.
+            joint_positions: Arm joints of all rows, shape (n, j).
+            dt: Control period in seconds.
+            reached: Whether the episode reached its goal.
+        """
         ...
 
 

@@ -15,7 +15,7 @@ from kinfeas.control import observation
 from kinfeas.control.loop import Rows
 from kinfeas.envs.world import Transition, World
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.worlds import physics_world
+from kinfeas.training.worlds import training_world
 
 StepResult = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -132,7 +132,7 @@ def _end_with_parent() -> None:
 def build_batch(config: TrainConfig, rows: int, first: int) -> None:
     """Build this worker's PyBullet world of `rows` episodes; episode `first` begins next."""
     global _batch
-    _batch = Batch(physics_world(config), rows, config.action_repeat, False, first)
+    _batch = Batch(training_world(config), rows, config.action_repeat, False, first)
 
 
 def call_batch(method: str, *arguments: Any) -> Any:

@@ -14,7 +14,6 @@ from kinfeas.config.quantities import (
     PositiveShare,
     Share,
 )
-from kinfeas.envs.physics import PhysicsChanges
 from kinfeas.envs.world import WorldConfig
 
 
@@ -101,7 +100,6 @@ class TrainConfig:
             times and a longer horizon. In an evaluation and on a robot each period has its own
             action.
         world: Control period, limits of an episode, adapters, reward and IK.
-        physics: Null for the analytic world; else the differences of the PyBullet world.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
             `learner.net_arch`.
         learner: Algorithm and hyperparameters.
@@ -116,7 +114,6 @@ class TrainConfig:
     processes: Annotated[int, Interval(low=1, high=MOST_PROCESSES)] = 1
     action_repeat: Annotated[int, Interval(low=1, high=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
-    physics: PhysicsChanges | None = None
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

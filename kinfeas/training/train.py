@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinfeas import config as configuration
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.metrics import summarize
+from kinfeas.core.metrics import EpisodeRecords, summarize
 from kinfeas.io.files import writing
 from kinfeas.io.folders import alone, find_folder, write_folder
 from kinfeas.io.policy_metadata import read_trained, write_trained
@@ -48,12 +48,10 @@ from kinfeas.training.run import (
 )
 from kinfeas.training.vec_env import EpisodesVecEnv, ProcessVecEnv, WorldVecEnv
 from kinfeas.training.worlds import (
-    EVALUATION_SEED,
     FRESH_SEED,
     PeriodicEvaluator,
-    analytic_judge,
-    analytic_world,
-    physics_judge,
+    periodic_evaluator,
+    training_world,
 )
 
 LOG_SECONDS = 2.0
@@ -112,8 +110,8 @@ class _Run:
     def __init__(self, config: TrainConfig, out: Path) -> None:
         self.config, self.out = config, out
         self.env: EpisodesVecEnv = (
-            WorldVecEnv(analytic_world(config), config.num_envs, config.action_repeat)
-            if config.physics is None
+            WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
+            if config.world.backend == "analytic"
             else ProcessVecEnv(config)
         )
         self.learner = make_learner(config.learner, self.env, config.seed)
@@ -160,7 +158,7 @@ class _Run:
             self.observation = self.env.reset()
             # Before the first `best`, so that a run with a `best` can always be resumed.
             self._save()
-        evaluator = self._evaluator()
+        evaluator = periodic_evaluator(self.config)
         begun = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
@@ -189,11 +187,6 @@ class _Run:
                     report(self.progress)
         if report is not None:
             report(self.progress)
-
-    def _evaluator(self, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
-        if self.config.physics is not None:
-            return physics_judge(self.config, offset)
-        return analytic_judge(self.config, network_of(self.learner, self.env.scale), offset)
 
     def _step(self) -> None:
         """Step all environments once, and learn from the replay buffer."""
@@ -231,7 +224,7 @@ class _Run:
             logs.write(self._row())
             return
         records = evaluator(network, self.config.schedule.evaluation_episodes)
-        figures: Mapping[str, Any] = summarize(records)
+        figures = _measured(records)
         with uninterrupted():
             self.progress.evaluations = evaluations_due(self.config, self.progress)
             score = (figures["success"] + figures["within_5cm"]) / 2.0
@@ -252,9 +245,9 @@ class _Run:
         trained, network = read_trained(best), read_network(best, self.env.robot)
         if trained.fresh_evaluation:
             return
-        records = self._evaluator(FRESH_SEED)(network, self.config.schedule.final_episodes)
-        figures: Mapping[str, Any] = summarize(records)
-        judged = replace(trained, fresh_evaluation=dict(figures))
+        evaluator = periodic_evaluator(self.config, FRESH_SEED)
+        figures = _measured(evaluator(network, self.config.schedule.final_episodes))
+        judged = replace(trained, fresh_evaluation=figures)
 
         def fill(folder: Path) -> None:
             shutil.copyfile(best / WEIGHTS, folder / WEIGHTS)
@@ -319,3 +312,9 @@ def uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if came:
         raise KeyboardInterrupt
+
+
+def _measured(records: EpisodeRecords) -> dict[str, int | float]:
+    """Return the metrics that the backend measures."""
+    metrics: Mapping[str, Any] = summarize(records)
+    return {key: value for key, value in metrics.items() if value is not None}

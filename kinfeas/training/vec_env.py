@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from kinfeas.control import observation
 from kinfeas.control.drive import action_size
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.interface import read_actions
+from kinfeas.envs.gym import read_actions
 from kinfeas.envs.world import World
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.gym import BaseMotionEnv
-from kinfeas.envs.interface import check_reset
+from kinfeas.envs.gym import BaseMotionEnv, check_reset
 from kinfeas.envs.world import WorldConfig
 
 if TYPE_CHECKING:
@@ -38,9 +37,7 @@ class RenderedMotionEnv(BaseMotionEnv):
         """
         if render_mode not in (None, "rgb_array"):
             raise KinfeasError(f"render_mode must be rgb_array or None, not {render_mode!r}")
-        super().__init__(robot, task, world, task_parameters)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.world.config.dt)}
+        super().__init__(robot, task, world, task_parameters, render_mode=render_mode)
         self._camera: Camera | None = None
 
     def reset(

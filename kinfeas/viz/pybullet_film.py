@@ -23,12 +23,13 @@ from kinfeas.backends.pybullet.camera import (
 )
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.backends.pybullet.robot_body import RobotBody
+from kinfeas.backends.pybullet.stage import Stage
 from kinfeas.control.loop import Rows
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.paper import TITLES
-from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
 from kinfeas.io.run_log import TASK_DONE
 from kinfeas.viz.film import SIZE, write_caption
 from kinfeas.viz.style import DESIRED, EE, FAILURE, GOAL
@@ -88,23 +89,29 @@ class PyBulletRecording:
         return self.goal[np.concatenate([[True], changes])]
 
 
-def record(
-    world: PhysicsWorld, trial: PhysicsTrial, policy: Policy, episode: int
-) -> PyBulletRecording:
-    """Run one episode of a trial and return it; the world is left at its end."""
-    kept = _Recorder(world, max(1, round(1.0 / (_RATE * trial.settings.dt))))
-    records = world.run(policy, range(episode, episode + 1), watch=kept)
+def record(world: World, policy: Policy, episode: int) -> PyBulletRecording:
+    """Run one episode of a PyBullet world and return it; the world is left at its end."""
+    stage = _stage(world)
+    kept = _Recorder(stage, max(1, round(1.0 / (_RATE * world.config.dt))))
+    records = run_episodes(world, policy, 1, watch=kept, first=episode)
+    done = records.task_done
     base, ee, desired, goal = (np.array(rows) for rows in zip(*kept.places, strict=True))
     return PyBulletRecording(
         np.array(kept.times), tuple(kept.moments), base, ee, desired, goal,
         np.array(kept.failures), bool(records.reached[0]),
-        None if world.stage.done() is None else bool(records.done[0]),
+        bool(done[0]) if done is not None and stage.judges else None,
     )  # fmt: skip
+
+
+def _stage(world: World) -> Stage:
+    if not isinstance(world.task, Stage):
+        raise TypeError(f"a world of the PyBullet backend is needed, not {world.config.backend}")
+    return world.task
 
 
 @dataclass
 class _Recorder:
-    world: PhysicsWorld
+    stage: Stage
     every: int
     steps: int = 0
     failed: int = 0
@@ -118,7 +125,7 @@ class _Recorder:
         if self.steps % self.every == 0 or transition.done[0]:
             loop = world.loop
             self.times.append((self.steps + 1) * loop.dt)
-            self.moments.append(keep_moment(self.world.stage.backend.sims[0].physics))
+            self.moments.append(keep_moment(self.stage.backend.sims[0].physics))
             seen = (*loop.true_state, loop.desired, loop.goal)
             self.places.append(tuple(pose[0, :3].copy() for pose in seen))
             self.failures.append(self.failed)
@@ -166,12 +173,10 @@ class PyBulletFilm:
         return small
 
 
-def make_film(
-    world: PhysicsWorld, trial: PhysicsTrial, recording: PyBulletRecording
-) -> PyBulletFilm:
+def make_film(world: World, recording: PyBulletRecording) -> PyBulletFilm:
     """Return the film of a recorded episode, whose camera follows robot and goal on one side."""
-    simulation = world.stage.backend.sims[0]
-    scene = world.stage.scene
+    stage = _stage(world)
+    simulation, scene = stage.backend.sims[0], stage.scene
     room = None if scene is None else np.array(scene.size) / 2.0 - _OFF_THE_WALLS
     target, distance = _target(recording)
     eyes = [
@@ -179,13 +184,13 @@ def make_film(
         for side in np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
     ]
     eye = max(eyes, key=lambda one: _visibility(recording, simulation.body, one, target))
-    name = trial.robot.name
+    name = world.robot.name
     with tempfile.TemporaryDirectory() as folder:
         tiles = np.array([[_TILES[0], _TILES[1]], [_TILES[1], _TILES[0]]], dtype=np.uint8)
         texture = Path(folder) / "floor.png"
         Image.fromarray(np.kron(tiles, np.ones((128, 128, 1), dtype=np.uint8))).save(texture)
         paint_floor(simulation.physics, texture)
-    title = f"{TITLES.get(name, name)}, {trial.task.name}"
+    title = f"{TITLES.get(name, name)}, {world.task.name}"
     return PyBulletFilm(recording, simulation.physics, eye, target, title)
 
 

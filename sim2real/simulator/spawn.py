@@ -3,12 +3,11 @@
 import numpy as np
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.backends.pybullet.stage import Stage, task_scene
-from kinfeas.core.backend import RobotState
+from kinfeas.core.backend import RobotState, build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import planar_pose
 from kinfeas.core.start import episode_rng
-from kinfeas.envs.physics import physics_config
+from kinfeas.envs.world import evaluation_world
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
@@ -36,9 +35,11 @@ def set_stage(
         KinfeasError: If PyBullet is not installed, the scene is unknown or broken, or something of
             it stands where the robot begins.
     """
-    around = task_scene(task) if task else read_scene(scene) if scene is not None else None
-    physics = physics_config(robot).world.physics
-    backend = PyBulletBackend(robot, around, gui=gui, physics=physics)
+    parameters = evaluation_world("pybullet", robot.name).backend_parameters
+    around = read_scene(scene) if scene is not None else None
+    built = build_backend("pybullet", {**parameters, "gui": gui}, robot=robot, scene=around)
+    assert isinstance(built, PyBulletBackend)
+    backend = built
     if task is None:
         origin = planar_pose(*np.zeros((3, 1)))
         state = backend.reset(origin, robot.home["home"][np.newaxis])
@@ -47,17 +48,18 @@ def set_stage(
             backend.close()
             raise KinfeasError(touched)
         return backend, state
-    start = Stage(task, backend).sample(IkSolver(robot), episode_rng(*numbers))
+    start = backend.stage(task).sample(IkSolver(robot), episode_rng(*numbers))
     return backend, backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
 
 
 def _in_the_way(backend: PyBulletBackend, scene: Scene) -> str:
     """Return the sentence that names what a robot at the origin touches."""
     simulation = backend.sims[0]
-    touched = simulation.touched()
+    found = simulation.contacts()
     things = simulation.furniture.bodies if simulation.furniture else {}
     bodies = {number: repr(name) for name, number in things.items()}
-    names = sorted(bodies.get(one, "the floor") for one in touched.base | touched.arm)
+    touched = {body for _, body, _ in found.base | found.arm}
+    names = sorted(bodies.get(one, "the floor") for one in touched)
     return (
         f"scene {scene.name}: robot {backend.robot.name!r} begins at the origin and would "
         f"touch {', '.join(names)} there"

@@ -5,7 +5,7 @@ from kinfeas.benchmark.job import CEILING, Job
 from kinfeas.benchmark.plan import PART, plan_jobs
 from kinfeas.benchmark.study import BenchmarkConfig
 from kinfeas.benchmark.table import tabulate
-from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.envs.world import evaluation_world
 
 SMALL = {
     "robots": ["pr2", "hsr"],

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark.samples import EVERY, MOST, WorkspaceSamples, thinned
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr

@@ -13,7 +13,6 @@ from kinfeas.config import strict_yaml
 from kinfeas.config.recipes import default_recipe
 from kinfeas.control.filters.rollout import RolloutConfig, RolloutPlanner
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.physics import PhysicsSettings
 from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation import evaluate as evaluate_module
 from kinfeas.policies.network import write_network
@@ -73,7 +72,7 @@ def test_to_look_ahead_by_option_and_by_name_is_the_same(tmp_path):
 
 
 def test_a_ceiling_that_is_not_known_is_not_shown_as_zero(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluate_module, "trial_reachability", lambda *_: None)
+    monkeypatch.setattr(evaluate_module, "reachability_of", lambda *_: None)
     path = tmp_path / "out.json"
     result = kinfeas("evaluate", "--policy", "follow_ee", *SHORT, "--json", str(path))
     (row,) = (line for line in result.output.splitlines() if "ceiling" in line)
@@ -143,7 +142,7 @@ def test_evaluate_is_used_wrongly(arguments):
 
 
 SETTINGS = {
-    "evaluate": [WorldConfig(), PhysicsSettings(), RolloutConfig()],
+    "evaluate": [WorldConfig(), RolloutConfig()],
     "deploy": [DeployConfig(), Guards(), RolloutConfig()],
 }
 
@@ -160,7 +159,7 @@ def test_help_tells_every_setting_with_its_default_and_its_unit(monkeypatch, com
             assert f"{one.name}={one.default} {one.unit}".strip() in shown, one
 
 
-@pytest.mark.parametrize(("command", "folder"), [("evaluate", "physics"), ("deploy", "deploy")])
+@pytest.mark.parametrize(("command", "folder"), [("evaluate", "pybullet"), ("deploy", "deploy")])
 def test_help_tells_the_settings_that_robots_have_of_their_own(monkeypatch, command, folder):
     monkeypatch.setenv("COLUMNS", "2000")
     shown = CliRunner().invoke(app, [command, "--help"]).output

@@ -2,7 +2,7 @@ import pytest
 
 from kinfeas.config.recipes import find_recipe, load_recipe, load_section, recipes, section
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.physics import PhysicsEvaluationConfig
+from kinfeas.evaluation.evaluate import EvalSettings
 from kinfeas.policies.baselines.demonstrated_base import BaselineConfig
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.training.config import TrainConfig
@@ -11,7 +11,8 @@ SCHEMAS = {
     "train": TrainConfig,
     "train_physics": TrainConfig,
     "finetune_physics": TrainConfig,
-    "pybullet": PhysicsEvaluationConfig,
+    "analytic": EvalSettings,
+    "pybullet": EvalSettings,
     "deploy": DeployConfig,
     "baselines": BaselineConfig,
 }

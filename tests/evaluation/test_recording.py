@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinfeas.core import registry, spatial
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.forward import forward

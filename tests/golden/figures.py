@@ -13,20 +13,15 @@ from types import SimpleNamespace
 import numpy as np
 import onnxruntime
 
-from kinfeas import config
 from kinfeas.config.recipes import load_section
 from kinfeas.control.drive import action_size
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter
 from kinfeas.core.backend import ObstacleDistances
-from kinfeas.envs.physics import physics_config
-from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import EvaluationConfig, Trial, run_trial
-from kinfeas.evaluation.physics.evaluate import run_physics
-from kinfeas.evaluation.physics.world import PhysicsTrial
+from kinfeas.envs.world import World, evaluation_world
+from kinfeas.evaluation.evaluate import prepare, run
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies import pretrained
-from kinfeas.policies.loading import load_policy
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.export import export
@@ -41,28 +36,18 @@ ROLLOUT_PLANNER = 'world.filters=[{"name": "rollout_planner"}]'
 SEED = 1
 
 
-def episodes(robot, task, count, *settings):
-    """Return the records of episodes of the pretrained policy in the analytic world."""
-    known = load_robot(robot)
-    chosen = config.from_mapping(EvaluationConfig, {}, "settings", settings)
-    policy = load_policy(pretrained.NAME, known)
-    trial = Trial(known, load_task(task, {}), count, SEED, chosen.world)
-    return _records(run_trial(trial, policy))
-
-
-def physics(robot, task, count, *settings):
-    """Return the records of episodes of the pretrained policy in PyBullet."""
-    known = load_robot(robot)
-    chosen = physics_config(known, settings)
-    policy = load_policy(pretrained.NAME, known)
-    trial = PhysicsTrial(known, load_task(task, {}), count, SEED, chosen.world)
-    records = run_physics(trial, policy)
-    return {
-        **_records(records),
-        "task_done": records.done,
-        "base_collisions": records.base_collisions,
-        "arm_collisions": records.arm_collisions,
-    }
+def episodes(robot, task, count, *settings, backend="analytic"):
+    """Return the records of episodes of the pretrained policy."""
+    chosen, policy = prepare(
+        pretrained.NAME,
+        robot,
+        task,
+        backend,
+        episodes=count,
+        seed=SEED,
+        overrides=settings,
+    )
+    return _records(run(chosen, policy))
 
 
 def obstacle_filter(robot, count=300, obstacles=3):
@@ -118,7 +103,7 @@ def policy(robot, count=8, steps=5):
     folder = pretrained.find(robot)
     network, observations = read_network(folder, known), []
     for task in TASKS:
-        world = World(known, load_task(task, {}), EvaluationConfig().world, SEED)
+        world = World(known, load_task(task, {}), evaluation_world(), SEED)
         observations.append(world.start(range(count)).copy())
         for _ in range(steps):
             world.step(network.act(world.loop.policy_input))
@@ -167,6 +152,11 @@ def _records(records):
         "final_distance": records.final_distance,
         "joint_jumps": records.joint_jumps,
         "steps": records.steps,
+        **{
+            name: values
+            for name in ("task_done", "base_collisions", "arm_collisions")
+            if (values := getattr(records, name)) is not None
+        },
     }
 
 
@@ -186,8 +176,11 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for r in ROBOTS
         for t in TASKS
     },
-    **{f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER) for r in ROBOTS},
-    **{f"physics-{r}": partial(physics, r, "drawer", 2) for r in ROBOTS},
+    **{
+        f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, planner=ROLLOUT_PLANNER)
+        for r in ROBOTS
+    },
+    **{f"physics-{r}": partial(episodes, r, "drawer", 2, backend="pybullet") for r in ROBOTS},
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},
     **{f"policy-{r}": partial(policy, r) for r in ROBOTS},

@@ -19,7 +19,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.io.folders import alone
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
-from kinfeas.training import checkpoint, logs, vec_env
+from kinfeas.training import checkpoint, logs, vec_env, worlds
 from kinfeas.training import train as training
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import finished
@@ -268,18 +268,18 @@ def test_minutes_count_training_without_evaluations(tiny, tmp_path, monkeypatch)
 
 def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monkeypatch):
     successes, original = iter([0.5, 0.25, 0.5, 0.4, 0.3]), training.summarize
-    offsets, evaluator = [], training.analytic_judge
+    offsets, evaluator = [], training.periodic_evaluator
 
     def scored(records):
         success = next(successes)
         return {**original(records), "success": success, "within_5cm": success}
 
-    def noted(config, network, offset):
+    def noted(config, offset=worlds.EVALUATION_SEED):
         offsets.append(offset)
-        return evaluator(config, network, offset)
+        return evaluator(config, offset)
 
     monkeypatch.setattr(training, "summarize", scored)
-    monkeypatch.setattr(training, "analytic_judge", noted)
+    monkeypatch.setattr(training, "periodic_evaluator", noted)
     out = tmp_path / "run"
     train(tiny("schedule.evaluations=4"), out)
     about = json.loads((out / "checkpoints/best/policy.json").read_text())
@@ -287,7 +287,7 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
     assert about["fresh_evaluation"]["success"] == 0.3
     assert about["steps"] == 240  # of equals the later one
     assert about["config"]["robot"] == "hsr"
-    assert offsets == [training.EVALUATION_SEED, training.FRESH_SEED]
+    assert offsets == [worlds.EVALUATION_SEED, worlds.FRESH_SEED]
     resume(out)
     assert offsets[2:] == [training.EVALUATION_SEED]
     assert finished(out)

@@ -135,8 +135,7 @@ PHYSICAL = {
     "num_envs": 3,
     "processes": 2,
     "action_repeat": 5,
-    "world": {"dt": 0.02, "max_seconds": 0.6, "max_failures": 99},
-    "physics": {},
+    "world": {"backend": "pybullet", "dt": 0.02, "max_seconds": 0.6, "max_failures": 99},
     "learner": {"batch_size": 16, "learning_starts": 40, "critic_steps": 40, "buffer_size": 500},
     "schedule": {
         "steps": 200,

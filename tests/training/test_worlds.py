@@ -1,21 +1,16 @@
 """No training meets the episodes that its policy is judged on."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.speed import random_network
-from kinfeas.envs.physics import PhysicsChanges
-from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.envs.world import World, evaluation_world
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training import worlds
 from kinfeas.training.config import LAST_SEED, TrainConfig
-from kinfeas.training.worlds import EVALUATION_SEED, FRESH_SEED, analytic_world, physics_world
+from kinfeas.training.worlds import EVALUATION_SEED, FRESH_SEED, training_world
 
 EPISODES = 4
 
@@ -42,7 +37,7 @@ def apart(one, other):
 def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, seed):
     settings = tiny(f"seed={seed}")
     learned, again = (
-        np.stack([goal(analytic_world(settings), episode) for episode in range(EPISODES)])
+        np.stack([goal(training_world(settings), episode) for episode in range(EPISODES)])
         for _ in range(2)
     )
     np.testing.assert_array_equal(learned, again)
@@ -53,26 +48,30 @@ def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, see
     assert apart(chosen, fresh)
 
 
-def test_nor_does_one_with_physics():
+def test_nor_does_one_in_pybullet():
     pytest.importorskip("pybullet")
-    settings = config.from_mapping(TrainConfig, {"robot": "hsr", "physics": {}}, "physical")
-    world = physics_world(settings)
+    told = {"robot": "hsr", "world": {"backend": "pybullet"}}
+    settings = config.from_mapping(TrainConfig, told, "physical")
+    world = training_world(settings)
     learned = np.stack([goal(world, episode) for episode in range(EPISODES)])
-    world.loop.backend.close()
+    world.close()
     assert apart(learned, judged(settings, settings.seed))
 
 
 IK = {"restarts": 2, "pose_tolerance": False, "self_collision": False, "position_tolerance": 1e-3}
 
 
-def test_evaluations_have_the_run_s_ik_with_more_restarts_and_its_filters(monkeypatch, tiny):
-    analytic, physical = [], []
-    monkeypatch.setattr(worlds, "run_episodes", lambda world, *_: analytic.append(world.config))
-    monkeypatch.setattr(worlds, "run_physics", lambda trial, *_: physical.append(trial.settings))
-    settings = tiny(f"world.ik={IK}", "world.filters=[{name: feasibility}]")
-    network = random_network(load_robot(settings.robot))
-    worlds.analytic_judge(settings, network)(network, 1)
-    worlds.physics_judge(replace(settings, physics=PhysicsChanges()))(network, 1)
-    for judged in (*analytic, *physical):
-        assert judged.ik == IkOptions(**{**IK, "restarts": 24})
-        assert judged.filters == settings.world.filters
+@pytest.mark.parametrize("backend", ["analytic", "pybullet"])
+def test_an_evaluation_keeps_the_tolerances_and_filters_of_its_run(monkeypatch, backend):
+    used = []
+    monkeypatch.setattr(worlds, "evaluate_episodes", lambda *given: used.append(given[2]))
+    told = {"backend": backend, "ik": IK, "filters": ["feasibility"], "max_failures": 3}
+    told["adapters"] = [{"name": "base_noise"}]
+    settings = config.from_mapping(TrainConfig, {"robot": "hsr", "world": told}, "told")
+    worlds.periodic_evaluator(settings)(None, 3)
+    (world,) = used
+    assert world.backend == backend
+    assert world.ik == IkOptions(**{**IK, "restarts": 24})
+    assert [one.name for one in world.filters] == ["feasibility"]
+    assert not world.adapters
+    assert world.max_failures == 99

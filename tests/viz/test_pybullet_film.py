@@ -12,8 +12,7 @@ from kinfeas.tasks.loading import load_task
 pytest.importorskip("pybullet")
 
 from kinfeas.backends.pybullet.camera import link_poses, show_moment
-from kinfeas.envs.physics import physics_config
-from kinfeas.evaluation.physics.world import PhysicsTrial, PhysicsWorld
+from kinfeas.envs.world import World, evaluation_world
 from kinfeas.viz.film import check_film_path, count_pictures, write_film
 from kinfeas.viz.pages import pybullet_html
 from kinfeas.viz.pybullet_film import make_film, record
@@ -21,16 +20,15 @@ from kinfeas.viz.style import FAILURE
 
 
 def start(robot, task, seconds, **changes):
-    settings = physics_config(robot, [f"world.max_seconds={seconds}"]).world
-    trial = PhysicsTrial(robot, load_task(task), 1, 1, replace(settings, **changes))
-    return PhysicsWorld(trial), trial, load_policy("follow_ee", robot)
+    config = replace(evaluation_world("pybullet", robot.name), max_seconds=seconds, **changes)
+    return World(robot, load_task(task), config, 1), load_policy("follow_ee", robot)
 
 
 @pytest.fixture(scope="module")
 def film(hsr):
     """One second in which the task is not done."""
-    world, trial, policy = start(hsr, "door", 1)
-    yield make_film(world, trial, record(world, trial, policy, 0))
+    world, policy = start(hsr, "door", 1)
+    yield make_film(world, record(world, policy, 0))
     world.close()
 
 
@@ -48,9 +46,9 @@ def test_a_recording_has_the_episode(film):
 
 def test_paths_are_true_positions_without_sensor_errors(hsr):
     lost = PluginSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
-    world, trial, policy = start(hsr, "ggr", 1, adapters=(lost,))
-    recording = record(world, trial, policy, 0)
-    body = world.stage.backend.sims[0].body
+    world, policy = start(hsr, "ggr", 1, adapters=(lost,))
+    recording = record(world, policy, 0)
+    body = world.backend.sims[0].body
     for moment, base, ee in zip(recording.moments, recording.base, recording.ee, strict=True):
         show_moment(body.physics, moment)
         seen = link_poses(body.physics, [(body.body, body.links[hsr.ee_frame])])

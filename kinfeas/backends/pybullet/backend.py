@@ -1,19 +1,24 @@
 """The PyBullet world as a backend of the loop: robots with inertia, motors and contacts."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.backends.pybullet.camera import take_side_view
 from kinfeas.backends.pybullet.physics import PhysicsConfig
 from kinfeas.backends.pybullet.robot_body import robot_state
 from kinfeas.backends.pybullet.simulation import Simulation
-from kinfeas.core.backend import Grip, ObstacleDistances, RobotState
+from kinfeas.backends.pybullet.stage import Stage, task_scene
+from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
+from kinfeas.tasks.task import Task
+
+MAX_BATCH = 8
+"""Simulations in a process; no result depends on it."""
 
 _FLAT = 1e-6
 
@@ -23,7 +28,9 @@ class PyBulletBackend:
 
     Attributes:
         robot: Robot that is simulated.
-        sims: The worlds, at least one; `reset` adds those that are missing.
+        scene: Room and furniture; None for a floor only.
+        objects: Whether `stage` loads the scene of a task.
+        max_batch: Simulations that one process should hold; one if there is a window.
     """
 
     def __init__(
@@ -31,34 +38,66 @@ class PyBulletBackend:
         robot: Robot,
         scene: Scene | None = None,
         *,
+        objects: bool = True,
         gui: bool = False,
         physics: PhysicsConfig | None = None,
     ) -> None:
-        """Build the first world; the first `reset` puts the robots where they begin.
+        """Keep the settings; the first use of `sims` builds the first simulation.
 
         Args:
             robot: Robot to simulate.
-            scene: Room and furniture; without one there is a floor and nothing else.
-            gui: Whether to show the first world in a window.
-            physics: Gravity, rate, friction and other numbers of the world.
+            scene: Room and furniture; a floor by default, or the scene of the task in `stage`.
+            objects: Whether `stage` loads the scene of a task.
+            gui: Whether to show the first simulation in a window.
+            physics: Gravity, rate, friction and other parameters of the simulation.
+        """
+        self.robot, self.scene, self.objects = robot, scene, objects
+        self.max_batch = 1 if gui else MAX_BATCH
+        self._gui, self._physics = gui, physics
+        self._sims: list[Simulation] = []
+        self._handled: tuple[str, str, bool] | None = None
+        self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
+
+    @property
+    def sims(self) -> list[Simulation]:
+        """The simulations, at least one; `reset` adds the missing ones.
 
         Raises:
             KinfeasError: If PyBullet is not installed.
         """
-        self.robot = robot
-        self._build = partial(Simulation, robot, scene, physics=physics)
-        self.sims = [self._build(gui=gui)]
-        self._handled: tuple[str, str, bool] | None = None
-        self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
+        if not self._sims:
+            self.simulation(0)
+        return self._sims
 
     def simulation(self, row: int) -> Simulation:
-        """Return the world of a robot; missing ones are built."""
-        while len(self.sims) <= row:
-            self.sims.append(self._build())
+        """Return the simulation of a robot; missing ones are built."""
+        while len(self._sims) <= row:
+            gui = self._gui and not self._sims
+            one = Simulation(self.robot, self.scene, gui=gui, physics=self._physics)
+            self._sims.append(one)
             if self._handled is not None:
                 name, link, rigid = self._handled
-                self.sims[-1].handle(name, link, rigid=rigid)
-        return self.sims[row]
+                one.handle(name, link, rigid=rigid)
+        return self._sims[row]
+
+    def stage(self, task: Task) -> Stage:
+        """Return a task whose episodes also place its objects; call it before any other method.
+
+        Raises:
+            KinfeasError: If PyBullet is not installed, or the scene of the task is invalid.
+        """
+        if self.objects:
+            self.scene = task_scene(task)
+        return Stage(task, self)
+
+    def contacts(self, env_id: int) -> Contacts:
+        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        return self.sims[env_id].contacts()
+
+    def render(self, env_id: int, goal: Array) -> NDArray[np.uint8]:
+        """Return an RGB picture of a robot and its goal position (3,), shape (360, 480, 3)."""
+        base = self._measure([env_id]).base_pose[env_id, :3]
+        return take_side_view(self.sims[env_id].physics, base, goal)
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
         """Set what the grippers take hold of when they close; they are open after each reset.
@@ -98,7 +137,7 @@ class PyBulletBackend:
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Begin to close or open grippers; closing, they hold what both of their fingers touch."""
         for row in env_ids.tolist():
-            self.sims[row].grip(grip)
+            self._sims[row].grip(grip)
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
@@ -109,12 +148,12 @@ class PyBulletBackend:
         """
         self._check(base_twist, joint_targets, len(self._positions))
         for row, (twist, joints) in enumerate(zip(base_twist, joint_targets, strict=True)):
-            self.sims[row].step(twist, joints, dt)
+            self._sims[row].step(twist, joints, dt)
         return self._measure(range(len(self._positions)))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return what is nearer than `within` metres to the bases, but for what they handle."""
-        found = [one.obstacle_distances(within) for one in self.sims[: len(self._positions)]]
+        found = [one.obstacle_distances(within) for one in self._sims[: len(self._positions)]]
         width = max(one.distance.shape[1] for one in found)
         place, toward = np.zeros((2, len(found), width, 2))
         distance = np.full((len(found), width), np.inf)
@@ -126,7 +165,7 @@ class PyBulletBackend:
 
     def close(self) -> None:
         """End the worlds; it may be called twice."""
-        for one in self.sims:
+        for one in self._sims:
             one.close()
 
     def _measure(self, rows: Sequence[int]) -> RobotState:
@@ -134,7 +173,7 @@ class PyBulletBackend:
         # Others may hold the arrays of before.
         self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
         for row in rows:
-            self._positions[row], self._velocities[row] = self.sims[row].measure()
+            self._positions[row], self._velocities[row] = self._sims[row].measure()
         return robot_state(self.robot, self._positions, self._velocities)
 
     def _check(self, planar: Array, joints: Array, count: int) -> None:

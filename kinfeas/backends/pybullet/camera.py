@@ -16,6 +16,9 @@ LINK = 1 << 24
 
 _NEAR, _FAR = 0.1, 40.0  # m
 _LIGHT = [2.0, -3.0, 8.0]
+_SIDE_VIEW = (480, 360)
+_CHEST = 0.7  # m above the floor, the middle of a robot
+_BESIDE, _UP, _NEAREST = 0.6, 0.55, 2.4  # of the distance to the goal; m
 
 Moment = tuple[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
 """Of each body the position and orientation of its root and the positions of its joints."""
@@ -81,6 +84,19 @@ def take_picture(physics: Physics, eye: Array, target: Array, size: tuple[int, i
         np.reshape(np.array(view), (4, 4)).T,
         np.reshape(np.array(projection), (4, 4)).T,
     )
+
+
+def take_side_view(physics: Physics, base: Array, goal: Array) -> NDArray[np.uint8]:
+    """Return an RGB picture (360, 480, 3) of a robot at `base` (3,) and its goal (3,)."""
+    base = base + np.array([0.0, 0.0, _CHEST])
+    way = (goal - base) * [1.0, 1.0, 0.0]
+    apart = max(float(np.linalg.norm(way)), 1e-3)
+    across = np.array([way[1], -way[0], 0.0]) / apart
+    away = max(apart + 0.8, _NEAREST)
+    # From beside the way, a bit behind the robot.
+    eye = (base + goal) / 2.0 + away * (across - _BESIDE * way / apart)
+    eye[2] += _UP * away
+    return take_picture(physics, eye, (base + goal) / 2.0, _SIDE_VIEW).colour
 
 
 def keep_moment(physics: Physics) -> Moment:

@@ -1,13 +1,13 @@
 """One robot in a PyBullet world: motors, gripper, furniture and contacts."""
 
-from kinfeas.backends.pybullet.contacts import Contacts, Touched, contacts, touched
+from kinfeas.backends.pybullet.contacts import contacts
 from kinfeas.backends.pybullet.drives import ArmDrive, BaseDrive
 from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.gripper import Grasp, GripperDrive
 from kinfeas.backends.pybullet.nearby import Surroundings
 from kinfeas.backends.pybullet.physics import Physics, PhysicsConfig
 from kinfeas.backends.pybullet.robot_body import RobotBody
-from kinfeas.core.backend import Grip, ObstacleDistances
+from kinfeas.core.backend import Contacts, Grip, ObstacleDistances
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -124,17 +124,14 @@ class Simulation:
             return self._surroundings.obstacle_distances(bodies, within, self._spared())
 
     def contacts(self) -> Contacts:
-        """Return the numbers of contacts, except with the grasped link."""
+        """Return the current contacts, except with the grasped link."""
         return contacts(self.body, self._spared())
-
-    def touched(self) -> Touched:
-        """Return the bodies in contact, except by the grasped link."""
-        return touched(self.body, self._spared())
 
     def free(self) -> bool:
         """Return whether the robot has no contact at its present pose."""
         self.physics.client.performCollisionDetection()
-        return self.contacts() == Contacts(base=0, arm=0)
+        found = self.contacts()
+        return not (found.base or found.arm)
 
     def close(self) -> None:
         """End the world; a second call does nothing."""

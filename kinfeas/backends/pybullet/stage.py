@@ -1,8 +1,9 @@
-"""The stage of a task: its episodes, with the furniture where each of them wants it."""
+"""A task in the PyBullet world: its episodes, with the objects placed for each of them."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.task_check import check_task
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
@@ -13,28 +14,31 @@ from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.checks import unchecked
 from kinfeas.tasks.task import Subgoal, Task
 
+if TYPE_CHECKING:
+    from kinfeas.backends.pybullet.backend import PyBulletBackend
+
 _DRAWS = 1000
 _SETTLE_SECONDS = 2.0  # in which what was put down comes to rest
 
 
 class Stage:
-    """A task whose episodes set the PyBullet world up when they are drawn.
+    """A task whose episodes also place robot and objects in a PyBullet backend.
 
-    It takes the task's place. Where the robot would touch something, it begins elsewhere: that is
-    drawn again, and the furniture stays where the first draw has it, as without a world.
+    Starts in which the robot touches something are drawn again. The objects stay where the first
+    draw put them, so that the goals equal those without physics.
 
     Attributes:
-        task: Draws the episodes.
-        scene: What stands there, before an episode moves it; None for a floor and nothing else.
-        backend: The world.
+        task: Task that draws the episodes.
+        scene: Scene before an episode moves objects; None for a floor only.
+        backend: Backend that simulates them.
     """
 
-    def __init__(self, task: Task, backend: PyBulletBackend) -> None:
-        """Connect a task to a world that was built with the task's scene, or without any.
+    def __init__(self, task: Task, backend: "PyBulletBackend") -> None:
+        """Connect a task to a backend with the scene of the task, or without a scene.
 
         Raises:
-            KinfeasError: If the task names what is not there, or takes hold of what cannot move or
-                without a gripper.
+            KinfeasError: If the task names a missing object, or grasps a fixed one or without a
+                gripper.
         """
         self.task, self.backend = task, backend
         furniture = backend.sims[0].furniture
@@ -59,14 +63,14 @@ class Stage:
         return self.task.subgoals
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode, and put the first robot and its furniture where it begins."""
+        """Return one random episode; place the first robot and its objects."""
         return self.sample_in(0, solver, rng)
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode, and put robot and furniture of a row where it begins.
+        """Return one random episode; place robot and objects of a row.
 
         Raises:
-            KinfeasError: If no draw is free of collisions, or objects are drawn into each other.
+            KinfeasError: If all draws collide, or objects are drawn into each other.
         """
         first, simulation = self.task.sample(solver, rng), self.backend.simulation(row)
         if self.scene is not None and simulation.furniture is not None:
@@ -81,7 +85,7 @@ class Stage:
         )
 
     def drawn(self) -> tuple[str, dict[str, Array]]:
-        """Return the name of the scene, and where the last episode put objects; or nothing."""
+        """Return the name of the scene and the poses of moved objects by name, or `("", {})`."""
         furniture = self.backend.sims[0].furniture
         if self._known is None or furniture is None:
             return "", {}
@@ -89,20 +93,35 @@ class Stage:
         return self._known.name, {name: objects[name].pose for name in self._known.moves}
 
     def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
-        """Let the robot of a row stand still while objects come to rest; joints of all, (n, j)."""
+        """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
         for _ in range(round(_SETTLE_SECONDS / dt) if self.judges else 0):
             self.backend.sims[row].step(np.zeros(6), joint_positions[row], dt)
 
     @property
     def judges(self) -> bool:
-        """Whether the task wants anything of objects that are there."""
+        """Whether the task has a success condition on objects of the scene."""
         return self._known is not None
 
-    def done(self, row: int = 0) -> bool | None:
-        """Return whether the objects of a row are now as the task wants them.
+    def task_done(
+        self, row: int, joint_positions: Array, dt: float, *, reached: bool
+    ) -> bool | None:
+        """Return whether the episode that ends in a row did its task.
 
-        None if it wants nothing.
+        A task without objects is done if the goal is reached. None if the objects are left out.
+
+        Args:
+            row: Row of the episode.
+            joint_positions: Arm joints of all rows, held while the objects come to rest, (n, j).
+            dt: Control period in seconds.
+            reached: Whether the episode reached its goal.
         """
+        if not self.judges:
+            return None if has_scene(self.task) else reached
+        self.settle(joint_positions, dt, row)
+        return self.done(row)
+
+    def done(self, row: int = 0) -> bool | None:
+        """Return whether the objects of a row meet the success condition; None without one."""
         simulation = self.backend.sims[row]
         furniture, grasp = simulation.furniture, simulation.grasp
         if self._known is None or furniture is None:
@@ -118,13 +137,13 @@ class Stage:
         return furniture.stands(done.object, str(done.parent))
 
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return another start; a task that moves furniture leads to where `first` does."""
+        """Return another start; of a task that moves objects, with the goals of `first`."""
         if self._chain:
             return self._chain.toward(first.target_poses, solver, rng)
         return self.task.sample(solver, rng)
 
     def _moved(self, scene: Scene, start: Start) -> Scene:
-        """Return a scene as an episode wants it, after a check that it can be."""
+        """Return a scene with the objects where an episode places them."""
         poses = self._chain.object_poses(start.target_poses) if self._chain else {}
         if not poses:
             return scene
@@ -134,16 +153,16 @@ class Stage:
 
 
 def has_scene(task: Task) -> bool:
-    """Return whether a task happens in a scene, and not on a floor and nothing else."""
+    """Return whether a task has a scene."""
     chain = _chain(task)
     return chain is not None and chain.scene is not None
 
 
 def task_scene(task: Task) -> Scene | None:
-    """Return the scene that a task happens in; None for a floor and nothing else.
+    """Return the scene of a task; None for a floor only.
 
     Raises:
-        KinfeasError: If there is no such scene, or it is broken.
+        KinfeasError: If the scene is missing or invalid.
     """
     chain = _chain(task)
     if chain is not None and chain.scene is not None:
@@ -152,6 +171,5 @@ def task_scene(task: Task) -> Scene | None:
 
 
 def _chain(task: Task) -> ChainTask | None:
-    """Return a task as what moves furniture, if it does."""
     known = unchecked(task)
     return known if isinstance(known, ChainTask) else None

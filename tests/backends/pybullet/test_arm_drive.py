@@ -122,4 +122,4 @@ def test_a_joint_without_effort_is_refused():
     joints["arm_3_joint"] = replace(joints["arm_3_joint"], effort=0.0)
     weak = replace(robot, urdf=replace(robot.urdf, joints=joints))
     with pytest.raises(KinfeasError, match="'arm_3_joint'"):
-        PyBulletBackend(weak)
+        PyBulletBackend(weak).simulation(0)

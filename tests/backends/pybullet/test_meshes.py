@@ -57,5 +57,5 @@ def test_a_robot_with_meshes_stands_in_the_world(rover, mesh, kind, capfd):
 def test_a_mesh_that_pybullet_cannot_read_is_one_sentence(rover, kind, capfd):
     robot = own_robot(rover, "../meshes/text.stl", kind)
     with pytest.raises(KinfeasError, match=r"scout\.urdf.*text\.stl"):
-        PyBulletBackend(robot)
+        PyBulletBackend(robot).simulation(0)
     assert capfd.readouterr() == ("", "")

@@ -10,8 +10,8 @@ from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy

@@ -5,8 +5,8 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import WITHIN
+from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.episodes import run_episodes
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task

@@ -2,8 +2,9 @@ import pytest
 
 from kinfeas.config.recipes import load_section, recipes
 from kinfeas.core import registry
+from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
-from kinfeas.sim2real.deploy.config import DeployConfig, build_backend
+from kinfeas.sim2real.deploy.config import DeployConfig
 
 
 def test_the_default_file_says_what_the_defaults_are():

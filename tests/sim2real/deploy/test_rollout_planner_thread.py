@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from kinfeas.control.filters.rollout import RolloutConfig, RolloutPlanner
-from kinfeas.envs.world import World
-from kinfeas.evaluation.evaluate import evaluation_world
+from kinfeas.envs.world import World, evaluation_world
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread

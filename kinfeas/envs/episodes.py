@@ -1,0 +1,239 @@
+"""Episodes run to their end, many at a time, in one process or several."""
+
+import math
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+
+from kinfeas.control.loop import Rows
+from kinfeas.core.backend import BatchLimited, SupportsContacts
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.metrics import EpisodeRecords, join
+from kinfeas.core.policy import Policy
+from kinfeas.envs.world import Transition, World, WorldConfig
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.task import ReportsTaskSuccess, Task
+
+BATCH = 256
+"""Episodes side by side in a process, unless the backend limits them; no result depends on it."""
+
+COLLISION_GAP = 0.5
+"""Seconds without contact after which the next contact with a body is another collision."""
+
+Watch = Callable[[World, Transition, Rows, Rows], None]
+"""Called after each step with the world, the transition, the live rows and their episodes."""
+
+OnDone = Callable[[int], None]
+"""Called with the number of episodes that have just ended."""
+
+
+def run_episodes(
+    world: World,
+    policy: Policy,
+    episodes: int,
+    on_done: OnDone | None = None,
+    watch: Watch | None = None,
+    first: int = 0,
+) -> EpisodeRecords:
+    """Return the records of episodes `first` to `first + episodes - 1` of the world's seed.
+
+    Args:
+        world: World to run them in.
+        policy: Policy that commands the base.
+        episodes: How many to run.
+        on_done: Called with the number of episodes that have just ended.
+        watch: Called after each step, for pictures and statistics.
+        first: Number of the first one.
+    """
+    tally = _Tally(world, first, episodes)
+    beyond = first + episodes
+    running = np.arange(first, first + min(_batch(world), episodes))
+    world.loop.set_policy(policy)
+    world.start(running.tolist())
+    waiting = first + len(running)
+    while (live := np.flatnonzero(running >= 0)).size:
+        transition = world.step(policy.act(world.loop.policy_input))
+        if watch is not None:
+            watch(world, transition, live, running[live])
+        tally.add(transition, live, running[live])
+        ended = live[transition.done[live]]
+        if on_done is not None and ended.size:
+            on_done(ended.size)
+        fresh = np.arange(waiting, min(waiting + ended.size, beyond))
+        waiting += len(fresh)
+        running[ended] = -1
+        if fresh.size:
+            rows = ended[: len(fresh)]
+            running[rows] = fresh
+            world.start(fresh.tolist(), rows)
+    return tally.records()
+
+
+def evaluate_episodes(  # noqa: PLR0913, PLR0917 - a world and how to run it
+    robot: Robot,
+    task: Task,
+    config: WorldConfig,
+    seed: int,
+    policy: Policy,
+    episodes: int,
+    processes: int = 1,
+    on_done: OnDone | None = None,
+) -> EpisodeRecords:
+    """Return the records of episodes 0 to `episodes - 1` of a seed, in worlds built for them.
+
+    Args:
+        robot: Robot that moves.
+        task: Task that draws the episodes.
+        config: Settings of the worlds.
+        seed: Seed of the episodes.
+        policy: Policy that commands the base.
+        episodes: How many to run.
+        processes: Processes that share the episodes; no result depends on it.
+        on_done: Called with the number of episodes that have just ended.
+
+    Raises:
+        KinfeasError: If a world cannot be built, or a worker process dies.
+    """
+    build = partial(World, robot, task, config, seed)
+    if processes == 1:
+        return _run_part(build, policy, 0, episodes, on_done)
+    world = build()
+    rounds = math.ceil(episodes / (processes * _batch(world)))
+    world.close()
+    size = math.ceil(episodes / (processes * rounds))
+    firsts = range(0, episodes, size)
+    counts = [min(size, episodes - first) for first in firsts]
+    parts = []
+    with worker_pool(min(processes, len(firsts))) as pool:
+        for part in pool.map(partial(_run_part, build, policy), firsts, counts):
+            parts.append(part)
+            if on_done is not None:
+                on_done(len(part.reached))
+    return join(parts)
+
+
+@contextmanager
+def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes that Ctrl-C ends silently.
+
+    Raises:
+        KinfeasError: If a worker is killed.
+    """
+    pool = ProcessPoolExecutor(
+        processes,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise KinfeasError(
+            f"one of {processes} worker processes died, as if killed or out of memory; "
+            "try fewer --processes"
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _run_part(
+    build: Callable[[], World],
+    policy: Policy,
+    first: int,
+    count: int,
+    on_done: OnDone | None = None,
+) -> EpisodeRecords:
+    world = build()
+    try:
+        return run_episodes(world, policy, count, on_done, first=first)
+    finally:
+        world.close()
+
+
+def _batch(world: World) -> int:
+    return world.backend.max_batch if isinstance(world.backend, BatchLimited) else BATCH
+
+
+class _Tally:
+    """Sums over the steps of each episode."""
+
+    def __init__(self, world: World, first: int, episodes: int) -> None:
+        self.world, self.first, self.last = world, first, len(world.task.subgoals) - 1
+        self.reached = np.zeros(episodes, dtype=np.bool_)
+        self.failures, self.joint_jumps, self.steps = np.zeros((3, episodes), dtype=np.intp)
+        self.deviation_sum, self.deviation_max, self.final = np.zeros((3, episodes))
+        self.base, self.arm = (Collisions(episodes, world.loop.dt) for _ in range(2))
+        self.task_done: list[bool | None] = [None] * episodes
+
+    def add(self, transition: Transition, rows: Rows, episodes: Rows) -> None:
+        step, episodes = transition.step, episodes - self.first
+        self.reached[episodes] = transition.reached[rows]
+        self.failures[episodes] += ~step.feasible[rows]
+        self.joint_jumps[episodes] += step.joint_jump[rows]
+        self.steps[episodes] += 1
+        self.deviation_sum[episodes] += step.deviation[rows]
+        self.deviation_max[episodes] = np.maximum(
+            self.deviation_max[episodes], step.deviation[rows]
+        )
+        # An episode that never began the last sub-goal did not end near its goal.
+        self.final[episodes] = np.where(step.subgoal == self.last, step.goal_distance, np.inf)[rows]
+        backend = self.world.backend
+        if isinstance(backend, SupportsContacts):
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+                contacts = backend.contacts(row)
+                self.base.add(episode, {body for _, body, _ in contacts.base})
+                self.arm.add(episode, {body for _, body, _ in contacts.arm})
+        task = self.world.task
+        if isinstance(task, ReportsTaskSuccess):
+            loop = self.world.loop
+            joints = (loop.state.true_state or loop.state).joint_positions
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+                if transition.done[row]:
+                    reached = bool(transition.reached[row])
+                    done = task.task_done(row, joints, loop.dt, reached=reached)
+                    self.task_done[episode] = done
+
+    def records(self) -> EpisodeRecords:
+        contacts = isinstance(self.world.backend, SupportsContacts)
+        return EpisodeRecords(
+            reached=self.reached,
+            failures=self.failures,
+            max_deviation=self.deviation_max,
+            mean_deviation=self.deviation_sum / np.maximum(self.steps, 1),
+            final_distance=self.final,
+            joint_jumps=self.joint_jumps,
+            steps=self.steps,
+            task_done=None if None in self.task_done else np.array(self.task_done, dtype=np.bool_),
+            base_collisions=self.base.count if contacts else None,
+            arm_collisions=self.arm.count if contacts else None,
+        )
+
+
+class Collisions:
+    """Counts collisions of n episodes: contacts of one body within `COLLISION_GAP` are one.
+
+    Attributes:
+        count: Collisions of each episode, shape (n,).
+    """
+
+    def __init__(self, episodes: int, dt: float) -> None:
+        """Count in control periods of `dt` seconds."""
+        self.count = np.zeros(episodes, dtype=np.intp)
+        self._gap = round(COLLISION_GAP / dt)
+        self._periods = np.zeros(episodes, dtype=np.intp)
+        self._last: dict[tuple[int, int], int] = {}
+
+    def add(self, episode: int, bodies: set[int]) -> None:
+        """Take in the bodies that are touched at the end of a control period."""
+        self._periods[episode] += 1
+        period = int(self._periods[episode])
+        for body in bodies:
+            last = self._last.get((episode, body))
+            self.count[episode] += last is None or period - last > self._gap
+            self._last[episode, body] = period

@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+
+from kinfeas.config import PluginSpec
+from kinfeas.envs import episodes as module
+from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.chain import pick_place
+from kinfeas.tasks.ggr import ggr
+
+NOISY = WorldConfig(
+    max_failures=9, max_seconds=12.0, adapters=(PluginSpec("base_noise", {"linear": 0.05}),)
+)
+NEAR = ggr(distance=(0.3, 0.9), heights=(0.6, 0.9))
+
+
+@pytest.fixture(scope="module")
+def world():
+    return World(load_robot("hsr"), NEAR, NOISY, seed=2)
+
+
+@pytest.fixture(scope="module")
+def policy(world):
+    return FollowEe(world.robot.base)
+
+
+@pytest.fixture(scope="module")
+def records(world, policy):
+    return run_episodes(world, policy, 24)
+
+
+def assert_equal(found, records, rows=slice(None)):
+    for key, values in vars(found).items():
+        expected = getattr(records, key)
+        np.testing.assert_array_equal(values, expected if expected is None else expected[rows])
+
+
+@pytest.mark.parametrize("batch", [1, 5, 64])
+def test_no_figure_depends_on_the_batch(world, policy, records, batch, monkeypatch):
+    monkeypatch.setattr(module, "BATCH", batch)
+    assert_equal(run_episodes(world, policy, 24), records)
+
+
+def test_no_figure_depends_on_the_other_episodes(world, policy, records):
+    assert_equal(run_episodes(world, policy, 5), records, slice(5))
+    assert_equal(run_episodes(world, policy, 3, first=20), records, slice(20, 23))
+
+
+@pytest.mark.parametrize("episode", [0, 11, 23])
+def test_records_are_sums_over_the_steps(world, policy, records, episode):
+    world.start([episode])
+    seen = []
+    while not seen or not seen[-1].done.any():
+        seen.append(world.step(policy.act(world.loop.policy_input)))
+    deviation = np.array([one.step.deviation[0] for one in seen])
+    assert records.steps[episode] == len(seen)
+    assert records.failures[episode] == sum(not one.step.feasible[0] for one in seen)
+    assert records.joint_jumps[episode] == sum(one.step.joint_jump[0] for one in seen)
+    assert records.reached[episode] == seen[-1].reached[0]
+    assert records.final_distance[episode] == seen[-1].step.goal_distance[0]
+    assert records.max_deviation[episode] == deviation.max()
+    assert records.mean_deviation[episode] == pytest.approx(deviation.mean())
+
+
+def test_progress_and_watch(world, policy, records, monkeypatch):
+    monkeypatch.setattr(module, "BATCH", 5)
+    ended, steps = [], np.zeros(24, dtype=int)
+
+    def watch(seen, transition, rows, episodes):
+        assert seen is world
+        assert len(rows) == len(set(rows)) == len(episodes) <= 5
+        assert transition.reward.shape == (5,)
+        steps[episodes] += 1
+
+    run_episodes(world, policy, 24, ended.append, watch)
+    assert sum(ended) == 24
+    np.testing.assert_array_equal(steps, records.steps)
+
+
+def test_an_episode_that_never_begins_its_last_sub_goal_ends_far_from_it(world, policy):
+    short = WorldConfig(max_seconds=0.3)
+    records = run_episodes(World(world.robot, pick_place(), short, seed=0), policy, 3)
+    assert np.isinf(records.final_distance).all()
+    assert not records.within.any()

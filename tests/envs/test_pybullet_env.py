@@ -1,0 +1,69 @@
+"""The Gymnasium environment in PyBullet."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+pytest.importorskip("pybullet")
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.envs import PHYSICS_ENVIRONMENT
+from kinfeas.envs.gym import BaseMotionEnv
+from kinfeas.envs.world import evaluation_world
+
+
+def make(robot="hsr", **arguments):
+    return gymnasium.make(PHYSICS_ENVIRONMENT, robot=robot, **arguments)
+
+
+@pytest.mark.filterwarnings("error")
+def test_gymnasium_finds_nothing_wrong():
+    env = make(render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.close()
+
+
+def test_steps_count_contacts_and_pictures_show_the_robot():
+    world = replace(evaluation_world("pybullet", "hsr"), max_seconds=0.1)
+    env = make(task="door", world=world, render_mode="rgb_array")
+    env.reset(seed=1)
+    for last in (False, False, False, False, True):
+        *_, truncated, info = env.step(np.zeros(3, dtype=np.float32))
+        assert truncated == last
+        assert (info["base_contacts"], info["arm_contacts"]) == (0, 0)
+    assert env.unwrapped.metadata["render_fps"] == 50
+    picture = env.render()
+    assert picture.shape == (360, 480, 3)
+    assert picture.std() > 5.0
+    env.close()
+
+
+def test_every_observation_is_within_the_space():
+    env = make().unwrapped
+    rng = np.random.default_rng(1)
+    seen, _ = env.reset(seed=3)
+    for _ in range(100):
+        assert seen in env.observation_space
+        seen, *_ = env.step(rng.uniform(-1.0, 1.0, 3).astype(np.float32))
+    env.close()
+
+
+def test_no_filter_changes_commands_unless_the_world_has_one():
+    assert not make("pr2").unwrapped.world.config.filters
+    own = evaluation_world("pybullet", "pr2")
+    assert make("pr2", world=own).unwrapped.world.config.filters == own.filters
+
+
+@pytest.mark.parametrize("wrong", [{"task": "fly"}, {"world": 3}, {"backend": "gazebo"}])
+def test_wrong_arguments(wrong):
+    with pytest.raises(KinfeasError):
+        make(**wrong)
+
+
+def test_a_window_without_a_screen(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":77")
+    with pytest.raises(KinfeasError, match="DISPLAY"):
+        BaseMotionEnv("hsr", backend="pybullet", render_mode="human")

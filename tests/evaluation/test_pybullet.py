@@ -1,0 +1,145 @@
+"""Evaluation in PyBullet."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinfeas.config import PluginSpec
+from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.episodes import Collisions, run_episodes
+from kinfeas.envs.world import World, evaluation_world
+from kinfeas.evaluation.evaluate import EvalConfig, evaluate, read_settings, run
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.ggr import ggr
+from kinfeas.tasks.loading import load_task
+
+pytest.importorskip("pybullet")
+
+
+@pytest.fixture(scope="module")
+def chosen():
+    world = replace(evaluation_world("pybullet", "hsr"), max_seconds=4.0)
+    return EvalConfig(load_robot("hsr"), ggr(distance=(0.5, 0.8)), episodes=3, seed=3, world=world)
+
+
+@pytest.fixture(scope="module")
+def policy(chosen):
+    return load_policy("follow_ee", chosen.robot)
+
+
+@pytest.fixture(scope="module")
+def records(chosen, policy):
+    return run(chosen, policy)
+
+
+def test_settings_of_the_robots():
+    worlds = {name: evaluation_world("pybullet", name) for name in ("pr2", "tiago", "hsr")}
+    assert {name: one.time_scale for name, one in worlds.items()} == {
+        "pr2": 0.5,
+        "tiago": 1.0,
+        "hsr": 1.0,
+    }
+    assert [[spec.name for spec in one.filters] for one in worlds.values()] == [
+        ["obstacle_distance", "feasibility"],
+        ["feasibility"],
+        [],
+    ]
+    assert {(one.backend, one.dt, one.max_failures) for one in worlds.values()} == {
+        ("pybullet", 0.02, 99)
+    }
+
+
+@pytest.mark.parametrize("wrong", ["world.time_scale=1.5", "world.action_repeat=3"])
+def test_wrong_settings_are_named(wrong):
+    with pytest.raises(KinfeasError, match=wrong.partition("=")[0]):
+        read_settings("hsr", "pybullet", [wrong])
+
+
+@pytest.mark.parametrize("parameters", [{"physics": {"gravity": -1}}, {"colour": "red"}])
+def test_wrong_parameters_of_the_backend_are_named(chosen, parameters):
+    world = replace(chosen.world, backend_parameters=parameters)
+    with pytest.raises(KinfeasError, match=r"gravity|colour"):
+        World(chosen.robot, chosen.task, world, 1)
+
+
+@pytest.mark.slow
+def test_processes_change_nothing(chosen, policy, records):
+    ended = []
+    again = run(chosen, policy, 2, ended.append)
+    for key, values in vars(records).items():
+        np.testing.assert_array_equal(getattr(again, key), values, err_msg=key)
+    assert sum(ended) == 3
+
+
+def test_records(records):
+    assert np.all((records.steps > 0) & (records.steps <= 200))
+    assert np.all(records.max_deviation >= records.mean_deviation)
+    np.testing.assert_array_equal(records.task_done, records.reached)  # a task without objects
+    np.testing.assert_array_equal(records.base_collisions, 0)
+
+
+def test_a_head_start_holds_the_ee(chosen, policy):
+    waiting = run(replace(chosen, world=replace(chosen.world, head_start=4.0)), policy)
+    assert not waiting.reached.any()
+    assert np.all(waiting.mean_deviation < 0.01)
+
+
+def test_the_summary_holds_the_execution_with_adapters(chosen, policy):
+    adapters = (
+        PluginSpec("head_start", {"seconds": 3.0}),
+        PluginSpec("time_scale", {"factor": 0.5}),
+    )
+    world = replace(chosen.world, time_scale=0.5, max_seconds=0.1, adapters=adapters)
+    summary = evaluate(replace(chosen, episodes=1, world=world), policy, "follow_ee")
+    assert json.loads(json.dumps(summary)) == summary
+    assert (summary["world"], summary["time_scale"], summary["head_start"]) == (
+        "pybullet",
+        0.25,
+        3.0,
+    )
+    assert summary["task_success"] == summary["base_collisions"] == 0.0
+
+
+def test_task_success_is_unknown_without_the_objects(chosen, policy):
+    for objects in (True, False):
+        world = replace(chosen.world, max_seconds=0.5, backend_parameters={"objects": objects})
+        found = run(EvalConfig(chosen.robot, load_task("door"), 1, 2, world), policy)
+        assert (found.task_done is not None) == objects
+        assert not objects or not found.task_done.any()
+
+
+@pytest.mark.parametrize("name", ["drawer", "pick_place"])
+def test_an_episode_is_the_same_to_the_bit_in_any_row(name):
+    robot = load_robot("hsr")
+    config = replace(evaluation_world("pybullet", "hsr"), max_seconds=2.0)
+    policy, parts = load_policy("pretrained", robot), []
+    for first, count in ((0, 3), (2, 1)):
+        world = World(robot, load_task(name), config, 1)
+        parts.append(run_episodes(world, policy, count, first=first))
+        world.close()
+    for key, values in vars(parts[0]).items():
+        np.testing.assert_array_equal(values[2:], vars(parts[1])[key], err_msg=key)
+
+
+def collisions(dt, *touched):
+    counted = Collisions(1, dt)
+    for bodies in touched:
+        counted.add(0, set(bodies))
+    return counted.count[0]
+
+
+def test_flickering_contacts_are_one_collision_and_each_body_counts():
+    assert collisions(0.02, (), ()) == 0
+    assert collisions(0.02, *[(1,), ()] * 100) == 1
+    assert collisions(0.02, (1,), (1, 2), (1,), (1, 2), (2,)) == 2
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_a_body_counts_again_after_half_a_second(dt):
+    apart = round(0.5 / dt)
+    assert collisions(dt, (1,), *[()] * (apart - 1), (1,)) == 1
+    assert collisions(dt, (1,), *[()] * apart, (1,)) == 2
+    assert collisions(dt, (1,), *[(2,)] * apart, (1,)) == 3
