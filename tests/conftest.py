@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 import tomllib
-from functools import cache
 from pathlib import Path
 
 # Before anything imports them: one thread a library, and no display.
@@ -15,7 +14,6 @@ import pytest
 from hypothesis import settings
 
 from kinfeas.kinematics.ik import IkOptions, IkSolver
-from kinfeas.policies.baselines.reach_ellipses import fit_ellipses
 from kinfeas.robots.loading import load_robot
 
 # Numba compiles within the first example, and a busy machine takes long over any.
@@ -54,17 +52,6 @@ def solver(robot):
 def exact_solver(robot):
     """Its solver without pose tolerance."""
     return IkSolver(robot, IkOptions(pose_tolerance=False))
-
-
-@cache
-def _fitted(name):
-    return fit_ellipses(load_robot(name))
-
-
-@pytest.fixture(scope="session")
-def ellipses(robot):
-    """Where each robot's base should stand about its EE; fitting it takes about two seconds."""
-    return _fitted(robot.name)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from kinfeas.control import drive, observation
 from kinfeas.core import registry
 from kinfeas.core.policy import Policy
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot

@@ -73,10 +73,10 @@ def export(
 
 
 def _check(path: Path, robot: "Robot | None", json: Path | None) -> None:
-    from kinfeas.policies.loading import check_place
+    from kinfeas.policies.loading import check_name
     from kinfeas.policies.onnx_policy import read_policy_file
 
-    check_place(path)
+    check_name(str(path))
     found = read_policy_file(path, robot)
     if json is not None:
         write_json(facts(found, path), json)

@@ -44,10 +44,10 @@ def robot_of(policy: str | None) -> str:
 
 def _trained_with(path: Path) -> str:
     from kinfeas.io.policy_metadata import read_trained
-    from kinfeas.policies.loading import check_place
+    from kinfeas.policies.loading import check_name
     from kinfeas.policies.onnx_policy import read_policy_file
 
-    check_place(path)
+    check_name(str(path))
     trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
     return trained.trained_with
 

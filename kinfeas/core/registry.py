@@ -23,6 +23,7 @@ GROUPS = {
     "kinfeas.tasks": "task",
     "kinfeas.adapters": "adapter",
     "kinfeas.backends": "backend",
+    "kinfeas.policies": "policy",
     "kinfeas.filters": "command filter",
 }
 """Entry-point groups and the noun for their entries."""
@@ -35,6 +36,7 @@ _METHODS = {
     "kinfeas.tasks": ("sample",),
     "kinfeas.adapters": ("reset", "step", "close"),
     "kinfeas.backends": ("reset", "step", "close"),
+    "kinfeas.policies": ("act",),
     "kinfeas.filters": ("reset", "__call__"),
 }
 
@@ -136,7 +138,25 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
         KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
             lacks a method of its group.
     """
-    entry = _find(group, name)
+    return _build(_find(group, name), parameters)
+
+
+def build_target(group: str, target: str, parameters: Mapping[str, object]) -> Any:
+    """Return the result of a class or function `module:name` that is no entry point.
+
+    Args:
+        group: Kind of the plugin, one of `GROUPS`.
+        target: Module and name, as an entry point states them.
+        parameters: As for `build`.
+
+    Raises:
+        KinfeasError: As `build`.
+    """
+    return _build(EntryPoint(target, target, group), parameters)
+
+
+def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
+    group = entry.group
     factory, subject = _import(entry), str(_plugin(entry))
     if not callable(factory):
         raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")

@@ -15,11 +15,13 @@ class Kind(StrEnum):
     TASK = "task"
     ADAPTER = "adapter"
     BACKEND = "backend"
+    POLICY = "policy"
+    FILTER = "filter"
 
     @property
     def group(self) -> str:
         """Entry-point group."""
-        return f"kinfeas.{self}s"
+        return "kinfeas.policies" if self is Kind.POLICY else f"kinfeas.{self}s"
 
     @property
     def target(self) -> str:

@@ -1,4 +1,4 @@
-"""The conformance test that built-in and outside motion generators pass alike."""
+"""Conformance checks of motion generators and policies, for tests of plugins."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,10 +7,19 @@ from kinfeas.core.checked_motion import CheckedMotion, ConformanceError
 from kinfeas.core.errors import PLUGIN_ERRORS
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.spatial import Array
+from kinfeas.testing.policies import check_policy
 from kinfeas.testing.rules import RULES, Probe, run_trial
 from kinfeas.testing.trial import Trial, describe
 
-__all__ = ["RULES", "ConformanceError", "Finding", "Trial", "check_motion_generator", "examine"]
+__all__ = [
+    "RULES",
+    "ConformanceError",
+    "Finding",
+    "Trial",
+    "check_motion_generator",
+    "check_policy",
+    "examine",
+]
 
 
 @dataclass(frozen=True)

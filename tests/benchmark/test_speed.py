@@ -14,7 +14,7 @@ from kinfeas.benchmark.speed import (
 )
 from kinfeas.control import drive, observation
 from kinfeas.envs.world import WorldConfig
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.run import Progress
 

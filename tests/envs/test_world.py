@@ -12,7 +12,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask

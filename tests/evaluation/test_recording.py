@@ -7,7 +7,7 @@ from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.evaluation.waypoints import draw_goals
 from kinfeas.kinematics.forward import forward
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import pick_place
 

@@ -1,109 +1,102 @@
 import json
 import pickle
+import sys
 
 import numpy as np
 import pytest
 
 from kinfeas.benchmark.speed import random_network
-from kinfeas.control.drive import action_size
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
-from kinfeas.policies.baselines import geometric_modulation
-from kinfeas.policies.baselines.demonstrated_base import DemonstratedBase
-from kinfeas.policies.baselines.follow_ee import FollowEe
-from kinfeas.policies.baselines.geometric_modulation import GeometricModulation
-from kinfeas.policies.baselines.whole_body_qp import WholeBodyQp
-from kinfeas.policies.loading import BASELINES, QUICK_BASELINES, load_policy
-from kinfeas.policies.network import write_network
-from tests.policies.baselines.policy_inputs import policy_inputs
+from kinfeas.policies.loading import BASELINES, GROUP, load_policy
+from kinfeas.policies.network import read_network, write_network
+from kinfeas.robots.loading import load_robot
+from kinfeas.testing import ConformanceError, check_policy
+from tests.policies.policy_inputs import policy_inputs
+
+
+@pytest.fixture(scope="module")
+def hsr():
+    return load_robot("hsr")
 
 
 @pytest.fixture
-def fitted(monkeypatch, ellipses):
-    """Spare the baseline its fit."""
-    monkeypatch.setattr(geometric_modulation, "fit_ellipses", lambda robot: ellipses)
-
-
-@pytest.mark.parametrize("name", QUICK_BASELINES)
-def test_quick_baselines_by_name(robot, name):
-    assert load_policy(name, robot) == FollowEe(robot.base, feedback=name.endswith("feedback"))
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("demonstrated_base", DemonstratedBase),
-        ("geometric_modulation", GeometricModulation),
-        ("whole_body_qp", WholeBodyQp),
-    ],
-)
-def test_other_baselines_by_name(fitted, robot, name, kind):
-    assert isinstance(load_policy(name, robot), kind)
+def trained(hsr, tmp_path):
+    """A network in a folder of its own."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_network(random_network(hsr, width=8), folder, hsr, {})
+    return folder
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_baselines_survive_the_way_to_a_worker_process(fitted, robot, name):
-    policy_input = policy_inputs(robot, 4)
-    policy = load_policy(name, robot)
-    action = policy.act(policy_input)
-    assert action.shape == (4, action_size(robot.base))
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(policy)).act(policy_input), action)
+def test_baselines_keep_the_contract_of_policies(hsr, name):
+    check_policy(load_policy(name, hsr), hsr)
 
 
-def test_a_trained_policy_by_its_folder(robot, tmp_path):
-    network = random_network(robot, width=8)
-    write_network(network, tmp_path, robot, {})
+def test_baselines_are_entry_points():
+    assert set(BASELINES) <= set(registry.names(GROUP))
+
+
+def test_a_trained_policy_by_its_folder(hsr, trained):
+    network = random_network(hsr, width=8)
     seen = np.random.default_rng(0).normal(size=(3, len(network.scale)))
-    np.testing.assert_array_equal(load_policy(str(tmp_path), robot)(seen), network(seen))
+    np.testing.assert_array_equal(load_policy(str(trained), hsr)(seen), network(seen))
 
 
-def test_an_unknown_name_lists_what_there_is(robot):
-    with pytest.raises(KinfeasError, match=r"follow_ee, follow_ee_feedback.*training run"):
-        load_policy("follow_me", robot)
-
-
-def test_an_empty_name_is_not_the_folder_that_one_is_in(robot, tmp_path, monkeypatch):
-    write_network(random_network(robot, width=8), tmp_path, robot, {})
+def test_a_class_of_a_module_in_the_working_folder(hsr, tmp_path, monkeypatch):
+    (tmp_path / "my_policy.py").write_text(
+        "import numpy as np\n"
+        "class Still:\n"
+        "    def __init__(self, robot): self.size = 3\n"
+        "    def act(self, given): return np.zeros((len(given.base_pose), self.size))\n"
+        "class Loud(Still):\n"
+        "    def act(self, given): return 2.0 + super().act(given)\n"
+    )
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(KinfeasError, match=r"name of the policy is empty; known are .*follow_ee"):
-        load_policy("", robot)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    check_policy(load_policy("my_policy:Still", hsr), hsr)
+    with pytest.raises(ConformanceError, match=r"Loud.*\[-1, 1\]"):
+        check_policy(load_policy("my_policy:Loud", hsr), hsr)
+    for wrong in ("my_policy:Nothing", "no_policy:Still"):
+        with pytest.raises(KinfeasError, match=wrong.partition(":")[2]):
+            load_policy(wrong, hsr)
 
 
-def test_the_policy_that_comes_with_the_package(robot, tmp_path, monkeypatch):
-    monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
-    with pytest.raises(KinfeasError, match=f"no pretrained policy for robot '{robot.name}'"):
-        load_policy("pretrained", robot)
-    network = random_network(robot, width=8)
-    (tmp_path / robot.name).mkdir()
-    write_network(network, tmp_path / robot.name, robot, {})
-    seen = np.random.default_rng(0).normal(size=(3, len(network.scale)))
-    np.testing.assert_array_equal(load_policy("pretrained", robot)(seen), network(seen))
+@pytest.mark.parametrize("name", ["follow_me", "", "/dev/null", "a:b:c"])
+def test_an_unknown_policy_raises(hsr, trained, monkeypatch, name):
+    monkeypatch.chdir(trained)  # the empty name is not the current folder
+    with pytest.raises(KinfeasError):
+        load_policy(name, hsr)
 
 
-def test_what_can_be_no_policy(robot, tmp_path):
+def test_wrong_folders_and_files_raise_errors_that_name_them(hsr, trained, tmp_path):
     (tmp_path / "empty.onnx").write_bytes(b"")
-    with pytest.raises(KinfeasError, match=r"empty\.onnx: empty, and so not the ONNX file"):
-        load_policy(str(tmp_path / "empty.onnx"), robot)
-    with pytest.raises(KinfeasError, match=r"^/dev/null: neither the folder of a training run nor"):
-        load_policy("/dev/null", robot)
-
-
-def test_a_folder_that_is_no_run(robot, tmp_path):
-    with pytest.raises(KinfeasError, match="not a training run"):
-        load_policy(str(tmp_path), robot)
-
-
-def test_a_broken_policy(robot, tmp_path):
-    write_network(random_network(robot, width=8), tmp_path, robot, {})
-    for path in tmp_path.glob("*.safetensors"):
-        path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(KinfeasError, match="broken policy"):
-        load_policy(str(tmp_path), robot)
-
-
-def test_a_policy_of_another_robot(robot, tmp_path):
-    write_network(random_network(robot, width=8), tmp_path, robot, {})
-    (path,) = tmp_path.glob("*.json")
+    (tmp_path / "none").mkdir()
+    for name in ("empty.onnx", "none"):
+        with pytest.raises(KinfeasError, match=name):
+            load_policy(str(tmp_path / name), hsr)
+    path = trained / "policy.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"robot": "other"}))
     with pytest.raises(KinfeasError, match="'other'"):
-        load_policy(str(tmp_path), robot)
+        load_policy(str(trained), hsr)
+
+
+@pytest.mark.parametrize("name", pretrained.robots())
+def test_each_shipped_policy_is_complete(name):
+    folder, robot = pretrained.find(name), load_robot(name)
+    network = load_policy("pretrained", robot)
+    assert network.equals(read_network(folder, robot))
+    about = json.loads((folder / "policy.json").read_text())
+    assert about["command"].startswith("kinfeas train ")
+    assert {"config", "seed", "benchmark", "evaluation"} <= about.keys()
+    given = policy_inputs(robot, 4)
+    again = pickle.loads(pickle.dumps(network))
+    np.testing.assert_array_equal(again.act(given), network.act(given))
+
+
+@pytest.mark.parametrize("name", ["stretch", "..", "pr2/..", ""])
+def test_a_robot_without_shipped_policy_raises(name):
+    with pytest.raises(KinfeasError, match="pr2"):
+        pretrained.find(name)

@@ -53,13 +53,13 @@ def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
         np.testing.assert_array_equal(np.concatenate(parts), together)
     np.testing.assert_array_equal(policy(np.asfortranarray(seen)[::-1]), together[::-1])
     unused = np.full((64, 7), np.nan)
-    policy_input = PolicyInput(seen, unused, unused, unused, unused, unused)
+    policy_input = PolicyInput(seen, *[unused] * 6)
     np.testing.assert_array_equal(policy.act(policy_input), together)
 
 
 @pytest.mark.parametrize("n", [0, 1, 5])
 def test_shape_and_bounds(path, hsr, n):
-    action = read_policy_file(path, hsr)(np.full((n, size(len(hsr.arm))), 1e6))
+    action = read_policy_file(path, hsr)(np.full((n, size(hsr)), 1e6))
     assert action.shape == (n, action_size(hsr.base))
     assert action.dtype == np.float64
     assert np.all(np.abs(action) <= 1.0)
@@ -67,7 +67,7 @@ def test_shape_and_bounds(path, hsr, n):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_non_finite_observations_give_nan(path, hsr, bad):
-    seen = np.zeros((3, size(len(hsr.arm))))
+    seen = np.zeros((3, size(hsr)))
     seen[1, 5] = bad
     with np.errstate(over="ignore"):
         finite = np.isfinite(read_policy_file(path, hsr)(seen)).all(axis=1)
@@ -85,13 +85,11 @@ def test_pickles_for_worker_processes(path, exported, hsr):
 def test_metadata_describe_the_robot(robot, tmp_path):
     found = read_policy_file(write_policy_file(robot, tmp_path)[1], None).metadata
     assert found.robot.name == robot.name
-    assert sum(term.size for term in found.observation) == size(len(robot.arm))
-    joints = [term.name for term in found.observation if term.frame == "joint"]
-    assert joints == [joint.name for joint in robot.arm]
-    limits = [(term.unit, term.limit) for term in found.action]
-    assert len(limits) == action_size(robot.base)
-    assert limits[0] == ("m/s", robot.base.max_velocity)
-    assert limits[-1] == ("rad/s", robot.base.max_rotation)
+    assert sum(term.size for term in found.observation) == size(robot)
+    assert found.observation[-1].entries == tuple(joint.name for joint in robot.arm)
+    (action,) = found.action
+    limits = [robot.base.max_velocity] * (action_size(robot.base) - 1) + [robot.base.max_rotation]
+    assert list(action.scale) == limits
     assert (found.control.period, found.control.horizon) == (0.1, HORIZON)
     assert found.training["steps"] == 1000
     assert found.success["evaluation"] == {"episodes": 256, "success": 0.9}
@@ -187,10 +185,10 @@ SIGNED = {
     "unknown": (lambda m: m.metadata_props.add(key="kinfeas.more", value="1"), "'more'"),
     "missing": (lambda m: m.metadata_props.pop(3), "'observation'"),
     "no JSON": (lambda m: setattr(m.metadata_props[3], "value", "{"), "JSON"),
-    "fewer actions": (edit_entry("action", lambda a: a[:2]), "graph"),
-    "other order": (edit_entry("observation", lambda o: o[::-1]), "observation or action"),
+    "fewer actions": (edit_entry("action", lambda a: [{**a[0], "size": 2}]), "graph"),
+    "other term": (edit_entry("observation", lambda o: [{**o[0], "name": "x"}, *o[1:]]), "'x'"),
     "other scale": (
-        edit_entry("action", lambda a: [{**one, "limit": 9.0} for one in a]),
+        edit_entry("action", lambda a: [{**a[0], "scale": [9.0, 9.0, 9.0]}]),
         "observation or action",
     ),
     "other horizon": (edit_entry("control", lambda c: {**c, "horizon": 0.2}), "observation or"),

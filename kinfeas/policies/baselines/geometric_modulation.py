@@ -1,19 +1,26 @@
 """Geometric modulation: the base keeps between two ellipses around the EE.
 
 After Welschehold et al., "Coupling mobile base and end-effector motion in task space" (IROS 2018),
-with ellipses fitted to the robot's own reach. The EE's motion is what it is; the base copies its
-velocity, is led around the ellipses where it would cross them, and turns to have the EE before it.
+with ellipses fitted to the robot's own reach: the EE's height, and the pitch of its approach axis,
+determine which places on the floor suit the base. IK finds them for targets spread evenly over
+heights, pitches, rolls and places. The base copies the EE's velocity, is led around the ellipses
+where it would cross them, and turns to have the EE before it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 from kinfeas.control.drive import action_toward
 from kinfeas.control.observation import HORIZON
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
-from kinfeas.core.spatial import Array, wrap, yaw
-from kinfeas.policies.baselines.reach_ellipses import ReachEllipses, approach, fit_ellipses, turned
+from kinfeas.core.spatial import Array, make_pose, rotation, wrap, yaw
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
 from kinfeas.robots.robot import Robot
 
 _RHO_INNER, _RHO_OUTER = 1.9, 0.1
@@ -27,6 +34,198 @@ _AHEAD = 0.6
 """Metres ahead of a differential base at which a point can move in every direction."""
 
 _TINY = 1e-6
+
+
+CONE = 0.7
+"""Radians by which the EE may lie off its preferred bearing where the ellipses hold."""
+
+_SCOUTS, _TARGETS = 8192, 24576
+_HEIGHT_STEP, _HEIGHT_BLUR = 0.2, 0.1
+_PITCHES, _PITCH_BLUR = 9, 0.25
+_CELL, _HALF_WIDTH, _BLUR = 0.1, 1.5, 0.08
+_SHARE = 0.6
+"""Of the targets that the best places reach, how many a place within the ellipses should."""
+
+_CENTRES = np.arange(-_HALF_WIDTH + _CELL / 2.0, _HALF_WIDTH, _CELL)
+_X, _Y = (grid.ravel() for grid in np.meshgrid(_CENTRES, _CENTRES, indexing="ij"))
+_SIZES = np.arange(0.1, 0.8, 0.05)
+_HOLES = np.array([(a, b) for a in _SIZES for b in _SIZES])
+_IN_HOLE = (_X[:, None] / _HOLES[:, 0]) ** 2 + (_Y[:, None] / _HOLES[:, 1]) ** 2 < 1.0
+_SCALES = np.arange(0.5, 1.3, 0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class ReachEllipses:
+    """Ellipses over a grid of EE heights and pitches, aligned with the azimuth of the approach.
+
+    Attributes:
+        heights: Of the EE above the floor, evenly spaced, shape (h,), metres.
+        pitches: Of the approach axis above the horizon, evenly spaced, shape (p,), radians.
+        shapes: Outer centre 2, outer half axes 2 and inner half axes 2, shape (h, p, 6), metres
+            from the EE; the inner ellipse lies around the EE itself.
+        bearing: Of the EE as seen from the base, where the arm reaches most, radians.
+    """
+
+    heights: Array
+    pitches: Array
+    shapes: Array
+    bearing: float
+
+    def at(self, height: Array, pitch: Array) -> Array:
+        """Return the shapes between those of the grid, for shape (n,) each, shape (n, 6)."""
+        (i, u), (j, v) = _between(self.heights, height), _between(self.pitches, pitch)
+        shapes = self.shapes
+        low = (1.0 - v) * shapes[i, j] + v * shapes[i, j + 1]
+        high = (1.0 - v) * shapes[i + 1, j] + v * shapes[i + 1, j + 1]
+        return (1.0 - u) * low + u * high
+
+
+def approach(robot: Robot, ee_pose: Array) -> tuple[Array, Array]:
+    """Return pitch and azimuth of the approach axis, each of shape (n,), radians.
+
+    Args:
+        robot: Says which axis of the EE that is.
+        ee_pose: Shape (n, 7).
+    """
+    axis = Rotation.from_quat(robot.gripper_rotation).inv().apply([1.0, 0.0, 0.0])
+    axis = rotation(ee_pose).apply(axis)
+    return np.arcsin(np.clip(axis[:, 2], -1.0, 1.0)), np.arctan2(axis[:, 1], axis[:, 0])
+
+
+def fit_ellipses(robot: Robot) -> ReachEllipses:
+    """Return the ellipses of a robot: the same each time, in about two seconds.
+
+    First the bearing at which the arm reaches most is found among targets all around. Then each
+    cell of the grid takes the targets near it and near that bearing; the outer ellipse has the
+    centre and the proportions of the places from which it reaches most of them, and both are of
+    the size at which they hold the most such places and the fewest others.
+
+    Raises:
+        KinfeasError: If the robot has no goal heights for `ggr`, or does not reach any of them.
+    """
+    low, high = _heights(robot)
+    solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
+    scouts = _Targets(solver, _SCOUTS, 0.0, np.pi)
+    bearing = _best_bearing(scouts)
+    targets = _Targets(solver, _TARGETS, bearing, CONE)
+    heights = np.linspace(low, high, max(2, round((high - low) / _HEIGHT_STEP) + 1))
+    pitches = np.linspace(-np.pi / 2.0, np.pi / 2.0, _PITCHES)
+    shapes = np.array([[_fit(targets, height, pitch) for pitch in pitches] for height in heights])
+    if np.isnan(shapes).all():
+        raise KinfeasError(
+            f"geometric_modulation finds no place from which the arm of robot {robot.name!r} "
+            f"reaches its goal_heights of ggr, {low:g} to {high:g} m"
+        )
+    return ReachEllipses(heights, pitches, _filled(shapes), bearing)
+
+
+def _heights(robot: Robot) -> tuple[float, float]:
+    known = robot.goal_heights.get("ggr")
+    if known is None:
+        raise KinfeasError(
+            f"geometric_modulation needs goal_heights of ggr, and robot {robot.name!r} has none"
+        )
+    return known
+
+
+class _Targets:
+    """EE poses spread over heights, pitches and rolls, and whether the arm reaches them.
+
+    Attributes:
+        height: Shape (n,), metres, as is `pitch`, radians.
+        bearing: Of the EE from the base, shape (n,).
+        place: Of the base, seen from the EE along its azimuth, shape (n, 2), metres.
+        found: Whether IK succeeded, shape (n,).
+    """
+
+    def __init__(self, solver: IkSolver, count: int, bearing: float, cone: float) -> None:
+        robot = solver.robot
+        share = spread(count, 6)
+        low, high = _heights(robot)
+        ee = forward(solver.chain, spread_configurations(robot, 4096))
+        reach = float(np.hypot(ee[:, 0], ee[:, 1]).max())
+        self.height = low - 0.2 + share[:, 0] * (high - low + 0.4)
+        self.pitch = np.pi * (share[:, 1] - 0.5)
+        self.bearing = bearing + cone * (2.0 * share[:, 2] - 1.0)
+        distance = reach * share[:, 3]
+        azimuth, roll = 2.0 * np.pi * share[:, 4], 2.0 * np.pi * share[:, 5]
+        x, y = distance * np.cos(self.bearing), distance * np.sin(self.bearing)
+        angles = np.stack([azimuth, -self.pitch, roll], axis=1)
+        turn = Rotation.from_euler("ZYX", angles) * Rotation.from_quat(robot.gripper_rotation)
+        ee = make_pose(np.stack([x, y, self.height], axis=1), turn)
+        home = np.tile(robot.home["home"], (count, 1))
+        self.found = solver.solve(ee, home).feasible
+        self.place = turned(np.stack([-x, -y], axis=1), -azimuth)
+
+
+def turned(vectors: Array, angle: Array) -> Array:
+    """Return planar vectors, shape (n, 2), turned by `angle`, shape (n,), radians."""
+    x, y = vectors[:, 0], vectors[:, 1]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
+
+
+def _best_bearing(targets: _Targets) -> float:
+    """Return the middle of the cone in which the arm reaches most."""
+    middles = np.linspace(-np.pi, np.pi, 73)[1:]
+    near = np.abs(wrap(targets.bearing - middles[:, None])) < CONE
+    shares = [targets.found[rows].mean() for rows in near]
+    best = np.array(shares) >= 0.98 * max(shares)
+    return float(np.angle(np.exp(1j * middles[best]).sum()))
+
+
+def _fit(targets: _Targets, height: float, pitch: float) -> Array:
+    """Return the shape that holds near a height and a pitch, (6,); NaN if there is no reach."""
+    off_height = (targets.height - height) / _HEIGHT_BLUR
+    off_pitch = (targets.pitch - pitch) / _PITCH_BLUR
+    kernel = np.exp(-0.5 * (off_height * off_height + off_pitch * off_pitch))
+    share = _share(targets, kernel)
+    good = share > _SHARE
+    if np.count_nonzero(good) < 4:
+        return np.full(6, np.nan)
+    centre = np.array([_X[good].mean(), _Y[good].mean()])
+    axes = 2.0 * np.array([_X[good].std(), _Y[good].std()]) + _CELL / 2.0
+    level = np.hypot((_X - centre[0]) / axes[0], (_Y - centre[1]) / axes[1])
+    gain, hole = share - _SHARE, np.full(2, _SIZES[0])
+    for _ in range(3):
+        ring = np.where((_X / hole[0]) ** 2 + (_Y / hole[1]) ** 2 < 1.0, 0.0, gain)
+        scale = _SCALES[np.argmax([ring[level < scale].sum() for scale in _SCALES])]
+        inside = np.where(level < scale, gain, 0.0)
+        hole = _HOLES[np.argmin(np.where(_IN_HOLE, inside[:, None], 0.0).sum(axis=0))]
+    return np.concatenate([centre, axes * scale, hole])
+
+
+def _share(targets: _Targets, kernel: Array) -> Array:
+    """Return how much of what the best places reach the places of the grid do, shape (c,)."""
+    x, y = targets.place[:, 0], targets.place[:, 1]
+    edges = np.append(_CENTRES - _CELL / 2.0, _HALF_WIDTH)
+
+    def counted(weights: Array) -> Array:
+        counts, *_ = np.histogram2d(x, y, bins=(edges, edges), weights=weights)
+        return gaussian_filter(counts, _BLUR / _CELL).ravel()
+
+    tried, found = counted(kernel), counted(kernel * targets.found)
+    share = np.where(tried > 1e-4 * tried.max(), found / np.maximum(tried, 1e-12), 0.0)
+    reached = share[share > 0.01]
+    return share / np.quantile(reached, 0.98) if len(reached) else share
+
+
+def _filled(shapes: Array) -> Array:
+    """Return the shapes with those that are missing taken from the nearest one that is there."""
+    missing = np.isnan(shapes[..., 0])
+    known = np.argwhere(~missing)
+    filled = shapes.copy()
+    for cell in np.argwhere(missing):
+        nearest = known[np.argmin(np.sum((known - cell) ** 2, axis=1))]
+        filled[tuple(cell)] = shapes[tuple(nearest)]
+    return filled
+
+
+def _between(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the index of the grid point below each value, and the way to the next one."""
+    place = np.clip((value - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
+    index = np.minimum(place.astype(np.intp), len(grid) - 2)
+    return index, (place - index)[:, None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinfeas.control.observation import HORIZON, observe
+from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import compose, integrate, planar_pose
 from kinfeas.kinematics.forward import build_chain, forward
@@ -22,8 +22,8 @@ def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None)
     in_base = forward(build_chain(robot), joints)
     ee = compose(base_pose, in_base)
     planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
-    seen = observe(base_pose, in_base, planned, planned, joints)
-    return PolicyInput(seen, base_pose, ee, ee, planned, np.full((count, 7), np.nan))
+    seen = observe(Seen(base_pose, in_base, planned, planned, joints))
+    return PolicyInput(seen, base_pose, ee, joints, ee, planned, np.full((count, 7), np.nan))
 
 
 def turned_about(policy_input, angle, shift):
@@ -38,6 +38,7 @@ def turned_about(policy_input, angle, shift):
         policy_input.observation,
         moved(policy_input.base_pose),
         moved(policy_input.ee_pose),
+        policy_input.joint_positions,
         moved(policy_input.desired),
         moved(policy_input.planned),
         moved(policy_input.demonstrated_base),

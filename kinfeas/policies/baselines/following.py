@@ -1,0 +1,117 @@
+"""Baselines that follow: the base moves with the EE, or along the base of a demonstration."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinfeas.config.recipes import load_section
+from kinfeas.control.drive import action_toward
+from kinfeas.control.observation import HORIZON
+from kinfeas.core.policy import PolicyInput
+from kinfeas.core.spatial import Array, wrap, yaw
+from kinfeas.robots.robot import Base, Robot
+
+_MIN_SPEED = 0.05
+"""Speed, m/s, at which the base continues while the EE rests."""
+
+_LEVER = 0.5
+"""Metres of translation that one radian of rotation counts for."""
+
+_THERE = 0.05
+"""Distance, metres, at which a differential base turns to the final heading."""
+
+
+@dataclass(frozen=True)
+class FollowEe:
+    """Copies the planar velocity of the EE, without rotation.
+
+    The velocity is the mean over `HORIZON` seconds at any control period.
+
+    Attributes:
+        base: Drive and velocity limits.
+        feedback: Whether the velocity starts at the achieved EE position, so that the base also
+            reduces the tracking error, or at the desired one.
+    """
+
+    base: Base
+    feedback: bool = False
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        start = policy_input.ee_pose if self.feedback else policy_input.desired
+        velocity = (policy_input.planned[:, :2] - start[:, :2]) / HORIZON
+        return action_toward(self.base, policy_input.base_pose, velocity, HORIZON)
+
+
+def follow_ee(robot: Robot) -> FollowEe:
+    """Return the baseline that copies the planar velocity of the desired EE pose."""
+    return FollowEe(robot.base)
+
+
+def follow_ee_feedback(robot: Robot) -> FollowEe:
+    """Return the baseline that copies the planar velocity from the achieved to the planned pose."""
+    return FollowEe(robot.base, feedback=True)
+
+
+@dataclass(frozen=True)
+class BaselineConfig:
+    """Settings of the baselines for a robot.
+
+    Attributes:
+        forward_shift: Distance, metres, by which the robot's base is ahead of the demonstrator's.
+    """
+
+    forward_shift: float = 0.0
+
+
+@dataclass(frozen=True)
+class DemonstratedBase:
+    """Drives to the base pose of the demonstration; without one, it copies the EE's velocity.
+
+    It keeps the speed of the EE: a base at full speed would leave an EE behind that is still on
+    its way to the start of the demonstration. An omnidirectional base drives and turns at once; a
+    differential one drives there and turns then.
+
+    Attributes:
+        base: Drive and velocity limits.
+        forward_shift: Distance ahead of the demonstrated base pose, metres.
+    """
+
+    base: Base
+    forward_shift: float = 0.0
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
+        known = ~np.isnan(policy_input.demonstrated_base).any(axis=1, keepdims=True)
+        # Any finite numbers take the place of missing ones; their result is not used.
+        wanted = np.where(known, policy_input.demonstrated_base, policy_input.base_pose)
+        follow = FollowEe(self.base).act(policy_input)
+        return np.where(known, self._toward(policy_input, wanted), follow)
+
+    def _toward(self, policy_input: PolicyInput, wanted: Array) -> Array:
+        base, pose, heading = self.base, policy_input.base_pose, yaw(wanted)
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1) * self.forward_shift
+        way, turn = wanted[:, :2] + ahead - pose[:, :2], wrap(heading - yaw(pose))
+        step = _length(policy_input.planned[:, :3] - policy_input.desired[:, :3])
+        step = np.maximum(step, _MIN_SPEED * HORIZON)
+        share = step / np.maximum(np.maximum(_length(way), _LEVER * np.abs(turn)), step)
+        velocity = way * share[:, None] / HORIZON
+        rotation = turn * share / HORIZON / base.max_rotation
+        action = action_toward(base, pose, velocity, HORIZON)
+        if base.drive == "omnidirectional":
+            action[:, -1] = rotation
+        else:
+            forward = np.cos(yaw(pose)) * velocity[:, 0] + np.sin(yaw(pose)) * velocity[:, 1]
+            turning = np.stack([forward / base.max_velocity, rotation], axis=1)
+            action = np.where((_length(way) <= _THERE)[:, None], turning, action)
+        return np.clip(action, -1.0, 1.0)
+
+
+def _length(vectors: Array) -> Array:
+    return np.sqrt((vectors * vectors).sum(axis=1))
+
+
+def demonstrated_base(robot: Robot) -> DemonstratedBase:
+    """Return the baseline that drives to the base pose of the demonstration."""
+    known = load_section(BaselineConfig, "baselines", robot.name)
+    return DemonstratedBase(robot.base, known.forward_shift)

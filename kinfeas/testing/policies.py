@@ -1,0 +1,80 @@
+"""Conformance check of policies."""
+
+import pickle
+
+import numpy as np
+
+from kinfeas.core.checks.motion import ConformanceError
+from kinfeas.core.policy import Policy, PolicyInput, RecurrentPolicy
+from kinfeas.core.spatial import Array
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task
+
+_ROWS, _STEPS = 6, 20
+
+
+def check_policy(policy: Policy, robot: Robot) -> None:
+    """Raise if a policy breaks its contract; takes about a second.
+
+    Actions must be finite, in [-1, 1] and of shape (n, action size); no row may depend on the
+    others; the inputs must stay as they are; a `reset` must make episodes repeatable; and a copy
+    made by pickle, as worker processes get it, must act alike.
+
+    Args:
+        policy: Policy to check.
+        robot: Robot that it commands.
+
+    Raises:
+        ConformanceError: If a rule is broken.
+    """
+    together = _run(policy, robot, range(_ROWS))
+    try:
+        copy = pickle.loads(pickle.dumps(policy))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ConformanceError(f"{_name(policy)} cannot be pickled: {error}") from error
+    for rule, again in (
+        ("repeats its actions after reset", _run(policy, robot, range(_ROWS))),
+        ("acts alike as a copy by pickle", _run(copy, robot, range(_ROWS))),
+    ):
+        if not np.array_equal(together, again):
+            raise ConformanceError(f"{_name(policy)} breaks the rule: {rule}")
+    alone = _run(policy, robot, [_ROWS - 1])
+    if not np.allclose(alone[:, 0], together[:, -1], atol=1e-6):
+        raise ConformanceError(f"{_name(policy)} breaks the rule: no row depends on the others")
+
+
+def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
+    """Return the actions of some episodes, shape (steps, n, action size)."""
+    world = World(robot, load_task("ggr"), WorldConfig(max_failures=10**6), seed=0)
+    world.loop.set_policy(policy)
+    world.start(list(episodes))
+    actions = []
+    for _ in range(_STEPS):
+        given = world.loop.policy_input
+        before = {key: value.copy() for key, value in vars(given).items()}
+        action = policy.act(given)
+        _check_action(policy, action, (len(episodes), world.action_size))
+        _check_untouched(policy, given, before)
+        actions.append(action.copy())
+        world.step(action)
+    return np.stack(actions)
+
+
+def _check_action(policy: Policy, action: object, shape: tuple[int, int]) -> None:
+    if not isinstance(action, np.ndarray) or action.shape != shape:
+        found = getattr(action, "shape", type(action).__name__)
+        raise ConformanceError(f"{_name(policy)} must return shape {shape} from act, not {found}")
+    if not (np.isfinite(action).all() and np.abs(action).max() <= 1.0):
+        raise ConformanceError(f"{_name(policy)} must return finite numbers in [-1, 1] from act")
+
+
+def _check_untouched(policy: Policy, given: PolicyInput, before: dict[str, Array]) -> None:
+    for key, values in before.items():
+        if not np.array_equal(values, getattr(given, key), equal_nan=True):
+            raise ConformanceError(f"{_name(policy)} writes into its input: {key}")
+
+
+def _name(policy: Policy) -> str:
+    kind = "recurrent policy" if isinstance(policy, RecurrentPolicy) else "policy"
+    return f"{kind} {type(policy).__name__}"

@@ -1,0 +1,215 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.observation import HORIZON
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import integrate, make_pose, planar_pose, relative, wrap, yaw
+from kinfeas.kinematics.forward import build_chain, forward, jacobian
+from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.policies.baselines import whole_body_qp as qp
+from kinfeas.policies.baselines.following import DemonstratedBase, FollowEe, demonstrated_base
+from kinfeas.policies.baselines.geometric_modulation import (
+    GeometricModulation,
+    approach,
+    fit_ellipses,
+    modulated,
+)
+from kinfeas.robots.loading import load_robot
+from tests.policies.policy_inputs import policy_inputs, turned_about
+
+SHAPE = np.array([[-0.1, 0.05, 0.9, 1.0, 0.3, 0.4]])
+
+
+@pytest.fixture(params=["hsr", "tiago"])  # omnidirectional and differential
+def robot(request):
+    return load_robot(request.param)
+
+
+@cache
+def ellipses_of(name):
+    return fit_ellipses(load_robot(name))
+
+
+def drive(policy, given, base):
+    return base_twist(base, given.base_pose, policy.act(given), HORIZON)
+
+
+def moving(robot, velocity, lag=(0.0, 0.0)):
+    """Return inputs of a base with heading 0.7 whose EE moves at `velocity` and lags by `lag`."""
+    velocity = np.atleast_2d(velocity)
+    n = len(velocity)
+    twist = np.zeros((n, 6))
+    twist[:, :2], twist[:, 2] = velocity, 0.05
+    base = planar_pose(np.ones(n), np.zeros(n), np.full(n, 0.7))
+    given = policy_inputs(robot, n, twist, base_pose=base)
+    ee = given.desired.copy()
+    ee[:, :2] -= lag
+    return replace(given, ee_pose=ee)
+
+
+@pytest.mark.parametrize("feedback", [False, True])
+def test_follow_ee_copies_the_planar_velocity(robot, feedback):
+    along = np.array([np.cos(0.7), np.sin(0.7)]) * 0.08
+    twist = drive(FollowEe(robot.base, feedback), moving(robot, along), robot.base)
+    np.testing.assert_allclose(twist[0], [*along, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_only_feedback_reduces_the_tracking_error(robot):
+    lag = np.array([np.cos(0.7), np.sin(0.7)]) * 0.005
+    given = moving(robot, [[0.0, 0.0]], lag)
+    np.testing.assert_allclose(drive(FollowEe(robot.base), given, robot.base), 0.0, atol=1e-9)
+    twist = drive(FollowEe(robot.base, feedback=True), given, robot.base)
+    np.testing.assert_allclose(twist[0, :2], lag / HORIZON, atol=1e-9)
+
+
+def demonstrated(robot, count=20):
+    """Return inputs whose demonstrated base is up to a metre away and turned."""
+    given, rng = policy_inputs(robot, count), np.random.default_rng(1)
+    x, y = given.base_pose[:, :2].T + rng.uniform(-0.7, 0.7, (2, count))
+    heading = yaw(given.base_pose) + rng.uniform(-1.0, 1.0, count)
+    return replace(given, demonstrated_base=planar_pose(x, y, heading))
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25])
+def test_demonstrated_base_arrives_at_the_shifted_pose(robot, shift):
+    policy, given = DemonstratedBase(robot.base, shift), demonstrated(robot)
+    wanted = given.demonstrated_base
+    heading = yaw(wanted)
+    aim = wanted[:, :2] + shift * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    for _ in range(600):
+        twist = drive(policy, given, robot.base)
+        given = replace(given, base_pose=integrate(given.base_pose, twist, HORIZON))
+    omni = robot.base.drive == "omnidirectional"
+    away = np.linalg.norm(given.base_pose[:, :2] - aim, axis=1)
+    assert away.max() < (1e-6 if omni else 0.06)
+    assert np.abs(wrap(yaw(given.base_pose) - heading)).max() < 1e-3
+
+
+def test_demonstrated_base_keeps_the_speed_of_the_ee(robot):
+    given = demonstrated(robot)
+    twist = drive(DemonstratedBase(robot.base), given, robot.base)
+    way = np.linalg.norm(twist[:, :2] * HORIZON, axis=1)
+    ee = np.linalg.norm(given.planned[:, :3] - given.desired[:, :3], axis=1)
+    assert np.all(way <= np.maximum(ee, 0.05 * HORIZON) + 1e-9)
+
+
+def test_demonstrated_base_follows_the_ee_without_a_demonstration(robot):
+    given = demonstrated(robot)
+    given.demonstrated_base[::2] = np.nan
+    with np.errstate(all="raise"):
+        action = DemonstratedBase(robot.base).act(given)
+    follow = FollowEe(robot.base).act(given)
+    np.testing.assert_array_equal(action[::2], follow[::2])
+    assert np.all(np.any(action[1::2] != follow[1::2], axis=1))
+    assert demonstrated_base(load_robot("hsr")).forward_shift == 0.25
+    assert demonstrated_base(replace(robot, name="mine")).forward_shift == 0.0
+
+
+def test_policies_do_not_depend_on_the_map(robot):
+    given = demonstrated(robot)
+    elsewhere = turned_about(given, 2.0, (3.0, -1.0))
+    ellipses = ellipses_of(robot.name)
+    for policy in (demonstrated_base(robot), GeometricModulation(robot, ellipses)):
+        np.testing.assert_allclose(policy.act(elsewhere), policy.act(given), atol=1e-7)
+
+
+def levels(place):
+    inner = np.sum((place / SHAPE[:, 4:6]) ** 2, axis=1)
+    outer = np.sum(((place - SHAPE[:, :2]) / SHAPE[:, 2:4]) ** 2, axis=1)
+    return inner, outer
+
+
+def test_modulation_never_leaves_the_ring():
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-1.0, 1.0, (400, 2))
+    inner, outer = levels(place)
+    place = place[(inner > 1.05) & (outer < 0.95)]
+    shape, wanted = SHAPE.repeat(len(place), 0), rng.uniform(-0.1, 0.1, (len(place), 2))
+    np.testing.assert_allclose(modulated(place, 0.0 * wanted, shape), 0.0)
+    for _ in range(400):
+        place = place + modulated(place, wanted, shape) * 0.05
+        inner, outer = levels(place)
+        assert inner.min() > 0.95
+        assert outer.max() < 1.05
+
+
+@pytest.mark.parametrize("start", [[0.05, 0.1], [0.29, 0.0], [2.0, 1.0], [-1.2, 0.3]])
+def test_modulation_returns_into_the_ring(start):
+    place = np.array([start])
+    for _ in range(2000):
+        place = place + modulated(place, np.zeros((1, 2)), SHAPE) * 0.05
+    inner, outer = levels(place)
+    assert inner[0] > 0.97
+    assert outer[0] < 1.03
+
+
+def test_modulation_turns_the_ee_to_its_preferred_bearing(robot):
+    policy = GeometricModulation(robot, ellipses_of(robot.name))
+    given = policy_inputs(robot, 100, np.zeros(6))
+    turn = policy.act(given)[:, -1]
+    ee = relative(given.ee_pose, given.base_pose)
+    off = wrap(np.arctan2(ee[:, 1], ee[:, 0]) - policy.ellipses.bearing)
+    far = np.abs(off) > (0.16 if robot.name == "hsr" else 0.8)
+    assert np.mean(np.sign(turn[far]) == np.sign(off[far])) > 0.9
+
+
+def test_ik_reaches_far_more_within_the_ellipses():
+    robot, rng, n = load_robot("hsr"), np.random.default_rng(5), 6000
+    ellipses = ellipses_of("hsr")
+    low, high = robot.goal_heights["ggr"]
+    position = np.stack([np.zeros(n), np.zeros(n), rng.uniform(low, high, n)], axis=1)
+    ee = make_pose(position, Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (n, 3))))
+    x, y = rng.uniform(-1.0, 1.0, (2, n))
+    base = planar_pose(x, y, np.arctan2(-y, -x) - ellipses.bearing)
+    home = np.tile(robot.home["home"], (n, 1))
+    found = IkSolver(robot).solve(relative(ee, base), home).feasible
+    pitch, azimuth = approach(robot, ee)
+    shape = ellipses.at(ee[:, 2], pitch)
+    ahead = np.cos(azimuth) * x + np.sin(azimuth) * y
+    aside = np.cos(azimuth) * y - np.sin(azimuth) * x
+    outer = np.hypot((ahead - shape[:, 0]) / shape[:, 2], (aside - shape[:, 1]) / shape[:, 3])
+    inner = np.hypot(ahead / shape[:, 4], aside / shape[:, 5])
+    within = (outer < 1.0) & (inner > 1.0)
+    assert found[within].mean() > 2.5 * found[~within].mean()
+
+
+@pytest.mark.parametrize("heights", [{"ggr": (5.0, 6.0)}, {"shelf": (0.2, 1.2)}])
+def test_ellipses_need_goal_heights_within_reach(heights):
+    with pytest.raises(KinfeasError, match="goal_heights"):
+        fit_ellipses(replace(load_robot("hsr"), goal_heights=heights))
+
+
+def test_the_model_of_the_qp_agrees_with_our_kinematics(robot):
+    pin = pytest.importorskip("pinocchio")
+    model, chain, carried = qp.build_model(robot), build_chain(robot), action_size(robot.base)
+    data, frame = model.createData(), model.getFrameId("ee")
+    for q in spread_configurations(robot, 20):
+        full = np.concatenate([np.zeros(carried), q])
+        found = pin.computeFrameJacobian(
+            model, data, full, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        x, y, z = forward(chain, q)[:3]
+        np.testing.assert_allclose(data.oMf[frame].translation, [x, y, z], atol=1e-9)
+        np.testing.assert_allclose(found[:, carried:], jacobian(chain, q), atol=1e-9)
+        base = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]][: carried - 1]
+        np.testing.assert_allclose(found[:, :carried].T, [*base, [-y, x, 0, 0, 0, 1]], atol=1e-9)
+
+
+def test_the_qp_moves_the_base_if_the_ee_moves_away(robot):
+    pytest.importorskip("pink")
+    middle = [0.0 if j.continuous else (j.lower + j.upper) / 2.0 for j in robot.arm]
+    base = planar_pose(*np.zeros((3, 1)))
+    twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    given = policy_inputs(robot, 1, twist, base_pose=base, joints=np.array([middle]))
+    assert drive(qp.whole_body_qp(robot), given, robot.base)[0, 0] > 0.03
+
+
+def test_the_qp_names_missing_packages(robot, monkeypatch):
+    monkeypatch.setattr(qp, "find_spec", lambda name: None if name == "pink" else name)
+    with pytest.raises(KinfeasError, match=r"pink.*kinfeas\[qp\]"):
+        qp.whole_body_qp(robot)
