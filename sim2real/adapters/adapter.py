@@ -1,7 +1,7 @@
 """The base class of adapters."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,12 +25,43 @@ from kinfeas.core.errors import plugin_note
 from kinfeas.core.rows import with_rows
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.adapters import draws
-from kinfeas.sim2real.adapters.draws import Number, Range
+from kinfeas.sim2real.adapters import random_numbers
 
 Memory = dict[str, NDArray[Any]]
 
+Number = float | tuple[float, float] | list[float]
+"""A number, or a range [low, high] from which each episode draws its number uniformly."""
+
 _LIMIT = 10_000.0  # seconds, metres or radians
+
+
+@dataclass(frozen=True)
+class Range:
+    """The closed interval from `low` to `high`."""
+
+    low: float
+    high: float
+
+    def draw(self, shares: Array) -> Array:
+        """Return the numbers at `shares`, 0-1, of the interval; same shape."""
+        return self.low + (self.high - self.low) * shares
+
+
+def read_range(name: str, value: object, within: Interval) -> Range:
+    """Return the range of a parameter; a number gives an empty range.
+
+    Raises:
+        ValueError: If it is neither a number nor a range, or not `within` the interval.
+    """
+    ends = list(value) if isinstance(value, list | tuple) else [value, value]
+    numbers = [end for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
+    if len(ends) != 2 or len(numbers) != 2 or not all(end in within for end in numbers):
+        allowed = f"a finite number {within} or a range [low, high] of such"
+        raise ValueError(f"{name} is {value!r}, must be {allowed}")
+    low, high = map(float, numbers)
+    if low > high:
+        raise ValueError(f"{name} is {value!r}, but a range must ascend")
+    return Range(low, high)
 
 
 class Adapter(BackendWrapper):
@@ -78,11 +109,14 @@ class Adapter(BackendWrapper):
         self.continuous = robot.continuous
         allowed = within or Interval(low=0.0, high=_LIMIT)
         self.ranges: dict[str, Range] = {
-            name: draws.read_range(name, value, allowed) for name, value in (numbers or {}).items()
+            name: read_range(name, value, allowed) for name, value in (numbers or {}).items()
         }
         number = sum(type(link) is type(self) for link in chain(backend))
         name = type(self).__name__ if self.stream is None else self.stream
-        self._salt, self._prefix = draws.salt(name, number), f"{type(self).__name__}.{number}."
+        self._salt, self._prefix = (
+            random_numbers.salt(name, number),
+            f"{type(self).__name__}.{number}.",
+        )
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._subject, self._unchecked = f"adapter {type(self).__name__}", True
@@ -120,11 +154,11 @@ class Adapter(BackendWrapper):
 
     def normal(self, width: int) -> Array:
         """Return standard normal numbers for this step, shape (n, width)."""
-        return draws.normal(self._seeds + self._salt, self._steps, width)
+        return random_numbers.normal(self._seeds + self._salt, self._steps, width)
 
     def uniform(self, width: int) -> Array:
         """Return uniform numbers in (0, 1] for this step, shape (n, width)."""
-        return draws.uniform(self._seeds + self._salt, self._steps, width)
+        return random_numbers.uniform(self._seeds + self._salt, self._steps, width)
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Set the seeds of new episodes, shape (m,), in the m `env_ids`."""
@@ -211,7 +245,7 @@ class Adapter(BackendWrapper):
 
     def _draw(self) -> None:
         """Draw the parameters of all episodes; those of running episodes do not change."""
-        shares = draws.once(self._seeds + self._salt, len(self.ranges))
+        shares = random_numbers.per_episode(self._seeds + self._salt, len(self.ranges))
         each = zip(self.ranges.items(), shares.T, strict=True)
         self._values = {name: one.draw(share[:, np.newaxis]) for (name, one), share in each}
 

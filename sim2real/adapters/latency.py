@@ -1,0 +1,262 @@
+"""Late commands and measurements, and lost commands.
+
+Buffers hold the last commands or measurements of each row, the newest at the end.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from kinfeas.config import Interval
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array, integrate, twist_between
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
+
+# Tolerances of rounding: in control periods and in seconds.
+_PERIOD_TOLERANCE, _TIME_TOLERANCE = 1e-6, 1e-7
+
+_DELAYS = Interval(low=0.0, high=60.0)
+
+_POSES, _JOINTS = ("base_pose", "ee_in_base"), "joint_positions"
+_MEASURED = (*_POSES, _JOINTS, "base_twist", "joint_velocities", "age")
+
+
+class CommandLatency(Adapter):
+    """Delayed commands; the robot rests until the first one arrives.
+
+    The newest command that has arrived is active. If it changes within a control period, the mean
+    by time is passed on.
+
+    Args:
+        seconds: Minimum delay of a command, s.
+        jitter: Maximum additional delay, s, uniform and independent for each command.
+    """
+
+    def __init__(
+        self, backend: Backend, robot: Robot, *, seconds: Number = 0.06, jitter: Number = 0.0
+    ) -> None:
+        super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, _DELAYS)
+
+    def on_reset(self, state: RobotState) -> Memory:
+        """Return buffers full of commands to rest."""
+        slots = self.memory["arrivals"].shape[1] if self.memory else 1
+        joints = state.joint_positions
+        return {
+            "clock": np.zeros(len(joints)),
+            "arrivals": np.full((len(joints), slots), -np.inf),
+            "twists": np.zeros((len(joints), slots, 6)),
+            "targets": filled(joints, slots),
+        }
+
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+        """Return the active command."""
+        slots = slots_for(self.ranges["seconds"].high + self.ranges["jitter"].high, dt)
+        delay = self.number("seconds") + self.number("jitter") * self.uniform(1)
+        now = self.memory["clock"]
+        arrivals = pushed(self.memory["arrivals"], now + delay[:, 0], slots)
+        twists = pushed(self.memory["twists"], twist, slots)
+        joints = pushed(self.memory["targets"], targets, slots)
+        self.remember(clock=now + dt, arrivals=arrivals, twists=twists, targets=joints)
+        shares = active_shares(arrivals, now, dt)
+        straight = np.zeros(6, dtype=np.bool_)
+        # A copy, because numba compiles kernels again for read-only arrays.
+        active = self.joints(mixed(joints, shares, self.continuous.copy()))
+        return mixed(twists, shares, straight), active
+
+
+class SensorLatency(Adapter):
+    """Delayed measurements, interpolated between control periods.
+
+    A measurement is never older than the one before it.
+
+    Args:
+        seconds: Minimum delay of a measurement, s.
+        jitter: Maximum additional delay, s, uniform and independent for each measurement.
+    """
+
+    def __init__(
+        self, backend: Backend, robot: Robot, *, seconds: Number = 0.03, jitter: Number = 0.0
+    ) -> None:
+        super().__init__(backend, robot, {"seconds": seconds, "jitter": jitter}, _DELAYS)
+
+    def on_reset(self, state: RobotState) -> Memory:
+        """Return buffers full of the current measurement."""
+        slots = self.memory["times"].shape[1] if self.memory else 1
+        n = len(state.base_pose)
+        times = np.full((n, slots), -np.inf)
+        times[:, -1] = 0.0
+        buffers = {name: filled(values, slots) for name, values in _measurements(state).items()}
+        return {"clock": np.zeros(n), "shown": np.zeros(n), "times": times, **buffers}
+
+    def on_step(self, state: RobotState, dt: float) -> None:
+        """Append the measurement and advance the time of the shown one."""
+        slots = slots_for(self.ranges["seconds"].high + self.ranges["jitter"].high, dt)
+        delay = self.number("seconds") + self.number("jitter") * self.uniform(1)
+        clock = self.memory["clock"] + dt
+        shown = np.maximum(self.memory["shown"], clock - delay[:, 0])
+        times = pushed(self.memory["times"], clock, slots)
+        buffers = {}
+        for name, values in _measurements(state).items():
+            buffer = self.memory.get(name)
+            before = filled(values, times.shape[1] - 1) if buffer is None else buffer
+            buffers[name] = pushed(before, values, slots)
+        self.remember(clock=clock, shown=shown, times=times, **buffers)
+
+    def modify_state(self, state: RobotState) -> RobotState:
+        """Return the delayed state with its age."""
+        index, share = bracket(self.memory["times"], self.memory["shown"])
+        delayed = {
+            name: self._between(name, self.memory[name], index, share)
+            for name in _MEASURED
+            if name in self.memory
+        }
+        age = self.memory["clock"] - self.memory["shown"]
+        delayed["age"] = age + delayed["age"] if "age" in delayed else age
+        return measured(state, **delayed)
+
+    def _between(self, name: str, buffer: Array, index: NDArray[np.intp], share: Array) -> Array:
+        """Return the values of a buffer, shape (n, s, ...), `share` of the way after `index`."""
+        rows, share = np.arange(len(buffer)), share.reshape(-1, *(1 for _ in buffer.shape[2:]))
+        before = buffer[rows, index]
+        after = buffer[rows, np.minimum(index + 1, buffer.shape[1] - 1)]
+        if name in _POSES:
+            moved = integrate(before, twist_between(before, after, 1.0) * share, 1.0)
+        elif name == _JOINTS:
+            moved = self.joints(before + self.turned(before, after) * share)
+        else:
+            moved = before + (after - before) * share
+        return np.where(share > 0.0, moved, before)
+
+
+class DroppedCommands(Adapter):
+    """Lost commands; the robot continues with the last one that arrived.
+
+    Args:
+        share: Probability that a command is lost, 0-1.
+    """
+
+    def __init__(self, backend: Backend, robot: Robot, *, share: Number = 0.05) -> None:
+        super().__init__(backend, robot, {"share": share}, Interval(0.0, 1.0))
+
+    def on_reset(self, state: RobotState) -> Memory:
+        """Return the command to rest."""
+        joints = state.joint_positions
+        return {"twist": np.zeros((len(joints), 6)), "targets": joints}
+
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+        """Return the command, or the last one that arrived."""
+        lost = self.uniform(1) <= self.number("share")
+        twist = np.where(lost, self.memory["twist"], twist)
+        targets = np.where(lost, self.memory["targets"], targets)
+        self.remember(twist=twist, targets=targets)
+        return twist, targets
+
+
+def _measurements(state: RobotState) -> dict[str, Array]:
+    found = {name: getattr(state, name) for name in _MEASURED}
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def filled(values: NDArray[Any], slots: int) -> NDArray[Any]:
+    """Return buffers with the same values in all slots, shape (n, ...) -> (n, slots, ...)."""
+    return np.repeat(values[:, np.newaxis], slots, axis=1)
+
+
+def pushed(buffer: NDArray[Any], values: NDArray[Any], slots: int) -> NDArray[Any]:
+    """Return buffers, (n, s, ...), with `values`, (n, ...), appended; at most `slots` entries."""
+    return np.concatenate([buffer, values[:, np.newaxis]], axis=1)[:, -slots:]
+
+
+def slots_for(seconds: float, dt: float) -> int:
+    """Return the number of entries, one each `dt`, that span `seconds`."""
+    return int(np.ceil(seconds / dt)) + 2
+
+
+def active_shares(arrivals: Array, now: Array, dt: float) -> Array:
+    """Return the share of the next `dt` seconds during which each command is active.
+
+    Args:
+        arrivals: Arrival times in seconds, in the order of sending, shape (n, s).
+        now: Time of each row in seconds, shape (n,).
+        dt: Control period in seconds.
+
+    Returns:
+        Shares, shape (n, s); the sum of each row is 1.
+    """
+    steps = np.round((arrivals - now[:, np.newaxis]) / dt / _PERIOD_TOLERANCE)
+    begins = np.clip(steps * _PERIOD_TOLERANCE, 0.0, 1.0)
+    shares = np.empty_like(begins)
+    _share(begins, shares)
+    return shares
+
+
+def mixed(buffer: Array, shares: Array, turning: NDArray[np.bool_]) -> Array:
+    """Return weighted means of buffers, shape (n, s, w) -> (n, w).
+
+    Args:
+        buffer: Commands; a weight of 1 returns its command bit for bit.
+        shares: Weights, shape (n, s); the sum of each row is 1.
+        turning: Whether each of the w numbers is the angle of a continuous joint, shape (w,).
+    """
+    means = np.empty((len(buffer), buffer.shape[2]))
+    _mix(buffer, shares, turning, means)
+    return means
+
+
+def bracket(times: Array, moment: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the measurements around a moment.
+
+    Args:
+        times: Times of measurements in seconds, ascending, shape (n, s); -inf before an episode.
+        moment: Seconds, shape (n,).
+
+    Returns:
+        Index of the measurement before, shape (n,), and the share of the way to the next one, in
+        [0, 1), shape (n,).
+    """
+    index, share = np.empty(len(times), dtype=np.intp), np.empty(len(times))
+    _find(times, moment, _TIME_TOLERANCE, index, share)
+    return index, share
+
+
+@njit(cache=True)
+def _share(begins, shares):
+    for i in range(len(begins)):
+        end = 1.0
+        for k in range(begins.shape[1] - 1, -1, -1):
+            shares[i, k] = max(end - begins[i, k], 0.0)
+            end = min(end, begins[i, k])
+        shares[i, 0] += end  # the command before all of these
+
+
+@njit(cache=True)
+def _mix(buffer, shares, turning, means):
+    for i in range(len(buffer)):
+        first = 0
+        while shares[i, first] == 0.0:
+            first += 1
+        for k in range(buffer.shape[2]):
+            mean = buffer[i, first, k]
+            for j in range(first + 1, buffer.shape[1]):
+                if shares[i, j] > 0.0:
+                    way = buffer[i, j, k] - buffer[i, first, k]
+                    if turning[k]:
+                        way -= 2.0 * np.pi * np.round(way / (2.0 * np.pi))
+                    mean += shares[i, j] * way
+            means[i, k] = mean
+
+
+@njit(cache=True)
+def _find(times, moment, tolerance, index, share):
+    for i in range(len(times)):
+        k = times.shape[1] - 1
+        while k > 0 and times[i, k] > moment[i] + tolerance:
+            k -= 1
+        index[i], share[i] = k, 0.0
+        if k + 1 < times.shape[1] and times[i, k] > -np.inf:
+            way = (moment[i] - times[i, k]) / (times[i, k + 1] - times[i, k])
+            if moment[i] - times[i, k] > tolerance:
+                share[i] = way

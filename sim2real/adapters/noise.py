@@ -1,0 +1,146 @@
+"""Noise on commands and measurements, and errors of localisation."""
+
+import numpy as np
+
+from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.spatial import Array, integrate
+from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
+
+
+class BaseNoise(Adapter):
+    """Gaussian noise on the commanded base velocity, also on a base at rest.
+
+    Args:
+        linear: Standard deviation of the velocity along each planar axis, m/s.
+        angular: Standard deviation of the turning rate, rad/s.
+    """
+
+    stream = ""  # the random numbers of versions before other streams existed
+
+    def __init__(
+        self, backend: Backend, robot: Robot, *, linear: Number = 0.015, angular: Number = 0.015
+    ) -> None:
+        super().__init__(backend, robot, {"linear": linear, "angular": angular})
+
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+        """Return the twist with noise and the joint targets."""
+        noise = self.normal(3)
+        noisy = twist.copy()
+        noisy[:, :2] += noise[:, :2] * self.number("linear")
+        noisy[:, 5:] += noise[:, 2:] * self.number("angular")
+        return noisy, targets
+
+
+class JointNoise(Adapter):
+    """Gaussian noise on the measured joint positions, drawn for each measurement.
+
+    Args:
+        deviation: Standard deviation, rad or m.
+    """
+
+    def __init__(self, backend: Backend, robot: Robot, *, deviation: Number = 0.002) -> None:
+        super().__init__(backend, robot, {"deviation": deviation})
+
+    def modify_state(self, state: RobotState) -> RobotState:
+        """Return the state with noise on the joint positions."""
+        noise = self.normal(state.joint_positions.shape[1]) * self.number("deviation")
+        return measured(state, joint_positions=self.joints(state.joint_positions + noise))
+
+
+class EeNoise(Adapter):
+    """Gaussian noise on the measured EE pose in the base frame, drawn for each measurement.
+
+    The joint positions stay exact, as if a camera measured the hand.
+
+    Args:
+        linear: Standard deviation of the position along each axis, m.
+        angular: Standard deviation of the orientation about each axis, rad.
+    """
+
+    def __init__(
+        self, backend: Backend, robot: Robot, *, linear: Number = 0.003, angular: Number = 0.005
+    ) -> None:
+        super().__init__(backend, robot, {"linear": linear, "angular": angular})
+        self._chain = build_chain(robot)
+
+    def modify_state(self, state: RobotState) -> RobotState:
+        """Return the state with noise on the EE pose."""
+        exact = state.ee_in_base
+        if exact is None:
+            exact = forward(self._chain, state.joint_positions)
+        noise = self.normal(6)
+        noise[:, :3] *= self.number("linear")
+        noise[:, 3:] *= self.number("angular")
+        return measured(state, ee_in_base=displaced(exact, noise))
+
+
+class Localisation(Adapter):
+    """Drift and jumps of the measured base pose, as of a particle filter in a map.
+
+    The error is a random walk that is zero at the start of an episode; jumps draw a new error.
+    Commands in map axes are executed in axes rotated by the error.
+
+    Args:
+        drift: Standard deviation in m of the walk along each axis after one second.
+        turn_drift: Standard deviation in rad of the heading's walk after one second.
+        jump: Standard deviation of the error along each axis after a jump, m.
+        turn_jump: Standard deviation of the heading's error after a jump, rad.
+        rate: Mean rate of jumps, 1/s.
+    """
+
+    def __init__(  # noqa: PLR0913 - the keys of the YAML
+        self,
+        backend: Backend,
+        robot: Robot,
+        *,
+        drift: Number = 0.003,
+        turn_drift: Number = 0.002,
+        jump: Number = 0.015,
+        turn_jump: Number = 0.01,
+        rate: Number = 0.1,
+    ) -> None:
+        numbers = {"drift": drift, "turn_drift": turn_drift, "jump": jump, "turn_jump": turn_jump}
+        super().__init__(backend, robot, {**numbers, "rate": rate})
+
+    def on_reset(self, state: RobotState) -> Memory:
+        """Return a zero error (x, y, yaw)."""
+        return {"error": np.zeros((len(state.base_pose), 3))}
+
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+        """Return the twist rotated by the heading's error, and the joint targets."""
+        angle = self.memory["error"][:, 2]
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turned = twist.copy()
+        turned[:, 0] = cosine * twist[:, 0] + sine * twist[:, 1]
+        turned[:, 1] = cosine * twist[:, 1] - sine * twist[:, 0]
+        return turned, targets
+
+    def on_step(self, state: RobotState, dt: float) -> None:
+        """Advance the random walk by `dt` seconds, or jump."""
+        noise = self.normal(6)
+        walk = noise[:, :3] * self._each("drift") * np.sqrt(dt)
+        jumps = self.uniform(1) <= -np.expm1(-self.number("rate") * dt)
+        jump = noise[:, 3:] * self._each("jump")
+        self.remember(error=np.where(jumps, jump, self.memory["error"] + walk))
+
+    def modify_state(self, state: RobotState) -> RobotState:
+        """Return the state with the erroneous base pose."""
+        error = np.zeros((len(state.base_pose), 6))
+        error[:, [0, 1, 5]] = self.memory["error"]
+        return measured(state, base_pose=displaced(state.base_pose, error))
+
+    def _each(self, name: str) -> Array:
+        """Return the deviations of x, y and yaw, shape (n, 3)."""
+        metres, radians = self.number(name), self.number(f"turn_{name}")
+        return np.concatenate([metres, metres, radians], axis=1)
+
+
+def displaced(pose: Array, by: Array) -> Array:
+    """Return poses, shape (n, 7), moved and rotated `by` m and rad, (n, 6), along world axes.
+
+    A zero displacement returns the pose bit for bit.
+    """
+    moved = np.any(by != 0.0, axis=1, keepdims=True)
+    return np.where(moved, integrate(pose, by, 1.0), pose)

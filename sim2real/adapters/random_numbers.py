@@ -1,0 +1,76 @@
+"""Random numbers that depend only on the seed of an episode and its step.
+
+They are hashes: rows of a batch are independent, and a run can resume at any step.
+"""
+
+import math
+import zlib
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from kinfeas.core.spatial import Array
+
+Seeds = NDArray[np.uint64]
+
+_UNIFORM, _EPISODE = 0xD1B54A32D192ED03, 0x8CB92BA72F3D8DD7
+_SPREAD, _MASK = 0x9FB21C651E98DF25, 2**64 - 1
+
+
+def salt(name: str, number: int) -> np.uint64:
+    """Return an offset of seeds that separates random streams.
+
+    Args:
+        name: Name of the stream.
+        number: Number of streams of the same name before it.
+    """
+    return np.uint64((zlib.crc32(name.encode()) * _SPREAD + number) & _MASK)
+
+
+def normal(seeds: Seeds, steps: Seeds, width: int) -> Array:
+    """Return standard normal numbers, shape (n, width), for seeds and steps of shape (n,)."""
+    numbers = np.empty((len(seeds), width))
+    _normal(seeds, steps, numbers)
+    return numbers
+
+
+def uniform(seeds: Seeds, steps: Seeds, width: int) -> Array:
+    """Return numbers in (0, 1], shape (n, width), for seeds and steps of shape (n,)."""
+    numbers = np.empty((len(seeds), width))
+    _uniforms(seeds + np.uint64(_UNIFORM), steps, numbers)
+    return numbers
+
+
+def per_episode(seeds: Seeds, width: int) -> Array:
+    """Return numbers in (0, 1], shape (n, width), that are constant during an episode."""
+    return uniform(seeds + np.uint64(_EPISODE), np.zeros_like(seeds), width)
+
+
+@njit(cache=True)
+def _normal(seeds, steps, out):
+    # Box-Muller transform.
+    for i in range(len(out)):
+        for k in range(out.shape[1]):
+            # Each step has sixteen counters of a seed, for eight numbers.
+            seed = seeds[i] + np.uint64(k // 8) * np.uint64(0xA0761D6478BD642F)
+            counter = steps[i] * np.uint64(16) + np.uint64(2 * (k % 8))
+            first, second = _hash(seed, counter), _hash(seed, counter + np.uint64(1))
+            out[i, k] = math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
+
+
+@njit(cache=True)
+def _uniforms(seeds, steps, out):
+    for i in range(len(out)):
+        for k in range(out.shape[1]):
+            out[i, k] = _hash(seeds[i], steps[i] * np.uint64(out.shape[1]) + np.uint64(k))
+
+
+@njit(cache=True)
+def _hash(seed, counter):
+    """Return a number in (0, 1]: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014)."""
+    z = seed + (counter + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return (np.float64(z >> np.uint64(11)) + 1.0) / 9007199254740992.0

@@ -1,0 +1,169 @@
+import numpy as np
+import pytest
+
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import yaw
+from kinfeas.sim2real.adapters.latency import (
+    CommandLatency,
+    DroppedCommands,
+    SensorLatency,
+    active_shares,
+    mixed,
+)
+from kinfeas.sim2real.adapters.noise import EeNoise
+
+STRAIGHT = np.zeros(1, dtype=bool)
+
+
+def targets(steps, seed=0):
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, (steps, 1, 7))
+
+
+@pytest.mark.parametrize(("seconds", "dt"), [(0.1, 0.1), (0.3, 0.1), (0.06, 0.02), (0.06, 0.03)])
+def test_whole_periods_delay_by_as_many_steps_to_the_bit(rig, drive, seconds, dt):
+    late, twists, sent = rig(CommandLatency, seconds=seconds), drive(60), targets(60)
+    late.run(twists, dt, sent)
+    k = round(seconds / dt)
+    np.testing.assert_array_equal(late.passed[k:], twists[: 60 - k])
+    np.testing.assert_array_equal(late.sent[k:], sent[: 60 - k])
+    np.testing.assert_array_equal(late.passed[:k], 0.0)
+    np.testing.assert_array_equal(late.sent[:k, 0], np.broadcast_to(late.joints, (k, 7)))
+
+
+def test_a_fraction_of_a_period_is_the_mean_by_time(rig, drive):
+    late, twists, sent = rig(CommandLatency, seconds=0.06), drive(20), targets(20)
+    late.run(twists, 0.1, sent)
+    expected = 0.6 * twists[:-1] + 0.4 * twists[1:]
+    np.testing.assert_allclose(late.passed[1:], expected, atol=1e-12)
+    np.testing.assert_allclose(late.sent[1:], 0.6 * sent[:-1] + 0.4 * sent[1:], atol=1e-12)
+    np.testing.assert_allclose(late.passed[0], 0.4 * twists[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("seconds", [0.06, 0.1, 0.23])
+def test_it_is_the_same_latency_at_another_rate(rig, seconds):
+    """A command that holds for 0.1 s moves the base as far, and as late, at 10 and 50 Hz."""
+    coarse, fine = rig(CommandLatency, seconds=seconds), rig(CommandLatency, seconds=seconds)
+    twists = np.random.default_rng(0).normal(size=(20, 1, 6))
+    coarse.run(twists, 0.1)
+    fine.run(np.repeat(twists, 5, axis=0), 0.02)
+    means = fine.passed.reshape(20, 5, 1, 6).mean(axis=1)
+    np.testing.assert_allclose(coarse.passed, means, atol=1e-12)
+
+
+def test_jitter_keeps_to_its_range_and_to_the_order(rig):
+    late = rig(CommandLatency, n=50, seconds=0.04, jitter=0.1)
+    ramp = np.arange(100.0)[:, np.newaxis, np.newaxis] * np.ones((1, 6))
+    late.run(ramp, 0.02)
+    # Command k is sent at 0.02 k: what is in force tells how old it is.
+    age = 0.02 * (np.arange(100)[:, np.newaxis] - late.passed[..., 0])[10:]
+    assert 0.02 <= age.min() < 0.05
+    assert 0.06 < age.max() <= 0.14 + 0.02
+    assert np.diff(late.passed[..., 0], axis=0).min() >= -1e-9
+
+
+def test_continuous_joints_take_the_short_way(rig):
+    late = rig(CommandLatency, seconds=0.05)
+    near = np.zeros((2, 1, 7))
+    near[0, 0, 4], near[1, 0, 4] = 3.1, -3.1
+    late.run(np.zeros((2, 6)), 0.1, near)
+    assert abs(late.sent[1, 0, 4]) == pytest.approx(np.pi, abs=1e-9)
+
+
+@pytest.mark.parametrize(("seconds", "dt"), [(0.1, 0.1), (0.3, 0.1), (0.06, 0.02), (0.06, 0.03)])
+def test_whole_periods_delay_measurements_to_the_bit(rig, drive, seconds, dt):
+    late = rig(SensorLatency, seconds=seconds)
+    seen = late.run(drive(60), dt, targets(60))
+    k = round(seconds / dt)
+    for now, before in zip(seen[k:], seen, strict=False):
+        np.testing.assert_array_equal(now.base_pose, before.true_state.base_pose)
+        np.testing.assert_array_equal(now.joint_positions, before.true_state.joint_positions)
+        assert now.age == pytest.approx(seconds)
+    for now in seen[:k]:
+        np.testing.assert_array_equal(now.base_pose, late.first.base_pose)
+        np.testing.assert_array_equal(now.joint_positions, late.joints)
+
+
+def test_between_two_measurements_it_is_interpolated(rig):
+    late = rig(SensorLatency, seconds=0.06)
+    turning = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.5])
+    for i, state in enumerate(late.run(np.tile(turning, (20, 1)), 0.1)):
+        time = max(0.1 * (i + 1) - 0.06, 0.0)
+        np.testing.assert_allclose(state.base_pose[0, 0], 0.1 * time, atol=1e-12)
+        np.testing.assert_allclose(yaw(state.base_pose)[0], 0.5 * time, atol=1e-12)
+
+
+def test_a_late_reading_never_shows_an_older_robot(rig):
+    late = rig(SensorLatency, n=40, seconds=0.02, jitter=0.2)
+    ahead = np.tile([1.0, 0, 0, 0, 0, 0], (60, 1))
+    seen = late.run(ahead, 0.05)
+    x = np.stack([state.base_pose[:, 0] for state in seen])
+    assert np.diff(x, axis=0).min() >= 0.0
+    age = np.stack([state.age for state in seen])[10:]
+    assert age.min() >= 0.02
+    assert 0.1 < age.max() <= 0.22 + 0.05
+    behind = np.stack([(state.true_state.base_pose - state.base_pose)[:, 0] for state in seen])[10:]
+    np.testing.assert_allclose(behind, age, atol=1e-9)
+
+
+def test_all_that_is_measured_is_late(rig):
+    late, inner = rig(SensorLatency, seconds=0.1), rig(EeNoise)
+    late.adapter.backend = inner.adapter
+    late.adapter.reset(inner.first.base_pose, late.joints)
+    seen = [late.adapter.step(np.zeros((1, 6)), t, 0.1) for t in targets(5)]
+    for now, before in zip(seen[1:], seen, strict=False):
+        assert not np.array_equal(now.ee_in_base, before.ee_in_base)
+    np.testing.assert_array_equal(seen[0].ee_in_base, inner.first.ee_in_base)
+
+
+def test_what_is_lost_leaves_the_last_command_active_shares(rig, drive):
+    lossy = rig(DroppedCommands, n=30, share=0.3)
+    twists = drive(200, n=30)
+    lossy.run(twists)
+    came = np.all(lossy.passed == twists, axis=2)
+    assert came.mean() == pytest.approx(0.7, abs=0.03)
+    held = np.concatenate([np.zeros((1, 30, 6)), lossy.passed[:-1]])
+    np.testing.assert_array_equal(lossy.passed[~came], held[~came])
+
+
+def test_losses_are_independent_of_each_other(rig, drive):
+    lossy = rig(DroppedCommands, n=200, share=0.5)
+    twists = drive(200, n=200)
+    lossy.run(twists)
+    came = np.all(lossy.passed == twists, axis=2).astype(float) - 0.5
+    assert abs(np.mean(came[1:] * came[:-1])) < 0.005
+    assert abs(np.mean(came[:, 1:] * came[:, :-1])) < 0.005
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_invalid_shares(pr2, share):
+    with pytest.raises(KinfeasError, match="share"):
+        wrap(object(), [PluginSpec("dropped_commands", {"share": share})], pr2)
+
+
+def row(*values):
+    return np.array([values], dtype=float)
+
+
+def test_shares_are_those_of_time():
+    arrivals = row(-np.inf, 0.96, 1.03, 1.06)
+    np.testing.assert_allclose(active_shares(arrivals, np.array([1.0]), 0.1), row(0, 0.3, 0.3, 0.4))
+
+
+def test_a_command_that_was_overtaken_is_never_active_shares():
+    arrivals = row(-np.inf, 1.05, 1.02)
+    np.testing.assert_allclose(active_shares(arrivals, np.array([1.0]), 0.1), row(0.2, 0.0, 0.8))
+
+
+def test_rounding_makes_no_fraction():
+    now = np.array([sum([0.02] * 50)])
+    shares = active_shares(row(-np.inf, *(now - 0.04 + 0.06), *(now + 0.06)), now, 0.02)
+    np.testing.assert_array_equal(shares, row(1, 0, 0))
+
+
+def test_means_are_to_the_bit_where_there_is_one_and_short_for_angles():
+    line = np.array([[[0.1], [3.0], [-3.0]]])
+    np.testing.assert_array_equal(mixed(line, row(0, 1, 0), STRAIGHT), [[3.0]])
+    np.testing.assert_allclose(mixed(line, row(0, 0.5, 0.5), STRAIGHT), [[0.0]], atol=1e-15)
+    np.testing.assert_allclose(mixed(line, row(0, 0.5, 0.5), ~STRAIGHT), [[np.pi]])

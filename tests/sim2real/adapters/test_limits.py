@@ -1,0 +1,156 @@
+import numpy as np
+import pytest
+
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
+from kinfeas.core.errors import KinfeasError
+from kinfeas.sim2real.adapters.limits import (
+    AccelerationLimit,
+    ActuatorLag,
+    JointLimitClamp,
+    VelocityClamp,
+    length,
+    shortened,
+)
+
+PARTS = ((slice(0, 3), "linear"), (slice(3, 6), "angular"))
+LIMITS = {"linear": 0.7, "angular": 1.5}
+JERKS = {"linear_jerk": 4.0, "angular_jerk": 6.0}
+
+
+def rates(values, dt):
+    """Return how fast values change, from rest, shape (steps, n, 6)."""
+    return np.diff(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0) / dt
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+@pytest.mark.parametrize("jerks", [{}, JERKS])
+def test_accelerations_are_never_exceeded(rig, drive, dt, jerks):
+    limited = rig(AccelerationLimit, n=20, **LIMITS, **jerks)
+    limited.run(drive(300, n=20) * 3.0, dt)
+    acceleration = rates(limited.passed, dt)
+    jerk = rates(acceleration, dt)
+    for part, name in PARTS:
+        found = np.linalg.norm(acceleration[..., part], axis=-1)
+        assert found.max() <= LIMITS[name] * (1.0 + 1e-9)
+        assert found.max() > 0.9 * LIMITS[name]
+        if jerks:
+            assert np.linalg.norm(jerk[..., part], axis=-1).max() <= JERKS[f"{name}_jerk"] * 1.001
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.05])
+def test_a_ramp_takes_the_time_that_it_must(rig, dt):
+    limited = rig(AccelerationLimit, linear=0.5, angular=1.0)
+    limited.run(np.tile([1.0, 0, 0, 0, 0, -1.0], (round(3.0 / dt), 1)), dt)
+    t = dt * np.arange(1, round(3.0 / dt) + 1)
+    np.testing.assert_allclose(limited.passed[:, 0, 0], np.minimum(0.5 * t, 1.0), atol=1e-12)
+    np.testing.assert_allclose(limited.passed[:, 0, 5], -np.minimum(t, 1.0), atol=1e-12)
+
+
+def test_with_limited_jerk_the_command_is_met_and_hardly_passed(rig):
+    limited = rig(AccelerationLimit, linear=0.5, angular=1.0, **JERKS)
+    limited.run(np.tile([0.2, 0.1, 0, 0, 0, 0.8], (150, 1)), 0.02)
+    assert limited.passed[-1, 0] == pytest.approx(np.array([0.2, 0.1, 0, 0, 0, 0.8]), abs=1e-3)
+    assert limited.passed[..., 0].max() < 0.2 * 1.05
+    assert limited.passed[..., 5].max() < 0.8 * 1.05
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [
+        (AccelerationLimit, "linear", "max_acceleration"),
+        (AccelerationLimit, "angular", "max_rotation_acceleration"),
+        (VelocityClamp, "linear", "max_velocity"),
+        (VelocityClamp, "angular", "max_rotation"),
+    ],
+)
+def test_the_robots_limits_are_the_default(rig, pr2, kind, name, value):
+    assert rig(kind).adapter.ranges[name].low == getattr(pr2.base, value)
+
+
+@pytest.mark.parametrize(
+    ("adapter", "parameters", "key"),
+    [
+        ("acceleration_limit", {"linear": 0}, "linear"),
+        ("acceleration_limit", {"angular_jerk": 0}, "angular_jerk"),
+        ("velocity_clamp", {"joints": 0}, "joints"),
+        ("joint_limit_clamp", {"margin": 1.0}, "margin"),
+        ("actuator_lag", {"arm": -1}, "arm"),
+    ],
+)
+def test_invalid_limits(pr2, adapter, parameters, key):
+    with pytest.raises(KinfeasError, match=f"{adapter}.*{key}"):
+        wrap(object(), [PluginSpec(adapter, parameters)], pr2)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_velocities_are_never_exceeded(rig, drive, pr2, dt):
+    clamped = rig(VelocityClamp, n=9, linear=0.1, angular=0.3, joints=0.5)
+    sent = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 9, 7))
+    clamped.run(drive(50, n=9) * 2.0, dt, sent)
+    assert np.linalg.norm(clamped.passed[..., :3], axis=-1).max() == pytest.approx(0.1)
+    assert np.abs(clamped.passed[..., 5]).max() == pytest.approx(0.3)
+    moves = np.diff(np.concatenate([clamped.joints[np.newaxis], clamped.sent]), axis=0)
+    moves = np.where(clamped.adapter.continuous, np.angle(np.exp(1j * moves)), moves)
+    assert np.all(np.abs(moves) <= 0.5 * pr2.max_joint_velocity * dt * (1.0 + 1e-9))
+
+
+def test_a_joint_goes_on_toward_a_far_target(rig, pr2):
+    clamped = rig(VelocityClamp)
+    clamped.run(np.zeros((20, 6)), 0.1, np.full((20, 1, 7), 1.0))
+    way = np.arange(1, 21) * pr2.arm[0].velocity * 0.1
+    np.testing.assert_allclose(clamped.sent[:, 0, 0], np.minimum(way, 1.0))
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.05])
+def test_joint_targets_stay_within_the_limits(rig, drive, pr2, margin):
+    clamped = rig(JointLimitClamp, margin=margin)
+    sent, twists = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 1, 7)), drive(50)
+    clamped.run(twists, targets=sent)
+    lower, upper = (np.array([getattr(j, end) for j in pr2.arm]) for end in ("lower", "upper"))
+    within = (sent >= lower + margin) & (sent <= upper - margin)
+    np.testing.assert_array_equal(clamped.sent[within], sent[within])
+    assert np.all(clamped.sent >= lower + margin)
+    assert np.all(clamped.sent <= upper - margin)
+    assert within.mean() < 0.9
+    np.testing.assert_array_equal(clamped.passed, twists)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.1, 0.25])
+@pytest.mark.parametrize("time", [0.05, 0.4])
+def test_the_step_response_of_the_base_is_exponential_at_any_rate(rig, dt, time):
+    lagging = rig(ActuatorLag, base=time, arm=0.0)
+    steps = round(2.0 / dt)
+    seen = lagging.run(np.tile([1.0, 0, 0, 0, 0, 0], (steps, 1)), dt)
+    t = dt * np.arange(1, steps + 1)
+    x = np.array([state.base_pose[0, 0] for state in seen])
+    np.testing.assert_allclose(x, t - time * (1.0 - np.exp(-t / time)), atol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.1])
+def test_the_step_response_of_the_arm(rig, dt):
+    lagging = rig(ActuatorLag, base=0.0, arm=0.2)
+    steps = round(1.0 / dt)
+    lagging.run(np.zeros((steps, 6)), dt, np.full((steps, 1, 7), 0.5))
+    t = dt * np.arange(1, steps + 1)
+    np.testing.assert_allclose(lagging.sent[:, 0, 0], 0.5 * (1.0 - np.exp(-t / 0.2)), atol=1e-12)
+
+
+def test_continuous_joints_take_the_short_way(rig):
+    joints = np.zeros((1, 7))
+    joints[0, 4] = 3.0
+    lagging = rig(ActuatorLag, start=joints, base=0.0, arm=0.1)
+    sent = np.tile(joints, (5, 1, 1))
+    sent[..., 4] = -3.0
+    lagging.run(np.zeros((5, 6)), 0.1, sent)
+    assert np.all(np.abs(lagging.sent[..., 4]) > 3.0)
+    assert np.all(np.abs(lagging.sent[..., 4]) <= np.pi)
+
+
+def test_vectors_are_shortened_and_never_turned():
+    vector = np.random.default_rng(0).normal(size=(50, 3))
+    found = shortened(vector, np.full((50, 1), 0.5))
+    assert length(found).max() <= 0.5 + 1e-15
+    np.testing.assert_allclose(np.cross(found, vector), 0.0, atol=1e-15)
+    np.testing.assert_array_equal(shortened(vector, np.full((50, 1), 9.0)), vector)
+    np.testing.assert_array_equal(shortened(np.zeros((1, 3)), np.zeros((1, 1))), 0.0)

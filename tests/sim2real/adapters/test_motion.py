@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import execution_of, wrap
+from kinfeas.control.execution import ExecutionConfig
+from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.tasks.ggr import ggr
+
+SLOW = PluginSpec("time_scale", {"factor": 0.5})
+
+
+def test_head_starts_add_up_and_time_scales_multiply(pr2):
+    adapters = [
+        PluginSpec("head_start", {"seconds": 2.0}),
+        SLOW,
+        PluginSpec("head_start", {"seconds": [0.5, 1.5]}),
+        SLOW,
+    ]
+    given = ExecutionConfig(head_start=1.0, time_scale=0.8)
+    found = execution_of(wrap(AnalyticBackend(), adapters, pr2), given)
+    assert (found.head_start, found.head_start_jitter) == (3.5, 1.0)
+    assert found.time_scale == pytest.approx(0.2)
+
+
+def stands(robot, seconds, episodes, dt=0.1):
+    """Return for how many periods the EE of each episode stands still."""
+    config = WorldConfig(dt=dt, adapters=(PluginSpec("head_start", {"seconds": seconds}),))
+    world = World(robot, ggr(), config, seed=0)
+    world.start(episodes)
+    first, still = world.loop.desired, np.zeros(len(episodes), dtype=int)
+    for _ in range(30):
+        world.step(np.zeros((len(episodes), world.action_size)))
+        still += np.all(world.loop.desired == first, axis=1)
+    return still.tolist()
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.05])
+def test_the_ee_stands_for_as_long(pr2, dt):
+    assert stands(pr2, 0.5, range(3), dt) == [round(0.5 / dt)] * 3
+
+
+def test_each_episode_draws_its_own(pr2):
+    together = stands(pr2, [0.0, 2.0], range(6))
+    assert len(set(together)) > 3
+    assert max(together) <= 20
+    assert stands(pr2, [0.0, 2.0], [4]) == [together[4]]
+
+
+def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
+    slow = World(pr2, ggr(), WorldConfig(max_seconds=2.0, adapters=(SLOW,)), seed=0)
+    plain = World(pr2, ggr(), WorldConfig(max_seconds=2.0), seed=0)
+    for world in (slow, plain):
+        world.start([0])
+    ways = []
+    for world, steps in ((slow, 40), (plain, 20)):
+        on_reset = world.loop.desired[:, :3]
+        for step in range(steps):
+            done = world.step(np.zeros((1, 3))).truncated[0]
+            assert done == (step == steps - 1)
+        ways.append(np.linalg.norm(world.loop.desired[:, :3] - on_reset))
+    assert ways[0] == pytest.approx(ways[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("head_start", "seconds", -1),
+        ("time_scale", "factor", 2.0),
+        ("time_scale", "factor", 0.0),
+        ("time_scale", "factor", [0.5, 1.0]),
+    ],
+)
+def test_invalid_parameters(pr2, name, key, value):
+    with pytest.raises(KinfeasError, match=f"{name}.*{key}"):
+        wrap(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)

@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.config import PluginSpec
+from kinfeas.control.adapters import wrap
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import make_pose, yaw
+from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation, displaced
+
+STILL = {"drift": 0.0, "turn_drift": 0.0, "jump": 0.0, "turn_jump": 0.0, "rate": 0.0}
+
+
+def test_base_noise_is_added_to_the_planar_velocity(rig, drive):
+    twists = drive(9)
+    exact, plain, scaled = (
+        rig(BaseNoise, linear=linear, angular=angular)
+        for linear, angular in ((0.0, 0.0), (1.0, 1.0), (0.5, 0.1))
+    )
+    for one in (exact, plain, scaled):
+        one.run(twists)
+    np.testing.assert_array_equal(exact.passed, twists)
+    noise = plain.passed - twists
+    np.testing.assert_array_equal(noise[..., 2:5], 0.0)
+    np.testing.assert_allclose((scaled.passed - twists)[..., :2], 0.5 * noise[..., :2])
+    np.testing.assert_allclose((scaled.passed - twists)[..., 5], 0.1 * noise[..., 5])
+
+
+def test_base_noise_does_not_change_between_versions(rig):
+    noisy = rig(BaseNoise, first_seed=7)
+    noisy.run(np.zeros((2, 6)))
+    expected = [
+        [0.02047488446185842, -0.005947859628807266, 6.747789239746878e-05],
+        [-0.0035069849951385483, 0.0006755159432595721, 0.010429582057997535],
+    ]
+    np.testing.assert_array_equal(noisy.passed[:, 0][:, [0, 1, 5]], expected)
+
+
+@pytest.mark.parametrize("name", ["linear", "angular"])
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf, "much"])
+def test_invalid_deviations(pr2, name, value):
+    with pytest.raises(KinfeasError, match=f"base_noise.*{name}"):
+        wrap(object(), [PluginSpec("base_noise", {name: value})], pr2)
+
+
+def test_joint_noise_keeps_the_true_state(rig):
+    noisy = rig(JointNoise, n=500, deviation=0.01)
+    seen = noisy.run(np.zeros((4, 6)))
+    found = np.stack([state.joint_positions for state in [noisy.first, *seen]])
+    assert found.std() == pytest.approx(0.01, rel=0.05)
+    assert len(np.unique(found)) == found.size
+    for state in seen:
+        np.testing.assert_array_equal(state.true_state.joint_positions, noisy.joints)
+        assert state.base_pose is state.true_state.base_pose
+    np.testing.assert_array_equal(noisy.sent, 0.0)
+
+
+def test_continuous_joints_stay_in_their_turn(rig):
+    joints = np.zeros((300, 7))
+    joints[:, [4, 6]] = np.pi
+    found = rig(JointNoise, n=300, start=joints, deviation=0.1).first.joint_positions[:, [4, 6]]
+    assert np.abs(found).max() <= np.pi
+    assert (found < 0.0).any()
+
+
+def test_ee_noise(rig, pr2):
+    noisy = rig(EeNoise, n=2000, linear=0.01, angular=0.05)
+    exact = forward(build_chain(pr2), noisy.joints)
+    found = noisy.first.ee_in_base
+    assert (found - exact)[:, :3].std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.07)
+    turns = Rotation.from_quat(found[:, 3:]) * Rotation.from_quat(exact[:, 3:]).inv()
+    assert turns.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.05), rel=0.07)
+    assert noisy.first.joint_positions is noisy.first.true_state.joint_positions
+    assert noisy.first.true_state.ee_in_base is None
+
+
+def test_ee_noise_of_two_adapters_adds_up(rig, pr2):
+    within = rig(EeNoise, n=2000, linear=0.01, angular=0.0)
+    around = JointNoise(EeNoise(within.adapter, pr2, linear=0.01, angular=0.0), pr2)
+    around.seed(np.arange(2000, dtype=np.uint64), np.arange(2000))
+    found = around.reset(within.first.base_pose, within.joints).ee_in_base
+    exact = forward(build_chain(pr2), within.joints)
+    assert (found - exact)[:, 0].std() == pytest.approx(0.01 * np.sqrt(2.0), rel=0.07)
+
+
+def errors(states):
+    """Return how far the base is seen beside where it is, shape (steps, n, 3)."""
+    return np.stack([
+        np.column_stack([
+            (state.base_pose - state.true_state.base_pose)[:, :2],
+            yaw(state.base_pose) - yaw(state.true_state.base_pose),
+        ])
+        for state in states
+    ])  # fmt: skip
+
+
+def test_an_episode_begins_without_an_error(rig):
+    found = rig(Localisation, n=5)
+    np.testing.assert_array_equal(errors([found.first]), 0.0)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_drift_grows_with_the_root_of_time_at_any_rate(rig, dt):
+    moving = rig(Localisation, n=1500, **(STILL | {"drift": 0.01, "turn_drift": 0.02}))
+    found = errors(moving.run(np.zeros((round(4.0 / dt), 6)), dt))
+    expected = np.array([0.01, 0.01, 0.02])
+    assert found[round(1.0 / dt) - 1].std(axis=0) == pytest.approx(expected, rel=0.08)
+    assert found[-1].std(axis=0) == pytest.approx(2.0 * expected, rel=0.08)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_jumps_come_at_their_rate_and_lead_to_errors_of_their_size(rig, dt):
+    jumpy = rig(Localisation, n=1000, **(STILL | {"rate": 0.5, "jump": 0.05, "turn_jump": 0.1}))
+    found = errors(jumpy.run(np.zeros((round(6.0 / dt), 6)), dt))
+    jumps = np.any(np.diff(found, axis=0) != 0.0, axis=2)
+    assert jumps.mean() / dt == pytest.approx(0.5, rel=0.06)
+    jump = found[-1][np.any(found[-1] != 0.0, axis=1)]
+    assert jump.std(axis=0) == pytest.approx(np.array([0.05, 0.05, 0.1]), rel=0.08)
+
+
+def test_commands_are_rotated_by_the_error(rig, drive):
+    lost = rig(Localisation, n=4, **(STILL | {"turn_drift": 0.5}))
+    twists = drive(30, n=4)
+    angle = errors([lost.first, *lost.run(twists)])[:-1, :, 2]
+    heading = np.arctan2(lost.passed[..., 1], lost.passed[..., 0])
+    wanted = np.arctan2(twists[..., 1], twists[..., 0])
+    turned = np.angle(np.exp(1j * (wanted - heading - angle)))
+    np.testing.assert_allclose(turned, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(lost.passed[..., 2:], twists[..., 2:])
+
+
+def test_a_displacement_of_nothing_leaves_every_bit():
+    rng = np.random.default_rng(0)
+    pose = make_pose(rng.normal(size=(20, 3)), Rotation.random(20, random_state=0))
+    np.testing.assert_array_equal(displaced(pose, np.zeros((20, 6))), pose)
+    by = np.array([[0.1, 0.2, 0.3, 0.0, 0.0, 0.5]])
+    moved = displaced(pose[:1], by)
+    np.testing.assert_allclose(moved[0, :3], pose[0, :3] + by[0, :3])
+    turn = Rotation.from_quat(moved[0, 3:]) * Rotation.from_quat(pose[0, 3:]).inv()
+    np.testing.assert_allclose(turn.as_rotvec(), by[0, 3:], atol=1e-12)
