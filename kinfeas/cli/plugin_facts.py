@@ -181,11 +181,10 @@ def _type(kind: Any) -> str:
 
 def _task(name: str, found: list[Parameter]) -> dict[str, Any]:
     """Return parameters and sub-goals of a task by name or path; its fields if none were found."""
-    from kinfeas.tasks.checks import unchecked
     from kinfeas.tasks.loading import load_task
 
     task = load_task(name)
-    found = found or fields_of(unchecked(task))
+    found = found or fields_of(task)
     return {
         "subgoals": [_subgoal(subgoal) for subgoal in task.subgoals],
         "parameters": [vars(one) for one in found],

@@ -22,8 +22,7 @@ from kinfeas.core.start import Start, episode_rng
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.tasks.checks import check_start
-from kinfeas.tasks.task import StagedTask, SupportsTaskScenes, Task, build_subgoals
+from kinfeas.tasks.task import SupportsTaskScenes, Task, build_subgoals, sample_start
 
 
 @dataclass(frozen=True)
@@ -176,10 +175,10 @@ class World:
         """
         rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
-        starts = [self._sample(rng, row) for rng, row in zip(rngs, places, strict=True)]
-        subgoals, joints = len(self.task.subgoals), len(self.robot.arm)
-        for start in starts:
-            check_start(start, f"task {self.task.name!r}", subgoals, joints)
+        starts = [
+            sample_start(self.task, self.solver, rng, row)
+            for rng, row in zip(rngs, places, strict=True)
+        ]
         stacked = Start(
             np.stack([start.base_pose for start in starts]),
             np.stack([start.joint_positions for start in starts]),
@@ -230,8 +229,3 @@ class World:
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation
-
-    def _sample(self, rng: np.random.Generator, row: int) -> Start:
-        if isinstance(self.task, StagedTask):
-            return self.task.sample_in(row, self.solver, rng)
-        return self.task.sample(self.solver, rng)

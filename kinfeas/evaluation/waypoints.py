@@ -14,7 +14,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import episode_rng
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.tasks.task import Task, build_subgoals
+from kinfeas.tasks.task import Task, build_subgoals, sample_start
 
 A_SUBGOAL = 16
 """Poses along a sub-goal."""
@@ -65,7 +65,7 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
 def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> MotionSequence:
     """Return the motions of the episodes at their start, without waits."""
     rngs = [episode_rng(seed, episode) for episode in range(episodes)]
-    starts = [task.sample(solver, rng) for rng in rngs]
+    starts = [sample_start(task, solver, rng) for rng in rngs]
     base = np.stack([start.base_pose for start in starts])
     joints = np.stack([start.joint_positions for start in starts])
     subgoals = [replace(subgoal, dwell=0.0) for subgoal in build_subgoals(task.subgoals)]

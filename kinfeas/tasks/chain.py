@@ -1,4 +1,4 @@
-"""Tasks from YAML: a chain of motions to places that are drawn anew for each episode."""
+"""Tasks from YAML: chains of sub-goals at places that are drawn anew for each episode."""
 
 import os
 from collections.abc import Iterable, Mapping
@@ -13,18 +13,16 @@ from kinfeas import config
 from kinfeas.config import Interval, strict_yaml
 from kinfeas.config.quantities import Distance, Metres, Position, Radians
 from kinfeas.core.errors import KinfeasError, check_name, no_such
-from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, planar_pose
+from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.tasks.arm_start import random_arm
-from kinfeas.tasks.scene import TaskScene
-from kinfeas.tasks.task import Subgoal
+from kinfeas.tasks.task import Subgoal, random_arm
 
 Length = Metres | tuple[Metres, Metres]
-"""A number, or the lowest and the highest to draw from uniformly."""
+"""Metres, or the ends of a range to draw from uniformly."""
 
 Angle = Radians | tuple[Radians, Radians]
-"""The same in radians."""
+"""Radians, or the ends of a range to draw from uniformly."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +56,11 @@ class Place:
 
 @dataclass(frozen=True)
 class BaseStart:
-    """Where the base begins.
+    """Start of the base.
 
     Attributes:
-        square: Side of the square around the origin that it is drawn from, metres.
-        heading: How far it may be turned away from the first sub-goal's target, radians.
+        square: Side of the square around the origin from which the position is drawn, metres.
+        heading: Largest angle between the heading and the direction to the first target, radians.
     """
 
     square: Distance = 1.5
@@ -71,7 +69,7 @@ class BaseStart:
 
 @dataclass(frozen=True, kw_only=True)
 class ChainSubgoal(Subgoal):
-    """One motion of a chain, and where it leads.
+    """One motion of a chain, and its target.
 
     Attributes:
         place: Name of a place.
@@ -83,15 +81,84 @@ class ChainSubgoal(Subgoal):
 
 
 @dataclass(frozen=True)
+class Move:
+    """Pose of an object in an episode.
+
+    Attributes:
+        place: Name of the place of a sub-goal.
+        offset: From there to the object, along the place's own axes, metres.
+        turn: Of the object about the place's z axis, radians.
+    """
+
+    place: str
+    offset: Position = (0.0, 0.0, 0.0)
+    turn: Radians = 0.0
+
+
+@dataclass(frozen=True)
+class GraspedObject:
+    """The object that the gripper grasps.
+
+    Attributes:
+        object: Name of an object of the scene.
+        link: Its link.
+        revolute: Whether the link can turn in the gripper, as a bar can.
+    """
+
+    object: str
+    link: str
+    revolute: bool = False
+
+
+@dataclass(frozen=True)
+class SuccessCondition:
+    """Success of a task: an object on another one, or one of its joints open.
+
+    Attributes:
+        object: Name of an object of the scene.
+        parent: Name of the object below it.
+        joint: Its joint.
+        threshold: Position beyond which the joint is open, rad or m; downwards if below 0.
+    """
+
+    object: str
+    parent: str | None = None
+    joint: str | None = None
+    threshold: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that there is one condition."""
+        if (self.parent is None) == (self.joint is None):
+            raise ValueError("one of 'parent' and 'joint' must be given, and not both")
+
+
+@dataclass(frozen=True)
+class TaskScene:
+    """Objects of a task, in worlds that have them.
+
+    Attributes:
+        name: The scene, by its name or the path of its YAML.
+        success: Condition of the task's success.
+        grasped_object: Object that the gripper grasps; none by default.
+        moves: Poses of objects that an episode moves, by their names.
+    """
+
+    name: str
+    success: SuccessCondition
+    grasped_object: GraspedObject | None = None
+    moves: dict[str, Move] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ChainTask:
     """Move along a chain of sub-goals, from a random arm configuration.
 
     Attributes:
         name: Task name.
         subgoals: The motions, at least one.
-        places: What they lead to, by name.
-        start: Where the base begins.
-        scene: What happens to objects, in worlds that have them.
+        places: Their targets, by name.
+        start: Start of the base.
+        scene: Objects, in worlds that have them.
     """
 
     name: str
@@ -101,7 +168,7 @@ class ChainTask:
     scene: TaskScene | None = None
 
     def __post_init__(self) -> None:
-        """Check the name, and that the sub-goals lead to places that there are."""
+        """Check the name, and the places of sub-goals and objects."""
         check_name(self.name)
         if not self.subgoals:
             raise ValueError("'subgoals' must have at least one entry")
@@ -111,13 +178,14 @@ class ChainTask:
                 raise ValueError(
                     f"'subgoals.{number}.place': unknown place {subgoal.place!r}{known}"
                 )
-        reached = {subgoal.place for subgoal in self.subgoals}
         for name, move in self.scene.moves.items() if self.scene else ():
-            if move.place not in reached:
-                known = no_such(move.place, reached)
-                raise ValueError(
-                    f"'scene.moves.{name}.place': no sub-goal leads to {move.place!r}{known}"
-                )
+            self.check_used(move.place, f"scene.moves.{name}.place")
+
+    def check_used(self, place: str, key: str) -> None:
+        """Raise ValueError about `key` if no sub-goal has the place."""
+        used = {subgoal.place for subgoal in self.subgoals}
+        if place not in used:
+            raise ValueError(f"{key!r}: no sub-goal has the place {place!r}{no_such(place, used)}")
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
@@ -128,52 +196,53 @@ class ChainTask:
         return self.toward(targets, solver, rng)
 
     def toward(self, targets: Array, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return a random start of an episode that leads to `targets`, shape (sub-goals, 7)."""
+        """Return a random start of an episode with the targets, shape (sub-goals, 7)."""
         x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
         bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
         heading = bearing + rng.uniform(-self.start.heading, self.start.heading)
         return Start(planar_pose(x, y, heading), random_arm(solver, rng), targets)
 
     def object_poses(self, targets: Array) -> dict[str, Array]:
-        """Return where the objects stand that an episode moves, shape (7,), by their names.
+        """Return the world poses of the objects that an episode moves, shape (7,), by their names.
 
         Args:
-            targets: What the sub-goals of the episode lead to, shape (sub-goals, 7).
+            targets: Targets of the episode's sub-goals, shape (sub-goals, 7).
         """
         if self.scene is None:
             return {}
         places = {
-            subgoal.place: _shifted(target, _minus(subgoal.offset))
+            subgoal.place: _shifted(target, tuple(-x for x in subgoal.offset))
             for subgoal, target in zip(self.subgoals, targets, strict=True)
         }
-        return {name: move.carry(places[move.place]) for name, move in self.scene.moves.items()}
+        return {
+            name: _shifted(places[move.place], move.offset, move.turn)
+            for name, move in self.scene.moves.items()
+        }
 
 
 def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> ChainTask:
-    """Return the task that a YAML file describes.
+    """Return the task of a YAML file.
 
-    Files that it names are looked for beside it, and else from where the program runs.
+    Files that it names are searched for beside it, then in the current folder.
 
     Args:
         path: File with the fields of `ChainTask`.
-        changes: What to take instead of the file's entries; a mapping changes its own keys only,
-            in place of a list the entries that it names by index.
+        changes: Replacements of the file's entries; a mapping changes its own keys only, and
+            entries of a list by index.
 
     Raises:
-        KinfeasError: If the file is broken, an entry or a change is not what `ChainTask` allows, or
-            one of them gives a place that no sub-goal leads to.
+        KinfeasError: If the file, an entry or a change is invalid, or a place is not used.
     """
     data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     task = config.from_mapping(ChainTask, data, str(path))
-    _check_reached(task, task.places, str(path))
+    _check_places(task, task.places, str(path))
     if not changes:
         return task
-    # The file is in order: what is wrong from here on is not its fault.
     source = "the task's parameters"
     changed = config.from_mapping(ChainTask, _changed(data, changes, source), source)
-    # Other sub-goals may leave out some of the file's places, but not of those that are given.
+    # Other sub-goals need not use all places of the file, but all places of the changes.
     given = changes.get("places")
-    _check_reached(changed, given if isinstance(given, Mapping) else (), source)
+    _check_places(changed, given if isinstance(given, Mapping) else (), source)
     return changed
 
 
@@ -196,17 +265,16 @@ def _shipped(name: str, parameters: Mapping[str, object]) -> ChainTask:
     return read_chain(Path(__file__).parent / f"{name}.yaml", parameters)
 
 
-def _check_reached(task: ChainTask, given: Iterable[str], source: str) -> None:
-    """Raise if no sub-goal leads to one of the places `given`: its name is misspelt."""
-    reached = {subgoal.place for subgoal in task.subgoals}
+def _check_places(task: ChainTask, given: Iterable[str], source: str) -> None:
     for name in given:
-        if name not in reached:
-            known = no_such(name, reached)
-            raise KinfeasError(f"{source}: 'places.{name}': no sub-goal leads to {name!r}{known}")
+        try:
+            task.check_used(name, f"places.{name}")
+        except ValueError as error:
+            raise KinfeasError(f"{source}: {error}") from error
 
 
 def _changed(old: object, change: object, source: str) -> Any:
-    """Return `old` with a `change`: mapping within mapping, and of a list the entries named."""
+    """Return `old` with a `change`, recursively in mappings and in the named entries of lists."""
     if not isinstance(change, Mapping):
         return change
     if isinstance(old, list):
@@ -218,13 +286,13 @@ def _changed(old: object, change: object, source: str) -> Any:
     if not isinstance(old, Mapping):
         return change
     if change.get("generator", old.get("generator")) != old.get("generator"):
-        return change  # parameters belong to the generator that they were written for
+        return change  # parameters belong to one generator
     changes = {key: _changed(old.get(key), one, source) for key, one in change.items()}
     return {**old, **changes}
 
 
 def _located(entry: object, folder: Path) -> object:
-    """Return an entry with the names of files that lie in a folder, within it, as their paths."""
+    """Return an entry in which names of files of a folder are replaced by their paths."""
     if isinstance(entry, Mapping):
         return {key: _located(value, folder) for key, value in entry.items()}
     if isinstance(entry, list):
@@ -240,11 +308,6 @@ def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> floa
     return float(rng.uniform(*number)) if isinstance(number, tuple) else number
 
 
-def _minus(offset: tuple[float, float, float]) -> tuple[float, float, float]:
-    x, y, z = offset
-    return -x, -y, -z
-
-
-def _shifted(place: Array, offset: tuple[float, float, float]) -> Array:
-    """Return the pose `offset` away from `place`, along its own axes, shape (7,)."""
-    return compose(place, np.concatenate([offset, IDENTITY[3:]]))
+def _shifted(place: Array, offset: Iterable[float], turn: float = 0.0) -> Array:
+    """Return the pose `offset` away from `place` along its axes and turned about its z, (7,)."""
+    return compose(place, make_pose(np.array([*offset]), Rotation.from_rotvec([0.0, 0.0, turn])))

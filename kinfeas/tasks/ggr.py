@@ -1,4 +1,4 @@
-"""Goal reaching at random: the task that policies are trained on."""
+"""Goal reaching: random goals from random arm configurations, the task of training."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -12,8 +12,7 @@ from kinfeas.core.errors import KinfeasError, check_name
 from kinfeas.core.spatial import Array, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.tasks.arm_start import random_arm
-from kinfeas.tasks.task import MotionSpec, Subgoal
+from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
 
 
 @dataclass(frozen=True)
@@ -25,12 +24,12 @@ class GoalReaching:
     Attributes:
         name: Task name, also the key of the robot's goal heights.
         motion: Generator of the EE motion.
-        distance: Least and greatest planar distance of the goal from the base, metres.
-        heights: Least and greatest height of the goal, metres; the robot's own by default.
-        restrict_start: Whether the start height keeps within the goal heights, too.
-        start: `free` draws arm configurations in which the robot does not touch itself; `any` also
-            takes those at the goal heights where it does and, even with `restrict_start`, those at
-            other heights where it does not, as the paper's program does for `ggr_restricted`.
+        distance: Smallest and largest planar distance of the goal from the base, metres.
+        heights: Smallest and largest height of the goal, metres; the robot's own by default.
+        restrict_start: Whether the EE also starts within the goal heights.
+        start: `free` draws arm configurations without self-collision; `any` also allows
+            self-collision at the goal heights and, even with `restrict_start`, other heights
+            without self-collision, as the paper's program does for `ggr_restricted`.
         orientation: `rpy` draws roll, pitch and yaw uniformly, `so3` uniform rotations.
     """
 
@@ -94,6 +93,6 @@ def ggr(**parameters: object) -> GoalReaching:
 
 
 def ggr_restricted(**parameters: object) -> GoalReaching:
-    """Goal reaching with start and goal in the robot's comfortable range of heights."""
+    """Goal reaching with start and goal in the robot's restricted range of heights."""
     defaults = {"name": "ggr_restricted", "restrict_start": True}
     return config.from_mapping(GoalReaching, {**defaults, **parameters}, "ggr_restricted")

@@ -1,23 +1,21 @@
 """Tasks by name, or by the path of their YAML."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from kinfeas.core import registry
-from kinfeas.core.errors import is_own
+from kinfeas.core.errors import KinfeasError, check_name, is_own
 from kinfeas.io.files import is_path
 from kinfeas.tasks.chain import read_chain
-from kinfeas.tasks.checks import CheckedTask
-from kinfeas.tasks.task import Task
+from kinfeas.tasks.task import Subgoal, Task
 
 
 def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None) -> Task:
     """Return the task of a YAML file (`my/task.yaml`) or of an entry point (`ggr`).
 
-    One whose class comes from outside is looked at whenever it draws an episode.
-
     Args:
-        name_or_path: What is to be loaded.
+        name_or_path: Name or path.
         parameters: Keyword parameters of the entry point, or changes to the file.
 
     Raises:
@@ -27,9 +25,28 @@ def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None)
     if is_path(name_or_path):
         return read_chain(Path(name_or_path), parameters)
     task: Task = registry.build("kinfeas.tasks", name_or_path, parameters or {})
-    return task if is_own(task) else CheckedTask(task, name_or_path)
+    if not is_own(task):
+        _check(task, f"task {name_or_path!r}")
+    return task
 
 
 def task_name(name_or_path: str) -> str:
-    """Return what a task is called in tables and file names: a path's without folder and suffix."""
+    """Return the name of a task in tables and file names: that of a path without its suffix."""
     return Path(name_or_path).stem if is_path(name_or_path) else name_or_path
+
+
+def _check(task: Task, subject: str) -> None:
+    """Raise KinfeasError if a plugin's task has no name or no sub-goals."""
+    name, subgoals = (getattr(task, key, None) for key in ("name", "subgoals"))
+    if not isinstance(name, str):
+        raise KinfeasError(f"{subject}: 'name' must be a string, not {name!r}")
+    try:
+        check_name(name)
+    except ValueError as error:
+        raise KinfeasError(f"{subject}: {error}") from error
+    keys = [one.name for one in fields(Subgoal)]
+    complete = isinstance(subgoals, Sequence) and all(
+        hasattr(subgoal, key) for subgoal in subgoals for key in keys
+    )
+    if not complete or not subgoals:
+        raise KinfeasError(f"{subject}: 'subgoals' must be a tuple of at least one Subgoal")

@@ -1,21 +1,29 @@
-"""What a task is."""
+"""The task protocol, sub-goals, and random starts of episodes."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.config.quantities import Seconds
 from kinfeas.control.execution import Frame, SubgoalMotion
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.checks import are_unit, check_array
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.registry import MissingParameterError
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, compose
 from kinfeas.core.start import Start
-from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
+from kinfeas.robots.robot import Robot
+
+_DRAWS, _ROUNDS = 16, 100
+_SPREAD, _NEARLY_ALWAYS = 256, 0.9
 
 
 @dataclass(frozen=True)
@@ -33,15 +41,15 @@ class MotionSpec:
 
 @dataclass(frozen=True)
 class Subgoal:
-    """One motion of a chain.
+    """One motion of a task.
 
     Attributes:
-        motion: What moves the frame.
-        frame: Whether that is the EE frame or the tool tip in the common gripper convention, whose
-            x is the approach and whose y the finger axis.
-        dwell: Seconds that the EE stands still after its arrival, while the base may move; the last
+        motion: Generator of the motion.
+        frame: Frame that it moves: `ee`, or `tip` for the tool tip in the common gripper
+            convention, with x as the approach and y as the finger axis.
+        dwell: Seconds that the EE rests after its arrival, while the base may move; the last
             sub-goal ends with the arrival.
-        grip: What the gripper does then, in worlds that have one.
+        grip: Gripper command after the arrival, in worlds with a gripper.
     """
 
     motion: MotionSpec = field(default_factory=MotionSpec)
@@ -51,11 +59,11 @@ class Subgoal:
 
 
 class Task(Protocol):
-    """Draws the episodes that policies are trained and judged on.
+    """Draws the episodes of training and evaluation.
 
     Attributes:
         name: Short name.
-        subgoals: The motions that the EE makes one after the other, at least one.
+        subgoals: Motions of the EE one after the other, at least one.
     """
 
     @property
@@ -110,12 +118,46 @@ class ReportsTaskSuccess(Protocol):
         ...
 
 
+def sample_start(
+    task: Task, solver: IkSolver, rng: np.random.Generator, row: int | None = None
+) -> Start:
+    """Return one random episode of a task, checked.
+
+    Args:
+        task: Any task, also a plugin's.
+        solver: The robot's kinematics.
+        rng: Source of randomness.
+        row: Robot whose objects a `StagedTask` places; None for no backend.
+
+    Raises:
+        KinfeasError: If an array has another shape, numbers that are not finite, or a quaternion
+            that is not unit.
+    """
+    subject = f"task {task.name!r}"
+    with plugin_note(subject):
+        if row is not None and isinstance(task, StagedTask):
+            start = task.sample_in(row, solver, rng)
+        else:
+            start = task.sample(solver, rng)
+    shapes = {
+        "base_pose": (7,),
+        "joint_positions": (len(solver.robot.arm),),
+        "target_poses": (len(task.subgoals), 7),
+    }
+    for name, shape in shapes.items():
+        value: Any = getattr(start, name, None)
+        check_array(value, shape, f"{subject}: sampled {name}")
+        if name != "joint_positions" and not are_unit(value):
+            raise KinfeasError(f"{subject}: sampled {name} has no unit quaternion")
+    return start
+
+
 def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:
     """Return sub-goals with their generators; those of equal motions share one.
 
     Raises:
-        KinfeasError: If there is no such generator, or a parameter is wrong; of several sub-goals,
-            the sentence names the one.
+        KinfeasError: If there is no such generator, or a parameter is wrong; names the sub-goal if
+            there are several.
     """
     built: list[SubgoalMotion] = []
     for number, subgoal in enumerate(subgoals):
@@ -144,3 +186,54 @@ def _build(motion: MotionSpec, where: str) -> MotionGenerator:
         named = "" if where == "motion" else f"'{where}': "
         raise KinfeasError(f"{named}{error}{hint}") from error
     return generator
+
+
+def random_arm(
+    solver: IkSolver,
+    rng: np.random.Generator,
+    accept: Callable[[Array], NDArray[np.bool_]] | None = None,
+    *,
+    either: bool = False,
+) -> Array:
+    """Return arm joints drawn uniformly within the limits, shape (j,), tool tip above the floor.
+
+    Args:
+        solver: The robot's kinematics.
+        rng: Source of randomness.
+        accept: Returns which EE poses in the base frame, shape (n, 7), are allowed; by default all.
+        either: Whether a pose that `accept` allows or a configuration without self-collision is
+            enough; by default both are needed.
+
+    Raises:
+        KinfeasError: If 1,600 draws hold no such configuration.
+    """
+    robot = solver.robot
+    lower, upper = robot.finite_joint_limits
+    tip = np.concatenate([robot.tool_tip, [0.0, 0.0, 0.0, 1.0]])
+    for _ in range(_ROUNDS):
+        joints = rng.uniform(lower, upper, (_DRAWS, len(lower)))
+        ee = forward(solver.chain, joints)
+        good = compose(ee, np.broadcast_to(tip, ee.shape))[:, 2] > 0.0
+        wanted = np.ones(_DRAWS, dtype=np.bool_) if accept is None else accept(ee)
+        for row in np.flatnonzero(good if either else good & wanted):
+            if (either and wanted[row]) or not self_collides(solver.collision, joints[row]):
+                return joints[row]
+    raise KinfeasError(
+        f"robot {robot.name!r}: {_DRAWS * _ROUNDS} draws have no arm configuration without "
+        "self-collision and with the EE in the task's range; check joint limits, ignored "
+        f"collisions and goal heights{_culprits(robot)}"
+    )
+
+
+def _culprits(robot: Robot) -> str:
+    """Return the end of an error: two links that nearly always collide, if there are any."""
+    spread, pairs = spread_configurations(robot, _SPREAD), checked_links(robot)
+    every = frozenset(map(frozenset, pairs)) | robot.ignored_collisions
+    for a, b in pairs:
+        model = build_collision_model(
+            replace(robot, ignored_collisions=every - {frozenset((a, b))})
+        )
+        touching = float(np.mean(self_collides(model, spread)))
+        if touching > _NEARLY_ALWAYS:
+            return f"; the links {a!r} and {b!r} touch in {touching:.0%} of all configurations"
+    return ""

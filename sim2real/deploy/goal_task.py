@@ -14,8 +14,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.tasks.checks import unchecked
-from kinfeas.tasks.task import MotionSpec, Subgoal, Task
+from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
 
 _UNIT = 1e-2  # by which the length of a given quaternion may be off
 
@@ -95,12 +94,11 @@ def begin(task: Task, solver: IkSolver, rng: np.random.Generator, now: RobotStat
         rng: Draws what is not given.
         now: Where a robot stands that cannot be put anywhere else; None for any other.
     """
-    start = task.sample(solver, rng)
+    start = sample_start(task, solver, rng)
     if now is not None:
         start = replace(start, base_pose=now.base_pose[0], joint_positions=now.joint_positions[0])
-        goal = unchecked(task)
-        if isinstance(goal, GoalTask):
-            start = goal.aimed(solver, start)
+        if isinstance(task, GoalTask):
+            start = task.aimed(solver, start)
     return Start(
         start.base_pose[np.newaxis],
         start.joint_positions[np.newaxis],

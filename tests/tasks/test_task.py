@@ -1,39 +1,184 @@
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals
+from kinfeas.core.spatial import IDENTITY, compose
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.robots.loading import read_robot
+from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.ggr import GoalReaching
+from kinfeas.tasks.loading import load_task, task_name
+from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals, random_arm, sample_start
+
+RNG = np.random.default_rng(0)
 
 
 def test_equal_motions_share_a_generator():
     slow = MotionSpec("linear", {"max_velocity": 0.05})
     subgoals = (Subgoal(), Subgoal(slow, "tip", 2.0), Subgoal(MotionSpec("linear")), Subgoal(slow))
     built = build_subgoals(subgoals)
-    assert [(subgoal.frame, subgoal.dwell) for subgoal in built] == [
-        (subgoal.frame, subgoal.dwell) for subgoal in subgoals
-    ]
+    for one, subgoal in zip(built, subgoals, strict=True):
+        assert (one.frame, one.dwell) == (subgoal.frame, subgoal.dwell)
     assert built[0].generator is built[2].generator
     assert built[1].generator is built[3].generator
     assert built[0].generator is not built[1].generator
 
 
 @pytest.mark.parametrize(
-    ("motion", "message"),
+    ("motion", "named"),
     [
-        (MotionSpec("liner"), "unknown motion generator 'liner'"),
-        (MotionSpec("linear", {"gian": 1.0}), "unknown parameter 'gian'"),
+        (MotionSpec("liner"), "'liner'"),
+        (MotionSpec("linear", {"gian": 1.0}), "'gian'"),
+        (MotionSpec("replay"), "--set task.*motion.parameters.file="),
     ],
 )
-def test_wrong_motions_are_one_sentence(motion, message):
-    with pytest.raises(KinfeasError, match=message) as alone:
+def test_wrong_motions_raise(motion, named):
+    with pytest.raises(KinfeasError, match=named):
         build_subgoals([Subgoal(motion)])
-    with pytest.raises(KinfeasError) as second:
+    with pytest.raises(KinfeasError, match=rf"'subgoals\.1\.motion'.*{named}"):
         build_subgoals([Subgoal(), Subgoal(motion)])
-    assert str(second.value) == f"'subgoals.1.motion': {alone.value}"
+
+
+def arms(solver, n, accept=None, **options):
+    rngs = (np.random.default_rng((0, i)) for i in range(n))
+    return np.array([random_arm(solver, rng, accept, **options) for rng in rngs])
+
+
+def test_arms_are_free_above_the_floor_and_cover_the_limits(hsr):
+    joints = arms(hsr, 300)
+    lower, upper = hsr.robot.finite_joint_limits
+    share = (joints - lower) / (upper - lower)
+    assert share.min() >= 0.0
+    assert share.max() <= 1.0
+    assert share.min(axis=0).max() < 0.1
+    assert share.max(axis=0).min() > 0.9
+    assert not self_collides(hsr.collision, joints).any()
+    tip = np.concatenate([hsr.robot.tool_tip, [0.0, 0.0, 0.0, 1.0]])
+    ee = forward(hsr.chain, joints)
+    assert compose(ee, np.broadcast_to(tip, ee.shape))[:, 2].min() > 0.0
+    np.testing.assert_array_equal(arms(hsr, 20), joints[:20])
+    assert len(np.unique(joints[:, 0])) == 300
+
+
+def test_arms_keep_to_the_condition_or_are_free_if_either_is_enough(hsr):
+    def low(ee):
+        return (ee[:, 2] > 0.5) & (ee[:, 2] < 0.6)
+
+    joints = arms(hsr, 50, low)
+    assert low(forward(hsr.chain, joints)).all()
+    assert not self_collides(hsr.collision, joints).any()
+    joints = arms(hsr, 100, low, either=True)
+    kept, free = low(forward(hsr.chain, joints)), ~self_collides(hsr.collision, joints)
+    assert (kept | free).all()
+    assert not kept.all()
+    with pytest.raises(KinfeasError, match="hsr"):
+        random_arm(hsr, RNG, lambda ee: ee[:, 2] > 9.0)
+
+
+def test_links_that_always_collide_are_named(tmp_path):
+    folder = Path(__file__).parents[2] / "examples" / "own_robot"
+    wide = (folder / "scout.urdf").read_text().replace("0.16 0.26 0.62", "1.8 1.8 2.6")
+    (tmp_path / "scout.urdf").write_text(wide)
+    shutil.copy(folder / "scout.yaml", tmp_path)
+    solver = IkSolver(read_robot(tmp_path / "scout.yaml"), IkOptions(self_collision=False))
+    with pytest.raises(KinfeasError, match="'mast_link'"):
+        random_arm(solver, RNG)
+
+
+@dataclass(frozen=True)
+class Given:
+    """A plugin's task that returns or raises what it is made with."""
+
+    start: object = None
+    name: str = "given"
+    subgoals: tuple = (Subgoal(),)
+
+    def sample(self, solver, rng):
+        if isinstance(self.start, BaseException):
+            raise self.start
+        return self.start
+
+
+class StagedGiven(Given):
+    def sample_in(self, row, solver, rng):
+        return replace(self.start, joint_positions=self.start.joint_positions + row)
+
+
+@pytest.fixture
+def sound(hsr):
+    return Start(IDENTITY, hsr.robot.home["home"], IDENTITY[np.newaxis])
+
+
+LONG = np.array([0, 0, 0, 0, 0, 0, 1.01])
 
 
 @pytest.mark.parametrize(
-    ("count", "key"), [(1, "task.motion.parameters.file"), (2, "task.subgoals.0.motion.parameters")]
+    ("key", "value"),
+    [
+        ("base_pose", IDENTITY[:3]),
+        ("base_pose", IDENTITY.astype(str)),
+        ("base_pose", LONG),
+        ("joint_positions", np.zeros(2)),
+        ("joint_positions", np.full(5, np.inf)),
+        ("target_poses", np.empty((0, 7))),
+        ("target_poses", np.tile(IDENTITY, (3, 1))),
+        ("target_poses", np.full((1, 7), np.nan)),
+        ("target_poses", np.zeros((1, 7))),
+    ],
 )
-def test_a_missing_parameter_is_asked_for_by_its_setting(count, key):
-    with pytest.raises(KinfeasError, match=f"'file' is missing.*--set {key}"):
-        build_subgoals([Subgoal(MotionSpec("replay"))] * count)
+def test_malformed_episodes_raise(hsr, sound, key, value):
+    assert sample_start(Given(sound), hsr, RNG) is sound
+    with pytest.raises(KinfeasError, match=f"'given'.*{key}"):
+        sample_start(Given(replace(sound, **{key: value})), hsr, RNG)
+
+
+def test_plugins_are_named_and_staged_tasks_know_their_row(hsr, sound):
+    with pytest.raises(KinfeasError, match="base_pose"):
+        sample_start(Given(None), hsr, RNG)
+    with pytest.raises(KeyError) as caught:
+        sample_start(Given(KeyError("x")), hsr, RNG)
+    assert "'given'" in caught.value.__notes__[0]
+    staged = sample_start(StagedGiven(sound), hsr, RNG, row=2)
+    np.testing.assert_array_equal(staged.joint_positions, sound.joint_positions + 2)
+    assert sample_start(StagedGiven(sound), hsr, RNG) is sound
+
+
+@pytest.mark.parametrize(
+    ("parameters", "key"),
+    [
+        ({"subgoals": ()}, "subgoals"),
+        ({"subgoals": None}, "subgoals"),
+        ({"subgoals": (1,)}, "subgoals"),
+        ({"name": ""}, "name"),
+        ({"name": "a/b"}, "name"),
+        ({"name": 3}, "name"),
+    ],
+)
+def test_plugins_without_name_or_subgoals_raise(monkeypatch, parameters, key):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.tasks", "given", Given)
+    assert isinstance(load_task("given"), Given)
+    with pytest.raises(KinfeasError, match=f"'given'.*'{key}'"):
+        load_task("given", parameters)
+
+
+def test_tasks_load_by_name_and_by_path(tmp_path):
+    assert isinstance(load_task("ggr", {"orientation": "so3"}), GoalReaching)
+    path = tmp_path / "fetch.yaml"
+    path.write_text("{name: f, places: {cup: {position: [2, 0, 1]}}, subgoals: [{place: cup}]}")
+    changed = load_task(str(path), {"name": "turned"})
+    assert isinstance(changed, ChainTask)
+    assert changed.name == "turned"
+    for unknown in ("fly", "./fly.yaml"):
+        with pytest.raises(KinfeasError, match="fly"):
+            load_task(unknown)
+    names = ("ggr", "my.task", "my/fetch.yaml", "fetch.yml", "./fetch")
+    assert [task_name(name) for name in names] == ["ggr", "my.task", "fetch", "fetch", "fetch"]

@@ -11,7 +11,6 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.tasks.chain import ChainTask
-from kinfeas.tasks.checks import unchecked
 from kinfeas.tasks.task import Subgoal, Task
 
 if TYPE_CHECKING:
@@ -171,5 +170,4 @@ def task_scene(task: Task) -> Scene | None:
 
 
 def _chain(task: Task) -> ChainTask | None:
-    known = unchecked(task)
-    return known if isinstance(known, ChainTask) else None
+    return task if isinstance(task, ChainTask) else None

@@ -6,7 +6,7 @@ from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene
-from kinfeas.tasks.scene import GraspedObject, SuccessCondition, TaskScene
+from kinfeas.tasks.chain import GraspedObject, SuccessCondition, TaskScene
 
 
 def check_task(name: str, known: TaskScene, scene: Scene, robot: Robot) -> None:

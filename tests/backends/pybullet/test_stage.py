@@ -6,9 +6,8 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.collision import SceneCollision, robot_touches
-from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place
+from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place, SuccessCondition, TaskScene
 from kinfeas.tasks.loading import load_task
-from kinfeas.tasks.scene import SuccessCondition, TaskScene
 
 pytest.importorskip("pybullet")
 
