@@ -1,36 +1,31 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from kinfeas.control.execution import tool_pose
 from kinfeas.core import spatial
 from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 
 pytest.importorskip("pybullet")
 
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 
+INERTIA = "<mass value='{}'/><inertia ixx='{}' iyy='{}' izz='{}' ixy='0' ixz='0' iyz='0'/>"
 URDFS = {
-    "bar": """
-<robot name="bar"><link name="bar">
-  <inertial><mass value="0.3"/>
-    <inertia ixx="3e-4" iyy="3e-4" izz="3e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+    "bar": f"""
+<robot name="bar"><link name="bar"><inertial>{INERTIA.format(0.3, 3e-4, 3e-4, 3e-4)}</inertial>
   <collision><geometry><box size="0.04 0.04 0.1"/></geometry></collision></link></robot>""",
-    "wall": """
+    "wall": f"""
 <robot name="wall"><link name="wall">
-  <inertial><origin xyz="0.1 0.2 0.5"/><mass value="10"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  <inertial><origin xyz="0.1 0.2 0.5"/>{INERTIA.format(10, 1, 1, 1)}</inertial>
   <collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 6 1"/></geometry></collision>
   </link></robot>""",
-    "chest": """
-<robot name="chest">
-  <link name="chest"><inertial><mass value="10"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    "chest": f"""
+<robot name="chest"><link name="chest"><inertial>{INERTIA.format(10, 1, 1, 1)}</inertial>
     <collision><geometry><box size="0.5 0.5 0.5"/></geometry></collision></link>
-  <link name="drawer"><inertial><mass value="2"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="drawer"><inertial>{INERTIA.format(2, 1, 1, 1)}</inertial></link>
   <joint name="slide" type="prismatic"><parent link="chest"/><child link="drawer"/>
     <axis xyz="1 0 0"/><limit lower="0" upper="0.4" velocity="1" effort="50"/>
     <dynamics damping="1" friction="3"/></joint></robot>""",
@@ -46,9 +41,14 @@ objects:
 
 
 @pytest.fixture(scope="session")
+def hsr():
+    return load_robot("hsr")
+
+
+@pytest.fixture(scope="session")
 def scene(tmp_path_factory):
     """A bar to grasp, a wall to run into and a drawer to pull."""
-    folder: Path = tmp_path_factory.mktemp("scene")
+    folder = tmp_path_factory.mktemp("scene")
     for name, text in URDFS.items():
         (folder / f"{name}.urdf").write_text(text)
     (folder / "small.yaml").write_text(SCENE)
@@ -56,9 +56,9 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def world(robot, scene):
-    """A world of each robot in turn; every test begins with a reset."""
-    backend = PyBulletBackend(robot, scene)
+def world(hsr, scene):
+    """An HSR in that scene; every test starts with a reset."""
+    backend = PyBulletBackend(hsr, scene)
     yield backend
     backend.close()
 
@@ -69,17 +69,25 @@ def begin(world, scene):
 
     def reset(x=0.0, y=0.0, yaw=0.0, joints=None, **poses):
         world.sims[0].furniture.furnish(scene.with_poses(poses))
-        home = world.sims[0].body.robot.home["home"] if joints is None else joints
+        home = world.robot.home["home"] if joints is None else joints
         return world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), home[np.newaxis])
 
     return reset
 
 
 @pytest.fixture(scope="session")
-def between_fingers(solver):
+def between_fingers(hsr):
     """World pose of the tool tip at home, x along the approach."""
-    ee = forward(solver.chain, solver.robot.home["home"])
-    return spatial.compose(ee, tool_pose(solver.robot))
+    ee = forward(IkSolver(hsr).chain, hsr.home["home"])
+    return spatial.compose(ee, tool_pose(hsr))
+
+
+def alone(name, x=0.0, y=0.0, yaw=0.0, joints=None):
+    """Return the world of another robot, reset."""
+    world = PyBulletBackend(load_robot(name))
+    joints = world.robot.home["home"] if joints is None else joints
+    world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), joints[np.newaxis])
+    return world
 
 
 def twist(x=0.0, y=0.0, turn=0.0):
@@ -87,7 +95,7 @@ def twist(x=0.0, y=0.0, turn=0.0):
 
 
 def stay(world, ticks, base_twist=None, dt=0.02):
-    """Let some control periods pass with the arm where it is sent at home."""
-    home = world.sims[0].body.robot.home["home"][np.newaxis]
+    """Return the states of control periods with the arm at home."""
+    home = world.robot.home["home"][np.newaxis]
     command = twist() if base_twist is None else base_twist
     return [world.step(command, home, dt) for _ in range(ticks)]

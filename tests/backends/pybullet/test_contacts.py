@@ -1,29 +1,114 @@
 import numpy as np
+import pytest
 
 from kinfeas.backends.pybullet.contacts import contacts
-from tests.backends.pybullet.conftest import stay, twist
+from kinfeas.control.execution import SubgoalMotion
+from kinfeas.control.filters.obstacle_distance import ObstacleFilter
+from kinfeas.control.loop import Loop
+from kinfeas.core import spatial
+from kinfeas.core.backend import SupportsObstacleDistances
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.plugins.linear import Linear
+from tests.backends.pybullet.conftest import alone, stay, twist
+
+WALL = -2.95  # m, x of the wall's front
 
 
-def test_a_robot_alone_touches_nothing(world, begin):
+def test_a_robot_alone_touches_nothing_and_has_no_obstacles(world, begin):
     begin()
     stay(world, 5)
     assert not world.contacts(0).base
     assert not world.contacts(0).arm
+    near = world.obstacle_distances(0.3)
+    assert near.distance.shape == (1, 0)
+    assert near.closest_point.shape == near.normal.shape == (1, 0, 2)
 
 
-def test_a_base_that_runs_backwards_into_a_wall_touches_it(world, begin):
+def test_a_base_in_a_wall_touches_it(world, begin):
     begin(x=-2.3)
     stay(world, 150, twist(-0.2))
     wall = world.sims[0].furniture.link("wall", "wall")
-    found = world.contacts(0)
-    assert {body for _, body, _ in found.base} == {wall[0]}
-    assert not found.arm
+    assert {body for _, body, _ in world.contacts(0).base} == {wall[0]}
+    assert not world.contacts(0).arm
     assert not contacts(world.sims[0].body, [wall]).base
 
 
-def test_an_arm_that_reaches_into_a_wall_touches_it(world, begin, between_fingers):
-    pose = np.array([*between_fingers[:2], 0.0, 0.0, 0.0, 0.0, 1.0])
-    begin(wall=pose)
+def test_an_arm_in_a_wall_touches_it(world, begin, between_fingers):
+    begin(wall=np.array([*between_fingers[:2], 0.0, 0.0, 0.0, 0.0, 1.0]))
     stay(world, 2)
     touched = {body for _, body, _ in world.contacts(0).arm}
     assert world.sims[0].furniture.bodies["wall"] in touched
+    assert world.obstacle_distances(0.02).distance.size == 0  # only the base counts
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -2.6])
+def test_distance_and_normal_of_a_wall(world, begin, yaw):
+    begin(x=-2.3, yaw=yaw)
+    near = world.obstacle_distances(1.0)
+    one = near.distance[0].argmin()
+    heading = np.array([np.cos(yaw), np.sin(yaw)])
+    to_world = np.array([heading, [-heading[1], heading[0]]])
+    np.testing.assert_allclose(near.normal[0, one] @ to_world, [-1.0, 0.0], atol=1e-6)
+    place = near.closest_point[0, one] @ to_world + [-2.3, 0.0]
+    assert place[0] - near.distance[0, one] == pytest.approx(WALL, abs=2e-3)
+
+
+def test_contacts_begin_where_the_distance_ends(world, begin):
+    begin(x=-2.3)
+    distance = world.obstacle_distances(1.0).distance.min()
+    assert world.obstacle_distances(distance - 0.01).distance.size == 0
+    assert world.obstacle_distances(distance + 0.01).distance.size > 0
+    begin(x=-2.3 - distance + 2e-3)
+    assert world.sims[0].free()
+    begin(x=-2.3 - distance - 2e-3)
+    assert not world.sims[0].free()
+    assert world.obstacle_distances(1.0).distance.min() < 0.0
+
+
+def test_the_grasped_link_is_no_obstacle(world, begin):
+    begin(x=-2.3)
+    assert world.obstacle_distances(1.0).distance.size > 0
+    world.sims[0].handle("wall", "wall")
+    seen = world.obstacle_distances(1.0).distance.size
+    world.sims[0]._handled = None
+    assert seen == 0
+
+
+def test_objects_beneath_are_no_obstacles(world, begin):
+    begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
+    sim = world.sims[0]
+    assert sim.physics.client.getClosestPoints(sim.body.body, sim.furniture.bodies["bar"], 0.3)
+    assert world.obstacle_distances(0.3).distance.size == 0
+
+
+def test_a_world_without_a_scene_has_no_obstacles():
+    world = alone("hsr")
+    assert isinstance(world, SupportsObstacleDistances)
+    assert world.obstacle_distances(1.0).distance.shape == (1, 0)
+    world.close()
+
+
+def test_a_base_that_drives_comes_nearer(world, begin):
+    begin(x=-2.3)
+    before = world.obstacle_distances(1.0).distance.min()
+    moved = -2.3 - stay(world, 50, twist(-0.1))[-1].base_pose[0, 0]
+    assert moved > 0.05
+    assert world.obstacle_distances(1.0).distance.min() == pytest.approx(before - moved, abs=2e-3)
+
+
+@pytest.mark.parametrize("kept", [None, 0.03])
+def test_the_obstacle_filter_stops_the_base_before_a_wall(world, begin, kept):
+    state, solver = begin(x=-2.2, yaw=0.3), IkSolver(world.robot)
+    filters = [] if kept is None else [ObstacleFilter(kept)]
+    loop = Loop(solver, [SubgoalMotion(Linear())], world, 0.02, filters=filters)
+    ee = spatial.compose(state.base_pose, forward(solver.chain, state.joint_positions))
+    start = Start(state.base_pose, state.joint_positions, ee[:, np.newaxis])
+    loop.start(start, [np.random.default_rng(0)])
+    back, nearest = np.zeros((1, loop.action_size)), np.inf
+    back[:, 0] = -1.0
+    for _ in range(300):
+        loop.step(back)
+        nearest = min(nearest, world.obstacle_distances(1.0).distance.min())
+    assert nearest < 0.015 if kept is None else nearest == pytest.approx(kept, abs=5e-3)

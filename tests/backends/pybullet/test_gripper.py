@@ -1,32 +1,113 @@
+import numpy as np
 import pytest
 
 from kinfeas.backends.pybullet.physics import ROOT
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
 from tests.backends.pybullet.conftest import stay
+
+
+@pytest.fixture
+def grasped(world, begin, between_fingers):
+    """A simulation in which the hand has just grasped the bar."""
+    begin(bar=between_fingers)
+    sim = world.sims[0]
+    sim.physics.client.setGravity(0.0, 0.0, 0.0)
+    bar = sim.furniture.link("bar", "bar")
+    sim.gripper.close()
+    for _ in range(40):
+        stay(world, 1)
+        if sim.grasp.hold(*bar):
+            break
+    sim.physics.client.setGravity(0.0, 0.0, -9.81)
+    assert sim.grasp.held == bar
+    return sim
+
+
+def in_hand(sim):
+    hand = sim.body.links[sim.body.robot.ee_frame]
+    hand_pose = sim.physics.link_pose(sim.body.body, hand)
+    return spatial.relative(sim.furniture.link_pose("bar", "bar"), hand_pose)
 
 
 def test_opens_and_closes(world, begin):
     begin()
-    assert 0.3 <= world.sims[0].gripper.opening <= 0.7
-    world.sims[0].gripper.open()
+    gripper = world.sims[0].gripper
+    assert 0.3 <= gripper.opening <= 0.7
+    gripper.open()
     stay(world, 75)
-    assert world.sims[0].gripper.opening == pytest.approx(1.0, abs=1e-3)
-    world.sims[0].gripper.close()
+    assert gripper.opening == pytest.approx(1.0, abs=1e-3)
+    gripper.close()
     stay(world, 150)
-    assert world.sims[0].gripper.opening == pytest.approx(0.0, abs=1e-3)
+    assert gripper.opening == pytest.approx(0.0, abs=1e-3)
 
 
-def test_closes_round_what_is_between_the_fingers(world, begin, between_fingers):
-    begin(bar=between_fingers)
-    bar = world.sims[0].furniture.bodies["bar"]
-    world.sims[0].gripper.close()
-    touched = set()
-    world.sims[0].physics.client.setGravity(0.0, 0.0, 0.0)
-    for _ in range(40):
-        stay(world, 1)
-        touched |= {world.sims[0].gripper.touching(bar, ROOT)}
-    world.sims[0].physics.client.setGravity(0.0, 0.0, -9.81)
-    assert frozenset({0, 1}) in touched
-    assert world.sims[0].gripper.opening > 0.1
-    assert (
-        world.sims[0].gripper.touching(world.sims[0].furniture.bodies["wall"], ROOT) == frozenset()
-    )
+def test_a_grasp_needs_both_fingers(world, begin, grasped):
+    wall = grasped.furniture.bodies["wall"]
+    assert grasped.gripper.opening > 0.1
+    assert grasped.gripper.touching(wall, ROOT) == frozenset()
+    begin()
+    assert grasped.grasp.held is None
+    assert grasped.furniture.link_pose("bar", "bar")[0] == pytest.approx(3.0)
+    assert not grasped.grasp.hold(*grasped.furniture.link("bar", "bar"))
+    assert grasped.grasp.held is None
+
+
+def test_a_held_object_moves_with_the_hand(world, grasped):
+    before = in_hand(grasped)
+    stay(world, 50)
+    metres, radians = spatial.distance(before, in_hand(grasped))
+    assert metres <= 0.003
+    assert radians <= 0.05
+    assert grasped.grasp.held is not None
+
+
+def test_the_grasp_carries_the_weight(world, grasped):
+    grasped.gripper.open()
+    stay(world, 60)
+    assert grasped.grasp.force == pytest.approx(0.3 * 9.81, rel=0.05)
+
+
+def test_a_released_object_falls(world, grasped):
+    stay(world, 10)
+    grasped.gripper.open()
+    grasped.grasp.release()
+    stay(world, 40)
+    assert grasped.grasp.held is None
+    assert grasped.furniture.link_pose("bar", "bar")[2] < 0.25
+
+
+def test_the_grasp_breaks_above_its_limit(world, grasped):
+    bar, _ = grasped.furniture.link("bar", "bar")
+    stay(world, 20)
+    assert grasped.grasp.held is not None
+    client = grasped.physics.client
+    for _ in range(20):  # a force lasts one physics step
+        at = grasped.furniture.link_pose("bar", "bar")[:3].tolist()
+        client.applyExternalForce(bar, -1, [0.0, 0.0, 400.0], at, client.WORLD_FRAME)
+        stay(world, 1, dt=1 / 240)
+    assert grasped.grasp.held is None
+
+
+def test_a_second_object_is_an_error(grasped):
+    with pytest.raises(KinfeasError, match="holds"):
+        grasped.grasp.hold(*grasped.furniture.link("bar", "bar"))
+
+
+def test_a_closing_gripper_grasps_the_link_that_is_set(world, begin, between_fingers):
+    sim = world.sims[0]
+    sim.handle("bar", "bar")
+    try:
+        begin(bar=between_fingers)
+        sim.physics.client.setGravity(0.0, 0.0, 0.0)
+        stay(world, 30)
+        assert sim.gripper.opening > 0.9  # open after a reset
+        world.grip("close", np.array([0]))
+        stay(world, 60)
+        held = sim.grasp.held
+        world.grip("open", np.array([0]))
+    finally:
+        sim.physics.client.setGravity(0.0, 0.0, -9.81)
+        sim._handled = None
+    assert held == sim.furniture.link("bar", "bar")
+    assert sim.grasp.held is None

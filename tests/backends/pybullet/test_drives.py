@@ -1,0 +1,168 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.backends.pybullet.drives import cubic
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
+from kinfeas.robots.loading import load_robot
+from tests.backends.pybullet.conftest import alone, stay, twist
+
+NUMBER = st.floats(-2.0, 2.0)
+STEP = 1 / 240
+
+
+@given(NUMBER, NUMBER, NUMBER, st.floats(0.05, 2.0))
+def test_a_cubic_meets_its_boundary_conditions(position, velocity, change, duration):
+    time = np.array([0.0, 1e-7, duration, 2.0 * duration])
+    start = [np.array([value]) for value in (position, velocity, change)]
+    path, speed = cubic(*start, duration, time)
+    assert (path[0, 0], speed[0, 0]) == (position, velocity)
+    assert (path[1, 0] - path[0, 0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
+    np.testing.assert_allclose(path[2:, 0], position + change, atol=1e-9)
+    np.testing.assert_allclose(speed[2:, 0], 0.0, atol=1e-9)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_cubic_keeps_the_velocity_it_was_scaled_for(start, share):
+    change, duration = np.array([share]), 1.5 * max(share, 0.1)
+    _, speed = cubic(np.zeros(1), np.array([start]), change, duration, np.linspace(0, 2, 99))
+    assert np.abs(speed).max() <= 1.0 + 1e-9
+
+
+def test_a_target_is_reached_within_the_horizon(world, begin):
+    target = world.robot.home["home"] + 0.005 * world.robot.max_joint_velocity
+    begin()
+    state = world.step(twist(), target[np.newaxis], 0.1)
+    np.testing.assert_allclose(state.joint_positions[0], target, atol=1e-3)
+
+
+def test_joints_use_and_keep_their_velocity_limits(world, begin):
+    begin(x=1.0)
+    robot, rng = world.robot, np.random.default_rng(0)
+    lower, upper = (np.clip(limit, -1.5, 1.5) for limit in robot.joint_limits)
+    fastest = np.zeros(len(robot.arm))
+    for _ in range(6):
+        target = rng.uniform(lower, upper)[np.newaxis]
+        for _ in range(15):
+            speed = np.abs(world.step(twist(), target, 0.02).joint_velocities[0])
+            fastest = np.maximum(fastest, speed / robot.max_joint_velocity)
+    assert np.all(fastest <= 1.05)
+    assert np.any(fastest >= 0.9)
+
+
+def test_joints_move_in_proportion_to_a_far_target(world, begin):
+    robot, home = world.robot, world.robot.home["home"]
+    # One second of the first joint's motion, a tenth of that of the others.
+    away = np.where(np.arange(len(home)) == 0, 1.0, 0.1) * robot.max_joint_velocity
+    away = np.where(home + away > robot.joint_limits[1], -away, away)
+    begin()
+    for _ in range(20):
+        state = world.step(twist(), (home + away)[np.newaxis], 0.02)
+        share = (state.joint_positions[0] - home) / away
+        np.testing.assert_allclose(share, share[0], atol=0.08)
+    assert 0.2 < share[0] < 0.5
+
+
+def test_a_continuous_joint_takes_the_shorter_way():
+    home = load_robot("pr2").home["home"].copy()
+    home[-1] = 3.0
+    world = alone("pr2", joints=home)
+    home[-1] = -3.0
+    seen = [3.0]
+    for _ in range(50):
+        seen.append(world.step(twist(), home[np.newaxis], 0.02).joint_positions[0, -1])
+    world.close()
+    assert seen[-1] == pytest.approx(-3.0, abs=1e-4)
+    assert np.abs(seen).min() > 2.9
+
+
+def test_springs_carry_the_arm_of_the_pr2():
+    joints = np.array([0.0, 0.0, 0.0, -0.2, 0.0, -0.2, 0.0])
+    world = alone("pr2", joints=joints)
+    body, zeros = world.sims[0].body, [0.0] * len(world.sims[0].body.joints)
+    load = body.physics.client.calculateInverseDynamics(body.body, body.positions(), zeros, zeros)
+    shoulder = list(body.joints).index("r_shoulder_lift_joint")
+    assert abs(load[shoulder]) > world.robot.urdf.joints["r_shoulder_lift_joint"].effort
+    for _ in range(50):
+        state = world.step(twist(), joints[np.newaxis], 0.02)
+    world.close()
+    np.testing.assert_allclose(state.joint_positions[0], joints, atol=1e-3)
+
+
+def test_a_joint_without_effort_is_an_error():
+    robot = load_robot("tiago")
+    joints = dict(robot.urdf.joints)
+    joints["arm_3_joint"] = replace(joints["arm_3_joint"], effort=0.0)
+    with pytest.raises(KinfeasError, match="'arm_3_joint'"):
+        PyBulletBackend(replace(robot, urdf=replace(robot.urdf, joints=joints))).simulation(0)
+
+
+@pytest.mark.parametrize("command", [twist(0.2), twist(0.2, 0.1, -0.4), twist(turn=0.4)])
+def test_the_base_keeps_its_acceleration_limits(world, begin, command):
+    begin()
+    states = stay(world, 120, command, STEP) + stay(world, 120, twist(), STEP)
+    speed = np.array([state.base_twist[0, [0, 1, 5]] for state in states])
+    change = np.diff(speed, axis=0, prepend=0.0) / STEP
+    base = world.robot.base
+    assert np.hypot(change[:, 0], change[:, 1]).max() <= base.max_acceleration * 1.01
+    assert np.abs(change[:, 2]).max() <= base.max_rotation_acceleration * 1.01
+
+
+def test_the_base_reaches_its_velocity_and_stops(world, begin):
+    begin()
+    states = stay(world, 50, twist(0.15))
+    np.testing.assert_allclose(states[-1].base_twist, twist(0.15), atol=1e-5)
+    x = states[-1].base_pose[0, 0]
+    assert 0.13 <= x <= 0.15
+    states = stay(world, 50)
+    np.testing.assert_allclose(states[-1].base_twist, twist(), atol=1e-5)
+    assert x <= states[-1].base_pose[0, 0] <= x + 0.02
+
+
+def test_a_differential_drive_moves_along_its_heading():
+    world = alone("tiago", yaw=0.7)
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        x, y, turn = rng.uniform(-0.2, 0.2, 3)
+        (state,) = stay(world, 1, twist(x, y, 2.0 * turn))
+        heading = spatial.yaw(state.base_pose)[0]
+        assert abs([-np.sin(heading), np.cos(heading)] @ state.base_twist[0, :2]) <= 1e-3
+    world.close()
+
+
+@pytest.mark.parametrize(("name", "slope"), [("tiago", 0.0), ("hsr", 1.0)])
+def test_only_an_omnidirectional_base_moves_sideways(name, slope):
+    world = alone(name)
+    x, y = stay(world, 50, twist(0.1, 0.1))[-1].base_pose[0, :2]
+    world.close()
+    assert x > 0.05
+    assert y == pytest.approx(slope * x, abs=1e-4)
+
+
+def test_a_wall_stops_the_base(world, begin):
+    begin(x=-2.3, yaw=np.pi)
+    stay(world, 150, twist(-0.2))
+    body, wall = world.sims[0].body, world.sims[0].furniture.bodies["wall"]
+    before = body.state().base_pose
+    after = stay(world, 25, twist(-0.2))[-1].base_pose
+    assert np.linalg.norm(after[0, :2] - before[0, :2]) <= 0.005
+    points = body.physics.client.getContactPoints(bodyA=body.body, bodyB=wall)
+    reserve = body.physics.config.drive_reserve
+    strongest = reserve * body.mass * body.robot.base.max_acceleration
+    assert 0.0 < sum(point[9] for point in points) <= 1.5 * strongest
+
+
+def test_a_pull_at_the_hand_does_not_turn_the_base(world, begin):
+    begin()
+    client, body = world.sims[0].physics.client, world.sims[0].body
+    hand = body.links[body.robot.ee_frame]
+    for _ in range(120):
+        at = client.getLinkState(body.body, hand)[4]
+        client.applyExternalForce(body.body, hand, [0.0, 40.0, 0.0], at, client.WORLD_FRAME)
+        (state,) = stay(world, 1, dt=STEP)
+    assert abs(spatial.yaw(state.base_pose)[0]) <= 1e-3

@@ -1,0 +1,218 @@
+import struct
+from functools import reduce
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.backends.pybullet.robot_body import (
+    FRAME,
+    PLANAR_JOINTS,
+    Follower,
+    Inertia,
+    arm_followers,
+    finger_followers,
+    merge_fixed_links,
+    moving_joints,
+    physical,
+    physics_urdf,
+    read_inertia,
+    repair_inertias,
+    write_inertia,
+)
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose
+from kinfeas.robots.elements import read_xml
+from kinfeas.robots.loading import load_robot
+from kinfeas.robots.urdf import parse_urdf
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "own_robot"
+MOMENTS = st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)
+BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+ARM = (
+    f'<robot name="r"><link name="arm">{BOX}<inertial><mass value="2"/>'
+    '<inertia ixx="0.1" iyy="0.1" izz="0.1"/></inertial></link><link name="tool">{tool}</link>'
+    '<joint name="j" type="{type}"><parent link="arm"/><child link="tool"/></joint></robot>'
+)
+CORNERS = ((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
+STL = bytes(80) + struct.pack("<I", 4) + b"".join(
+    struct.pack("<12fH", 0, 0, 1, *(x for i in range(4) if i != left for x in CORNERS[i]), 0)
+    for left in range(4)
+)  # fmt: skip
+
+
+def test_mimicking_joints_follow_their_leaders():
+    assert arm_followers(load_robot("hsr")) == (
+        Follower("torso_lift_joint", "arm_lift_joint", 0.5, 0.0),
+    )
+    tips = {one.name: one.leader for one in finger_followers(load_robot("pr2"))}
+    assert sorted(tips) == ["r_gripper_l_finger_tip_joint", "r_gripper_r_finger_tip_joint"]
+    assert tips["r_gripper_r_finger_tip_joint"] == "r_gripper_r_finger_joint"
+    for one in finger_followers(load_robot("hsr")):
+        assert (one.multiplier, one.offset) == (-1.0, pytest.approx(-0.087))
+
+
+def test_the_urdf_is_the_robot_on_planar_joints(robot, tmp_path):
+    text, _ = physics_urdf(robot)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text.replace('lower="0" upper="-1"', 'lower="-9" upper="9"'))
+    urdf, movable = parse_urdf(path), moving_joints(robot)
+    moving = [name for name, joint in urdf.joints.items() if joint.moves]
+    assert moving[:3] == list(PLANAR_JOINTS)
+    assert set(moving[3:]) == movable
+    assert {joint.name for joint in robot.arm} <= movable
+    assert urdf.joints[PLANAR_JOINTS[-1]].child == robot.urdf.root
+    assert not any(joint.mimic for joint in urdf.joints.values())
+    assert {one.child for one in urdf.joints.values() if not one.moves} <= {robot.ee_frame}
+    still = {name: at for name, at in robot.fixed_joints.items() if name not in movable}
+    for link in (*(robot.urdf.joints[name].child for name in movable), robot.ee_frame):
+        np.testing.assert_allclose(
+            pose_of(urdf, link, {}), pose_of(robot.urdf, link, still), atol=1e-9
+        )
+
+
+def pose_of(urdf, link, positions):
+    """Return the pose of a link, joints without a position at 0."""
+    poses = [joint.pose_at(positions.get(joint.name, 0.0)) for joint in urdf.path_to(link)]
+    return reduce(compose, poses, IDENTITY)
+
+
+def test_merged_links_have_the_same_dynamics_and_shapes(robot, tmp_path):
+    xml = read_xml(robot.urdf_path, "robot").xml
+    part_of = merge_fixed_links(xml, keep={robot.ee_frame})
+    left = {link.get("name") for link in xml.findall("link")}
+    assert set(part_of) == set(robot.urdf.links)
+    assert set(part_of.values()) == left
+    assert len(left) < len(part_of)
+    merged = tmp_path / "merged.urdf"
+    merged.write_text(ElementTree.tostring(xml, encoding="unicode"))
+    rng = np.random.default_rng(0)
+    models = [pinocchio.buildModelFromUrdf(str(path)) for path in (robot.urdf_path, merged)]
+    for _ in range(20):
+        configuration = pinocchio.integrate(
+            models[0], pinocchio.neutral(models[0]), rng.uniform(-3.0, 3.0, models[0].nv)
+        )
+        speed, force = rng.normal(size=(2, models[0].nv))
+        before, after = (
+            pinocchio.aba(model, model.createData(), configuration, speed, force)
+            for model in models
+        )
+        np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)
+    before, after = (
+        shape_placements(model, path, configuration)
+        for model, path in zip(models, (robot.urdf_path, merged), strict=True)
+    )
+    np.testing.assert_allclose(after, before, atol=1e-9)
+
+
+def shape_placements(model, path, configuration):
+    """Return the placements of the collision shapes, sorted."""
+    shapes = pinocchio.buildGeomFromUrdf(model, str(path), pinocchio.GeometryType.COLLISION)
+    data, geometry = model.createData(), shapes.createData()
+    pinocchio.updateGeometryPlacements(model, data, shapes, geometry, configuration)
+    places = np.array([one.homogeneous[:3].ravel() for one in geometry.oMg])
+    return places[np.lexsort(places.T.round(6))]
+
+
+def test_links_without_mass_add_none():
+    xml = ElementTree.fromstring(
+        '<robot name="r"><link name="a"/><link name="b"/><link name="c"><inertial>'
+        '<origin xyz="0 0 1"/><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+        '<joint name="ab" type="fixed"><origin xyz="1 0 0"/><parent link="a"/><child link="b"/>'
+        '</joint><joint name="bc" type="fixed"><origin xyz="0 0 0" rpy="0 1.5707963267948966 0"/>'
+        '<parent link="b"/><child link="c"/></joint></robot>'
+    )
+    assert merge_fixed_links(xml, keep=()) == {"a": "a", "b": "a", "c": "a"}
+    merged = read_inertia(xml.find("link"))
+    np.testing.assert_allclose(merged.centre, [2.0, 0.0, 0.0], atol=1e-12)
+    assert merged.mass == 2.0
+
+
+def tensor(moments, seed):
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    return turn @ np.diag(moments) @ turn.T
+
+
+@given(MOMENTS, st.integers(0, 1000), st.floats(1e-3, 100.0))
+def test_repaired_moments_satisfy_the_triangle_inequality(moments, seed, mass):
+    repaired = physical(Inertia(mass, np.zeros(3), tensor(moments, seed)))
+    small, middle, large = np.linalg.eigvalsh(repaired.moments)
+    assert small > 0.0
+    assert small + middle >= large * (1.0 - 1e-9)
+
+
+@given(st.lists(st.floats(0.1, 1.0), min_size=3, max_size=3), st.integers(0, 1000))
+def test_physical_moments_are_left_alone(squares, seed):
+    inertia = Inertia(2.0, np.zeros(3), tensor(np.sum(squares) - np.array(squares), seed))
+    assert physical(inertia) is inertia
+
+
+@pytest.mark.parametrize(("tool", "joint"), [("", "fixed"), (BOX, "fixed"), ("", "revolute")])
+def test_a_link_without_inertia_is_a_frame(tool, joint):
+    xml = ElementTree.fromstring(ARM.format(tool=tool, type=joint))
+    repair_inertias(xml, "r.urdf")
+    arm, frame = (read_inertia(link) for link in xml.findall("link"))
+    assert (arm.mass, frame.mass) == (2.0, FRAME.mass)
+    np.testing.assert_array_equal(frame.moments, FRAME.moments)
+
+
+def test_a_moving_link_with_a_shape_needs_an_inertia():
+    xml = ElementTree.fromstring(ARM.format(tool=BOX, type="revolute"))
+    with pytest.raises(KinfeasError, match=r"r\.urdf: link 'tool'"):
+        repair_inertias(xml, "r.urdf")
+
+
+def test_an_inertia_is_written_and_read():
+    link = ElementTree.Element("link")
+    inertia = Inertia(0.5, np.array([0.1, 0.2, 0.3]), tensor([0.3, 0.4, 0.5], 3))
+    write_inertia(link, inertia)
+    found = read_inertia(link)
+    assert found.mass == inertia.mass
+    np.testing.assert_array_equal(found.centre, inertia.centre)
+    np.testing.assert_allclose(found.moments, inertia.moments, atol=1e-12)
+
+
+def own_robot(folder, kind, mesh):
+    """Return the example robot with a mesh in place of the shapes of its mast, in a package."""
+    for name in ("rover/urdf", "rover/meshes"):
+        (folder / name).mkdir(parents=True)
+    (folder / "rover" / "meshes" / "part.stl").write_bytes(STL)
+    (folder / "rover" / "meshes" / "text.stl").write_text("solid a\nendsolid a\n")
+    text, urdf = (EXAMPLE / "scout.urdf").read_text(), folder / "rover" / "urdf" / "scout.urdf"
+    start = text.index(f"<{kind}>", text.index('<link name="mast_link">'))
+    end = text.index(f"</{kind}>", start)
+    text = f'{text[:start]}<{kind}><geometry><mesh filename="{mesh}"/></geometry>{text[end:]}'
+    urdf.write_text(text)
+    urdf.with_suffix(".yaml").write_text((EXAMPLE / "scout.yaml").read_text())
+    return load_robot(str(urdf.with_suffix(".yaml")))
+
+
+@pytest.mark.parametrize(
+    ("kind", "mesh"),
+    [("visual", "../meshes/part.stl"), ("collision", "package://rover/meshes/part.stl")],
+)
+def test_meshes_are_loaded(tmp_path, kind, mesh, capfd):
+    backend = PyBulletBackend(own_robot(tmp_path, kind, mesh))
+    client, body = backend.sims[0].physics.client, backend.sims[0].body.body
+    mast = backend.sims[0].body.links["mast_link"]
+    shapes = {
+        "visual": [one[4] for one in client.getVisualShapeData(body) if one[1] == mast],
+        "collision": [one[4] for one in client.getCollisionShapeData(body, mast)],
+    }
+    backend.close()
+    assert any(name.endswith(b"part.stl") for name in shapes[kind])
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("kind", ["visual", "collision"])
+def test_an_unreadable_mesh_is_an_error(tmp_path, kind, capfd):
+    robot = own_robot(tmp_path, kind, "../meshes/text.stl")
+    with pytest.raises(KinfeasError, match=r"scout\.urdf: .*text\.stl"):
+        PyBulletBackend(robot).simulation(0)
+    assert capfd.readouterr() == ("", "")
