@@ -99,7 +99,7 @@ def record(world: World, policy: Policy, episode: int) -> PyBulletRecording:
     return PyBulletRecording(
         np.array(kept.times), tuple(kept.moments), base, ee, desired, goal,
         np.array(kept.failures), bool(records.reached[0]),
-        bool(done[0]) if done is not None and stage.judges else None,
+        bool(done[0]) if done is not None and stage.has_success_condition else None,
     )  # fmt: skip
 
 

@@ -100,12 +100,12 @@ class PyBulletBackend:
         return take_side_view(self.sims[env_id].physics, base, goal)
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set what the grippers take hold of when they close; they are open after each reset.
+        """Set the link that grippers grasp when they close; they are open after each reset.
 
         Args:
             name: Name of an object of the scene.
             link: Its link.
-            rigid: Whether the link cannot turn in the hand either.
+            rigid: Whether the link cannot turn in the hand.
 
         Raises:
             KinfeasError: If there is no scene, object, link or gripper.
@@ -117,16 +117,16 @@ class PyBulletBackend:
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Put robots and furniture at rest where they begin; shapes as in `Backend`.
+        """Place robots and furniture at rest; shapes as in `Backend`.
 
         Raises:
-            KinfeasError: If a base is not level on the floor, a number is not finite, or a world is
-                gone.
+            KinfeasError: If a base is not level on the floor, a number is not finite, or PyBullet
+                fails.
         """
         numbers: Sequence[int] = range(len(base_pose)) if env_ids is None else env_ids.tolist()
         self._check(base_pose, joint_positions, len(numbers))
         if not np.all(np.abs(base_pose[:, 2:5]) <= _FLAT):
-            raise KinfeasError("the base must stand upright on the floor, at height 0")
+            raise KinfeasError("the base must be upright at height 0")
         if env_ids is None:
             self._positions = np.zeros((len(numbers), 3 + len(self.robot.arm)))
             self._velocities = np.zeros_like(self._positions)
@@ -135,7 +135,7 @@ class PyBulletBackend:
         return self._measure(numbers)
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
-        """Begin to close or open grippers; closing, they hold what both of their fingers touch."""
+        """Start to close or open grippers; they grasp what both fingers touch."""
         for row in env_ids.tolist():
             self._sims[row].grip(grip)
 
@@ -143,8 +143,7 @@ class PyBulletBackend:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
 
         Raises:
-            KinfeasError: If the shapes do not fit, a number is not finite, `dt` is not above 0, or
-                a world is gone.
+            KinfeasError: If a shape, a number or `dt` is invalid, or PyBullet fails.
         """
         self._check(base_twist, joint_targets, len(self._positions))
         for row, (twist, joints) in enumerate(zip(base_twist, joint_targets, strict=True)):
@@ -152,7 +151,7 @@ class PyBulletBackend:
         return self._measure(range(len(self._positions)))
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return what is nearer than `within` metres to the bases, but for what they handle."""
+        """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
         found = [one.obstacle_distances(within) for one in self._sims[: len(self._positions)]]
         width = max(one.distance.shape[1] for one in found)
         place, toward = np.zeros((2, len(found), width, 2))
@@ -164,13 +163,13 @@ class PyBulletBackend:
         return ObstacleDistances(place, toward, distance)
 
     def close(self) -> None:
-        """End the worlds; it may be called twice."""
+        """End the simulations; a second call does nothing."""
         for one in self._sims:
             one.close()
 
     def _measure(self, rows: Sequence[int]) -> RobotState:
-        """Return the state of all robots, of which `rows` are measured anew."""
-        # Others may hold the arrays of before.
+        """Return the state of all robots with new measurements of `rows`."""
+        # Earlier states keep their arrays.
         self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
         for row in rows:
             self._positions[row], self._velocities[row] = self._sims[row].measure()

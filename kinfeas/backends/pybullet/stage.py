@@ -1,23 +1,25 @@
 """A task in the PyBullet world: its episodes, with the objects placed for each of them."""
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinfeas.backends.pybullet.task_check import check_task
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.chain import ChainTask, TaskScene
 from kinfeas.tasks.task import Subgoal, Task
 
 if TYPE_CHECKING:
     from kinfeas.backends.pybullet.backend import PyBulletBackend
 
 _DRAWS = 1000
-_SETTLE_SECONDS = 2.0  # in which what was put down comes to rest
+_SETTLE_SECONDS = 2.0  # for objects that were put down to come to rest
 
 
 class Stage:
@@ -93,11 +95,11 @@ class Stage:
 
     def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
         """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
-        for _ in range(round(_SETTLE_SECONDS / dt) if self.judges else 0):
+        for _ in range(round(_SETTLE_SECONDS / dt) if self.has_success_condition else 0):
             self.backend.sims[row].step(np.zeros(6), joint_positions[row], dt)
 
     @property
-    def judges(self) -> bool:
+    def has_success_condition(self) -> bool:
         """Whether the task has a success condition on objects of the scene."""
         return self._known is not None
 
@@ -114,7 +116,7 @@ class Stage:
             dt: Control period in seconds.
             reached: Whether the episode reached its goal.
         """
-        if not self.judges:
+        if not self.has_success_condition:
             return None if has_scene(self.task) else reached
         self.settle(joint_positions, dt, row)
         return self.done(row)
@@ -129,7 +131,7 @@ class Stage:
         if done.joint is not None:
             position = furniture.joint_position(done.object, done.joint)
             return position < done.threshold if done.threshold < 0.0 else position > done.threshold
-        # What the hand has not let go of has not been put down.
+        # An object in the hand was not put down.
         held = grasp.held if grasp else None
         if held is not None and held[0] == furniture.bodies[done.object]:
             return False
@@ -171,3 +173,54 @@ def task_scene(task: Task) -> Scene | None:
 
 def _chain(task: Task) -> ChainTask | None:
     return task if isinstance(task, ChainTask) else None
+
+
+def check_task(name: str, wanted: TaskScene, scene: Scene, robot: Robot) -> None:
+    """Check that a robot can do a task with the objects of a scene.
+
+    Args:
+        name: Of the task.
+        wanted: Objects that the task moves, grasps and checks.
+        scene: Scene with the objects.
+        robot: Robot model.
+
+    Raises:
+        KinfeasError: If an object, link or joint is missing, the grasped object is fixed, the
+            threshold is beyond the joint's limits, or the robot has no gripper.
+    """
+    where, objects = f"task {name!r}: 'scene", scene.objects
+
+    def need(key: str, word: str, names: Collection[str], what: str) -> None:
+        if word not in names:
+            raise KinfeasError(f"{where}.{key}': no {what} {word!r}{no_such(word, names)}")
+
+    for moved in wanted.moves:
+        need(f"moves.{moved}", moved, objects, "object")
+    if (grasped := wanted.grasped_object) is not None:
+        need("grasped_object.object", grasped.object, objects, "object")
+        one = objects[grasped.object]
+        need("grasped_object.link", grasped.link, one.urdf.links, "link")
+        if one.fixed and moving_joint(one.urdf, grasped.link) is None:
+            raise KinfeasError(
+                f"{where}.grasped_object': link {grasped.link!r} of the fixed object "
+                f"{grasped.object!r} is below no moving joint"
+            )
+        if robot.gripper is None:
+            raise KinfeasError(
+                f"task {name!r} grasps an object, and robot {robot.name!r} has no gripper: its "
+                "YAML lacks 'gripper'"
+            )
+    success = wanted.success
+    need("success.object", success.object, objects, "object")
+    if success.parent is not None:
+        others = [other for other in objects if other != success.object]
+        need("success.parent", success.parent, others, "other object")
+    if success.joint is not None:
+        joints = free_joints(objects[success.object].urdf)
+        need("success.joint", success.joint, joints, "moving joint")
+        low, high, at = joints[success.joint].lower, joints[success.joint].upper, success.threshold
+        if not (low < at if at < 0.0 else at < high):
+            raise KinfeasError(
+                f"{where}.success.threshold' must be between the limits of joint "
+                f"{success.joint!r}, {low:g} and {high:g}, not {at:g}"
+            )

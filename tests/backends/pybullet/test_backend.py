@@ -158,10 +158,11 @@ def test_worlds_are_independent(world, begin):
 def test_is_built_by_name_and_closes_twice(hsr):
     backend = registry.build("kinfeas.backends", "pybullet", {"robot": hsr})
     assert isinstance(backend, PyBulletBackend)
+    backend.reset(spatial.IDENTITY[np.newaxis], hsr.home["home"][np.newaxis])
     backend.close()
     backend.close()
     with pytest.raises(KinfeasError):
-        backend.reset(spatial.IDENTITY[np.newaxis], hsr.home["home"][np.newaxis])
+        stay(backend, 1)
 
 
 def test_wrong_shapes_and_numbers_are_errors(world, begin):

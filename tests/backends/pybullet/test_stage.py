@@ -1,24 +1,19 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.backends.pybullet.stage import check_task, task_scene
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.collision import SceneCollision, robot_touches
+from kinfeas.scenes.scene import read_scene
 from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place, SuccessCondition, TaskScene
 from kinfeas.tasks.loading import load_task
-
-pytest.importorskip("pybullet")
-
-from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.backends.pybullet.stage import Stage, task_scene
-
-
-def build(name):
-    task = load_task(name)
-    backend = PyBulletBackend(load_robot("tiago"), task_scene(task))
-    return Stage(task, backend)
+from tests.backends.pybullet.conftest import stay
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +22,8 @@ def solver():
 
 
 @pytest.fixture(scope="module", params=["pick_place", "door", "drawer"])
-def stage(request):
-    made = build(request.param)
+def stage(request, solver):
+    made = PyBulletBackend(solver.robot).stage(load_task(request.param))
     yield made
     made.backend.close()
 
@@ -39,44 +34,18 @@ def begin(stage, solver, seed):
     return start
 
 
-def test_takes_the_place_of_its_task(stage):
-    assert stage.name == stage.task.name
-    assert stage.subgoals == stage.task.subgoals
-
-
-def test_episodes_begin_free_of_collisions_with_nothing_done(stage, solver):
+def test_episodes_start_free_of_collisions_and_not_done(stage, solver):
+    assert stage.drawn()[0] == "room"
+    assert (stage.name, stage.subgoals) == (stage.task.name, stage.task.subgoals)
     for seed in range(5):
-        start = begin(stage, solver, seed)
-        there = SceneCollision(stage.backend.sims[0].furniture.scene)
+        start, sim = begin(stage, solver, seed), stage.backend.sims[0]
+        there = SceneCollision(sim.furniture.scene)
         assert not robot_touches(there, solver.robot, start.base_pose, start.joint_positions)
-        assert stage.backend.sims[0].free()
+        assert sim.free()
         assert stage.done() is False
-
-
-def test_a_start_in_the_way_moves_the_robot_and_not_the_furniture(stage, solver, monkeypatch):
-    first = stage.task.sample(solver, np.random.default_rng(7))
-    answers = iter([False, False, True])
-    monkeypatch.setattr(stage.backend.sims[0], "free", lambda: next(answers))
-    start = stage.sample(solver, np.random.default_rng(7))
-    np.testing.assert_array_equal(start.target_poses, first.target_poses)
-    assert not np.array_equal(start.base_pose, first.base_pose)
-    assert not np.array_equal(start.joint_positions, first.joint_positions)
-
-
-def test_a_start_in_the_way_is_drawn_anew_as_the_task_allows(stage, solver, monkeypatch):
-    allowed = stage.task.start
-    rng = np.random.default_rng(0)
-    monkeypatch.setattr(stage.backend.sims[0], "reset", lambda *_: None)
-    for _ in range(300):
-        answers = iter([False, True])
-        monkeypatch.setattr(stage.backend.sims[0], "free", lambda answers=answers: next(answers))
-        start = stage.sample(solver, rng)
-        x, y = start.base_pose[:2]
-        assert max(abs(x), abs(y)) <= allowed.square / 2.0
-        heading = 2.0 * np.arctan2(start.base_pose[5], start.base_pose[6])
-        ahead = start.target_poses[0, :2] - [x, y]
-        turned = heading - np.arctan2(ahead[1], ahead[0])
-        assert abs((turned + np.pi) % (2.0 * np.pi) - np.pi) <= allowed.heading + 1e-9
+        for name, pose in stage.task.object_poses(start.target_poses).items():
+            measured = sim.furniture.link_pose(name, stage.scene.objects[name].urdf.root)
+            assert spatial.distance(measured, pose)[0] <= 1e-6
 
 
 def test_equal_seeds_draw_equal_episodes(stage, solver):
@@ -85,59 +54,63 @@ def test_equal_seeds_draw_equal_episodes(stage, solver):
         np.testing.assert_array_equal(value, vars(other)[key])
 
 
-def test_moves_what_the_episode_moves(stage, solver):
-    start = begin(stage, solver, 4)
-    for name, pose in stage.task.object_poses(start.target_poses).items():
-        link = stage.scene.objects[name].urdf.root
-        measured = stage.backend.sims[0].furniture.link_pose(name, link)
-        assert spatial.distance(measured, pose)[0] <= 1e-6
+def test_a_start_in_collision_is_drawn_again_with_the_same_goals(stage, solver, monkeypatch):
+    allowed = stage.task.start
+    monkeypatch.setattr(stage.backend.sims[0], "reset", lambda *_: None)
+    for seed in range(100):
+        first = stage.task.sample(solver, np.random.default_rng(seed))
+        answers, rng = iter([False, True]), np.random.default_rng(seed)
+        monkeypatch.setattr(stage.backend.sims[0], "free", lambda answers=answers: next(answers))
+        start = stage.sample(solver, rng)
+        np.testing.assert_array_equal(start.target_poses, first.target_poses)
+        assert not np.array_equal(start.base_pose, first.base_pose)
+        x, y = start.base_pose[:2]
+        assert max(abs(x), abs(y)) <= allowed.square / 2.0
+        ahead = start.target_poses[0, :2] - [x, y]
+        turned = float(spatial.yaw(start.base_pose)) - np.arctan2(ahead[1], ahead[0])
+        assert abs((turned + np.pi) % (2.0 * np.pi) - np.pi) <= allowed.heading + 1e-9
 
 
-def test_the_task_is_done_when_the_world_says_so(stage, solver):
+def test_the_success_condition_is_measured(stage, solver, monkeypatch):
     begin(stage, solver, 5)
-    done, backend = stage.task.scene.success, stage.backend
-    if done.joint is None:
-        table = backend.sims[0].furniture.link_pose("place_table", "table")
+    success, sim = stage.task.scene.success, stage.backend.sims[0]
+    body = sim.furniture.bodies[success.object]
+    if success.joint is None:
+        table = sim.furniture.link_pose("place_table", "table")
         on_top = spatial.compose(table, np.array([0.0, 0.0, 0.64, 0.0, 0.0, 0.0, 1.0]))
-        backend.sims[0].physics.place(backend.sims[0].furniture.bodies["box"], on_top)
+        sim.physics.place(body, on_top)
     else:
-        number = backend.sims[0].physics.joints(backend.sims[0].furniture.bodies[done.object])[
-            done.joint
-        ]
-        backend.sims[0].physics.client.resetJointState(
-            backend.sims[0].furniture.bodies[done.object], number, 1.1 * done.threshold
-        )
-    home = backend.sims[0].body.state().joint_positions
-    for _ in range(50):
-        backend.step(np.zeros((1, 6)), home, 0.02)
+        joint = sim.physics.joints(body)[success.joint]
+        sim.physics.client.resetJointState(body, joint, 1.1 * success.threshold)
+    stay(stage.backend, 50)
     assert stage.done() is True
-
-
-def test_what_the_hand_holds_is_not_put_down(stage, solver, monkeypatch):
-    begin(stage, solver, 5)
-    done, backend = stage.task.scene.success, stage.backend
-    if done.joint is not None:
-        pytest.skip("a door may be held open")
-    monkeypatch.setattr(backend.sims[0].furniture, "stands", lambda *_: True)
-    assert stage.done() is True
-    backend.sims[0].grasp.held = backend.sims[0].furniture.link("box", "box")
-    try:
+    if success.joint is None:  # an object in the hand was not put down
+        monkeypatch.setattr(sim.grasp, "held", sim.furniture.link("box", "box"))
         assert stage.done() is False
-    finally:
-        backend.sims[0].grasp.release()
 
 
-def test_a_hand_in_the_air_holds_nothing(stage, solver):
-    begin(stage, solver, 6)
-    stage.backend.grip("close", np.array([0]))
-    home = stage.backend.sims[0].body.state().joint_positions
-    for _ in range(10):
-        stage.backend.step(np.zeros((1, 6)), home, 0.02)
-    assert stage.backend.sims[0].grasp.held is None
+@pytest.mark.parametrize(("threshold", "opened"), [(-0.15, -0.2), (0.15, 0.2)])
+def test_a_joint_opens_in_the_direction_of_its_threshold(hsr, scene, threshold, opened, tmp_path):
+    chest = scene.objects["chest"].urdf_path.read_text()
+    (tmp_path / "chest.urdf").write_text(chest.replace('lower="0"', 'lower="-0.4"'))
+    path = tmp_path / "chest.yaml"
+    place = "{urdf: chest.urdf, position: [0, -4, 0.5]}"
+    path.write_text(f"name: chest\nsize: [10, 10]\nobjects:\n  chest: {place}\n")
+    wanted = TaskScene(str(path), SuccessCondition("chest", joint="slide", threshold=threshold))
+    place = {"here": Place((1.0, 0.0, 0.8))}
+    task = ChainTask("pull", (ChainSubgoal(place="here"),), place, scene=wanted)
+    stage = PyBulletBackend(hsr).stage(task)
+    begin(stage, IkSolver(hsr), 0)
+    sim = stage.backend.sims[0]
+    body = sim.furniture.bodies["chest"]
+    for position, done in ((0.0, False), (-opened, False), (opened, True)):
+        sim.physics.client.resetJointState(body, sim.physics.joints(body)["slide"], position)
+        assert stage.done() is done
+    stage.backend.close()
 
 
-def test_the_arm_does_not_begin_within_the_floor(solver):
-    stage = Stage(load_task("ggr"), PyBulletBackend(solver.robot))
+def test_arms_do_not_start_in_the_floor(solver):
+    stage = PyBulletBackend(solver.robot).stage(load_task("ggr"))
     for seed in range(20):
         start = begin(stage, solver, seed)
         before = stage.backend.sims[0].body.state().joint_positions
@@ -147,52 +120,63 @@ def test_the_arm_does_not_begin_within_the_floor(solver):
     stage.backend.close()
 
 
-def test_without_a_scene_there_is_nothing_to_do(solver):
+def test_a_task_without_objects_has_no_success_condition(hsr):
     assert task_scene(load_task("ggr")) is None
-    backend = PyBulletBackend(solver.robot)
-    stage = Stage(load_task("door"), backend)
-    begin(stage, solver, 0)
+    stage = PyBulletBackend(hsr, objects=False).stage(load_task("door"))
+    begin(stage, IkSolver(hsr), 0)
     assert stage.done() is None
-    with pytest.raises(KinfeasError, match="grasping needs a scene"):
-        backend.handle("box", "box")
-    backend.close()
+    assert not stage.has_success_condition
+    with pytest.raises(KinfeasError, match="scene"):
+        stage.backend.handle("box", "box")
+    stage.backend.close()
 
 
-def test_objects_drawn_into_each_other_are_one_sentence(solver):
+def test_overlapping_objects_are_an_error(hsr):
     sunk = {"scene": {"moves": {"box": {"offset": [0.04, 0.0, -0.1]}}}}
-    task = load_task("pick_place", sunk)
-    backend = PyBulletBackend(solver.robot, task_scene(task))
-    message = "^task 'pick_place': objects 'pick_table' and 'box' stand within each other"
-    with pytest.raises(KinfeasError, match=message):
-        Stage(task, backend).sample(solver, np.random.default_rng(0))
-    backend.close()
+    stage = PyBulletBackend(hsr).stage(load_task("pick_place", sunk))
+    with pytest.raises(KinfeasError, match="'pick_table' and 'box'"):
+        stage.sample(IkSolver(hsr), np.random.default_rng(0))
+    stage.backend.close()
 
 
-def test_shipped_episodes_can_be(stage, solver):
-    moves = stage.task.object_poses
+def test_shipped_episodes_place_objects_apart(stage, solver):
     for seed in range(100):
         start = stage.task.sample(solver, np.random.default_rng((1, seed)))
-        stage.scene.with_poses(moves(start.target_poses)).check_places("shipped")
+        poses = stage.task.object_poses(start.target_poses)
+        stage.scene.with_poses(poses).check_places("shipped")
 
 
-@pytest.mark.parametrize(("threshold", "open_at"), [(-0.15, -0.2), (0.15, 0.2)])
-def test_a_joint_may_open_to_either_side(solver, scene, threshold, open_at, tmp_path):
-    chest = scene.objects["chest"].urdf_path.read_text()
-    (tmp_path / "chest.urdf").write_text(chest.replace('lower="0"', 'lower="-0.4"'))
-    place = "{urdf: chest.urdf, position: [0, -4, 0.5]}"
-    path = tmp_path / "chest.yaml"
-    path.write_text(f"name: chest\nsize: [10, 10]\nobjects:\n  chest: {place}\n")
-    wanted = TaskScene(str(path), SuccessCondition("chest", joint="slide", threshold=threshold))
-    place = {"here": Place((1.0, 0.0, 0.8))}
-    task = ChainTask("pull", (ChainSubgoal(place="here"),), place, scene=wanted)
-    stage = Stage(task, PyBulletBackend(solver.robot, task_scene(task)))
-    furniture, client = (
-        stage.backend.sims[0].furniture,
-        stage.backend.sims[0].physics.client,
-    )
-    begin(stage, solver, 0)
-    number = stage.backend.sims[0].physics.joints(furniture.bodies["chest"])["slide"]
-    for position, done in ((0.0, False), (-open_at, False), (open_at, True)):
-        client.resetJointState(furniture.bodies["chest"], number, position)
-        assert stage.done() is done
-    stage.backend.close()
+@pytest.mark.parametrize(
+    ("name", "changes", "key"),
+    [
+        ("door", {"success": {"object": "dor"}}, "success.object"),
+        ("door", {"success": {"joint": "hing"}}, "success.joint"),
+        ("door", {"success": {"threshold": 2.0}}, "success.threshold"),
+        ("door", {"success": {"threshold": -1.0}}, "success.threshold"),
+        ("door", {"success": {"threshold": 0.0}}, None),
+        ("door", {"grasped_object": {"object": "x"}}, "grasped_object.object"),
+        ("door", {"grasped_object": {"link": "x"}}, "grasped_object.link"),
+        ("pick_place", {"success": {"parent": "tabel"}}, "success.parent"),
+        ("pick_place", {"success": {"parent": "box"}}, "success.parent"),
+        ("pick_place", {"moves": {"bax": {"place": "table"}}}, "moves.bax"),
+        (
+            "pick_place",
+            {"grasped_object": {"object": "pick_table", "link": "table"}},
+            "grasped_object",
+        ),
+    ],
+)
+def test_a_task_needs_its_objects(name, changes, key, hsr):
+    wanted = load_task(name, {"scene": changes}).scene
+    if key is None:
+        check_task("mine", wanted, read_scene("room"), hsr)
+        return
+    with pytest.raises(KinfeasError, match=f"^task 'mine': 'scene.{key}'"):
+        check_task("mine", wanted, read_scene("room"), hsr)
+
+
+def test_grasping_needs_a_gripper(hsr):
+    bare, wanted = replace(hsr, gripper=None), load_task("door").scene
+    with pytest.raises(KinfeasError, match="gripper"):
+        check_task("door", wanted, read_scene("room"), bare)
+    check_task("door", replace(wanted, grasped_object=None), read_scene("room"), bare)
