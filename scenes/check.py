@@ -14,6 +14,7 @@ from kinfeas.robots.elements import Element, read_xml
 from kinfeas.robots.urdf import SLACK, Shape, Urdf, read_moments
 from kinfeas.scenes.objects import SceneObject, moving_joint
 
+_DOWN = np.array([0.0, 0.0, -1.0])
 _THINNEST = 1e-4  # m, of a shrunk shape
 
 
@@ -112,22 +113,9 @@ def _check_floor(where: str, size: tuple[float, float], one: SceneObject) -> Non
         raise KinfeasError(
             f"{where} is at ({x:g}, {y:g}), off the floor of {size[0]:g} x {size[1]:g} m"
         )
-    sunk = max((-_lowest(shape) for _, shape in one.shapes()), default=0.0)
+    sunk = max((shape.reach(_DOWN) for _, shape in one.shapes()), default=0.0)
     if sunk > OVERLAP:
         raise KinfeasError(f"{where} is {sunk:.3g} m below the floor")
-
-
-def _lowest(shape: Shape) -> float:
-    """Return the height of the lowest point of a shape, metres."""
-    up = rotation(shape.pose).as_matrix()[2]
-    if shape.kind == "box":
-        reach = float(np.abs(up) @ np.array(shape.size)) / 2.0
-    elif shape.kind == "cylinder":
-        radius, length = shape.size
-        reach = radius * float(np.hypot(up[0], up[1])) + abs(float(up[2])) * length / 2.0
-    else:
-        reach = shape.size[0]
-    return float(shape.pose[2]) - reach
 
 
 def _check_overlaps(source: str, objects: Mapping[str, SceneObject]) -> None:

@@ -1,9 +1,8 @@
-"""Which link of a URDF is the hand, and which joints lead to it."""
+"""The arm and the hand of a URDF: joints, fingers, tool tip, gripper axes."""
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,72 +12,55 @@ from kinfeas.core.spatial import IDENTITY, Array, compose, relative, rotation
 from kinfeas.robots.spec import Gripper
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
+_MIN_JOINTS = 3
+"""Joints of an arm; a branch nearer to the base is no hand."""
 
-class Placed(NamedTuple):
-    """A shape and the pose of its centre, shape (7,), metres, in the frame that was asked for."""
+_FIXED_JAW = 1.0 / 3.0
+"""Length of a fixed jaw, as a share of the moving one."""
 
-    shape: Shape
-    pose: Array
-
-    def reach(self, direction: Array) -> float:
-        """Return how far the shape goes in a direction, a unit vector (3,), metres."""
-        along = rotation(self.pose).inv().apply(direction)
-        middle, size = float(self.pose[:3] @ direction), self.shape.size
-        if self.shape.kind == "box":
-            return middle + float(np.abs(along) @ np.array(size)) / 2.0
-        if self.shape.kind == "cylinder":
-            radius, length = size
-            return middle + radius * float(np.hypot(*along[:2])) + abs(along[2]) * length / 2.0
-        return middle + size[0]
+_OFF_AXIS = 0.01  # m, by which shapes on an axis may be off it
+_NOTHING = 1e-6  # m
+_MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
 
 
 def place(
     urdf: Urdf, links: Iterable[str], frame: str, positions: Mapping[str, float]
-) -> list[Placed]:
-    """Return the shapes of some links.
+) -> list[Shape]:
+    """Return the shapes of some links with their poses in the frame of a link.
 
     Args:
         urdf: The robot.
         links: Names of the links.
-        frame: The link that they are seen from.
-        positions: Of joints that follow no other, rad or m; the rest are as near 0 as they can.
+        frame: Name of the link whose frame is used.
+        positions: Joint positions, rad or m; the others are as near to 0 as possible.
     """
     at = link_pose(urdf, frame, positions)
     return [
-        Placed(shape, relative(compose(link_pose(urdf, link, positions), shape.pose), at))
+        replace(shape, pose=relative(compose(link_pose(urdf, link, positions), shape.pose), at))
         for link in links
         for shape in urdf.links[link].shapes
     ]
 
 
 def link_pose(urdf: Urdf, link: str, positions: Mapping[str, float]) -> Array:
-    """Return the pose of a link seen from the root, shape (7,); positions as above."""
+    """Return the pose of a link in the frame of the root, shape (7,); positions as above."""
     pose = IDENTITY
     for joint in urdf.path_to(link):
         leader, scale, offset = urdf.followed(joint)
-        rest = min(max(0.0, leader.lower), leader.upper)
-        pose = compose(pose, joint.pose_at(scale * positions.get(leader.name, rest) + offset))
+        position = positions.get(leader.name, leader.rest)
+        pose = compose(pose, joint.pose_at(scale * position + offset))
     return pose
-
-
-_LEAST = 3
-"""Joints that an arm has at least: a hand is not looked for nearer to the base."""
-
-_BESIDE = 1.0 / 3.0
-"""Share of a jaw's length beyond which what carries it goes on: a link ends at its next joint."""
-
-_PLAY = 0.01  # m, by which shapes about an axis may be off it
 
 
 @dataclass(frozen=True)
 class Arm:
-    """What IK moves, and what it places.
+    """The arm of a robot.
 
     Attributes:
-        hand: The link that carries the fingers, or the last one of an arm without.
-        joints: Joints that move by themselves, from the root to the hand.
-        stuck: Joints on the way that would, but have limits that leave them no room.
-        fingers: Joints right at the hand whose links have collision shapes.
+        hand: Link that carries the fingers; without fingers the last link.
+        joints: Joints from the root to the hand, without fixed and mimic joints.
+        stuck: Joints on the way whose limits leave no range of motion.
+        fingers: Joints on the hand whose links have collision shapes.
     """
 
     hand: str
@@ -90,16 +72,16 @@ class Arm:
 def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     """Return the arm of a robot.
 
-    A hand is where the longest way of moving joints branches last, into fingers, or what a single
-    jaw closes on.
+    By default the hand is where the longest chain of moving joints branches last, into fingers, or
+    the link with a fixed jaw on which a single finger closes.
 
     Args:
         urdf: The robot.
-        hand: The link that IK is to place; it is looked for by default.
+        hand: Link that IK places.
         source: File name for errors.
 
     Raises:
-        KinfeasError: If there is no such link, no arm, or more than one that could be meant.
+        KinfeasError: If there is no such link, no arm, or more than one.
     """
     if hand is None:
         hand = _find_hand(urdf, source)
@@ -109,23 +91,21 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     joints = tuple(joint for joint in own if joint.soft_lower < joint.soft_upper)
     if not joints:
         raise KinfeasError(f"{source}: no joint moves between {urdf.root!r} and {hand!r}")
-    group = urdf.rigid[hand]
     fingers = tuple(
         joint
         for joint in urdf.joints.values()
         if joint.moves
-        and joint.parent in group
+        and joint.parent in urdf.rigid[hand]
         and any(urdf.links[link].shapes for link in urdf.below(joint.name))
     )
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
 
 
 def bare_stand(urdf: Urdf, arm: Arm) -> str:
-    """Return the link that an arm is on, if nothing tells it from the arm's own first link.
+    """Return the link below the arm if it may be the arm's own first link, else an empty name.
 
-    Nothing does if all that stands still below the arm is a single body, and nothing else moves
-    on it, such as wheels or a head. An arm that begins with a slide has a lift, and so a base.
-    The name is empty if something does.
+    That is so if only one body is fixed below the arm and nothing else, such as wheels or a head,
+    moves on it. An arm that begins with a lift has a base.
     """
     first = arm.joints[0]
     group = urdf.rigid[first.parent]
@@ -138,63 +118,45 @@ def bare_stand(urdf: Urdf, arm: Arm) -> str:
 def _find_hand(urdf: Urdf, source: str) -> str:
     ways = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
     longest = max(map(len, ways.values()))
-    if longest < _LEAST:
-        raise KinfeasError(f"{source}: no link has {_LEAST} moving joints above it: no arm")
-    on_body: dict[frozenset[str], list[str]] = {}
+    if longest < _MIN_JOINTS:
+        raise KinfeasError(f"{source}: no arm: no link has {_MIN_JOINTS} moving joints above it")
+    branches: dict[frozenset[str], list[str]] = {}
     for joint in urdf.joints.values():
         if joint.moves:
-            on_body.setdefault(urdf.rigid[joint.parent], []).append(joint.parent)
-    forks = {body: _shared(urdf, links) for body, links in on_body.items() if len(links) > 1}
+            branches.setdefault(urdf.rigid[joint.parent], []).append(joint.parent)
+    forks = {body: _last_common(urdf, links) for body, links in branches.items() if len(links) > 1}
     arms = {way[-1].name: way for way in ways.values() if len(way) == longest}
     hands = list(dict.fromkeys(_hand_of(urdf, way, forks) for way in arms.values()))
     if len(hands) > 1:
         raise KinfeasError(
-            f"{source}: there are several arms: choose the link that IK is to place, such as "
+            f"{source}: there are several arms: choose the link that IK places, such as "
             f"{' or '.join(hands)}"
         )
     return hands[0]
 
 
 def _hand_of(urdf: Urdf, moving: list[Joint], forks: dict[frozenset[str], str]) -> str:
-    """Return the hand to which the end of a finger or of an arm belongs.
-
-    Args:
-        urdf: The robot.
-        moving: Joints that lead to the end.
-        forks: Of rigid links on which several joints are, the last one on the way to all of these.
-    """
-    for joint in reversed(moving[_LEAST:]):
+    """Return the hand at the end of a chain of moving joints; `forks` has links that branch."""
+    for joint in reversed(moving[_MIN_JOINTS:]):
         if hand := forks.get(urdf.rigid[joint.parent]):
             return hand
-    if len(moving) > _LEAST and _is_jaw(urdf, moving[-1]):
+    if len(moving) > _MIN_JOINTS and _is_jaw(urdf, moving[-1]):
         return moving[-1].parent
-    return _end(urdf, moving[-1].child)
+    link = moving[-1].child
+    while len(urdf.on[link]) == 1:
+        link = urdf.on[link][0].child
+    return link
 
 
-def _shared(urdf: Urdf, links: list[str]) -> str:
-    """Return the last link that is on the way to all of `links`, or one of them."""
+def _last_common(urdf: Urdf, links: list[str]) -> str:
+    """Return the last link on the way to all of `links`, or one of them."""
     ways = [[urdf.root, *(joint.child for joint in urdf.path_to(link))] for link in links]
     return [level[0] for level in zip(*ways, strict=False) if len(set(level)) == 1][-1]
 
 
-def aside(urdf: Urdf, joint: Joint) -> Array:
-    """Return where the shapes are that a joint moves, as seen from its axis, shape (3,), metres.
-
-    The frame is that of its child. Zero stands for a joint that turns them about themselves, as
-    that of a wrist does, or slides them along their own length.
-    """
-    shapes = place(urdf, sorted(urdf.below(joint.name)), joint.child, {})
-    if not shapes:
-        return np.zeros(3)
-    middle = np.mean([shape.pose[:3] for shape in shapes], axis=0)
-    along = float(middle @ joint.axis)
-    away: Array = middle - along * np.array(joint.axis)
-    return away if np.linalg.norm(away) > abs(along) + _PLAY else np.zeros(3)
-
-
 def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
-    """Return whether what a joint moves lies beside what carries it: it closes on a fixed jaw."""
-    away = aside(urdf, joint)
+    """Return whether a joint closes on a fixed jaw: its parent has a shape beside its child's."""
+    away = _off_axis(urdf, joint)
     if not away.any():
         return False
     direction = away / np.linalg.norm(away)
@@ -203,30 +165,31 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
         max((one.reach(direction) for one in place(urdf, sorted(side), joint.child, {})), default=0)
         for side in sides
     )
-    return beside > _BESIDE * jaw
+    return beside > _FIXED_JAW * jaw
 
 
-def _end(urdf: Urdf, link: str) -> str:
-    """Return the last link of those that hang on `link` rigidly, one after the other."""
-    while len(urdf.on[link]) == 1:
-        link = urdf.on[link][0].child
-    return link
+def _off_axis(urdf: Urdf, joint: Joint) -> Array:
+    """Return the offset of the shapes that a joint moves from its axis, shape (3,), metres.
 
-
-_PAIR = 2
-_NOTHING = 1e-6  # m
-_MOST_EFFORT = 1e4
-"""N or N m: more than that stands for none."""
+    It is in the frame of the child, and zero if the shapes are on the axis, as at a wrist.
+    """
+    shapes = place(urdf, sorted(urdf.below(joint.name)), joint.child, {})
+    if not shapes:
+        return np.zeros(3)
+    middle = np.mean([shape.pose[:3] for shape in shapes], axis=0)
+    along = float(middle @ joint.axis)
+    away: Array = middle - along * np.array(joint.axis)
+    return away if np.linalg.norm(away) > abs(along) + _OFF_AXIS else np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """What a robot's YAML says of its hand.
+    """The hand of a robot.
 
     Attributes:
-        tip: Between the ends of the fingers, in the hand's frame, shape (3,), metres.
+        tip: Tool tip between the ends of the fingers, in the hand's frame, shape (3,), metres.
         rotation: Quaternion xyzw (4,), from the common gripper convention to that frame.
-        gripper: How it closes; None if there are not two fingers with one range of positions.
+        gripper: The fingers; None unless there are two with the same range of positions.
     """
 
     tip: Array
@@ -235,26 +198,25 @@ class Hand:
 
 
 def read_hand(urdf: Urdf, arm: Arm) -> Hand:
-    """Return what the shapes and fingers of a hand say: axes are those of its frame, the nearest.
+    """Return the hand of an arm; its approach and finger axes are axes of its frame.
 
-    It approaches along the way from the last joint of the arm to the fingers, or to the farthest
-    shape of a hand with fewer than two; fingers lie farthest apart along the other axis.
+    The approach leads from the last joint of the arm to the fingers, or to the farthest shape of a
+    hand with fewer than two. The fingers are farthest apart along the finger axis.
     """
-    fingers = arm.fingers if len(arm.fingers) == _PAIR else ()
-    closed, opened = _ends(urdf, arm, fingers)
+    fingers = arm.fingers if len(arm.fingers) == 2 else ()
+    closed, opened = _finger_positions(urdf, arm, fingers)
     shapes = _hand_shapes(urdf, arm)
-    wrist = relative(
-        link_pose(urdf, arm.joints[-1].child, {}), link_pose(urdf, arm.hand, {})
-    )[:3]  # fmt: skip
+    hand = link_pose(urdf, arm.hand, {})
+    wrist = relative(link_pose(urdf, arm.joints[-1].child, {}), hand)[:3]
     at = np.array([_middle(urdf, arm, finger, opened) for finger in arm.fingers])
-    several = len(at) >= _PAIR
+    several = len(at) > 1
     front = at.mean(axis=0) if several else _farthest(shapes, wrist)
-    x = _axis(front - wrist if several else _ahead(urdf, arm, front - wrist))
+    x = _nearest_axis(front - wrist if several else _approach(urdf, arm, front - wrist))
     across = np.ptp(at, axis=0) if several else _closing(urdf, arm, x)
     beside = across - (across @ x) * x
     if np.linalg.norm(beside) < _NOTHING:
         beside = np.roll(x, 1)
-    y = np.abs(_axis(beside))  # either finger may be the first
+    y = np.abs(_nearest_axis(beside))  # either finger may be the first
     reach = max((shape.reach(x) for shape in shapes), default=0.0)
     tip = front - (front @ x) * x + reach * x if several else reach * x
     to_gripper = np.stack([x, y, np.cross(x, y)])
@@ -262,15 +224,15 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     return Hand(tip, quaternion, _gripper(urdf, fingers, closed, opened))
 
 
-def _ends(
+def _finger_positions(
     urdf: Urdf, arm: Arm, fingers: tuple[Joint, ...]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the positions of the joints that move the fingers, closed and open."""
+    if not fingers:
+        return {}, {}
     leaders = {urdf.followed(finger)[0] for finger in fingers}
     low = {joint.name: max(joint.lower, -math.pi) for joint in leaders}
     high = {joint.name: min(joint.upper, math.pi) for joint in leaders}
-    if not fingers:
-        return {}, {}
 
     def gap(positions: dict[str, float]) -> float:
         one, other = (_middle(urdf, arm, finger, positions) for finger in fingers)
@@ -282,51 +244,47 @@ def _ends(
 def _gripper(
     urdf: Urdf, fingers: tuple[Joint, ...], closed: dict[str, float], opened: dict[str, float]
 ) -> Gripper | None:
-    """Return the fingers as the robot's YAML has them, or None if that has no words for them."""
     if not fingers or any(urdf.followed(finger)[1:] != (1.0, 0.0) for finger in fingers):
         return None
     shut, wide, effort = {*closed.values()}, {*opened.values()}, min(one.effort for one in fingers)
-    if len(shut) > 1 or len(wide) > 1 or shut == wide or not 0.0 < effort < _MOST_EFFORT:
+    if len(shut) > 1 or len(wide) > 1 or shut == wide or not 0.0 < effort < _MAX_EFFORT:
         return None
     first, second = (finger.name for finger in fingers)
     return Gripper((first, second), shut.pop(), wide.pop(), effort)
 
 
 def _middle(urdf: Urdf, arm: Arm, finger: Joint, positions: dict[str, float]) -> Array:
-    """Return the middle of a finger's shapes in the hand's frame, shape (3,)."""
+    """Return the mean position of a finger's shapes in the hand's frame, shape (3,)."""
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, positions)
     middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
     return middle
 
 
-def _hand_shapes(urdf: Urdf, arm: Arm) -> list[Placed]:
-    """Return the shapes of the hand and its fingers in the hand's frame."""
-    links = urdf.rigid[arm.hand]
-    for finger in arm.fingers:
-        links |= urdf.below(finger.name)
+def _hand_shapes(urdf: Urdf, arm: Arm) -> list[Shape]:
+    links = urdf.rigid[arm.hand].union(*(urdf.below(finger.name) for finger in arm.fingers))
     return place(urdf, sorted(links), arm.hand, {})
 
 
-def _ahead(urdf: Urdf, arm: Arm, reach: Array) -> Array:
-    """Return where a hand without fingers points, shape (3,): along `reach`, its farthest shape.
+def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:
+    """Return the approach of a hand without fingers, shape (3,).
 
-    One that the last joint turns about itself points along that axis, away from what carries it.
+    It is `reach`, the way to its farthest shape, or the axis of a last joint that turns the hand
+    about itself, away from the parent of that joint.
     """
     last = arm.joints[-1]
-    if last.kind == "prismatic" or aside(urdf, last).any():
+    if last.kind == "prismatic" or _off_axis(urdf, last).any():
         return reach
     axis = rotation(link_pose(urdf, last.child, {})).apply(last.axis)
-    carrier = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, {})
-    own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, {})
     axis = rotation(link_pose(urdf, arm.hand, {})).inv().apply(axis)
-    way = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
-    way -= sum(float(one.pose[:3] @ axis) / len(carrier) for one in carrier)
-    ahead: Array = axis if way >= 0.0 else -axis
-    return ahead
+    own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, {})
+    parent = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, {})
+    ahead = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
+    ahead -= sum(float(one.pose[:3] @ axis) / len(parent) for one in parent)
+    return axis if ahead >= 0.0 else -axis
 
 
-def _farthest(shapes: list[Placed], wrist: Array) -> Array:
-    """Return the middle of the shape that is farthest from the arm's last joint, shape (3,)."""
+def _farthest(shapes: list[Shape], wrist: Array) -> Array:
+    """Return the middle of the shape that is farthest from the wrist, shape (3,)."""
     return max(
         (shape.pose[:3] for shape in shapes),
         key=lambda middle: np.linalg.norm(middle - wrist),
@@ -335,7 +293,7 @@ def _farthest(shapes: list[Placed], wrist: Array) -> Array:
 
 
 def _closing(urdf: Urdf, arm: Arm, x: Array) -> Array:
-    """Return where a single jaw comes from if the hand approaches along `x`, or 0, shape (3,)."""
+    """Return the direction in which a single jaw closes, shape (3,); 0 without a jaw."""
     for jaw in arm.fingers:
         seen = relative(link_pose(urdf, jaw.child, {}), link_pose(urdf, arm.hand, {}))
         axis = rotation(seen).apply(jaw.axis)
@@ -343,8 +301,8 @@ def _closing(urdf: Urdf, arm: Arm, x: Array) -> Array:
     return np.zeros(3)
 
 
-def _axis(direction: Array) -> Array:
-    """Return the axis of the frame that is nearest to a direction, either way, shape (3,)."""
+def _nearest_axis(direction: Array) -> Array:
+    """Return the signed axis of the frame that is nearest to a direction, shape (3,)."""
     axis = np.zeros(3)
     largest = int(np.argmax(np.abs(direction)))
     axis[largest] = 1.0 if direction[largest] >= 0.0 else -1.0

@@ -1,4 +1,4 @@
-"""What random configurations tell of a robot: links that may touch, a home, useful heights."""
+"""Properties of a robot from sampled configurations: links that may touch, home, goal heights."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, make_pose, rotation, twist_between
+from kinfeas.core.spatial import Array, make_pose, rotation
 from kinfeas.importer.arm import link_pose
-from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.reachability import at_goals, reachable
 from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
@@ -17,44 +17,37 @@ from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Urdf
 
 OFTEN, ALWAYS = 1.0 / 3.0, 0.95
-"""Share of configurations in which near neighbours, and any two links, touch that are built so."""
+"""Share of configurations in which near neighbours, and any two links, touch by design."""
 
 _NEAR = 2
-"""Joints that turn between near neighbours at most: primitives around their meshes overlap."""
+"""Revolute joints between near neighbours at most: primitives around their meshes overlap."""
 
 WORTH, EASY = 0.8, 0.98
-"""Share of goals that can be reached at heights worth learning, and at comfortable ones."""
+"""Share of reachable goals at heights worth learning, and at comfortable ones."""
 
 _PARALLEL = 0.999  # cosine of the angle between two axes
 _CONFIGURATIONS, _FEW = 4096, 64
-_STEP, _GOALS = 0.1, 48  # metres between heights, and goals at each
-_HIGHEST = 100.0  # m, beyond any robot that drives
+_STEP, _GOALS = 0.1, 48  # m between heights, and goals at each
+_MAX_HEIGHT = 100.0  # m
 _STAGES = (4, 16, 64, 256)
-_SEARCH = IkOptions(restarts=6, candidates=1)
-"""Of IK, from base poses that are many: whether it finds something is enough."""
-
-_OF_SHAPES = "body", "kind", "size", "radius", "rotation", "offset"
-"""Attributes of a `CollisionModel` with a row for each shape."""
-
-_SEED = 0
-_STIFF = 1e-3
-"""Metres or radians that the hand moves for one of a joint, which is none."""
+_SEARCH = IkOptions(restarts=6, candidates=1)  # a quick one, since many base poses are tried
+_STIFF = 1e-3  # singular values below count as zero
 
 
 @dataclass(frozen=True)
 class Heights:
-    """Where goals can be reached from some base pose.
+    """Reachable goals by height.
 
     Attributes:
         at: Heights, ascending, shape (h,), metres.
-        share: Of goals of any orientation there, 0-1, shape (h,).
+        share: Share of goals of any orientation that are reachable, 0-1, shape (h,).
     """
 
     at: Array
     share: Array
 
     def band(self, least: float) -> tuple[float, float] | None:
-        """Return the largest range of heights in which at least such a share is reached, if any."""
+        """Return the largest range of heights with a share of at least `least`, or None."""
         good = np.concatenate([[False], self.share >= least, [False]])
         edges = np.flatnonzero(good[1:] != good[:-1])
         starts, ends = edges[::2], edges[1::2] - 1
@@ -66,7 +59,7 @@ class Heights:
 
 
 def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
-    """Return the pairs of links that may touch, for they are built so or their shapes are too wide.
+    """Return the pairs of links that touch by design, or since their shapes are too large.
 
     These are links that slide in one another, near neighbours that touch often, and others that
     touch always.
@@ -82,8 +75,15 @@ def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
     found = {}
     for pair, rows in shapes.items():
         used, places = np.unique(model.pairs[rows], return_inverse=True)
-        of_shapes = {key: getattr(model, key)[used] for key in _OF_SHAPES}
-        alone = model._replace(**of_shapes, pairs=places.reshape(-1, 2).astype(np.intp))
+        alone = model._replace(
+            body=model.body[used],
+            kind=model.kind[used],
+            size=model.size[used],
+            radius=model.radius[used],
+            rotation=model.rotation[used],
+            offset=model.offset[used],
+            pairs=places.reshape(-1, 2).astype(np.intp),
+        )
         share = float(self_collides(alone, joints).mean())
         if share > _allowed(robot, *pair):
             found[pair] = share
@@ -91,7 +91,7 @@ def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
 
 
 def _allowed(robot: Robot, one: str, other: str) -> float:
-    """Return the share of configurations in which two links may touch and still be looked at."""
+    """Return the share of configurations in which two links may touch and are still checked."""
     urdf, arm = robot.urdf, {joint.name for joint in robot.arm}
     apart = {*urdf.path_to(one)} ^ {*urdf.path_to(other)}
     between = [joint for joint in apart if urdf.followed(joint)[0].name in arm]
@@ -102,92 +102,80 @@ def _allowed(robot: Robot, one: str, other: str) -> float:
 
 
 def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
-    """Return whether joints slide along one line, as the parts of a telescope do."""
-    poses = [(link_pose(urdf, joint.child, {}), joint.axis) for joint in slides]
-    along = [rotation(pose).apply(axis) for pose, axis in poses]
+    """Return whether prismatic joints have parallel axes, as the parts of a telescope have."""
+    along = [rotation(link_pose(urdf, joint.child, {})).apply(joint.axis) for joint in slides]
     return all(abs(float(along[0] @ other)) > _PARALLEL for other in along)
 
 
+def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
+    """Return the robot with more pairs of links that may touch."""
+    more = frozenset(map(frozenset, pairs))
+    return replace(robot, ignored_collisions=robot.ignored_collisions | more)
+
+
 def free_share(robot: Robot) -> float:
-    """Return the share of configurations in which the robot does not touch itself, 0-1."""
+    """Return the share of configurations without self-collision, 0-1."""
     joints = spread_configurations(robot, _CONFIGURATIONS)
     return float(1.0 - self_collides(build_collision_model(robot), joints).mean())
 
 
 def comfortable(robot: Robot) -> Array:
-    """Return a configuration in which the hand can move any way, shape (j,).
+    """Return the configuration with the highest dexterity, shape (j,).
 
-    Of those in which the robot does not touch itself, the hand is ahead of the base, and neither
-    low nor high for this arm, it is the most dexterous one: the least singular value of its
-    Jacobian, of those that are above 0 at all, less near joint limits (Yoshikawa 1985; Tsai 1986),
-    is the largest.
+    The candidates are free of self-collision, with the hand in front of the base at medium height.
+    Dexterity is the least singular value of the Jacobian, without those that are always zero, less
+    near joint limits (Yoshikawa 1985; Tsai 1986).
 
     Raises:
-        KinfeasError: If the robot touches itself in all configurations.
+        KinfeasError: If the robot is in self-collision in all configurations.
     """
     lower, upper = robot.finite_joint_limits
     joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
     free = joints[~self_collides(build_collision_model(robot), joints)]
     if not len(free):
-        raise KinfeasError(
-            f"{robot.name}: in all of {len(joints)} configurations it touches itself"
-        )
+        raise KinfeasError(f"{robot.name}: self-collision in all of {len(joints)} configurations")
     ee = forward(build_chain(robot), free)[:, :3]
     low, high = np.quantile(ee[:, 2], [0.25, 0.75])
     wanted = (ee[:, 0] > 0.0) & (ee[:, 2] >= low) & (ee[:, 2] <= high)
     among = free[wanted] if wanted.any() else free
-    best: Array = among[np.argmax(_dexterity(robot, among))]
+    least = _singular_values(robot, among)[:, freedom(robot) - 1]
+    room = 4.0 * (among - lower) * (upper - among) / (upper - lower) ** 2
+    best: Array = among[np.argmax(least * room[:, ~robot.continuous].min(axis=1, initial=1.0))]
     return best
 
 
 def freedom(robot: Robot) -> int:
-    """Return in how many ways at once the arm can move the hand, 1-6: sliders in line are one."""
+    """Return the degrees of freedom of the hand, 1-6; parallel prismatic joints count once."""
     ways = _singular_values(robot, spread_configurations(robot, _FEW)) > _STIFF
     return int(ways.sum(axis=1).max())
 
 
-def _dexterity(robot: Robot, joints: Array) -> Array:
-    """Return how freely the hand moves in configurations (n, j), shape (n,)."""
-    lower, upper = robot.finite_joint_limits
-    bounded = ~robot.continuous
-    room = 4.0 * (joints - lower) * (upper - joints) / (upper - lower) ** 2
-    least: Array = _singular_values(robot, joints)[:, freedom(robot) - 1]
-    return least * room[:, bounded].min(axis=1, initial=1.0)
-
-
 def _singular_values(robot: Robot, joints: Array) -> Array:
     """Return those of the Jacobian in configurations (n, j), descending, shape (n, min(6, j))."""
-    chain, small = build_chain(robot), 1e-6
-    here = forward(chain, joints)
-    columns = [
-        twist_between(here, forward(chain, joints + small * unit), small)
-        for unit in np.eye(joints.shape[1])
-    ]
-    jacobian = np.stack(columns, axis=-1) * np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
-    values: Array = np.linalg.svd(jacobian, compute_uv=False)
+    weights = np.repeat([1.0, ROTATION_WEIGHT], 3)[:, np.newaxis]
+    values: Array = np.linalg.svd(jacobian(build_chain(robot), joints) * weights, compute_uv=False)
     return values
 
 
 def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None) -> Heights:
-    """Return how many goals can be reached at which heights, from the floor up.
+    """Return the share of reachable goals by height, from the floor up.
 
-    The goals have random orientations, as those that a policy learns from. IK decides, from up to
-    256 base poses around each of them, to as near as success asks for if the robot has
-    pose_tolerance.
+    Goals have random orientations. IK decides, from up to 256 base poses around each goal; a pose
+    tolerance of the robot does not count beyond the tolerances of success.
 
     Args:
         robot: The robot.
         on_done: Called with the share of all work, 0-1, that has just been done.
 
     Raises:
-        KinfeasError: If the hand gets higher than any robot's, as with lengths in millimetres.
+        KinfeasError: If the hand gets too high, as with lengths in millimetres.
     """
-    solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(_SEED)
+    solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(0)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]
-    if (highest := float(ee.max())) > _HIGHEST:
+    if (highest := float(ee.max())) > _MAX_HEIGHT:
         raise KinfeasError(
-            f"{robot.name}: the hand gets {highest:.0f} m high, at most {_HIGHEST:g} are allowed; "
-            "lengths in a URDF are metres"
+            f"{robot.name}: the hand gets {highest:.0f} m high, at most {_MAX_HEIGHT:g} are "
+            "allowed; lengths in a URDF are metres"
         )
     at = np.arange(_STEP, max(highest, 2.0 * _STEP) + _STEP, _STEP)
     shares = []
@@ -198,9 +186,3 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
         if on_done is not None:
             on_done(1.0 / len(at))
     return Heights(at.round(3), np.array(shares))
-
-
-def with_pairs(robot: Robot, pairs: Iterable[tuple[str, str]]) -> Robot:
-    """Return the robot with pairs of links that may touch, besides those that may already."""
-    more = frozenset(map(frozenset, pairs))
-    return replace(robot, ignored_collisions=robot.ignored_collisions | more)

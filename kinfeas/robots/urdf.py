@@ -40,6 +40,17 @@ class Shape:
     size: tuple[float, ...]
     pose: Array
 
+    def reach(self, direction: Array) -> float:
+        """Return the largest coordinate along `direction`, a unit vector (3,), metres."""
+        along = Rotation.from_quat(self.pose[3:]).inv().apply(direction)
+        middle = float(self.pose[:3] @ direction)
+        if self.kind == "box":
+            return middle + float(np.abs(along) @ np.array(self.size)) / 2.0
+        if self.kind == "cylinder":
+            radius, length = self.size
+            return middle + radius * float(np.hypot(*along[:2])) + abs(along[2]) * length / 2.0
+        return middle + self.size[0]
+
 
 @dataclass(frozen=True, eq=False)
 class Link:

@@ -32,7 +32,7 @@ def test_draws_a_user_s_scene(kinfeas, tmp_path):
         (["--scene", ""], "unknown scene ''"),
         (["--picture", "."], ".: is a folder, not the path of a file"),
         (["--set", "objects.boxx.fixed=true"], "no 'objects.boxx' (did you mean 'box'?); known"),
-        (["--set", "objects.box.position=[3, 0, 0.5]"], "'pick_table' and 'box' stand within"),
+        (["--set", "objects.box.position=[3, 0, 0.5]"], "'pick_table' and 'box' overlap"),
         (["--picture", "/nowhere/a.png"], "/nowhere/a.png: cannot be written"),
     ],
 )

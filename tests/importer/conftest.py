@@ -1,6 +1,5 @@
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 ARM = """<robot name="dolly">
@@ -69,12 +68,3 @@ def changed(tmp_path):
         return path
 
     return write
-
-
-@pytest.fixture
-def cube():
-    """The triangles of a cube of 1 m about the origin, shape (12, 3, 3)."""
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    squares = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    halves = [(a, b, c) for a, b, c, d in squares] + [(a, c, d) for a, b, c, d in squares]
-    return corners[np.array(halves)]

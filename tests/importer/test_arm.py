@@ -1,100 +1,83 @@
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import bare_stand, find_arm
+from kinfeas.importer.arm import bare_stand, find_arm, link_pose, read_hand
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
+
+
+def fixed(joint, kind="prismatic"):
+    return f'name="{joint}" type="{kind}"', f'name="{joint}" type="fixed"'
+
+
+WITHOUT_FINGERS = fixed("l"), fixed("r")
+
+
+def arm_of(path):
+    return find_arm(parse_urdf(path), None, "dolly")
+
+
+def names(joints):
+    return [joint.name for joint in joints]
 
 
 @pytest.mark.parametrize("name", ["tiago", "hsr"])
 def test_finds_the_arms_of_shipped_robots(name):
     robot = load_robot(name)
     arm = find_arm(robot.urdf, None, name)
-    assert [joint.name for joint in arm.joints] == [joint.name for joint in robot.arm]
+    assert names(arm.joints) == names(robot.arm)
     assert arm.hand in robot.urdf.rigid[robot.ee_frame]
-    assert {finger.name for finger in arm.fingers} == set(robot.gripper.fingers)
+    assert set(names(arm.fingers)) == set(robot.gripper.fingers)
+    assert not bare_stand(robot.urdf, arm)
 
 
-def test_two_arms_have_to_be_told_apart():
+def test_of_several_arms_one_is_chosen():
     urdf = load_robot("pr2").urdf
-    hands = "r_gripper_palm_link or l_gripper_palm_link"
-    with pytest.raises(KinfeasError, match=f"pr2: there are several arms: .* {hands}"):
+    with pytest.raises(KinfeasError, match=r"pr2.*r_gripper_palm_link or l_gripper_palm_link"):
         find_arm(urdf, None, "pr2")
-    arm = find_arm(urdf, "l_gripper_palm_link", "pr2")
-    assert arm.joints[-1].name == "l_wrist_roll_joint"
+    assert find_arm(urdf, "l_gripper_palm_link", "pr2").joints[-1].name == "l_wrist_roll_joint"
 
 
-def test_the_hand_is_where_the_longest_way_parts_into_fingers(dolly):
-    arm = find_arm(parse_urdf(dolly), None, "dolly")
-    assert arm.hand == "palm"
-    assert [joint.name for joint in arm.joints] == ["pan", "lift", "elbow"]
-    assert [joint.name for joint in arm.fingers] == ["l", "r"]
-
-
-def test_without_fingers_it_is_the_last_link(changed):
-    fingers = [('name="l" type="prismatic"', 'name="l" type="fixed"')]
-    fingers.append(('name="r" type="prismatic"', 'name="r" type="fixed"'))
-    assert find_arm(parse_urdf(changed(*fingers)), None, "dolly").hand == "palm"
+ON_TOOL = '<parent link="palm"/><child link="left"/>', '<parent link="tool"/><child link="left"/>'
+NO_ROOM = 'lower="-2" upper="2"', 'lower="1" upper="1"'
 
 
 @pytest.mark.parametrize(
-    ("hand", "message"),
+    ("changes", "joints", "fingers"),
     [
-        ("plam", r"dolly: there is no link 'plam' \(did you mean 'palm'\?\)"),
-        ("base", "no joint moves between 'base' and 'base'"),
+        ((), ["pan", "lift", "elbow"], ["l", "r"]),
+        (WITHOUT_FINGERS, ["pan", "lift", "elbow"], []),
+        ((fixed("r"),), ["pan", "lift", "elbow"], ["l"]),  # a jaw closes on a fixed one
+        ((ON_TOOL,), ["pan", "lift", "elbow"], ["l", "r"]),
+        ((NO_ROOM,), ["pan", "elbow"], ["l", "r"]),
     ],
 )
-def test_links_that_cannot_be_hands_are_one_sentence(dolly, hand, message):
-    with pytest.raises(KinfeasError, match=message):
-        find_arm(parse_urdf(dolly), hand, "dolly")
-
-
-def test_a_robot_without_an_arm_is_one_sentence(changed):
-    urdf = parse_urdf(changed(('type="revolute"', 'type="fixed"'), ("continuous", "fixed")))
-    with pytest.raises(KinfeasError, match="no link has 3 moving joints above it: no arm"):
-        find_arm(urdf, None, "dolly")
-
-
-def test_joints_whose_limits_leave_no_room_are_told_apart(changed):
-    path = changed(('lower="-2" upper="2"', 'lower="1" upper="1"'))
-    arm = find_arm(parse_urdf(path), None, "dolly")
-    assert [joint.name for joint in arm.joints] == ["pan", "elbow"]
-    assert [joint.name for joint in arm.stuck] == ["lift"]
-
-
-def test_links_on_fixed_joints_cannot_move_against_each_other(dolly):
-    assert parse_urdf(dolly).rigid["tool"] == {"wrist", "palm", "tool"}
-
-
-def test_a_jaw_that_closes_on_a_fixed_one_is_no_joint_of_the_arm(changed):
-    path = changed(('name="r" type="prismatic"', 'name="r" type="fixed"'))
-    arm = find_arm(parse_urdf(path), None, "dolly")
-    assert arm.hand == "palm"
-    assert [joint.name for joint in arm.joints] == ["pan", "lift", "elbow"]
-    assert [joint.name for joint in arm.fingers] == ["l"]
+def test_the_hand_is_at_the_end_of_the_longest_chain(changed, changes, joints, fingers):
+    arm = arm_of(changed(*changes))
+    assert (arm.hand, names(arm.joints), names(arm.fingers)) == ("palm", joints, fingers)
+    assert names(arm.stuck) == (["lift"] if NO_ROOM in changes else [])
 
 
 @pytest.mark.parametrize("axis", ["1 0 0", "0 1 0"])
 def test_a_last_joint_that_turns_the_hand_is_one_of_the_arm(changed, axis):
-    path = changed(
-        ('name="l" type="prismatic"', 'name="l" type="fixed"'),
-        ('name="r" type="prismatic"', 'name="r" type="fixed"'),
-        ('name="mount" type="fixed"', 'name="mount" type="continuous"'),
-        ('<axis xyz="0 0 0"/>', f'<axis xyz="{axis}"/>'),
-    )
-    arm = find_arm(parse_urdf(path), None, "dolly")
-    assert [joint.name for joint in arm.joints] == ["pan", "lift", "elbow", "mount"]
-    assert not arm.fingers
+    mount = ('name="mount" type="fixed"', 'name="mount" type="continuous"')
+    arm = arm_of(changed(*WITHOUT_FINGERS, mount, ('xyz="0 0 0"', f'xyz="{axis}"')))
+    assert names(arm.joints) == ["pan", "lift", "elbow", "mount"]
 
 
-def test_fingers_on_several_links_hang_on_the_one_before_these(changed):
-    path = changed(
-        ('<parent link="palm"/><child link="left"/>', '<parent link="tool"/><child link="left"/>')
-    )
-    assert find_arm(parse_urdf(path), None, "dolly").hand == "palm"
+def test_robots_without_an_arm_are_errors(dolly, changed):
+    with pytest.raises(KinfeasError, match=r"^dolly: .*'plam'.*'palm'"):
+        find_arm(parse_urdf(dolly), "plam", "dolly")
+    with pytest.raises(KinfeasError, match=r"^dolly: .*'base'"):
+        find_arm(parse_urdf(dolly), "base", "dolly")
+    with pytest.raises(KinfeasError, match=r"^dolly: no arm"):
+        arm_of(changed(('type="revolute"', 'type="fixed"'), ("continuous", "fixed")))
 
 
-NECK = ('<joint name="neck" type="revolute">', '<joint name="neck" type="fixed">')
+NECK = fixed("neck", "revolute")
 HEAD = (
     '<link name="head"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>',
     '<link name="head"/>',
@@ -113,11 +96,93 @@ LIMIT = ('<axis xyz="0 0 1"/></joint>', '<axis xyz="0 0 1"/><limit lower="0" upp
     ],
 )
 def test_an_arm_on_a_single_body_may_have_no_base(changed, changes, stand):
-    urdf = parse_urdf(changed(*changes))
-    assert bare_stand(urdf, find_arm(urdf, None, "dolly")) == stand
+    path = changed(*changes)
+    assert bare_stand(parse_urdf(path), arm_of(path)) == stand
 
 
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_shipped_robots_have_a_base(name):
+def test_link_poses_are_those_of_forward_kinematics():
+    robot = load_robot("hsr")
+    home = robot.home["home"]
+    positions = {joint.name: at for joint, at in zip(robot.arm, home, strict=True)}
+    expected = forward(build_chain(robot), home[np.newaxis])[0]
+    found = link_pose(robot.urdf, robot.ee_frame, robot.fixed_joints | positions)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def hand_of(path):
+    return read_hand(parse_urdf(path), arm_of(path))
+
+
+def axes(quaternion):
+    """The approach, the finger axis and the third, as columns."""
+    return Rotation.from_quat(quaternion).inv().as_matrix()
+
+
+@pytest.mark.parametrize("name", ["pr2", "hsr"])
+def test_shipped_hands_have_the_axes_of_their_files(name):
     robot = load_robot(name)
-    assert not bare_stand(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))
+    hand = read_hand(robot.urdf, find_arm(robot.urdf, robot.ee_frame, name))
+    found, known = axes(hand.rotation), axes(robot.gripper_rotation)
+    np.testing.assert_allclose(found[:, 0], known[:, 0], atol=1e-9)
+    np.testing.assert_allclose(np.abs(found[:, 1]), np.abs(known[:, 1]), atol=1e-9)
+    np.testing.assert_allclose(hand.tip, robot.tool_tip, atol=0.03)
+
+
+OUTSIDE = ('xyz="0.02 0.01 0"', 'xyz="0.02 -0.06 0"'), ('xyz="0.02 -0.01 0"', 'xyz="0.02 0.06 0"')
+
+
+@pytest.mark.parametrize(("changes", "closed"), [((), 0.0), (OUTSIDE, 0.04)])
+def test_reads_the_fingers_and_the_tip(changed, changes, closed):
+    hand = hand_of(changed(*changes))
+    np.testing.assert_allclose(hand.tip, [0.12, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(hand.rotation, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
+    assert (hand.gripper.fingers, hand.gripper.effort) == (("l", "r"), 20.0)
+    assert (hand.gripper.closed, hand.gripper.open) == (closed, 0.04 - closed)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [('upper="0.04" velocity="0.1" effort="20"', 'upper="0.05" velocity="0.1" effort="20"')],
+        [('effort="20"', 'effort="0"')],
+        [('effort="20"/>', 'effort="20"/><mimic joint="l" multiplier="-1"/>')],
+        WITHOUT_FINGERS,
+        [fixed("r")],
+    ],
+)
+def test_other_fingers_are_no_gripper_but_have_a_tip(changed, changes):
+    hand = hand_of(changed(*changes))
+    assert hand.gripper is None
+    assert hand.tip[0] == pytest.approx(0.12)
+    np.testing.assert_allclose(axes(hand.rotation)[:, 0], [1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_a_single_jaw_closes_along_the_finger_axis(changed):
+    slides = axes(hand_of(changed(fixed("r"))).rotation)
+    np.testing.assert_allclose(slides[:, 1], [0.0, 1.0, 0.0], atol=1e-9)
+    limit = '<axis xyz="0 1 0"/>\n    <limit lower="0" upper="0.0{}"'
+    turns = ('name="l" type="prismatic"', 'name="l" type="revolute"')
+    found = axes(hand_of(changed(fixed("r"), turns, (limit.format(4), limit.format(9)))).rotation)
+    np.testing.assert_allclose(found, np.eye(3)[:, [0, 2, 1]] * [1, 1, -1], atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "-1 0 0"])
+def test_a_flange_points_away_from_its_parent(changed, axis):
+    shape = '<collision><origin xyz="0.1 0.2 0"/><geometry><sphere radius="0.1"/></geometry>'
+    path = changed(
+        *WITHOUT_FINGERS,
+        ('origin xyz="0.05 0 0"', 'origin xyz="-0.1 0 0"'),
+        ('<link name="wrist"/>', f'<link name="wrist">{shape}</collision></link>'),
+        ('name="mount" type="fixed"', 'name="mount" type="continuous"'),
+        ('<axis xyz="0 0 0"/>', f'<axis xyz="{axis}"/>'),
+    )
+    np.testing.assert_allclose(axes(hand_of(path).rotation)[:, 0], [1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_fingers_in_line_with_the_approach_still_make_a_frame(changed):
+    on_line = [('xyz="0.02 0.01 0"', 'xyz="0.02 0 0"'), ('xyz="0.02 -0.01 0"', 'xyz="0.06 0 0"')]
+    limit = '/>\n    <limit lower="0"'
+    along = ('<axis xyz="0 1 0"' + limit, '<axis xyz="1 0 0"' + limit)
+    found = axes(hand_of(changed(*on_line, along, ("0 -1 0", "1 0 0"))).rotation)
+    np.testing.assert_allclose(found.T @ found, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(found[:, 0], [1.0, 0.0, 0.0], atol=1e-9)

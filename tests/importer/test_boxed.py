@@ -1,196 +1,229 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.boxed import boxed_urdf, carried
+from kinfeas.core.spatial import rotation
+from kinfeas.importer.arm import find_arm, place
+from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor, volume
 from kinfeas.robots.urdf import parse_urdf
 
-MESHED = '<mesh filename="part.stl" scale="0.1 0.2 0.3"/>'
+trimesh = pytest.importorskip("trimesh")
+
+CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+PALM = '<box size="0.04 0.1 0.04"/>'
 
 
-def stl(triangles):
-    """Return the text of an STL file."""
-    facets = [
-        "facet normal 0 0 0\nouter loop\n"
-        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle)
-        + "endloop\nendfacet\n"
-        for triangle in triangles
-    ]
-    return f"solid part\n{''.join(facets)}endsolid part\n"
+def triangles(points):
+    return points[ConvexHull(points).simplices]
 
 
-@pytest.fixture
-def meshed(changed, cube):
-    """The robot with a box of 0.1 x 0.2 x 0.3 m as a mesh in place of its palm's box."""
-    path = changed(('<box size="0.04 0.1 0.04"/>', MESHED))
-    path.with_name("part.stl").write_text(stl(cube))
-    return path
+def holds(shape, points):
+    inner = np.abs(rotation(shape.pose).inv().apply(points - shape.pose[:3]))
+    if shape.kind == "box":
+        return np.all(inner <= np.array(shape.size) / 2.0, axis=1)
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        return (np.hypot(inner[:, 0], inner[:, 1]) <= radius) & (inner[:, 2] <= length / 2.0)
+    return np.linalg.norm(inner, axis=1) <= shape.size[0]
 
 
-def boxed(path, tmp_path, **options):
-    out = tmp_path / "boxed.urdf"
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(4, 60), st.floats(0.01, 2.0))
+def test_primitives_enclose_their_mesh(seed, count, size):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3)) * rng.uniform(0.1, 1.0, 3) * size + rng.normal(size=3)
+    mesh = triangles(points)
+    shapes = fit_primitives(mesh)
+    assert 1 <= len(shapes) <= 4
+    assert np.all(np.any([holds(shape, mesh.reshape(-1, 3)) for shape in shapes], axis=0))
+    again = fit_primitives(mesh)
+    for one, other in zip(shapes, again, strict=True):
+        np.testing.assert_array_equal([*one.size, *one.pose], [*other.size, *other.pose])
+
+
+def test_a_box_becomes_that_box_wherever_it_is():
+    rng = np.random.default_rng(0)
+    size, turn = np.array([0.2, 0.5, 0.9]), Rotation.random(rng=rng)
+    (shape,) = fit_primitives(triangles(turn.apply(CUBE * size) + rng.normal(size=3)))
+    assert shape.kind == "box"
+    np.testing.assert_allclose(sorted(shape.size), size + 2.0 * MARGIN, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["cylinder", "sphere"])
+def test_round_meshes_become_round_primitives(kind):
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    if kind == "cylinder":
+        points = np.concatenate([np.insert(0.1 * circle, 2, z, axis=1) for z in (-0.3, 0.3)])
+    else:
+        up = np.linspace(-1.0, 1.0, 25)
+        rings = [np.insert(np.sqrt(1.0 - z * z) * circle, 2, z, axis=1) for z in up]
+        points = 0.1 * np.unique(np.concatenate(rings).round(9), axis=0)
+    (shape,) = fit_primitives(triangles(points))
+    assert shape.kind == kind
+    assert shape.size[0] == pytest.approx(0.1, rel=0.02)
+
+
+def test_an_angle_bracket_is_cut_in_two():
+    legs = [CUBE * [1.0, 0.1, 0.1] + [0.45, 0, 0], CUBE * [0.1, 0.1, 1.0] + [0, 0, 0.45]]
+    shapes = fit_primitives(np.concatenate([triangles(leg) for leg in legs]))
+    assert len(shapes) > 1
+    assert sum(map(volume, shapes)) < 0.05  # one box around both takes 0.1
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[1, 2, 3]] * 3],
+)
+def test_flat_meshes_get_a_thickness(corners):
+    mesh = np.array([corners], dtype=float)
+    (shape,) = fit_primitives(mesh)
+    assert np.all(holds(shape, mesh.reshape(-1, 3)))
+    assert min(shape.size) > 0.0
+
+
+def boxed(path, **options):
+    out = path.with_name("boxed.urdf")
     out.write_text(boxed_urdf(path, **options))
     return parse_urdf(out)
 
 
-def test_primitives_and_joints_stay_as_they_are(dolly, tmp_path):
-    before, after = parse_urdf(dolly), boxed(dolly, tmp_path)
+def test_primitives_and_joints_stay(dolly):
+    before, after = parse_urdf(dolly), boxed(dolly)
     assert list(after.links) == list(before.links)
     for name, joint in before.joints.items():
         np.testing.assert_array_equal(after.joints[name].origin, joint.origin)
         assert after.joints[name].axis == joint.axis
     for name, link in before.links.items():
-        shapes = after.links[name].shapes
-        assert [shape.size for shape in shapes] == [shape.size for shape in link.shapes]
+        assert [one.size for one in after.links[name].shapes] == [one.size for one in link.shapes]
 
 
-@pytest.mark.parametrize(
-    ("shape", "size"),
-    [
-        ('<box size="0.4 0.4 0.00002"/>', (0.4, 0.4, 0.0001)),
-        ('<cylinder radius="0.00004" length="1e-320"/>', (0.0001, 0.0001)),
-        ('<sphere radius="0.00001"/>', (0.0001,)),
-    ],
-)
-def test_what_is_very_thin_stays_there(changed, tmp_path, shape, size):
-    path = changed(('<box size="0.04 0.1 0.04"/>', shape))
-    (found,) = boxed(path, tmp_path).links["palm"].shapes
-    assert found.size == size
+@pytest.mark.parametrize("shape", ['<box size="0.4 0.4 0.00002"/>', '<sphere radius="0.00001"/>'])
+def test_very_thin_shapes_stay(changed, shape):
+    (found,) = boxed(changed((PALM, shape))).links["palm"].shapes
+    assert found.size[-1] == 1e-4
 
 
-def test_a_mesh_becomes_a_primitive_that_holds_it(meshed, tmp_path):
-    pytest.importorskip("trimesh")
-    palm = boxed(meshed, tmp_path).links["palm"]
-    (shape,) = palm.shapes
+def test_many_shapes_of_a_link_become_few_that_enclose_them(changed):
+    rng = np.random.default_rng(0)
+    centres = rng.uniform(-0.2, 0.2, (300, 3)).round(4)
+    ball = '<collision><origin xyz="{} {} {}"/><geometry><sphere radius="0.01"/></geometry>'
+    balls = "".join(ball.format(*centre) + "</collision>" for centre in centres)
+    shapes = boxed(changed(('<link name="lower"/>', f'<link name="lower">{balls}</link>')))
+    shapes = shapes.links["lower"].shapes
+    assert len(shapes) <= 4
+    assert np.all(np.any([holds(shape, centres) for shape in shapes], axis=0))
+
+
+def mesh_file(folder, suffix, corners, unit=""):
+    mesh = trimesh.Trimesh(
+        np.reshape(corners, (-1, 3)), np.arange(np.size(corners) // 3).reshape(-1, 3)
+    )
+    if suffix == "dae":
+        text = trimesh.exchange.dae.export_collada(mesh).decode()
+        (folder / "part.dae").write_text(text.replace("</asset>", f"{unit}</asset>"))
+    else:
+        (folder / f"part.{suffix}").write_bytes(mesh.export(file_type=suffix))
+
+
+@pytest.mark.parametrize("suffix", ["stl", "dae"])
+def test_a_mesh_becomes_primitives_in_metres(changed, tmp_path, suffix):
+    size, unit = np.array([0.1, 0.2, 0.3]), '<unit name="centimeter" meter="0.01"/>'
+    mesh_file(tmp_path, suffix, triangles(CUBE * size * (100.0 if suffix == "dae" else 0.5)), unit)
+    scale = "1 1 1" if suffix == "dae" else "2 2 2"
+    palm = boxed(changed((PALM, f'<mesh filename="part.{suffix}" scale="{scale}"/>'))).links["palm"]
     assert not palm.mesh_collisions
-    np.testing.assert_allclose(sorted(shape.size), [0.101, 0.201, 0.301], atol=1e-4)
-    assert np.all(np.array(sorted(shape.size)) > [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(sorted(palm.shapes[0].size), size + 2.0 * MARGIN, atol=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, "link 'palm', <collision>, <geometry>, <mesh>: there is no 'part.stl'"),
-        ("solid\nendsolid\n", "holds no triangles"),
-        (stl([[[0, 0, 0], [0, 0, "nan"], [1, 0, 0]]]), "not finite"),
-        (stl([[[0, 0, 0], [0, 0, 1e37], [1, 0, 0]]]), "not within 10000 m"),
-        (stl([[[0, 0, 0], [0, 1e5, 0], [1e5, 1e5, 0]]]), "not within 10000 m"),
-    ],
+    "corners",
+    [None, "", "v nan 0 0", "v 0 0 1e37", "v 1e5 0 0", "v 1e300 0 0"],
 )
-def test_broken_meshes_are_one_sentence(changed, content, message):
-    pytest.importorskip("trimesh")
-    path = changed(('<box size="0.04 0.1 0.04"/>', MESHED))
-    if content is not None:
-        path.with_name("part.stl").write_text(content)
-    with pytest.raises(KinfeasError, match=f"changed.urdf: .*{message}"):
+def test_broken_meshes_are_errors(changed, corners):
+    path = changed((PALM, '<mesh filename="part.obj"/>'))
+    if corners is not None:
+        face = f"{corners}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" if corners else ""
+        path.with_name("part.obj").write_text(face)
+    with pytest.raises(KinfeasError, match=r"link 'palm'.*<mesh>.*part\.obj"):
         boxed_urdf(path)
 
 
-@pytest.mark.parametrize("scale", ["1e16 1e16 1e16", "1 1e16 1"])
-@pytest.mark.parametrize("corner", ["1e300 0 0", "1 1 1"])
-def test_what_reaches_too_far_is_one_sentence(changed, corner, scale):
-    pytest.importorskip("trimesh")
-    path = changed(('<box size="0.04 0.1 0.04"/>', f'<mesh filename="a.obj" scale="{scale}"/>'))
-    path.with_name("a.obj").write_text(f"v {corner}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(KinfeasError, match=r"<mesh>: .*a\.obj' holds no triangles, or .* 10000 m$"):
-        boxed_urdf(path)
+@pytest.mark.parametrize(("suffix", "missing"), [("stl", "trimesh"), ("dae", "collada")])
+def test_missing_readers_are_named(changed, tmp_path, monkeypatch, suffix, missing):
+    mesh_file(tmp_path, suffix, triangles(CUBE))
+    monkeypatch.setattr(
+        "kinfeas.importer.boxed.find_spec", lambda name: None if name == missing else name
+    )
+    with pytest.raises(KinfeasError, match=r"kinfeas\[meshes\]"):
+        boxed_urdf(changed((PALM, f'<mesh filename="part.{suffix}"/>')))
 
 
-def test_what_just_reaches_so_far_is_boxed(changed, tmp_path):
-    pytest.importorskip("trimesh")
-    path = changed(('<box size="0.04 0.1 0.04"/>', '<mesh filename="a.obj"/>'))
-    path.with_name("a.obj").write_text("v 4999 0 0\nv 4998 0 0\nv 0 4999 0\nf 1 2 3\n")
-    assert boxed(path, tmp_path).links["palm"].shapes
-
-
-def test_meshes_need_what_reads_them(meshed, monkeypatch):
-    monkeypatch.setattr("kinfeas.importer.boxed.find_spec", lambda name: None)
-    with pytest.raises(KinfeasError, match=r"pip install 'kinfeas\[meshes\]'"):
-        boxed_urdf(meshed)
-
-
-def test_only_dae_files_need_what_reads_dae(meshed, monkeypatch):
-    pytest.importorskip("trimesh")
-    there = "kinfeas.importer.boxed.find_spec"
-    monkeypatch.setattr(there, lambda name: None if name == "collada" else name)
-    boxed_urdf(meshed)
-    meshed.write_text(meshed.read_text().replace("part.stl", "part.dae"))
-    meshed.with_name("part.dae").write_text("")
-    with pytest.raises(KinfeasError, match=r"pip install 'kinfeas\[meshes\]'"):
-        boxed_urdf(meshed)
-
-
-def test_a_dae_file_counts_in_its_own_unit(changed, cube, tmp_path):
-    pytest.importorskip("collada")
-    trimesh = pytest.importorskip("trimesh")
-    faces = np.arange(36).reshape(-1, 3)
-    mesh = trimesh.Trimesh(cube.reshape(-1, 3) * 4.0, faces)
-    text = trimesh.exchange.dae.export_collada(mesh).decode()
-    assert "<unit" not in text
-    assert "</asset>" in text
-    scaled = text.replace("</asset>", '<unit name="centimeter" meter="0.01"/></asset>')
-    tmp_path.joinpath("part.dae").write_text(scaled)
-    path = changed(('<box size="0.04 0.1 0.04"/>', '<mesh filename="part.dae"/>'))
-    (shape,) = boxed(path, tmp_path).links["palm"].shapes
-    np.testing.assert_allclose(shape.size, 0.041, atol=1e-4)
-
-
-def test_what_is_seen_stands_in_where_nothing_collides(changed, tmp_path):
+def test_visual_shapes_replace_missing_collision_shapes(changed):
     seen = '<link name="tool"><visual><geometry><sphere radius="0.3"/></geometry></visual></link>'
-    path = changed(('<link name="tool"/>', seen))
-    assert not boxed(path, tmp_path).links["tool"].shapes
-    path = changed(('<link name="tool"/>', seen), ("collision>", "visual>"))
-    links = boxed(path, tmp_path).links
+    tool = ('<link name="tool"/>', seen)
+    assert not boxed(changed(tool)).links["tool"].shapes
+    links = boxed(changed(tool, ("collision>", "visual>"))).links
     assert links["palm"].shapes[0].size == (0.04, 0.1, 0.04)
     assert links["tool"].shapes[0].size == (0.3,)
 
 
-FLOOR = (
+SLIDE = (
     '<link name="world"/><joint name="slide" type="prismatic"><parent link="world"/>'
     '<child link="base"/><limit lower="-9" upper="9" velocity="1"/></joint>'
 )
+LIFT = SLIDE.replace("<limit", '<axis xyz="0 0 1"/><limit')
+TURN = LIFT.replace("prismatic", "continuous")
+BELOW = SLIDE.replace('"base"', '"bottom"').replace('"world"', '"map"').replace('"slide"', '"x"')
+LIFT_ON_SLIDE = BELOW.replace("bottom", "world") + LIFT
 
 
-def test_joints_that_stand_for_a_floor_are_left_out(changed, tmp_path):
-    path = changed(('<robot name="dolly">', f'<robot name="dolly">{FLOOR}'))
-    assert parse_urdf(path).root == "world"
-    urdf = boxed(path, tmp_path)
-    assert urdf.root == "base"
-    assert "slide" not in urdf.joints
+@pytest.mark.parametrize(
+    ("joints", "root"),
+    [(SLIDE, "base"), (LIFT, "world"), (TURN, "world"), (LIFT_ON_SLIDE, "world")],
+)
+def test_planar_joints_below_the_base_are_left_out(changed, joints, root):
+    urdf = boxed(changed(('<robot name="dolly">', f'<robot name="dolly">{joints}')))
+    assert urdf.root == root
+    assert "map" not in urdf.links
 
 
-def test_the_base_can_be_chosen(dolly, tmp_path):
-    urdf = boxed(dolly, tmp_path, base="upper")
+def test_the_base_can_be_chosen(dolly):
+    urdf = boxed(dolly, base="upper")
     assert (urdf.root, set(urdf.joints)) == ("upper", {"elbow", "mount", "frame", "l", "r"})
-    with pytest.raises(KinfeasError, match="there is no link 'bass'"):
+    with pytest.raises(KinfeasError, match="'bass'"):
         boxed_urdf(dolly, "bass")
 
 
-def test_a_link_is_carried_with_all_that_hangs_on_it(dolly):
-    assert carried(parse_urdf(dolly), "palm", "") == {"palm", "tool", "left", "right"}
-
-
-def test_a_lift_above_such_a_floor_belongs_to_the_arm(changed, tmp_path):
-    lift = FLOOR.replace('<limit lower="-9"', '<axis xyz="0 0 1"/><limit lower="0"')
-    path = changed(('<robot name="dolly">', f'<robot name="dolly">{lift}'))
-    assert boxed(path, tmp_path).root == "world"
-    slide = (
-        '<link name="map"/><joint name="x" type="prismatic"><parent link="map"/>'
-        '<child link="world"/><limit lower="-9" upper="9" velocity="1"/></joint>'
-    )
-    path = changed(('<robot name="dolly">', f'<robot name="dolly">{slide}{lift}'))
-    urdf = boxed(path, tmp_path)
-    assert urdf.root == "world"
-    assert "slide" in urdf.joints
-
-
-def test_a_first_joint_that_turns_on_a_bare_link_stays(changed, tmp_path):
-    turn = FLOOR.replace("prismatic", "continuous").replace("<limit", '<axis xyz="0 0 1"/><limit')
-    path = changed(('<robot name="dolly">', f'<robot name="dolly">{turn}'))
-    assert boxed(path, tmp_path).root == "world"
-
-
-def test_xacro_is_one_sentence(changed):
+def test_xacro_is_an_error(changed):
     macro = '<robot xmlns:x="http://www.ros.org/wiki/xacro" name="dolly"><x:include filename="y"/>'
-    with pytest.raises(KinfeasError, match="it is xacro and not yet a URDF"):
+    with pytest.raises(KinfeasError, match="xacro"):
         boxed_urdf(changed(('<robot name="dolly">', macro)))
+
+
+@pytest.mark.parametrize(
+    ("taken", "name"),
+    [
+        ({}, "base_footprint"),
+        ({'name="mount"': 'name="base_footprint_joint"'}, "footprint"),
+        ({"head": "base_footprint", '"tool"': '"footprint"'}, "footprint_2"),
+    ],
+)
+def test_a_root_above_the_floor_gets_one_on_it(changed, taken, name):
+    path = changed(('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"'), *taken.items())
+    text, lifted = on_the_floor(path.read_text(), find_arm(parse_urdf(path), None, "dolly"), "")
+    path.write_text(text)
+    urdf = parse_urdf(path)
+    assert (urdf.root, lifted) == (name, 0.3)
+    down = np.array([0.0, 0.0, -1.0])
+    lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, {}))
+    assert lowest == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_root_on_the_floor_stays(dolly):
+    text, arm = dolly.read_text(), find_arm(parse_urdf(dolly), None, "dolly")
+    assert on_the_floor(text, arm, "") == (text, 0.0)

@@ -1,79 +1,66 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.draft import DraftOptions, bands, draft_robot
-from kinfeas.importer.reach import Heights
-from kinfeas.kinematics.forward import forward
+from kinfeas.importer.arm import find_arm, read_hand
+from kinfeas.importer.draft import DraftOptions, bands, draft_robot, stated
+from kinfeas.importer.reach import (
+    Heights,
+    built_to_touch,
+    comfortable,
+    free_share,
+    freedom,
+    useful_heights,
+    with_pairs,
+)
+from kinfeas.importer.text import Guesses, guessed, robot_yaml
+from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.robots.loading import read_robot
+from kinfeas.kinematics.self_collision import build_collision_model, self_collides
+from kinfeas.robots.loading import build_robot, load_robot, read_robot
+from kinfeas.robots.spec import PoseTolerance
+from kinfeas.robots.urdf import parse_urdf
 from tests.importer.conftest import STUCK
 
-
-def written(draft, folder):
-    name = draft.spec.name
-    (folder / f"{name}.urdf").write_text(draft.urdf)
-    path = folder / f"{name}.yaml"
-    path.write_text(draft.yaml)
-    return path
+LIMITS = 'lower="-2" upper="2"'
+WIDE = '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
+TOUCHING = ('<link name="lower"/>', f'<link name="lower">{WIDE}</link>')
 
 
 @pytest.fixture
 def few(monkeypatch):
-    """Fewer goals, so that it is quick."""
+    """Fewer goals."""
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
 
 
-def test_a_draft_is_a_robot(dolly, tmp_path, few):
-    told = []
-    draft = draft_robot(dolly, DraftOptions(name="my dolly", drive="omnidirectional"), told.append)
-    assert sum(told) == pytest.approx(1.0)
-    robot = read_robot(written(draft, tmp_path))
+def test_a_draft_is_a_robot(changed, tmp_path, few):
+    names = ('"lift"', '"on"'), ('"pan"', '"a: b"')  # YAML needs quotes around these
+    path, shares = changed(*STUCK, *names, TOUCHING), []
+    draft = draft_robot(path, DraftOptions(name="my dolly", drive="omnidirectional"), shares.append)
+    assert sum(shares) == pytest.approx(1.0)
+    (tmp_path / "my dolly.urdf").write_text(draft.urdf)
+    (tmp_path / "my dolly.yaml").write_text(draft.yaml)
+    robot = read_robot(tmp_path / "my dolly.yaml")
     assert (robot.name, robot.ee_frame, robot.base.drive) == ("my dolly", "palm", "omnidirectional")
-    assert [joint.name for joint in robot.arm] == ["pan", "lift", "elbow"]
+    assert [joint.name for joint in robot.arm] == ["a: b", "on", "elbow"]
     assert robot.pose_tolerance is not None
     assert robot.gripper.fingers == ("l", "r")
-    assert robot.fixed_joints["l"] == 0.02
+    assert (robot.fixed_joints["l"], robot.fixed_joints["mount"]) == (0.02, 0.1234567)
+    assert robot.ignored_collisions == {frozenset(pair) for pair in draft.guesses.touching} != set()
     np.testing.assert_array_equal(robot.home["home"], draft.spec.home["home"])
     solver, home = IkSolver(robot), robot.home["home"][np.newaxis]
     assert solver.solve(forward(solver.chain, home), home).feasible.all()
+    again = draft_robot(path, DraftOptions(name="my dolly", drive="omnidirectional"))
+    assert (again.yaml, again.urdf) == (draft.yaml, draft.urdf)
 
 
-def test_what_is_guessed_is_called_so(dolly, few):
-    draft = draft_robot(dolly, DraftOptions())
-    assert draft.guesses.speeds == ("pan",)
-    assert draft.guesses.limits == ("elbow",)
-    assert "  pan: {velocity: 1}  # rad/s, guess\n" in draft.yaml
-    assert "  elbow: {soft_limits: [-3.1416, 3.1416]}  # rad, guess\n" in draft.yaml
-    assert "  lift: {}\n" in draft.yaml
-    assert "where the fingers end\n" in draft.yaml
-
-
-def test_equal_urdfs_make_equal_drafts(dolly, few):
-    once, again = (draft_robot(dolly, DraftOptions()) for _ in range(2))
-    assert (once.yaml, once.urdf) == (again.yaml, again.urdf)
-
-
-def test_a_joint_without_room_is_no_joint_of_the_arm(changed, tmp_path, few):
-    """Many URDFs lock a joint so, or forget its limits."""
-    draft = draft_robot(changed(*STUCK), DraftOptions())
-    robot = read_robot(written(draft, tmp_path))
-    assert [joint.name for joint in robot.arm] == ["pan", "lift", "elbow"]
-    assert robot.fixed_joints["mount"] == 0.1234567
-    assert "  mount: 0.1234567  # rad, its limits leave it no room\n" in draft.yaml
-
-
-def test_errors_name_the_file_that_was_given(changed):
+def test_errors_name_the_given_file(changed):
     path = changed(('<box size="0.04 0.1 0.04"/>', '<box size="0.04 0.1 9999999"/>'))
     with pytest.raises(KinfeasError, match=f"^{path}: "):
         draft_robot(path, DraftOptions())
-
-
-def test_names_that_yaml_takes_for_something_else_are_quoted(changed, tmp_path, few):
-    draft = draft_robot(changed(('"lift"', '"on"'), ('"pan"', '"a: b"')), DraftOptions())
-    robot = read_robot(written(draft, tmp_path))
-    assert [joint.name for joint in robot.arm] == ["a: b", "on", "elbow"]
 
 
 @pytest.mark.parametrize(
@@ -81,20 +68,140 @@ def test_names_that_yaml_takes_for_something_else_are_quoted(changed, tmp_path, 
     [
         ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], ((1.0, 4.0), (2.0, 3.0))),
         ([0.1, 0.5, 0.5, 0.5, 0.5, 0.1], ((1.0, 4.0), (1.75, 3.25))),
+        ([1.0, 1.0, 0.0, 0.9, 0.9, 0.9], ((3.0, 5.0), (0.0, 1.0))),  # the longest range
+        ([0.0, 0.9, 0.0, 0.0, 0.0, 0.0], None),
     ],
 )
-def test_heights_are_those_that_are_worth_learning(share, expected):
-    assert bands(Heights(np.arange(6.0), np.array(share)), "arm") == expected
+def test_goal_heights_are_those_with_many_reachable_goals(share, expected):
+    heights = Heights(np.arange(6.0), np.array(share))
+    if expected is None:
+        with pytest.raises(KinfeasError, match=r"^arm: .*90%.*1 m"):
+            bands(heights, "arm")
+    else:
+        assert bands(heights, "arm") == expected
 
 
-@pytest.mark.parametrize("best", [0.1, 0.9])
-def test_an_arm_that_reaches_no_range_of_heights_is_one_sentence(best):
-    heights = Heights(np.arange(3.0), np.array([0.0, best, 0.0]))
-    message = f"arm: the arm reaches 20% of the goals at no range of heights: at best {best:.0%}"
-    with pytest.raises(KinfeasError, match=f"{message}, 1 m above"):
-        bands(heights, "arm")
+def spec_of(path):
+    urdf = parse_urdf(path)
+    arm = find_arm(urdf, None, "dolly")
+    return stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
 
 
-def test_joints_of_a_turn_either_way_keep_their_limits(changed, few):
-    full = ('lower="-1e16" upper="1e16"', 'lower="-6.28318530718" upper="6.28318530718"')
-    assert not draft_robot(changed(full), DraftOptions()).guesses.limits
+@pytest.mark.parametrize(
+    ("limits", "turn"),
+    [
+        ((-1e16, 1e16), (-3.1416, 3.1416)),
+        ((-1.0, 20.0), (-1.0, 5.2832)),
+        ((-13.00003, -0.00003), (-6.2832, -0.00003)),
+        ((-6.3, 6.27), None),
+    ],
+)
+def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
+    lower, upper = limits
+    path = changed((LIMITS, f'lower="{lower}" upper="{upper}"'))
+    found = spec_of(path).arm["lift"].soft_limits
+    assert found == (turn and pytest.approx(turn, abs=1e-9))
+    assert turn is None or lower <= found[0] < found[1] <= upper
+
+
+@pytest.mark.parametrize(
+    ("velocity", "guess"), [("1.5", None), ("1000", None), ("0", 1.0), ("1e16", 1.0)]
+)
+def test_missing_velocities_are_guessed(changed, velocity, guess):
+    path = changed(('velocity="1.5"', f'velocity="{velocity}"'))
+    assert spec_of(path).arm["lift"].velocity == guess
+
+
+def test_comments_mark_guesses_with_units(dolly):
+    spec = replace(spec_of(dolly), pose_tolerance=PoseTolerance(0.1, 0.2))
+    spec = replace(spec, ignored_collisions=(("left", "right"),))
+    guesses = Guesses(
+        lifted=0.3, speeds=("pan",), limits=("elbow",), touching={("left", "right"): 0.4},
+        slides=frozenset({"l", "r"}), fingers=2, stand="two\nlines: 1",
+    )  # fmt: skip
+    text = robot_yaml(spec, guesses)
+    for line in (
+        "  pan: {velocity: 1}  # rad/s, guess",
+        "  elbow: {soft_limits: [-3.1416, 3.1416]}  # rad, guess",
+        "  lift: {}",
+        "  max_velocity: 0.2  # m/s",
+        "  effort: 20  # N, the URDF's limit",
+        "  l: 0.02  # m",
+        "  rotation: 0.2  # rad",
+        "  - [left, right]  # 40%",
+    ):
+        assert f"\n{line}\n" in text
+    assert {"base.max_rotation", "tool_tip", "arm.pan.velocity"} <= set(guessed(spec, guesses))
+
+
+def test_a_leader_off_the_way_to_the_hand_is_fixed():
+    urdf = load_robot("pr2").urdf
+    arm = find_arm(urdf, "r_gripper_r_finger_tip_link", "pr2")
+    spec = stated("pr2", urdf, arm, read_hand(urdf, arm), "omnidirectional")
+    assert "r_gripper_r_finger_joint" not in spec.arm  # it mimics the other finger's
+    assert spec.fixed_joints == {"r_gripper_l_finger_joint": 0.0}
+
+
+@pytest.fixture(scope="module")
+def hsr():
+    return load_robot("hsr")
+
+
+def test_pairs_that_touch_are_those_of_the_shipped_file(hsr):
+    assert not built_to_touch(hsr)
+    bare = replace(hsr, ignored_collisions=frozenset())
+    found = built_to_touch(bare)
+    assert set(found) <= {tuple(sorted(pair)) for pair in hsr.ignored_collisions}
+    assert all(0.0 < share <= 1.0 for share in found.values())
+    assert free_share(with_pairs(bare, found)) > 0.3
+
+
+def test_fingers_are_no_joints_between_links(changed):
+    path = changed(TOUCHING, *[(f'"{j}" type="prismatic"', f'"{j}" type="revolute"') for j in "lr"])
+    found = built_to_touch(build_robot(spec_of(path), parse_urdf(path), path, "dolly"))
+    assert 1.0 / 3.0 < found["left", "lower"] < 0.95
+
+
+def test_the_home_is_free_in_front_and_off_the_limits(hsr, monkeypatch):
+    home, (lower, upper) = comfortable(hsr), hsr.finite_joint_limits
+    assert np.all(np.minimum(home - lower, upper - home) > 0.02 * (upper - lower))
+    assert not self_collides(build_collision_model(hsr), home)
+    assert forward(build_chain(hsr), home)[0] > 0.0
+    always = lambda model, joints: np.ones(len(joints), bool)  # noqa: E731
+    monkeypatch.setattr("kinfeas.importer.reach.self_collides", always)
+    with pytest.raises(KinfeasError, match=r"hsr.*self-collision"):
+        comfortable(hsr)
+
+
+def test_freedom_counts_parallel_sliders_once(changed, hsr):
+    assert (freedom(load_robot("tiago")), freedom(hsr)) == (6, 5)
+    slides = [
+        (f'"{name}" type="revolute"', f'"{name}" type="prismatic"') for name in ("lift", "elbow")
+    ]
+    path = changed(*slides, ('lower="-1e16" upper="1e16"', 'lower="0" upper="0.3"'))
+    assert freedom(build_robot(spec_of(path), parse_urdf(path), path, "dolly")) == 2
+
+
+def test_pose_tolerance_makes_no_height_useful(hsr, few):
+    wide = replace(hsr, pose_tolerance=PoseTolerance(position=1.0, rotation=3.0))
+    shares = [useful_heights(one).share for one in (hsr, wide)]
+    np.testing.assert_array_equal(*shares)
+    assert shares[0].max() > 0.5
+
+
+@pytest.mark.slow
+def test_useful_heights_are_those_of_the_shipped_file():
+    robot = load_robot("tiago")
+    heights = useful_heights(robot)
+    low, high = robot.goal_heights["ggr_restricted"]
+    inside = (heights.at >= low) & (heights.at <= high)
+    assert np.all(heights.share[inside] > 0.9)
+    assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5
+
+
+def test_lengths_in_millimetres_are_an_error():
+    robot = load_robot("tiago")
+    lift = replace(robot.urdf.joints["torso_lift_joint"], origin=np.array([0, 0, 790, 0, 0, 0, 1]))
+    urdf = replace(robot.urdf, joints=robot.urdf.joints | {lift.name: lift})
+    with pytest.raises(KinfeasError, match=r"tiago.*79\d m"):
+        useful_heights(replace(robot, urdf=urdf))

@@ -5,7 +5,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, planar_pose, rotation
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
-from kinfeas.scenes.check import Solids, _lowest
+from kinfeas.scenes.check import Solids
 from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.scenes.scene import read_scene
 
@@ -53,7 +53,7 @@ def test_the_lowest_point_touches_a_plane(kind):
         pose[3:] = rotation(IDENTITY).from_rotvec([turn, 0.4 * turn, 0.1]).as_quat()
         for gap, touches in ((1e-4, False), (-1e-4, True)):
             pose[2] = 0.0
-            pose[2] = gap - _lowest(Shape(kind, SIZES[kind], pose))
+            pose[2] = gap + Shape(kind, SIZES[kind], pose).reach(np.array([0.0, 0.0, -1.0]))
             solid = Solids([Shape(kind, SIZES[kind], pose)])
             assert solid.touches(Solids([ground])) == touches
 
