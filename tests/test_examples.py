@@ -15,6 +15,7 @@ PRINTED = {
     "ik_only": ["--poses", "100", "--goals", "2", "poses have a solution"],
     "own_generator": ["--episodes", "2", "2 episodes, success"],
     "own_task": ["--episodes", "1", "--robots", "pr2", "pr2: success"],
+    "sb3_policy": ["--steps", "128", "--episodes", "2", "--out", "shown", "kinfeas deploy shown"],
     "simulated_demonstrations": ["door", "--count", "1", "--out", "shown", "1 demonstrations"],
     "train_and_evaluate": ["--steps", "128", "--episodes", "1", "the run holds checkpoints"],
 }

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,13 @@ from torch import nn
 from torch.nn import functional
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.policies.network import Network
+from kinfeas.policies.network import Network, write_network
 from kinfeas.training.config import LearnerConfig
 from kinfeas.training.vec_env import EpisodesVecEnv
 
 Learner = SAC | TD3
+
+_ACTIVATIONS = ("torch.nn.modules.activation",)
 
 INITIAL_STD = 0.1
 """Standard deviation, before the bounds, of SAC's actions when it starts from a policy."""
@@ -221,6 +224,23 @@ def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
         tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
         tuple(layer.bias.detach().numpy().copy() for layer in linear),
     )
+
+
+def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
+    """Write the policy of a Stable-Baselines3 model for `evaluate`, `export` and `deploy`.
+
+    Args:
+        model: SAC or TD3 with `MlpPolicy` and ReLU layers.
+        env: Environment of its training, which determines robot and observation scale.
+        folder: Existing folder for `policy.json` and `policy.safetensors`.
+
+    Raises:
+        KinfeasError: If the actor has other layers.
+    """
+    others = {type(m).__name__ for m in model.actor.modules() if type(m).__module__ in _ACTIVATIONS}
+    if not others <= {"ReLU", "Tanh"} or (isinstance(model, SAC) and "Tanh" in others):
+        raise KinfeasError(f"the actor must have ReLU layers, not {', '.join(sorted(others))}")
+    write_network(network_of(model, env.scale), folder, env.robot, {"steps": model.num_timesteps})
 
 
 def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> None:

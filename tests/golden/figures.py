@@ -177,7 +177,7 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for t in TASKS
     },
     **{
-        f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, planner=ROLLOUT_PLANNER)
+        f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER)
         for r in ROBOTS
     },
     **{f"physics-{r}": partial(episodes, r, "drawer", 2, backend="pybullet") for r in ROBOTS},
