@@ -5,7 +5,7 @@ from kinfeas.config import PluginSpec
 from kinfeas.envs import episodes as module
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr

@@ -176,10 +176,7 @@ FIGURES: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         for r in ROBOTS
         for t in TASKS
     },
-    **{
-        f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER)
-        for r in ROBOTS
-    },
+    **{f"rollout_planner-{r}": partial(episodes, r, "drawer", 2, ROLLOUT_PLANNER) for r in ROBOTS},
     **{f"physics-{r}": partial(episodes, r, "drawer", 2, backend="pybullet") for r in ROBOTS},
     **{f"obstacle_filter-{r}": partial(obstacle_filter, r) for r in ROBOTS},
     **{f"ik-{r}": partial(ik, r) for r in ROBOTS},

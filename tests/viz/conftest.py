@@ -3,7 +3,7 @@ import pytest
 from kinfeas.core import registry
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.recording import record_episodes
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
 
 
