@@ -61,7 +61,7 @@ def test_there_is_a_template_for_every_group():
 
 
 def test_kinds_that_there_are_not(tmp_path):
-    with pytest.raises(KinfeasError, match="'polcy'.*policy"):
+    with pytest.raises(KinfeasError, match=r"'polcy'.*policy"):
         write_distribution("polcy", "mine", tmp_path / "new")
     with pytest.raises(KinfeasError, match=r"'robt' \(did you mean 'robot'\?\)"):
         write_distribution("robt", "mine", tmp_path / "new")
