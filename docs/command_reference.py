@@ -58,29 +58,21 @@ def _section(name: str, command: Any) -> Iterator[str]:
     context = command.context_class(command, info_name=name)
     usage = " ".join(command.collect_usage_pieces(context))
     yield from (f"## {name}", "", "```text", f"{name} {usage}", "```", "")
-    yield from (_plain(command.help), "")
+    yield from (re.sub(r"Example: (.*)", r"Example: `\1`", command.help), "")
     yield from ("| | | default |", "|---|---|---|")
     for parameter in command.params:
         yield f"| {' | '.join(_row(parameter, context))} |"
     yield ""
-    if command.epilog:
-        lines = [line for line in command.epilog.split("\n\n") if line.startswith("kinfeas")]
-        yield from ("```text", *(" ".join(line.split()) for line in lines), "```", "")
 
 
 def _row(parameter: Any, context: Any) -> tuple[str, str, str]:
     record = parameter.get_help_record(context) or ("", "")
     called = str(record[0])
     text, _, extra = str(record[1]).partition("  [")
-    found = re.search(r"default: (.*?)(?:;|\]$)", extra)
+    found = re.search(r"default: (.*?)(?:;|\])", extra)
     default = found.group(1).strip("()") if found else ""
     default = "required" if parameter.required else default
-    return f"`{_cell(called)}`", _cell(_plain(text)), _cell(default)
-
-
-def _plain(text: str) -> str:
-    """Return a help text with its markup as Markdown."""
-    return re.sub(r"\[bold\](.*?)\[/\]", r"`\1`", text, flags=re.DOTALL)
+    return f"`{_cell(called)}`", _cell(text), _cell(default)
 
 
 def _cell(text: str) -> str:

@@ -10,7 +10,6 @@ import pytest
 import typer
 from markdown_it import MarkdownIt
 
-from kinfeas.cli.examples import EXAMPLES
 from kinfeas.cli.main import app
 from kinfeas.config.recipes import load_section
 from kinfeas.robots.loading import load_robot
@@ -45,8 +44,15 @@ def commands(text):
     return {line for line in whole if re.match(r"kinfeas [a-z]", line)}
 
 
+def examples(command):
+    """Return the examples in the help of a command and of its subcommands."""
+    own = re.findall(r"Example: (kinfeas .*)", command.help or "")
+    inner = getattr(command, "commands", {}).values()
+    return [*own, *(line for one in inner for line in examples(one))]
+
+
 COMMANDS = {line for page in PAGES for line in commands(page.read_text())}
-COMMANDS |= {line for lines in EXAMPLES.values() for line in lines}
+COMMANDS |= set(examples(typer.main.get_command(app)))
 PYTHON = [
     pytest.param(code, id=f"{page.stem}-{number}")
     for page in PAGES

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import inputs, options
-from kinfeas.cli.evaluate import WorldName
-from kinfeas.cli.output import check_outputs, print_table, progress, status, write_json
-from kinfeas.cli.training_bar import training_bar
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, progress, status, write_json
+from kinfeas.cli.train import training_bar
 from kinfeas.config.quantities import MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core.errors import KinfeasError
 
@@ -23,10 +22,10 @@ if TYPE_CHECKING:
     from kinfeas.benchmark.table import Cell
 
 _RECIPES = {
-    (WorldName.ANALYTIC, False): "benchmark/study",
-    (WorldName.ANALYTIC, True): "benchmark/quick",
-    (WorldName.PYBULLET, False): "benchmark/physics",
-    (WorldName.PYBULLET, True): "benchmark/physics_quick",
+    ("analytic", False): "benchmark/study",
+    ("analytic", True): "benchmark/quick",
+    ("pybullet", False): "benchmark/physics",
+    ("pybullet", True): "benchmark/physics_quick",
 }
 
 
@@ -47,13 +46,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             "runs/benchmark/STUDY.",
         ),
     ] = None,
-    world: Annotated[
-        WorldName,
-        typer.Option(
-            "--world",
-            help="analytic: without physics; pybullet: with it, and the same without beside it.",
-        ),
-    ] = WorldName.ANALYTIC,
+    world: options.World = "analytic",
     quick: Annotated[
         bool, typer.Option("--quick", help="The small version: a few minutes on two cores.")
     ] = False,
@@ -92,28 +85,20 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Set policies side by side: tables, pictures and JSON; what is done is not done again.
 
-    Settings: every key of the study, such as [bold]episodes=100[/] or [bold]seeds=[0,1][/].
-    After a change of the program choose another [bold]--out[/]: figures are told apart by robot,
+    Settings: every key of the study, such as episodes=100 or seeds=[0,1].
+    After a change of the program choose another --out: figures are told apart by robot,
     task, policy, episodes and settings, and not by the code.
-    With physics they are kept in parts of 20 episodes, which more [bold]--episodes[/] take up.
+    With physics they are kept in parts of 20 episodes, which more --episodes take up.
     """
     from kinfeas.benchmark.findings import check_out, write_pictures, write_tables
 
-    name = config or _RECIPES[world, quick]
+    name = config or _RECIPES.get((world, quick), world)
     out = out or Path("runs/benchmark") / Path(name).stem
-    check_outputs(
-        {"--out": out, "--publish": publish, "--json": json},
-        {
-            "--config": inputs.named(config),
-            "--runs": [place for folder in runs or () for place in inputs.of_policy(folder)],
-            "--set": inputs.of_settings(overrides),
-        },
-    )
     said = [] if episodes is None else [f"episodes={episodes}"]
     study, taken = _read(name, policy, runs or [], [*said, *(overrides or [])])
     _check_world(study, name, world)
     plans = _plans(study, out, taken)
-    if publish is not None and world is WorldName.PYBULLET:
+    if publish is not None and world == "pybullet":
         raise KinfeasError("--publish is for studies of the analytic world")
     if publish is not None and not (taken or plans):
         raise KinfeasError("--publish needs policies that were trained, by the study or by --runs")
@@ -158,10 +143,10 @@ def _read(
     return (restricted(study, {run.robot for run in runs}) if runs else study), runs
 
 
-def _check_world(study: "BenchmarkConfig", name: str, world: WorldName) -> None:
-    if world is WorldName.PYBULLET and study.physics is None:
+def _check_world(study: "BenchmarkConfig", name: str, world: str) -> None:
+    if world == "pybullet" and study.physics is None:
         raise KinfeasError(f"{name}: has no 'physics', which --world pybullet needs")
-    if world is WorldName.ANALYTIC and study.physics is not None:
+    if world == "analytic" and study.physics is not None:
         raise KinfeasError(f"{name}: has 'physics', which needs --world pybullet")
 
 

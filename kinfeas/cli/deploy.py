@@ -1,43 +1,36 @@
-"""`kinfeas deploy`: drive a robot, or what plays one, by a trained policy."""
+"""`kinfeas deploy`: run a policy on a robot or a simulated one."""
 
 import re
 import sys
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinfeas.cli import completion, inputs, options
-from kinfeas.cli.deploy_setup import (
-    Four,
-    Goal,
-    Three,
-    Wishes,
-    drawn_scene,
-    make_setup,
-    make_task,
-    read_settings,
-)
-from kinfeas.cli.output import check_outputs, print_table, status, write_json
-from kinfeas.cli.policy_robot import robot_of
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, status, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.io.run_log import About
+    from kinfeas.robots.robot import Robot
+    from kinfeas.sim2real.deploy.config import DeployConfig
     from kinfeas.sim2real.deploy.deployment import Outcome, Setup
-    from kinfeas.sim2real.deploy.rate import Timing
+    from kinfeas.tasks.task import Task
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: Annotated[
         str,
         typer.Argument(
-            help="ONNX file of kinfeas export, folder of a training run, pretrained, or a "
-            "baseline such as follow_ee.",
-            autocompletion=completion.policies,
+            help="ONNX file, run folder, pretrained, module:Class, or a plugin, such as follow_ee.",
+            autocompletion=options.complete_policy,
         ),
     ],
     robot: options.PolicyRobotName = None,
@@ -45,8 +38,8 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         str,
         typer.Option(
             "--backend",
-            help="What moves it: analytic, pybullet, ros2, ros1, or a plugin.",
-            autocompletion=completion.plugins("backends"),
+            help="analytic, pybullet, ros2, ros1, or a plugin.",
+            autocompletion=options.names_of("backends"),
         ),
     ] = "pybullet",
     goal: Annotated[
@@ -54,8 +47,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--goal",
             metavar="X Y Z",
-            help="Where the EE frame, which the robot's YAML names, shall go, metres in the world: "
-            "the frame that the backend measures the base in.",
+            help="Goal of the EE frame in the world frame of the backend, metres.",
         ),
     ] = None,
     rpy: Annotated[
@@ -63,35 +55,34 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--rpy",
             metavar="R P Y",
-            help="How it is turned there: roll, pitch and yaw about the world's axes, radians; by "
-            "default as it is at the start.",
+            help="Goal orientation: roll, pitch, yaw in radians.  [default: that at the start]",
         ),
     ] = None,
     quaternion: Annotated[
         Four | None,
-        typer.Option("--quaternion", metavar="X Y Z W", help="The same as a quaternion."),
+        typer.Option("--quaternion", metavar="X Y Z W", help="Goal orientation as a quaternion."),
     ] = None,
     generator: Annotated[
         str | None,
         typer.Option(
             "--generator",
-            help="Motion generator to the goal, by name; by default linear.",
-            autocompletion=completion.plugins("motion_generators"),
+            help="Motion generator to the goal.  [default: linear]",
+            autocompletion=options.names_of("motion_generators"),
         ),
     ] = None,
     task: Annotated[
         str | None,
         typer.Option(
             "--task",
-            help=f"Instead of --goal. {options.TASK_HELP}",
-            autocompletion=completion.plugins("tasks"),
+            help=f"In place of --goal. {options.TASK_HELP}.",
+            autocompletion=options.names_of("tasks"),
         ),
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", min=1.0, max=1000.0, help="Control periods a second, Hz.")
+        float, typer.Option("--rate", min=1.0, max=1000.0, help="Control rate, Hz.")
     ] = 50.0,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=0.0, help="Longest duration of the run, seconds.")
+        float, typer.Option("--seconds", min=0.0, help="Longest duration of the run.")
     ] = 300.0,
     seed: options.Seed = 0,
     record: Annotated[
@@ -99,140 +90,193 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option(
             "--record",
             metavar="FILE.csv",
-            help="New file that the run is written to; by default "
-            "DATE-ROBOT-TASK.csv in runs/deploy.",
+            help="New file of the run.  [default: runs/deploy/DATE-ROBOT-TASK.csv]",
         ),
     ] = None,
-    sim2real: Annotated[
-        str | None,
-        typer.Option(
-            "--adapters", help="Adapters around the backend: ideal, paper, pr2_like, harsh, a file."
-        ),
-    ] = None,
+    adapters: options.AdapterList = None,
     guards: Annotated[
-        Path | None, typer.Option("--guards", metavar="FILE", help="YAML of what the guards allow.")
+        Path | None, typer.Option("--guards", metavar="FILE.yaml", help="Limits of the guards.")
     ] = None,
     real_time: Annotated[
         bool,
-        typer.Option(
-            "--real-time/--no-real-time",
-            help="Whether a simulated world waits for the clock.",
-        ),
+        typer.Option("--real-time/--no-real-time", help="Simulated worlds wait for the clock."),
     ] = True,
     filters: options.Filters = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Drive a robot to a goal or through a task, behind guards, and record the run.
+    """Run a policy on a robot. Guards supervise the run, and a CSV file records it.
 
-    Settings: [bold]guards.KEY[/], time_scale=1 (0.5 for pr2), head_start=0 s,
-    arm_settle_timeout=8 s, filters (those of the robot), [bold]ik.KEY[/], and the parameters
-    [bold]generator.KEY[/], [bold]task.KEY[/] and [bold]backend.KEY[/], which
-    [bold]kinfeas plugins info NAME[/] lists. An
-    unknown KEY is answered by those that there are.
+    Settings: guards.KEY, time_scale, head_start, arm_settle_timeout, ik.KEY, generator.KEY,
+    task.KEY, backend.KEY; see docs/deploy.md.
 
-    Guards: reach=true refuses a goal that no base pose is found for. The run is stopped beyond
-    max_age=0.2 s of a measurement, max_period=0.2 s, max_clock_skew=0.1 s, max_distance=20 m,
-    max_tilt=0.15 rad, pose_jump=0.3 m, heading_jump=0.5 rad, joint_tolerance=0.1 rad or m,
-    max_consecutive_ik_failures=50 in a row, and watchdog=0.2 s without a sign of life. Commands are
-    limited to max_linear_velocity (m/s), max_angular_velocity (rad/s), acceleration (m/s^2) and
-    rotation_acceleration (rad/s^2), all four by default the robot's own, joint_speed=1 of the arm's
-    own, joint_jump=3.2 rad or m, and max_tracking_delay=0.5 s.
+    Exit codes: 0 goal reached, 2 bad input, 3 stopped by a guard or an error, 4 --seconds exceeded,
+    130 Ctrl-C, 143 SIGTERM, 129 SIGHUP, 131 SIGQUIT. In all cases the base is commanded to zero.
 
-    Exit codes: 0 the goal was reached, 2 the run could not begin, 3 a guard or an error stopped it,
-    4 it was not over after --seconds, 130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed, 131
-    SIGQUIT. In each case the base was commanded to zero.
+    Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9 --set time_scale=0.25
     """
-    options.check_robot(robot)
-    from kinfeas.io.run_log import Recorder
+    from kinfeas.io.run_log import About, Recorder
     from kinfeas.sim2real.deploy.runtime import deploy as run
 
-    read = {"--robot": robot, "--task": task, "--adapters": sim2real, "--guards": guards}
-    sources = {option: inputs.named(name) for option, name in read.items()}
-    sources |= {"POLICY": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
-    outputs = {"--record": record, "--json": json}
-    check_outputs(outputs, sources)
-    if robot is None:
-        robot = robot_of(policy)
-        check_outputs(outputs, {"POLICY": inputs.named(robot)})
-    if record is not None and record.exists():
-        raise KinfeasError(f"--record: {record} exists, and a record is never written over")
-    wishes = Wishes(policy, robot, backend, sim2real, 1.0 / rate, seconds, seed, real_time)
-    goal_wishes = Goal(task, generator, goal, rpy, quaternion)
-    with status("getting ready"):
+    if record is not None and (record.exists() or record.suffix != ".csv"):
+        raise KinfeasError(f"--record: {record} must be a new file that ends in .csv")
+    with status("preparing"):
+        options.check_policy(policy)
+        robot = robot or options.robot_of(policy)
         known = options.read_robot(robot)
-        config = read_settings(known, guards, options.with_filters(filters, overrides or [], ""))
-        setup = make_setup(wishes, known, config, make_task(goal_wishes, config))
-        about = replace(_about(wishes, setup), **drawn_scene(setup))
+        changes = options.with_filters(filters, overrides or [], "")
+        config = _read_settings(known, guards, changes)
+        if task is None:
+            toward = _goal_task(goal, rpy, quaternion, generator, config)
+        elif goal or rpy or quaternion or generator or config.generator:
+            raise KinfeasError("--task excludes --goal, --rpy, --quaternion and --generator")
+        else:
+            toward = options.read_task(task, config.task)
+        setup = _make_setup(
+            (policy, backend, adapters),
+            (known, toward, config),
+            1.0 / rate,
+            seconds,
+            seed,
+            real_time,
+        )
+        about = About(
+            robot=_from_anywhere(robot),
+            task=setup.task.name,
+            policy=policy,
+            backend=backend,
+            dt=setup.dt,
+            joints=tuple(joint.name for joint in known.arm),
+            started=datetime.now().astimezone().isoformat(timespec="seconds"),
+            **_drawn_scene(setup),
+        )
         recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
     with suppress(OSError):  # of a terminal that was closed
         _show(outcome, about, recorder.path)
-        _complain(outcome)
-    if json is not None:
-        _write_json(outcome, recorder.path, json)
+    try:
+        write_json({**asdict(outcome), "record": str(recorder.path)}, json)
+    except KinfeasError as error:  # keeps the exit code of the run
+        sys.stderr.write(f"--json: {error}\n")
     raise typer.Exit(int(outcome.code))
 
 
-def _complain(outcome: "Outcome") -> None:
-    if outcome.code:
-        sys.stderr.write(f"stopped: {outcome.reason}\n")
-    if outcome.unstopped:
-        sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
-    if outcome.unclosed:
-        sys.stderr.write(f"the backend could not be closed: {outcome.unclosed}\n")
-
-
-def _about(wishes: Wishes, setup: "Setup") -> "About":
+def _from_anywhere(name: str) -> str:
     from kinfeas.core.registry import from_anywhere
-    from kinfeas.io.run_log import About
 
-    return About(
-        robot=from_anywhere(wishes.robot),
-        task=setup.task.name,
-        policy=wishes.policy,
-        backend=wishes.backend,
-        dt=wishes.dt,
-        joints=tuple(joint.name for joint in setup.solver.robot.arm),
-        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+    return from_anywhere(name)
+
+
+def _read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
+    """Return the settings for a robot, with the guards of the user's file."""
+    from kinfeas import config
+    from kinfeas.config import strict_yaml
+    from kinfeas.config.recipes import section
+    from kinfeas.sim2real.deploy.config import DeployConfig
+    from kinfeas.sim2real.deploy.guard_config import Guards
+
+    data, source = section("deploy", robot.name)
+    if guards is not None:
+        config.load(Guards, guards)  # so that errors name this file
+        data["guards"] = {**data.get("guards", {}), **strict_yaml.read(guards)}
+    return config.from_mapping(DeployConfig, data, source, overrides)
+
+
+def _goal_task(
+    goal: Three | None,
+    rpy: Three | None,
+    quaternion: Four | None,
+    generator: str | None,
+    config: "DeployConfig",
+) -> "Task":
+    from kinfeas.sim2real.deploy.goal_task import make_goal_task
+    from kinfeas.tasks.task import MotionSpec
+
+    if goal is None or config.task:
+        raise KinfeasError("give --goal X Y Z, or --task NAME, with --set task.KEY for the latter")
+    if rpy is not None and quaternion is not None:
+        raise KinfeasError("--rpy and --quaternion exclude each other")
+    motion = MotionSpec(generator or "linear", config.generator)
+    return make_goal_task(goal, quaternion or rpy, motion)
+
+
+def _make_setup(
+    names: tuple[str, str, str | None],
+    parts: "tuple[Robot, Task, DeployConfig]",
+    dt: float,
+    seconds: float,
+    seed: int,
+    real_time: bool,
+) -> "Setup":
+    """Return the parts of the run, after each has computed something."""
+    from kinfeas.control.filters import build_filters
+    from kinfeas.control.filters.rollout import RolloutPlanner
+    from kinfeas.core.backend import RealTimeBackend, build_backend
+    from kinfeas.kinematics.ik import IkSolver
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.sim2real.deploy.deployment import Setup
+    from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
+    from kinfeas.sim2real.deploy.warm_up import warm_up
+    from kinfeas.tasks.task import SupportsTaskScenes
+
+    (policy_name, backend_name, adapter_list), (robot, task, config) = names, parts
+    adapters = options.read_adapters(adapter_list)
+    policy, solver = load_policy(policy_name, robot), IkSolver(robot, config.ik)
+    filters = build_filters(config.filters)
+    warm_up(solver, policy, task, dt, adapters, filters)
+    backend = build_backend(backend_name, config.backend, robot=robot)
+    if isinstance(backend, SupportsTaskScenes):
+        task = backend.stage(task)
+    # Without a clock, the planner runs in the loop, so that runs are repeatable.
+    if real_time or isinstance(backend, RealTimeBackend):
+        filters = [
+            RolloutPlannerThread.of(one) if isinstance(one, RolloutPlanner) else one
+            for one in build_filters(config.filters)
+        ]
+    return Setup(
+        solver=solver,
+        policy=policy,
+        task=task,
+        backend=backend,
+        dt=dt,
+        adapters=adapters,
+        seconds=seconds,
+        seed=seed,
+        execution=config.execution,
+        filters=tuple(filters),
+        guards=config.guards,
+        real_time=real_time,
     )
 
 
+def _drawn_scene(setup: "Setup") -> dict[str, Any]:
+    """Return scene and objects of the record; the episode is drawn in advance."""
+    import numpy as np
+
+    from kinfeas.sim2real.deploy.deployment import TaskWithObjects
+
+    if not isinstance(setup.task, TaskWithObjects):
+        return {}
+    setup.task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
+    scene, poses = setup.task.drawn()
+    objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
+    return {"scene": _from_anywhere(scene), "objects": objects}
+
+
 def _record_path(about: "About") -> Path:
-    """Return where a run is recorded if the user does not say it."""
+    """Return a new file in `runs/deploy`."""
     from kinfeas.io.files import writing
 
     folder = Path("runs/deploy")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     date = datetime.fromisoformat(about.started).strftime("%Y%m%d-%H%M%S")
-    name = f"{date}-{_plain(Path(about.robot).stem)}-{_plain(about.task)}"
-    names = (name, *(f"{name}-{number}" for number in range(2, 100)))  # begun in the same second
+    robot, task = (re.sub(r"[^\w-]", "_", one) for one in (Path(about.robot).stem, about.task))
+    name = f"{date}-{robot}-{task}"
+    names = (name, *(f"{name}-{number}" for number in range(2, 100)))  # of the same second
     paths = [folder / f"{one}.csv" for one in names]
     return next((path for path in paths if not path.exists()), paths[0])
-
-
-def _plain(name: str) -> str:
-    """Return a name as a part of a file's: what is no letter, digit, - or _ becomes _."""
-    return re.sub(r"[^\w-]", "_", name)
-
-
-def _write_json(outcome: "Outcome", record: Path, path: Path) -> None:
-    """Write how a run ended; a failure changes nothing about that."""
-    try:
-        write_json({**asdict(outcome), "record": str(record)}, path)
-    except KinfeasError as error:
-        sys.stderr.write(f"--json: {error}\n")
-
-
-def _work_rows(timing: "Timing") -> list[list[str]]:
-    if timing.work_p50 is None or timing.work_p99 is None:
-        return []
-    return [
-        ["work in a period, median", f"{1000.0 * timing.work_p50:.2f} ms"],
-        ["work exceeded by one in a hundred", f"{1000.0 * timing.work_p99:.2f} ms"],
-    ]
 
 
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
@@ -241,16 +285,24 @@ def _show(outcome: "Outcome", about: "About", record: Path) -> None:
 
     timing = outcome.timing
     rows = [
-        ["ended", outcome.reason + TASK_DONE[outcome.task_done]],
+        ["end", outcome.reason + TASK_DONE[outcome.task_done]],
         ["duration", f"{outcome.seconds:.1f} s"],
         ["control periods without an IK solution", f"{outcome.failures}"],
         ["control period, median", f"{1000.0 * timing.p50:.1f} ms"],
-        ["exceeded by one in a hundred", f"{1000.0 * timing.p99:.1f} ms"],
-        ["longest", f"{1000.0 * timing.longest:.1f} ms"],
+        ["control period, 99th percentile", f"{1000.0 * timing.p99:.1f} ms"],
+        ["control period, longest", f"{1000.0 * timing.longest:.1f} ms"],
         ["missed deadlines", f"{timing.misses} of {timing.periods}"],
-        *_work_rows(timing),
-        ["most memory held", f"{peak_memory_mb():.0f} MB"],
-        ["record", str(record)],
     ]
+    if timing.work_p50 is not None and timing.work_p99 is not None:
+        rows.append(["computation in a period, median", f"{1000.0 * timing.work_p50:.2f} ms"])
+        rows.append(["computation, 99th percentile", f"{1000.0 * timing.work_p99:.2f} ms"])
+    rows.append(["peak memory", f"{peak_memory_mb():.0f} MB"])
+    rows.append(["record", str(record)])
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
     print_table(title, ["", ""], rows)
+    if outcome.code:
+        sys.stderr.write(f"stopped: {outcome.reason}\n")
+    if outcome.unstopped:
+        sys.stderr.write(f"the base could not be commanded to zero: {outcome.unstopped}\n")
+    if outcome.unclosed:
+        sys.stderr.write(f"the backend could not be closed: {outcome.unclosed}\n")

@@ -1,180 +1,158 @@
-"""`kinfeas evaluate`: how well a policy does."""
+"""`kinfeas evaluate`: metrics of a policy, and films of its episodes."""
 
-from collections.abc import Callable, Mapping
-from enum import StrEnum
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinfeas.cli import inputs, options
-from kinfeas.cli.filming import Episode, Replay, Video, show_episode, shown_episode
+from kinfeas.cli import options
 from kinfeas.cli.output import (
-    check_file_path,
-    check_outputs,
+    print_path,
     print_table,
     progress,
-    say_written,
     share,
+    status,
+    write_drawing,
     write_json,
 )
-from kinfeas.cli.physics_options import physics_assignments
-from kinfeas.cli.policy_robot import check_policy, robot_of
-from kinfeas.cli.sim2real_table import weigh
-from kinfeas.config.quantities import MOST_EPISODES
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.evaluation.sim2real import Specs
+    from kinfeas.core.policy import Policy
+    from kinfeas.evaluation.evaluate import EvalConfig, Summary
+    from kinfeas.evaluation.sim2real import Cost, Evaluation, Specs
+    from kinfeas.viz.film import Film
 
-    OnDone = Callable[[int], None]
 
+def _check_video(path: Path | None) -> Path | None:
+    from kinfeas.viz.film import check_film_path
 
-class WorldName(StrEnum):
-    """Where the episodes happen."""
-
-    ANALYTIC = "analytic"
-    PYBULLET = "pybullet"
+    if path is not None:
+        check_film_path(path)
+    return options.output_file()(path)
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyName,
     robot: options.PolicyRobotName = None,
     task: options.TaskName = "ggr",
-    world: Annotated[
-        WorldName,
-        typer.Option(
-            "--world",
-            help="analytic: without physics; pybullet: with inertia, motors and contacts.",
-        ),
-    ] = WorldName.ANALYTIC,
+    world: options.World = "analytic",
     episodes: Annotated[
         int | None,
         typer.Option(
             "--episodes",
             min=1,
-            max=MOST_EPISODES,
-            help="Number of episodes; by default 500, with physics 50.",
+            max=options.MOST_EPISODES,
+            help="Number of episodes.  [default: 500, with physics 50]",
         ),
     ] = None,
     seed: options.Seed = 1,
     head_start: Annotated[
         float | None,
         typer.Option(
-            "--head-start",
-            metavar="SECONDS",
-            help="pybullet: how long the base moves before the EE does, 0 or more; by default 0.",
+            "--head-start", help="Seconds that the base moves before the EE.  [default: 0]"
         ),
     ] = None,
     time_scale: Annotated[
         float | None,
         typer.Option(
             "--time-scale",
-            metavar="SHARE",
-            help="pybullet: speed of EE motions as a share of the planned one, 0.001 to 1; by "
-            "default 0.5 for pr2, else 1.",
+            help="Speed of EE motions relative to the plan, at most 1.  [default: 1; 0.5 for pr2 "
+            "with physics]",
         ),
     ] = None,
     without_objects: Annotated[
-        bool, typer.Option("--no-objects", help="pybullet: an empty floor, no furniture.")
+        bool, typer.Option("--no-objects", help="PyBullet: leave out the furniture.")
     ] = False,
     filters: options.Filters = None,
-    gui: Annotated[bool, typer.Option("--gui", help="pybullet: show it in a window.")] = False,
-    sim2real: options.Sim2RealName = None,
+    gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
+    adapters: options.AdapterList = None,
     picture: Annotated[
         Path | None,
         typer.Option(
             "--picture",
-            help="Draw an episode into this PNG; with --adapters what that costs, and success "
-            "against latency, noise and head start, which takes fifteen evaluations more.",
-            callback=check_file_path,
+            metavar="FILE.png",
+            help="Draw an episode; with --adapters success against latency, noise and head start.",
+            callback=options.output_file(".png"),
         ),
     ] = None,
-    video: Video = None,
-    replay: Replay = None,
-    episode: Episode = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            "--video",
+            metavar="FILE",
+            help="Write an episode as .gif or .mp4, or four frames as .png.",
+            callback=_check_video,
+        ),
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option(
+            "--replay",
+            metavar="FILE.html",
+            help="Write an episode as an interactive page.",
+            callback=options.output_file(".html", ".htm"),
+        ),
+    ] = None,
+    episode: Annotated[
+        int, typer.Option("--episode", min=0, help="Number of the episode to show.")
+    ] = 0,
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Run a policy's episodes and show its figures beside the ceiling that no policy can beat.
+    """Evaluate a policy.
 
-    Settings: [bold]world.KEY[/], [bold]task.KEY[/], the task's own parameters, such as
-    [bold]task.orientation=so3[/]. An unknown KEY is answered by those that
-    there are.
+    The ceiling is the share of goals that some base pose reaches, an upper bound of success.
 
-    The analytic world has dt=0.1 s, max_failures=19, max_seconds=150 s, adapters, ik,
-    filters=[], and reward, which changes no figure. PyBullet's has dt=0.02 s,
-    max_failures=99, max_seconds=150 s, adapters, ik, filters (those of the robot), physics,
-    arm_settle_timeout=8 s, time_scale=1 (0.5 for pr2),
-    head_start=0 s, and objects=true.
+    Settings: task.KEY, the task's parameters, and world.KEY: dt, max_failures, max_seconds,
+    arm_settle_timeout, ik.KEY, filters, adapters, backend_parameters.KEY; see docs/physics.md.
 
-    With [bold]--adapters[/] the figures are those within all its adapters, and a table says what
-    each of them costs alone, and what the others cost without it.
+    With --adapters a table shows the cost of each adapter. Pictures show the desired EE path
+    dashed, the achieved one green, and steps without an IK solution red.
 
-    [bold]--video[/], [bold]--replay[/] and [bold]--picture[/] show one episode: the desired path
-    of the EE dashed, the achieved one green, steps without an IK solution red.
+    Example: kinfeas evaluate --policy pretrained --robot hsr --task door --world pybullet
     """
-    options.check_robot(robot)
-    check_policy(policy)
-    from kinfeas.evaluation.evaluate import default_episodes, prepare, reachability_of
-    from kinfeas.evaluation.evaluate import evaluate as run_evaluation
+    from kinfeas.evaluation.evaluate import (
+        check_adapters,
+        default_episodes,
+        prepare,
+        reachability_of,
+    )
+    from kinfeas.evaluation.evaluate import evaluate as run
 
-    outputs = {"--json": json, "--picture": picture, "--video": video, "--replay": replay}
-    read = {"--robot": robot, "--task": task, "--adapters": sim2real}
-    sources = {option: inputs.named(name) for option, name in read.items()}
-    sources |= {"--policy": inputs.of_policy(policy), "--set": inputs.of_settings(overrides)}
-    check_outputs(outputs, sources)
-    if robot is None:
-        robot = robot_of(policy)
-        check_outputs(outputs, {"--policy": inputs.named(robot)})
-    adapters = _adapters(sim2real, robot) if sim2real is not None else ()
-    said: dict[str, object] = {"--head-start": head_start, "--time-scale": time_scale}
-    said |= {"--no-objects": without_objects or None, "--gui": gui or None}
-    given = [name for name, value in said.items() if value is not None]
+    robot = robot or options.robot_of(policy)
+    specs = options.read_adapters(adapters)
+    check_adapters(specs, options.read_robot(robot))
     count = episodes or default_episodes(world)
-    if world is WorldName.ANALYTIC and given:
-        raise KinfeasError(f"{given[0]} needs --world pybullet")
-    shown = {**outputs, "--picture": picture if sim2real is None else None, "--json": None}
-    number = shown_episode(episode, count, shown=any(shown.values()))
-    assignments = options.with_filters(filters, overrides or [])
-    if world is WorldName.PYBULLET:
-        assignments = physics_assignments(head_start, time_scale, without_objects, assignments)
-        if gui:
-            assignments, processes = [*assignments, "world.backend_parameters.gui=true"], 1
+    if episode >= count:
+        raise KinfeasError(f"--episode must be below --episodes, {count}, not {episode}")
+    given = {"world.head_start": head_start, "world.time_scale": time_scale}
+    given |= {"world.backend_parameters.objects": False if without_objects else None}
+    given |= {"world.backend_parameters.gui": gui or None}
+    settings = [*options.assignments(given), *options.with_filters(filters, overrides or [])]
     chosen, driver = prepare(
-        policy, robot, task, world, episodes=count, seed=seed, overrides=assignments
+        policy, robot, task, world, episodes=count, seed=seed, overrides=settings
     )
     with progress("ceiling") as advance:
         ceiling = reachability_of(chosen, advance)
-
-    def run(some: "Specs", on_done: "OnDone | None") -> "Summary":
-        return run_evaluation(chosen.within(some), driver, policy, ceiling, processes, on_done)
-
-    if sim2real is None:
+    cores = 1 if gui else processes
+    if adapters is None:
         with progress(f"{count} episodes", count) as advance:
-            summary = run((), advance)
-        if json is not None:
-            write_json(summary, json)
+            summary = run(chosen, driver, policy, ceiling, cores, advance)
+        write_json(summary, json)
         _show(summary)
+        _show_episode(chosen, driver, episode, picture, video, replay)
     else:
-        summary, held, show = weigh(lambda some: run(some, None), sim2real, adapters, picture)
-        if json is not None:
-            write_json({**summary, **held}, json)
-        _show(summary)
-        show()
-        say_written(picture)
-    show_episode(chosen.within(adapters), driver, number, shown)
-
-
-def _adapters(sim2real: str, robot: str) -> "Specs":
-    """Return the adapters of a list, after a check that they can be built."""
-    from kinfeas.evaluation.evaluate import check_adapters
-
-    adapters = options.read_adapters(sim2real)
-    check_adapters(adapters, options.read_robot(robot))
-    return adapters
+        _weigh_adapters(
+            lambda some: run(chosen.within(some), driver, policy, ceiling, cores),
+            adapters,
+            specs,
+            picture,
+            json,
+        )
+        _show_episode(chosen.within(specs), driver, episode, None, video, replay)
 
 
 def _show(summary: "Summary") -> None:
@@ -191,21 +169,116 @@ def _show(summary: "Summary") -> None:
         ["joint jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
-    if summary.get("world") == WorldName.PYBULLET:
-        title += ", PyBullet"
-        rows += _physics_rows(summary)
+    if summary["collision_free_rate"] is not None:
+        done = _share(summary, "task_success")
+        rows += [
+            ["task success", "no objects" if summary["task_success"] is None else done],
+            ["episodes without a collision", share(summary["collision_free_rate"])],
+            ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
+            ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
+        ]
+    title += "" if summary["world"] == "analytic" else f", {summary['world']}"
     print_table(title, ["", " share (95 % interval) or mean"], rows)
-
-
-def _physics_rows(summary: Mapping[str, Any]) -> list[list[str]]:
-    without_objects = summary["task_success"] is None
-    return [
-        ["task done", "no objects" if without_objects else _share(summary, "task_success")],
-        ["episodes without a collision", share(summary["collision_free_rate"])],
-        ["collisions of the base an episode", f"{summary['base_collisions']:.2f}"],
-        ["collisions of the arm an episode", f"{summary['arm_collisions']:.2f}"],
-    ]
 
 
 def _share(summary: Mapping[str, Any], key: str) -> str:
     return share(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))
+
+
+def _weigh_adapters(
+    run: "Evaluation", name: str, adapters: "Specs", picture: Path | None, json: Path | None
+) -> None:
+    """Evaluate without adapters, with each alone, without each, and with all of them."""
+    from kinfeas.evaluation.sim2real import (
+        AXES,
+        evaluations,
+        measure_costs,
+        measure_sweeps,
+        to_json,
+    )
+    from kinfeas.viz.plots import sim2real_figure
+    from kinfeas.viz.style import png
+
+    axes = AXES if picture is not None else ()
+    count = evaluations(adapters, axes)
+    with progress(f"{count} evaluations", count) as advance:
+
+        def counted(some: "Specs") -> "Summary":
+            summary = run(some)
+            advance(1.0)
+            return summary
+
+        costs = measure_costs(counted, adapters)
+        sweeps = measure_sweeps(counted, adapters, axes)
+    summary = costs[-1].figures
+    write_json({**summary, "sim2real": name, **to_json(costs, sweeps)}, json)
+    _show(summary)
+    _show_costs(name, costs)
+    title = "{policy} on {task}, robot {robot}, {episodes} episodes, ".format(**summary) + name
+    write_drawing(lambda: png(sim2real_figure(title, costs, sweeps), dpi=130), picture)
+
+
+def _show_costs(name: str, costs: "list[Cost]") -> None:
+    rows = []
+    for cost in costs:
+        found, beside = cost.figures, costs[-1 if cost.left_out else 0].figures
+        difference = 100.0 * (found["success"] - beside["success"])
+        rows.append(
+            [
+                cost.label,
+                share(found["success"], found["success_low"], found["success_high"]),
+                "" if found is beside else f"{difference:+.1f}",
+                share(found["reached"]),
+                f"{1000.0 * found['mean_deviation_m']:.1f} mm",
+            ]
+        )
+    columns = ["adapter", " success", " points", " reached", " deviation"]
+    title = f"adapters of {name}: points relative to none, or to all for those left out"
+    print_table(title, columns, rows)
+
+
+def _show_episode(
+    chosen: "EvalConfig",
+    policy: "Policy",
+    number: int,
+    picture: Path | None,
+    video: Path | None,
+    replay: Path | None,
+) -> None:
+    """Run an episode again and write it as picture, film and page."""
+    if picture is None and video is None and replay is None:
+        return
+    from kinfeas.envs.world import World
+    from kinfeas.evaluation.recording import record_episodes
+    from kinfeas.viz.episodes import EpisodeFilm, episodes_figure
+    from kinfeas.viz.pages import episode_html, pybullet_html
+    from kinfeas.viz.pybullet_film import make_film, record
+    from kinfeas.viz.style import png
+
+    robot = chosen.robot
+    world = World(robot, chosen.task, chosen.world, chosen.seed)
+    try:
+        if chosen.world.backend == "pybullet":
+            with status(f"episode {number}"):
+                pybullet_film = make_film(world, record(world, policy, number))
+            _write_film(pybullet_film, video)
+            write_drawing(lambda: pybullet_html(pybullet_film).encode(), replay)
+            _write_film(pybullet_film, picture)
+            return
+        with status(f"episode {number}"):
+            (recording,) = record_episodes(world, policy, 1, first=number)
+    finally:
+        world.close()
+    film = EpisodeFilm(recording, robot, f"{robot.name}, {chosen.task.name}")
+    _write_film(film, video)
+    write_drawing(lambda: episode_html(recording, robot, film.times).encode(), replay)
+    write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)
+
+
+def _write_film(film: "Film", path: Path | None) -> None:
+    from kinfeas.viz.film import count_pictures, write_film
+
+    if path is not None:
+        with progress("drawing", count_pictures(film, path)) as advance:
+            write_film(film, path, advance)
+        print_path(path)

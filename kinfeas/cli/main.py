@@ -1,74 +1,45 @@
 """The command `kinfeas`.
 
-Whatever is slow to import is imported within the commands, so that help appears at once.
+Modules that are slow to import are imported within the commands, so that help appears at once.
 """
 
 import sys
-from collections.abc import Callable
 from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
 
 from kinfeas import __version__
-from kinfeas.cli import (
-    benchmark,
-    ceiling,
-    demo,
-    deploy,
-    evaluate,
-    export,
-    fit,
-    plugins,
-    robot,
-    simulate,
-    speed,
-    train,
-    view,
-)
-from kinfeas.cli.commands import Command, Group
-from kinfeas.cli.docstrings import unwrapped
-from kinfeas.cli.examples import epilog
+from kinfeas.cli.benchmark import benchmark
+from kinfeas.cli.ceiling import ceiling
+from kinfeas.cli.demo import demo
+from kinfeas.cli.deploy import deploy
+from kinfeas.cli.evaluate import evaluate
+from kinfeas.cli.export import export
+from kinfeas.cli.fit import fit
+from kinfeas.cli.plugins import app as plugins
+from kinfeas.cli.robot import app as robot
+from kinfeas.cli.simulate import simulate
+from kinfeas.cli.speed import speed
+from kinfeas.cli.train import train
+from kinfeas.cli.view import view
 from kinfeas.core.errors import KinfeasError
 
-app = typer.Typer(cls=Group, pretty_exceptions_enable=False, rich_markup_mode="rich")
-_PANELS: dict[str, dict[str, Callable[..., None]]] = {
-    "See and train": {
-        "demo": demo.demo,
-        "train": train.train,
-        "evaluate": evaluate.evaluate,
-        "benchmark": benchmark.benchmark,
-        "ceiling": ceiling.ceiling,
-        "speed": speed.speed,
-    },
-    "Motions and scenes": {
-        "fit": fit.fit,
-        "view": view.view,
-    },
-    "Robots": {
-        "export": export.export,
-        "deploy": deploy.deploy,
-        "simulate": simulate.simulate,
-    },
-}
-for _panel, _commands in _PANELS.items():
-    for _name, _command in _commands.items():
-        app.command(
-            _name,
-            cls=Command,
-            help=unwrapped(_command),
-            rich_help_panel=_panel,
-            epilog=epilog(_name),
-        )(_command)
-app.add_typer(plugins.app, name="plugins", rich_help_panel="Motions and scenes")
-app.add_typer(robot.app, name="robot", rich_help_panel="Robots")
+app = typer.Typer(
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 100},
+)
+for _command in (
+    demo, train, evaluate, benchmark, ceiling, speed, export, deploy, simulate, view, fit,
+):  # fmt: skip
+    app.command()(_command)
+app.add_typer(plugins, name="plugins")
+app.add_typer(robot, name="robot")
 
 
 def main() -> None:
-    """Run the command line; exit with 2 and one line on bad input, with 130 on Ctrl-C.
-
-    What the system refuses, such as a look into a folder that one may not enter, is bad input, too.
-    """
+    """Run the command line; exit with 2 and one line on bad input, with 130 on Ctrl-C."""
     try:
         code = app(standalone_mode=False)
     except (KinfeasError, TyperException, OSError) as error:
@@ -94,6 +65,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+@app.callback(invoke_without_command=True)
 def _global_options(
     context: typer.Context,
     version: Annotated[
@@ -105,12 +77,9 @@ def _global_options(
 ) -> None:
     """Learned base motions that keep any end-effector (EE) motion kinematically feasible.
 
-    Three uses: register a motion generator ([bold]plugins new[/]), train a policy
-    ([bold]train[/], [bold]evaluate[/]), run it on a robot ([bold]export[/], [bold]deploy[/]).
-    Units are metres, radians and seconds; poses are x y z qx qy qz qw in the world frame.
+    Register a motion generator (plugins new), train a base policy (train, evaluate), run it on a
+    robot (export, deploy). Units are metres, radians and seconds; poses are x y z qx qy qz qw in
+    the world frame.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
-
-
-app.callback(invoke_without_command=True, help=unwrapped(_global_options))(_global_options)

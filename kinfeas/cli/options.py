@@ -1,217 +1,235 @@
-"""Options that several commands share, and how they are read."""
+"""Options that several commands share, and readers of their values."""
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
+from importlib.metadata import entry_points
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import completion
-from kinfeas.cli.output import check_file_path
+from kinfeas.cli.output import check_file_path, check_suffix
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import is_path, is_standard_output
 
 if TYPE_CHECKING:
     from kinfeas.config import PluginSpec
     from kinfeas.robots.robot import Robot
     from kinfeas.tasks.task import Task
 
-T = TypeVar("T")
+DEFAULT_ROBOT = "pr2"
 
-ROBOT_HELP = "Robot by name (pr2, tiago, hsr) or path of its YAML."
-TASK_HELP = "Task by name (ggr, ggr_restricted, pick_place, door, drawer) or path of its YAML."
 
-RobotName = Annotated[
-    str, typer.Option("--robot", help=ROBOT_HELP, autocompletion=completion.plugins("robots"))
-]
-PolicyRobotName = Annotated[
-    str | None,
-    typer.Option(
-        "--robot",
-        help=f"{ROBOT_HELP[:-1]}; by default the one that the policy was trained for, and pr2 for "
-        "pretrained and baselines.",
-        autocompletion=completion.plugins("robots"),
-    ),
-]
-TaskName = Annotated[
-    str, typer.Option("--task", help=TASK_HELP, autocompletion=completion.plugins("tasks"))
-]
-PolicyName = Annotated[
-    str,
-    typer.Option(
-        "--policy",
-        help="Folder of a training run, file of an export, pretrained, or a baseline: follow_ee, "
-        "follow_ee_feedback, demonstrated_base, geometric_modulation or whole_body_qp.",
-        autocompletion=completion.policies,
-    ),
-]
-PluginName = Annotated[
-    str,
-    typer.Argument(
-        help="Name of a plugin, or path of a robot's or a task's YAML.",
-        autocompletion=completion.every_plugin,
-    ),
-]
-Episodes = Annotated[
-    int, typer.Option("--episodes", min=1, max=MOST_EPISODES, help="Number of episodes.")
-]
-Seed = Annotated[
-    int,
-    typer.Option(
-        "--seed",
-        min=0,
-        max=LAST_SEED,
-        help="Of all randomness; the same seed, the same result.",
-    ),
-]
-Processes = Annotated[
-    int,
-    typer.Option(
-        "--processes",
-        min=1,
-        max=MOST_PROCESSES,
-        help="Processes that share the work; no result depends on it.",
-    ),
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change one of the settings named above; may be repeated.",
-    ),
-]
-Sim2RealName = Annotated[
-    str | None,
-    typer.Option(
-        "--adapters",
-        help="What stands between policy and robot: ideal, paper, pr2_like, harsh, or a YAML file.",
-    ),
-]
+def names_of(*groups: str) -> Callable[[str], list[str]]:
+    """Return a shell completion by the entry-point names of groups, such as `robots`."""
+
+    def complete(incomplete: str) -> list[str]:
+        names = {one.name for group in groups for one in entry_points(group=f"kinfeas.{group}")}
+        return sorted(name for name in names if name.startswith(incomplete))
+
+    return complete
+
+
+def complete_policy(incomplete: str) -> list[str]:
+    """Return the names of policies and the training runs in `runs` that begin with a text."""
+    runs = {str(path.parent) for path in Path("runs").glob("*/config.yaml")}
+    names = {"pretrained", *runs, *registry.names("kinfeas.policies")}
+    return sorted(name for name in names if name.startswith(incomplete))
+
+
+def check_robot(name: str | None) -> str | None:
+    """Return the name of a robot once it is known, before anything slow is imported.
+
+    Raises:
+        KinfeasError: If no robot has this name.
+    """
+    if name is not None and not is_path(name):
+        registry.check_unique("kinfeas.robots", name)
+    return name
+
+
+def check_policy(name: str | None) -> str | None:
+    """Return the name of a policy once it is known, before anything slow is imported.
+
+    Raises:
+        KinfeasError: If there is no such policy.
+    """
+    from kinfeas.policies.loading import check_name
+
+    if name is not None:
+        check_name(name)
+    return name
+
+
+def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
+    """Return a callback that checks that a file of one of the suffixes can be written."""
+
+    def check(path: Path | None) -> Path | None:
+        if path is not None and suffixes:
+            check_suffix(path, *suffixes)
+        return check_file_path(path)
+
+    return check
 
 
 def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
-    """Return where the JSON goes; if to standard output, all else goes to standard error."""
-    from kinfeas.io.files import is_standard_output
-
+    """Return the path of the JSON; with standard output, tables go to standard error."""
     target = Path("/dev/stdout") if path == Path("-") else check_file_path(path)
     if target is not None and is_standard_output(target):
         context.with_resource(redirect_stdout(sys.stderr))
     return target
 
 
-JsonPath = Annotated[
-    Path | None,
+ROBOT_HELP = "Robot: pr2, tiago, hsr, or a YAML file"
+TASK_HELP = "Task: ggr, ggr_restricted, pick_place, door, drawer, or a YAML file"
+
+RobotName = Annotated[
+    str,
     typer.Option(
-        "--json",
-        help="Write the results as JSON to this file; - is standard output, and tables then go to "
-        "standard error.",
-        callback=_read_json_path,
+        "--robot",
+        help=f"{ROBOT_HELP}.",
+        callback=check_robot,
+        autocompletion=names_of("robots"),
     ),
 ]
-
-
+PolicyRobotName = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        help=f"{ROBOT_HELP}.  [default: robot of the policy, else pr2]",
+        callback=check_robot,
+        autocompletion=names_of("robots"),
+    ),
+]
+TaskName = Annotated[
+    str, typer.Option("--task", help=f"{TASK_HELP}.", autocompletion=names_of("tasks"))
+]
+PolicyName = Annotated[
+    str,
+    typer.Option(
+        "--policy",
+        help="Run folder, ONNX file, pretrained, module:Class, or a plugin such as the baselines "
+        "follow_ee, follow_ee_feedback, demonstrated_base, geometric_modulation, whole_body_qp.",
+        callback=check_policy,
+        autocompletion=complete_policy,
+    ),
+]
+World = Annotated[
+    str,
+    typer.Option(
+        "--world",
+        help="Backend: analytic (kinematics), pybullet (physics), or a plugin.",
+        autocompletion=names_of("backends"),
+    ),
+]
+Episodes = Annotated[
+    int, typer.Option("--episodes", min=1, max=MOST_EPISODES, help="Number of episodes.")
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=LAST_SEED, help="Random seed.")]
+Processes = Annotated[
+    int,
+    typer.Option("--processes", min=1, max=MOST_PROCESSES, help="Number of parallel processes."),
+]
+AdapterList = Annotated[
+    str | None,
+    typer.Option(
+        "--adapters",
+        help="Adapters of the backend: ideal, paper, pr2_like, harsh, or a YAML file.",
+    ),
+]
 Filters = Annotated[
     str | None,
     typer.Option(
         "--filters",
         metavar="NAMES",
-        help="Command filters in place of the robot's own, in this order, such as "
-        "rollout_planner,feasibility; none for none.",
+        help="Command filters in this order, such as rollout_planner,feasibility; or none.  "
+        "[default: those of the robot]",
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated."),
+]
+JsonPath = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help="Write results as JSON; - is standard output.",
+        callback=_read_json_path,
+    ),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option(
+        "--picture", metavar="FILE.png", help="Draw a picture.", callback=output_file(".png")
     ),
 ]
 
 
-def read_overrides(cls: type[T], overrides: list[str] | None) -> T:
-    """Return the settings `cls` with what `--set` says of them."""
-    from kinfeas import config
+def read_robot(name: str) -> "Robot":
+    """Return a robot by name or path."""
+    from kinfeas.robots.loading import load_robot
 
-    return config.from_mapping(cls, {}, "settings", overrides or ())
+    return load_robot(name)
+
+
+def read_task(name: str, parameters: dict[str, object]) -> "Task":
+    """Return a task by name or path."""
+    from kinfeas.tasks.loading import load_task
+
+    return load_task(name, parameters)
+
+
+def read_adapters(name: str | None) -> "tuple[PluginSpec, ...]":
+    """Return a list of adapters by name or path; none for None."""
+    from kinfeas.control.adapters import read_sim2real
+
+    return () if name is None else read_sim2real(name).adapters
+
+
+def robot_of(policy: str | None) -> str:
+    """Return the robot that a policy was trained for, by name or path; pr2 for other policies.
+
+    Raises:
+        KinfeasError: If the policy's files are broken, or its robot is not on this machine.
+    """
+    from kinfeas.io.policy_metadata import read_trained
+    from kinfeas.policies.loading import check_name
+    from kinfeas.policies.onnx_policy import read_policy_file
+
+    path = Path(policy or "")
+    if not policy or policy in registry.names("kinfeas.policies") or not path.exists():
+        return DEFAULT_ROBOT
+    check_name(policy)
+    trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
+    robot = trained.trained_with
+    if is_path(robot) and not Path(robot).is_file():
+        raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
+    return robot
+
+
+def assignments(values: Mapping[str, object]) -> list[str]:
+    """Return values by key as assignments of `--set`; None is left out."""
+    return [f"{key}={json.dumps(value)}" for key, value in values.items() if value is not None]
 
 
 def with_filters(
     filters: str | Sequence[str] | None, overrides: Sequence[str], prefix: str = "world."
 ) -> list[str]:
-    """Return assignments, with the filters that replace the robot's own in `PREFIXfilters`.
+    """Return assignments, with filters that replace the robot's own in `PREFIXfilters`.
 
     Args:
-        filters: Names, also as one text with commas, or `none`; None to keep the robot's own.
+        filters: Names, also as one text with commas, or `none`; None keeps the robot's own.
         overrides: Assignments.
         prefix: Of the key.
     """
     if filters is None:
         return list(overrides)
     names = filters.split(",") if isinstance(filters, str) else filters
-    listed = [{"name": name.strip()} for name in names if name.strip() not in ("", "none")]
-    return [f"{prefix}filters={json.dumps(listed)}", *overrides]
-
-
-def check_settings(cls: type, said: Mapping[str, tuple[str, object]]) -> None:
-    """Check options that stand for settings, so that an error names the option.
-
-    Args:
-        cls: Dataclass of the settings.
-        said: Key of a setting, such as `schedule.steps`, and its value, by the option; None if it
-            was not given.
-
-    Raises:
-        KinfeasError: If a value has a wrong type or range.
-    """
-    from kinfeas.config import convert
-
-    for option, (key, value) in said.items():
-        kind: Any = cls
-        for name in key.split("."):
-            kind = get_type_hints(kind, include_extras=True)[name]
-        if get_origin(kind) in (Union, UnionType):  # null is nothing that an option can say
-            kind = next(one for one in get_args(kind) if one is not NoneType)
-        if value is not None:
-            convert(kind, value, option, key)
-
-
-def check_robot(name: str | None) -> None:
-    """Check that what `--robot` names is there, before anything slow is imported.
-
-    Args:
-        name: Name or path; None if it was not given.
-
-    Raises:
-        KinfeasError: If there is no robot of that name.
-    """
-    from kinfeas.io.files import is_path
-
-    if name is not None and not is_path(name) and name not in completion.plugins("robots")(""):
-        read_robot(name)  # which says what there is, or finds what this process has registered
-
-
-def read_robot(name: str) -> "Robot":
-    """Return the robot that `--robot` names."""
-    from kinfeas.robots.loading import load_robot
-
-    return load_robot(name)
-
-
-def read_adapters(name: str) -> "tuple[PluginSpec, ...]":
-    """Return the adapters that `--adapters` names."""
-    from kinfeas.control.adapters import read_sim2real
-
-    return read_sim2real(name).adapters
-
-
-def read_task(name: str, parameters: dict[str, object]) -> "Task":
-    """Return the task that `--task` names."""
-    from kinfeas.tasks.loading import load_task
-
-    return load_task(name, parameters)
+    listed = [name.strip() for name in names if name.strip() not in ("", "none")]
+    return [*assignments({f"{prefix}filters": listed}), *overrides]

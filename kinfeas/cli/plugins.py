@@ -1,131 +1,345 @@
-"""`kinfeas plugins`: what is installed, whether it is sound, and a start for one of your own."""
+"""`kinfeas plugins`: installed plugins, their conformance, and templates of new ones."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+import inspect
+import re
+import shlex
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinfeas.cli import inputs, options, plugin_check, plugin_new
-from kinfeas.cli.commands import Command, Group
-from kinfeas.cli.docstrings import unwrapped
-from kinfeas.cli.examples import epilog
-from kinfeas.cli.output import check_outputs, print_table, write_json
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, progress, write_drawing, write_json
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError, no_such, plugin_note
+from kinfeas.core.registry import GROUPS, MissingParameterError, Plugin
+from kinfeas.io.files import is_path
+from kinfeas.templates import Kind
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
-    from kinfeas.core.registry import Plugin
+    from kinfeas.testing import Finding
+    from kinfeas.testing.trial import Trial
 
 app = typer.Typer(
-    cls=Group,
     no_args_is_help=True,
-    help="Robots, tasks, motion generators, adapters and backends: show, check and begin them.",
+    help="List, check and create plugins.",
 )
 
+_GENERATORS = "kinfeas.motion_generators"
+_GIVEN = {"kinfeas.adapters": ("backend", "robot"), "kinfeas.backends": ("robot",)}
+"""Parameters that the program itself passes."""
 
+
+@app.command("list")
 def list_plugins(json: options.JsonPath = None) -> None:
-    """List what is installed and where it comes from; what is broken is shown with its error."""
-    from kinfeas.cli.plugin_facts import summary
-    from kinfeas.core.registry import GROUPS, plugins
+    """List installed plugins, broken ones with their error.
 
-    found = [(plugin, *summary(plugin)) for group in GROUPS for plugin in plugins(group)]
-    if json is not None:
-        entries = [
-            {**vars(plugin), "kind": GROUPS[plugin.group], "description": text, "error": error}
-            for plugin, text, error in found
-        ]
-        write_json(entries, json)
-    for group, kind in GROUPS.items():
-        _list(f"{kind}s", [one for one in found if one[0].group == group])
-
-
-def _list(title: str, found: "list[tuple[Plugin, str, str | None]]") -> None:
-    """Print a table of plugins of one kind; where they come from once, if it is one distribution.
-
-    Args:
-        title: What the kind is called.
-        found: Plugins, what each of them is, and why it is broken, if it is.
+    Example: kinfeas plugins list
     """
-    origins = {_origin(plugin) for plugin, _, _ in found}
-    several = len(origins) > 1
-    rows: list[list[str | Text]] = [
-        [plugin.name, *([_origin(plugin)] if several else []), error_or(text, error)]
-        for plugin, text, error in found
-    ]
-    columns = ["name", *(["from"] if several else []), "what it is"]
-    print_table(title if several else ", from ".join([title, *origins]), columns, rows)
-
-
-def error_or(text: str, error: str | None) -> "Text":
-    """Return a plugin's description, or in red what is wrong with it."""
     from rich.text import Text
 
-    return Text(text) if error is None else Text(f"broken: {error}", "red")
+    listed = []
+    for group, kind in GROUPS.items():
+        rows: list[list[str | Text]] = []
+        for plugin in registry.plugins(group):
+            text, error = _summary(plugin)
+            listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
+            shown = Text(text) if error is None else Text(f"broken: {error}", "red")
+            rows.append([plugin.name, f"{plugin.distribution} {plugin.version}", shown])
+        print_table(f"{kind}s", ["name", "from", "description"], rows)
+    write_json(listed, json)
 
 
-def info(name: options.PluginName, json: options.JsonPath = None) -> None:
-    """Show a plugin's parameters with units and defaults, a robot's joints, or a task's sub-goals.
+@app.command()
+def info(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a plugin, or YAML file of a robot or task.",
+            autocompletion=options.names_of(*(one.removeprefix("kinfeas.") for one in GROUPS)),
+        ),
+    ],
+    json: options.JsonPath = None,
+) -> None:
+    """Show documentation and parameters of a plugin.
 
-    A robot and a task may also be the path of a YAML file.
+    Robots are shown with their joints, tasks with their sub-goals.
+
+    Example: kinfeas plugins info linear
     """
-    from kinfeas.cli.plugin_facts import facts, facts_of_file, find
-    from kinfeas.io.files import is_path
-
-    check_outputs({"--json": json}, {"NAME": inputs.named(name)})
-    found = [facts_of_file(name)] if is_path(name) else [facts(plugin) for plugin in find(name)]
-    if json is not None:
-        write_json(found, json)
+    found = [_facts_of_file(name)] if is_path(name) else [_facts(one) for one in _find(name)]
+    write_json(found, json)
     for one in found:
         _show(one)
 
 
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the plugin, such as my_motion.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder.  [default: ./kinfeas-NAME]")
+    ] = None,
+    kind: Annotated[Kind, typer.Option("--kind", help="Kind of plugin.")] = Kind.MOTION_GENERATOR,
+) -> None:
+    """Create a plugin distribution with example, test and README.
+
+    Example: kinfeas plugins new porter --kind robot --out porter
+    """
+    from kinfeas.templates.distribution import write_distribution
+
+    folder = out or Path(f"kinfeas-{name.replace('_', '-')}")
+    for path in write_distribution(kind, name, folder):
+        typer.echo(str(path))
+    quoted = shlex.quote(str(folder))
+    typer.echo(f"install it: pip install -e {quoted}\ntest it: pytest {quoted}")
+
+
+@app.command()
+def check(  # noqa: PLR0913, PLR0917 - each option is an argument
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a motion generator.",
+            autocompletion=options.names_of("motion_generators"),
+        ),
+    ],
+    overrides: options.Overrides = None,
+    duration: Annotated[
+        float, typer.Option("--duration", min=0.1, help="Seconds within which motions arrive.")
+    ] = 120.0,
+    dt: Annotated[float, typer.Option("--dt", min=0.001, help="Seconds of a step.")] = 0.1,
+    max_velocity: Annotated[
+        float, typer.Option("--max-velocity", min=0.0, help="Speed limit, m/s.")
+    ] = 0.1,
+    max_angular_velocity: Annotated[
+        float, typer.Option("--max-angular-velocity", min=0.0, help="The same in rad/s.")
+    ] = 0.1,
+    seed: options.Seed = 0,
+    picture: options.Picture = None,
+    json: options.JsonPath = None,
+) -> None:
+    """Check a motion generator. The exit code is 2 if a rule is broken.
+
+    Settings: the generator's parameters, such as gain=0.2.
+
+    Example: kinfeas plugins check minimum_jerk --set min_duration=2 --picture motions.png
+    """
+    from kinfeas.config import assigned
+    from kinfeas.testing import RULES, examine
+    from kinfeas.testing.trial import Trial
+
+    parameters = assigned(overrides or [])
+    trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
+    try:
+        generator = registry.build(_GENERATORS, name, parameters)
+    except KinfeasError as error:
+        if not isinstance(missing := error.__cause__, MissingParameterError):
+            raise
+        raise KinfeasError(f"{error}: --set {missing.parameter}=VALUE") from error
+    with progress(f"checking {name}", trial.steps) as advance:
+        findings = examine(generator, trial, name, lambda: advance(1.0))
+    rules = [
+        {"rule": one.rule, "text": RULES[one.rule], "result": _result(one), "broken": one.broken}
+        for one in findings
+    ]
+    broken = [one.broken for one in findings if one.broken is not None]
+    passed = all(one.kept for one in findings)
+    told = {"generator": name, "parameters": parameters, "passed": passed, "rules": rules}
+    write_json(told, json)
+    rows = [[RULES[one.rule], _result(one), one.broken or ""] for one in findings]
+    print_table(f"motion generator {name}", ["rule", "", "error"], rows)
+    write_drawing(lambda: _drawing(name, parameters, trial), picture)
+    if broken:
+        raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
+    typer.echo(f"motion generator {name} passes all {len(findings)} rules")
+
+
+def _result(one: "Finding") -> str:
+    if one.broken is not None:
+        return "broken"
+    return "kept" if one.checked else "not checked"
+
+
+def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
+    from kinfeas.core.checked_motion import CheckedMotion
+    from kinfeas.testing.trial import sample_motions
+    from kinfeas.viz.plots import motion_figure
+    from kinfeas.viz.style import png
+
+    generator = registry.build(_GENERATORS, name, parameters)
+    motions = sample_motions(CheckedMotion(generator, name, every_step=True), trial)
+    return png(motion_figure(name, motions, trial), dpi=110)
+
+
+def _summary(plugin: Plugin) -> tuple[str, str | None]:
+    """Return a line on a plugin, and its error if it is broken."""
+    from kinfeas.robots.loading import load_robot
+
+    try:
+        if plugin.group == "kinfeas.robots":
+            robot = load_robot(plugin.name)
+            return f"{robot.base.drive} base, arm of {len(robot.arm)} joints", None
+        return _documentation(_load(plugin)).partition("\n")[0], None
+    except KinfeasError as error:
+        return "", " ".join(str(error).split())
+
+
+def _find(name: str) -> list[Plugin]:
+    every = [plugin for group in GROUPS for plugin in registry.plugins(group)]
+    found = [plugin for plugin in every if plugin.name == name]
+    if not found:
+        raise KinfeasError(f"unknown plugin {name!r}{no_such(name, {one.name for one in every})}")
+    return found
+
+
+def _load(plugin: Plugin) -> Any:
+    loaded = registry.load(plugin.group, plugin.name)
+    if not callable(loaded):
+        registry.build(plugin.group, plugin.name, {})  # raises the error
+    return loaded
+
+
+def _documentation(factory: Any) -> str:
+    """Return the docstring of a function, or of a class and its constructor."""
+    own = [factory.__doc__]
+    if isinstance(factory, type) and "__init__" in vars(factory):
+        own.append(factory.__init__.__doc__)  # type: ignore[misc]
+    return "\n\n".join(inspect.cleandoc(text) for text in own if text)
+
+
+def _facts(plugin: Plugin) -> dict[str, Any]:
+    factory = _load(plugin)
+    known = {**vars(plugin), "kind": GROUPS[plugin.group], "text": _documentation(factory)}
+    if plugin.group == "kinfeas.robots":
+        return known | {"robot": _robot_facts(plugin.name)}
+    with plugin_note(str(plugin)):
+        taken = [
+            _parameter(one.name, one.annotation, one.default)
+            for one in inspect.signature(factory).parameters.values()
+            if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)
+            and one.name not in _GIVEN.get(plugin.group, ())
+        ]
+    if plugin.group == "kinfeas.tasks" and all(one["default"] is not None for one in taken):
+        known |= _task_facts(plugin.name)
+    return known | ({"parameters": taken} if taken or "parameters" not in known else {})
+
+
+def _facts_of_file(path: str) -> dict[str, Any]:
+    from kinfeas.config import strict_yaml
+    from kinfeas.robots.loading import check_no_urdf
+
+    check_no_urdf(path)
+    keys = strict_yaml.read(Path(path)).keys()
+    if "subgoals" in keys:
+        return {"kind": "task", "name": Path(path).stem, "file": path, **_task_facts(path)}
+    if "urdf" in keys:
+        robot = _robot_facts(path)
+        return {"kind": "robot", "name": robot["name"], "file": path, "robot": robot}
+    raise KinfeasError(f"{path}: has neither the key 'urdf' of a robot nor 'subgoals' of a task")
+
+
+def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
+    """Return name, type and default of a parameter; the default is None if it is required."""
+    kind = "" if kind is inspect.Parameter.empty else kind
+    text = kind if isinstance(kind, str) else inspect.formatannotation(kind)
+    text = re.sub(r"Annotated\[(\w+), \w+\([^)]*\)\]", r"\1", text)
+    required = default is inspect.Parameter.empty
+    return {
+        "name": name,
+        "type": re.sub(r"\b(\w+\.)+(?=\w)", "", text),
+        "default": None if required else _default(default),
+    }
+
+
+def _default(value: object) -> str:
+    """Return a default in short YAML."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if is_dataclass(value) or isinstance(value, dict):
+        return "..."
+    if isinstance(value, tuple | list):
+        plain = not any(is_dataclass(one) for one in value)
+        return f"[{', '.join(map(_default, value))}]" if plain else f"{len(value)} entries"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _task_facts(name: str) -> dict[str, Any]:
+    from kinfeas.tasks.loading import load_task
+
+    task = load_task(name)
+    built: Any = task
+    subgoals = [
+        {
+            "motion": subgoal.motion.generator,
+            "parameters": subgoal.motion.parameters,
+            "frame": subgoal.frame,
+            "wait_s": subgoal.dwell,
+            "grip": subgoal.grip,
+            "place": getattr(subgoal, "place", None),
+        }
+        for subgoal in task.subgoals
+    ]
+    own = [one for one in fields(built) if one.init] if is_dataclass(built) else []
+    parameters = [_parameter(one.name, one.type, getattr(built, one.name)) for one in own]
+    return {"subgoals": subgoals, "parameters": parameters}
+
+
+def _robot_facts(name: str) -> dict[str, Any]:
+    from kinfeas.robots.loading import load_robot
+
+    robot = load_robot(name)
+    joints = [
+        {
+            "name": joint.name,
+            "unit": "m" if robot.urdf.joints[joint.name].kind == "prismatic" else "rad",
+            "lower": None if joint.continuous else joint.lower,
+            "upper": None if joint.continuous else joint.upper,
+            "velocity": joint.velocity,
+        }
+        for joint in robot.arm
+    ]
+    return {
+        "name": robot.name,
+        "urdf": str(robot.urdf_path),
+        "base": vars(robot.base),
+        "arm": joints,
+        "ee_frame": robot.ee_frame,
+        "tool_tip_m": [round(value, 4) for value in robot.tool_tip.tolist()],
+        "goal_heights_m": {key: list(value) for key, value in robot.goal_heights.items()},
+        "pose_tolerance": None if robot.pose_tolerance is None else vars(robot.pose_tolerance),
+        "gripper": None if robot.gripper is None else list(robot.gripper.fingers),
+        "configurations": list(robot.home),
+    }
+
+
 def _show(known: dict[str, Any]) -> None:
-    title = f"{known['kind']} {known['name']}, from"
-    if "file" in known:
-        typer.echo(f"{title} {known['file']}\n")
-    else:
-        typer.echo(f"{title} {known['distribution']} {known['version']}, {known['target']}\n")
-        typer.echo(f"{known['text']}\n" if known["text"] else "It has no docstring.\n")
+    origin = known.get("file") or "{distribution} {version}, {target}".format(**known)
+    typer.echo(f"{known['kind']} {known['name']}, from {origin}\n")
+    if "text" in known:
+        typer.echo(f"{known['text'] or 'It has no docstring.'}\n")
     if "robot" in known:
         _show_robot(known["robot"])
     if "parameters" in known:
-        _show_parameters(known["parameters"])
+        rows = [
+            [one["name"], one["type"], one["default"] or "required"] for one in known["parameters"]
+        ]
+        print_table("parameters", ["name", "type", "default"], rows)
     if "subgoals" in known:
-        _show_subgoals(known["subgoals"])
-
-
-def _show_parameters(parameters: list[dict[str, Any]]) -> None:
-    if not parameters:
-        typer.echo("It has no parameters.")
-        return
-    rows = [
-        [
-            one["name"],
-            one["type"],
-            one["unit"],
-            "must be given" if one["default"] is None else one["default"],
-            one["description"],
+        rows = [
+            [
+                str(number),
+                subgoal["motion"],
+                " ".join(f"{key}={value}" for key, value in subgoal["parameters"].items()),
+                subgoal["frame"],
+                subgoal["place"] or "random",
+                f"{subgoal['wait_s']:g} s",
+                subgoal["grip"] or "",
+            ]
+            for number, subgoal in enumerate(known["subgoals"], start=1)
         ]
-        for one in parameters
-    ]
-    print_table("parameters", ["name", "type", "unit", "default", "what it is"], rows)
-
-
-def _show_subgoals(subgoals: list[dict[str, Any]]) -> None:
-    rows = [
-        [
-            str(number),
-            subgoal["motion"],
-            " ".join(f"{key}={value}" for key, value in subgoal["parameters"].items()),
-            subgoal["frame"],
-            subgoal["place"] or "drawn at random",
-            f"{subgoal['wait_s']:g} s",
-            subgoal["grip"] or "",
-        ]
-        for number, subgoal in enumerate(subgoals, start=1)
-    ]
-    columns = [" sub-goal", "motion", "its parameters", "frame", "leads to", " wait", "grip"]
-    print_table("subgoals", columns, rows)
+        columns = [" sub-goal", "motion", "parameters", "frame", "place", " dwell", "grip"]
+        print_table("sub-goals", columns, rows)
 
 
 def _show_robot(robot: dict[str, Any]) -> None:
@@ -140,9 +354,9 @@ def _show_robot(robot: dict[str, Any]) -> None:
         for joint in robot["arm"]
     ]
     print_table("arm", ["joint", " lower", " upper", "unit", " velocity"], rows)
-    base = robot["base"]
-    heights = (f"{name} {low:g} to {high:g} m" for name, (low, high) in _heights(robot))
-    pose_tolerance = robot["pose_tolerance"]
+    base, tolerance = robot["base"], robot["pose_tolerance"]
+    bands = robot["goal_heights_m"].items()
+    heights = [f"{name} {low:g} to {high:g} m" for name, (low, high) in bands]
     facts = [
         ["drive", base["drive"]],
         ["base velocity", f"{base['max_velocity']:g} m/s, {base['max_rotation']:g} rad/s"],
@@ -152,36 +366,14 @@ def _show_robot(robot: dict[str, Any]) -> None:
         ],
         ["base frame", base["frame"]],
         ["EE frame", robot["ee_frame"]],
-        ["tool tip in it", f"{', '.join(f'{value:g}' for value in robot['tool_tip_m'])} m"],
+        ["tool tip", f"{', '.join(f'{value:g}' for value in robot['tool_tip_m'])} m"],
         ["goal heights", ", ".join(heights)],
         [
-            "pose tolerance on the way",
-            "none"
-            if pose_tolerance is None
-            else f"{pose_tolerance['position']:g} m, {pose_tolerance['rotation']:g} rad",
+            "pose tolerance",
+            f"{tolerance['position']:g} m, {tolerance['rotation']:g} rad" if tolerance else "none",
         ],
         ["gripper", ", ".join(robot["gripper"] or ["none"])],
         ["configurations", ", ".join(robot["configurations"])],
         ["URDF", robot["urdf"]],
     ]
     print_table(f"robot {robot['name']}", ["", ""], facts)
-
-
-def _heights(robot: dict[str, Any]) -> list[tuple[str, tuple[float, float]]]:
-    return [(name, (low, high)) for name, (low, high) in robot["goal_heights_m"].items()]
-
-
-def _origin(plugin: "Plugin") -> str:
-    return f"{plugin.distribution} {plugin.version}"
-
-
-_COMMANDS: dict[str, Callable[..., None]] = {
-    "list": list_plugins,
-    "info": info,
-    "new": plugin_new.new,
-    "check": plugin_check.check,
-}
-for _name, _command in _COMMANDS.items():
-    app.command(_name, cls=Command, help=unwrapped(_command), epilog=epilog(f"plugins {_name}"))(
-        _command
-    )

@@ -1,8 +1,6 @@
 """`kinfeas robot import`: the files of a robot, from its URDF."""
 
 import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,130 +8,94 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.commands import Command, Group
-from kinfeas.cli.docstrings import unwrapped
-from kinfeas.cli.examples import epilog
 from kinfeas.cli.output import (
     check_file_path,
-    check_outputs,
     print_table,
     progress,
-    say_written,
     share,
-    status,
+    write_drawing,
     write_json,
 )
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.importer.draft import Draft
-    from kinfeas.robots.robot import Robot
+
+app = typer.Typer(no_args_is_help=True, help="Create the files of a robot.")
 
 
+@app.command("import")
 def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     urdf: Annotated[
-        Path,
-        typer.Argument(metavar="FILE.urdf", help="URDF of a mobile manipulator, meshes or not."),
+        Path, typer.Argument(metavar="FILE.urdf", help="URDF of a mobile manipulator.")
     ],
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for NAME.yaml and NAME.urdf, which are new there.")
-    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for NAME.yaml and NAME.urdf.")],
     name: Annotated[
-        str | None,
-        typer.Option("--name", help="Short name of the robot; by default that of the URDF file."),
+        str | None, typer.Option("--name", help="Name of the robot.  [default: that of the file]")
     ] = None,
     drive: Annotated[
         Literal["differential", "omnidirectional"] | None,
-        typer.Option("--drive", help="How the base moves; by default differential, a guess."),
+        typer.Option("--drive", help="Drive of the base.  [default: differential, a guess]"),
     ] = None,
     ee: Annotated[
         str | None,
         typer.Option(
-            "--ee",
-            help="Link that IK places; by default where the longest chain of joints parts into "
-            "fingers.",
+            "--ee", help="EE link.  [default: end of the longest chain, before the fingers]"
         ),
     ] = None,
     base: Annotated[
         str | None,
         typer.Option(
             "--base",
-            help="Link that is the base; what it does not carry is left out. By default the root, "
-            "or what joints carry that stand for a floor.",
+            help="Base link; links above it are left out.  [default: the root, or the link above "
+            "joints that model a floor]",
         ),
     ] = None,
     json: options.JsonPath = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            "--picture", help="Draw the robot at its home into this PNG.", callback=check_file_path
-        ),
-    ] = None,
+    picture: options.Picture = None,
 ) -> None:
-    """Draft the YAML of a robot from its URDF: arm, hand, home, heights, links that may touch.
+    """Draft the YAML of a robot from its URDF.
 
-    Meshes become primitives in a URDF beside it, so that self-collision is checked and nothing
-    else is needed. What is guessed is called so in the YAML: [bold]look at it[/], the base's speed
-    above all.
+    The draft has arm, hand, home, goal heights and ignored collisions. Collision meshes become
+    primitives in a URDF beside the YAML. The YAML marks guesses: check them, above all the speed of
+    the base.
+
+    Example: kinfeas robot import fetch.urdf --out robots --picture fetch.png
     """
-    from kinfeas.importer.draft import DraftOptions, draft_robot
-
-    called = _checked_name(urdf.stem if name is None else name)
-    yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))
-    written = {"--json": json, "--picture": picture}
-    check_outputs(written, {"FILE.urdf": [urdf], "--out": [yaml_path, urdf_path]})
-    with _folder_for(out, (yaml_path, urdf_path)):
-        with progress(f"looking at {urdf.name}") as advance:
-            wishes = DraftOptions(called, ee, base, drive or DraftOptions.drive)
-            draft = draft_robot(urdf, wishes, advance)
-        if picture is not None:
-            with status("drawing"):
-                _draw(draft.robot, picture)
-        _write(draft, yaml_path, urdf_path)
-    if json is not None:
-        write_json(_figures(draft), json)
-    _show(draft, yaml_path, drive_given=drive is not None)
-    say_written(picture)
-
-
-def _checked_name(name: str) -> str:
     from kinfeas.core.errors import check_name
+    from kinfeas.importer.draft import DraftOptions, draft_robot
+    from kinfeas.io.files import write_file, writing
 
+    called = urdf.stem if name is None else name
     try:
-        check_name(name)
+        check_name(called)
     except ValueError as error:
         raise KinfeasError(f"--name: {error}") from error
-    return name
+    yaml_path, urdf_path = (out / f"{called}.{kind}" for kind in ("yaml", "urdf"))
+    for path in (yaml_path, urdf_path):
+        if path.exists():
+            raise KinfeasError(f"{path}: exists; choose another --out or --name")
+    with progress(f"reading {urdf.name}") as advance:
+        wishes = DraftOptions(called, ee, base, drive or DraftOptions.drive)
+        draft = draft_robot(urdf, wishes, advance)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):
+        check_file_path(path)
+        write_file(path, text.encode())
+    write_json(_summary(draft), json)
+    _show(draft, yaml_path, drive_given=drive is not None)
+    write_drawing(lambda: _drawing(draft), picture)
 
 
-@contextmanager
-def _folder_for(folder: Path, files: tuple[Path, ...]) -> Iterator[None]:
-    """Make a folder for files that are new there; it goes again if they do not come."""
-    from kinfeas.io.files import writing
+def _drawing(draft: "Draft") -> bytes:
+    from kinfeas.viz.figures import robot_figure
+    from kinfeas.viz.style import png
 
-    fresh = [one for one in (folder, *folder.parents) if not one.exists()]
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    try:
-        for path in files:
-            if path.exists():
-                raise KinfeasError(f"{path}: is there already, --out needs a folder without it")
-            check_file_path(path)
-        yield
-    finally:
-        with suppress(OSError):  # of a folder that is not empty
-            for one in fresh:
-                one.rmdir()
+    return png(robot_figure(draft.robot), dpi=130)
 
 
-def _write(draft: "Draft", yaml_path: Path, urdf_path: Path) -> None:
-    from kinfeas.io.files import write_file
-
-    write_file(urdf_path, draft.urdf.encode())
-    write_file(yaml_path, draft.yaml.encode())
-
-
-def _figures(draft: "Draft") -> dict[str, object]:
+def _summary(draft: "Draft") -> dict[str, object]:
     spec, guesses = draft.spec, draft.guesses
     return {
         "robot": spec.name,
@@ -154,14 +116,6 @@ def _figures(draft: "Draft") -> dict[str, object]:
     }
 
 
-def _draw(robot: "Robot", path: Path) -> None:
-    from kinfeas.io.files import write_file
-    from kinfeas.viz.figures import robot_figure
-    from kinfeas.viz.style import png
-
-    write_file(path, png(robot_figure(robot), dpi=130))
-
-
 def _show(draft: "Draft", path: Path, *, drive_given: bool) -> None:
     from kinfeas.importer.text import guessed
 
@@ -174,26 +128,19 @@ def _show(draft: "Draft", path: Path, *, drive_given: bool) -> None:
         ["fingers", fingers],
         ["goal heights", f"{low:g} - {high:g} m, comfortable {easy_low:g} - {easy_high:g} m"],
         ["free of self-collision", f"{share(draft.free)} of all configurations"],
-        ["pairs of links that may touch", str(len(spec.ignored_collisions))],
+        ["ignored pairs of links", str(len(spec.ignored_collisions))],
     ]
     if "<collision>" not in draft.urdf:
-        rows.append(["shapes", "none: what touches what is not looked at"])
+        rows.append(["collision shapes", "none: collisions are not checked"])
     if guesses.lifted:
-        rows.append(["root", f"{guesses.lifted:g} m above the floor: one on it was added"])
+        rows.append(["root", f"{guesses.lifted:g} m above the floor: a root on it was added"])
     if guesses.stand:
-        rows.append(["base", f"is {guesses.stand} one that drives, or the arm's own first link?"])
+        rows.append(["base", f"check whether {guesses.stand} is a base or the arm's first link"])
     if guesses.stuck:
-        rows.append(["stand still, for lack of room", ", ".join(guesses.stuck)])
-    print_table(f"{spec.name}, as its URDF has it", ["", "found"], rows)
+        rows.append(["joints without room to move", ", ".join(guesses.stuck)])
+    print_table(f"robot {spec.name}", ["", "found"], rows)
     found = guessed(spec, guesses)
     if drive_given:
         del found["base.drive"]
-    print_table("guesses, to be checked", ["key", "value"], [list(row) for row in found.items()])
-    typer.echo(f"look through it: {path}")
-    typer.echo(f"what it can reach: kinfeas ceiling --robot {shlex.quote(str(path))}")
-
-
-app = typer.Typer(cls=Group, no_args_is_help=True, help="Make the files of a robot.")
-app.command("import", cls=Command, help=unwrapped(import_urdf), epilog=epilog("robot import"))(
-    import_urdf
-)
+    print_table("guesses to check", ["key", "value"], [list(row) for row in found.items()])
+    typer.echo(f"next: check {path}, then kinfeas ceiling --robot {shlex.quote(str(path))}")

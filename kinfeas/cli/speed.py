@@ -1,72 +1,61 @@
-"""`kinfeas speed`: how fast everything is on this machine."""
+"""`kinfeas speed`: run times on this machine."""
 
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinfeas.cli import inputs, options
-from kinfeas.cli.output import check_outputs, print_table, share, status, write_json
-from kinfeas.cli.policy_robot import check_policy, robot_of
+from kinfeas.cli import options
+from kinfeas.cli.output import print_table, share, status, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
+    from kinfeas.benchmark.speed import Figure
     from kinfeas.policies.network import Network
-    from kinfeas.robots.robot import Robot
-
-PolicyFolder = Annotated[
-    str | None,
-    typer.Option(
-        "--policy",
-        help="Folder of a training run whose policy is timed; by default 256 x 256 random weights.",
-    ),
-]
 
 
 def speed(
     robot: options.PolicyRobotName = None,
-    policy: PolicyFolder = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            "--policy",
+            help="Run folder of the timed policy.  [default: 256 x 256 random weights]",
+            callback=options.check_policy,
+        ),
+    ] = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Time inverse kinematics beside Pinocchio and PyBullet, environments, policy and training.
+    """Time IK, environments, policy and training.
 
-    One core each, the best of several repeats; training, by the robot's own recipe, takes all
-    cores, half a minute long. Steps are control periods, also where an action holds for several.
+    IK is timed beside Pinocchio and PyBullet. Figures are the best of several repeats on one core.
+    Training uses the robot's recipe on all cores for half a minute. Steps are control periods.
+
+    Example: kinfeas speed --robot hsr
     """
-    options.check_robot(robot)
-    if policy is not None:
-        check_policy(policy)
-    from kinfeas.benchmark.speed import Figure, measure_speed
+    from kinfeas.benchmark.speed import measure_speed
 
-    sources = {"--robot": inputs.named(robot), "--policy": inputs.of_policy(policy)}
-    check_outputs({"--json": json}, sources)
-    if robot is None:
-        robot = robot_of(policy)
-        check_outputs({"--json": json}, {"--policy": inputs.named(robot)})
-    network = _read_policy(policy, options.read_robot(robot)) if policy is not None else None
+    robot = robot or options.robot_of(policy)
+    network = None if policy is None else _read_network(policy, robot)
     with status("speed") as show:
         figures = measure_speed(robot, network, on_part=lambda part: show(f"timing: {part}"))
-    if json is not None:
-        write_json({figure.key: figure.value for figure in figures if figure.key}, json)
-
-    def text(figure: Figure) -> str:
-        if figure.value is None:
-            return "not installed"
-        if not figure.unit:
-            return share(figure.value)
-        digits = 0 if figure.value >= 1000 else 2
-        return f"{figure.value:,.{digits}f} {figure.unit}"
-
-    rows = [[figure.text, text(figure)] for figure in figures]
+    write_json({figure.key: figure.value for figure in figures if figure.key}, json)
+    rows = [[figure.text, _text(figure)] for figure in figures]
     print_table(f"speed, robot {robot}", ["", " on this machine"], rows)
 
 
-def _read_policy(folder: str, robot: "Robot") -> "Network":
+def _read_network(policy: str, robot: str) -> "Network":
     from kinfeas.policies.loading import load_policy
     from kinfeas.policies.network import Network
 
-    network = load_policy(folder, robot)
+    network = load_policy(policy, options.read_robot(robot))
     if not isinstance(network, Network):
-        raise KinfeasError(
-            f"--policy {folder}: speed times trained policies only; name a run folder"
-        )
+        raise KinfeasError(f"--policy {policy}: must be a run folder")
     return network
+
+
+def _text(figure: "Figure") -> str:
+    if figure.value is None:
+        return "not installed"
+    if not figure.unit:
+        return share(figure.value)
+    return f"{figure.value:,.{0 if figure.value >= 1000 else 2}f} {figure.unit}"

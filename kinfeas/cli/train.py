@@ -1,26 +1,18 @@
-"""`kinfeas train`: learn a base policy."""
+"""`kinfeas train`: train a base policy."""
 
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from kinfeas.cli import completion, options
-from kinfeas.cli.evaluate import WorldName
-from kinfeas.cli.output import print_table, share
-from kinfeas.cli.train_settings import (
-    Wishes,
-    best_figures,
-    default_folder,
-    read_settings,
-    write_evaluation,
-)
-from kinfeas.cli.training_bar import training_bar
-from kinfeas.config.quantities import LAST_SEED, MOST_PROCESSES
+from kinfeas.cli import options
+from kinfeas.cli.output import minutes as as_minutes
+from kinfeas.cli.output import print_table, progress, share, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -28,165 +20,197 @@ if TYPE_CHECKING:
     from kinfeas.training.run import Progress
     from kinfeas.training.train import Report
 
-_RECIPE = "by default the recipe's, else {}."
-
-Minutes = Annotated[
-    float | None,
-    typer.Option(
-        "--minutes",
-        help="Minutes of training, without evaluations, more than 0; " + _RECIPE.format(3),
-    ),
-]
-OutFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        help="Folder of the run; by default runs/ROBOT-TASK-SEED, with physics -pybullet after it.",
-    ),
-]
+Algorithm = Literal["sac", "td3"]
 
 
-def train(  # noqa: PLR0913, PLR0917  options of a command: typer reads them from the signature
+def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: Annotated[
         str | None,
         typer.Option(
             "--robot",
-            help=f"{options.ROBOT_HELP[:-1]}; by default the recipe's; without --config that of "
-            "--init, else pr2.",
-            autocompletion=completion.plugins("robots"),
+            help=f"{options.ROBOT_HELP}.  [default: robot of --config or --init, else pr2]",
+            callback=options.check_robot,
+            autocompletion=options.names_of("robots"),
         ),
     ] = None,
     task: Annotated[
         str | None,
         typer.Option(
             "--task",
-            help=f"{options.TASK_HELP[:-1]}; {_RECIPE.format('ggr')}",
-            autocompletion=completion.plugins("tasks"),
+            help=f"{options.TASK_HELP}.  [default: ggr]",
+            autocompletion=options.names_of("tasks"),
         ),
     ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            "--seed",
-            max=LAST_SEED,
-            help="Of all randomness, 0 or more; " + _RECIPE.format(0),
-        ),
+    seed: Annotated[int | None, typer.Option("--seed", help="Random seed.  [default: 0]")] = None,
+    minutes: Annotated[
+        float | None,
+        typer.Option("--minutes", help="Training time without evaluations.  [default: 3]"),
     ] = None,
-    minutes: Minutes = None,
     steps: Annotated[
         int | None,
-        typer.Option(
-            "--steps",
-            help="Environment steps in all, 1 or more, in place of the recipe's minutes; with "
-            "--minutes the run ends at whichever comes first.",
-        ),
+        typer.Option("--steps", help="Environment steps, in place of or beside --minutes."),
     ] = None,
     algorithm: Annotated[
-        str | None,
-        typer.Option("--algorithm", help="What learns: sac or td3; " + _RECIPE.format("sac")),
+        Algorithm | None, typer.Option("--algorithm", help="Algorithm.  [default: sac]")
     ] = None,
-    sim2real: options.Sim2RealName = None,
-    world: Annotated[
-        WorldName,
-        typer.Option(
-            "--world",
-            help="analytic: without physics; pybullet: with inertia, motors and contacts.",
-        ),
-    ] = WorldName.ANALYTIC,
+    adapters: options.AdapterList = None,
+    world: options.World = "analytic",
     init: Annotated[
         str | None,
-        typer.Option(
-            "--init", help="Policy to go on from: the folder of a training run, or pretrained."
-        ),
+        typer.Option("--init", help="Policy to start from: a run folder, or pretrained."),
     ] = None,
     processes: Annotated[
         int | None,
-        typer.Option(
-            "--processes",
-            min=1,
-            max=MOST_PROCESSES,
-            help="pybullet: processes that share the environments; by default the recipe's.",
-        ),
+        typer.Option("--processes", help="Processes of the PyBullet world.  [default: 2]"),
     ] = None,
-    out: OutFolder = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder of the run.  [default: runs/ROBOT-TASK-SEED]"),
+    ] = None,
     config: Annotated[
         str | None,
-        typer.Option("--config", help="Recipe by name, such as train/default, or a YAML file."),
+        typer.Option(
+            "--config",
+            help="Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
+            "[default: that of the robot]",
+        ),
     ] = None,
     overrides: options.Overrides = None,
     resume: Annotated[
         Path | None,
-        typer.Option(
-            "--resume",
-            help="Go on with the run in this folder; more --minutes or --steps take it further.",
-        ),
+        typer.Option("--resume", help="Resume the run of a folder; --minutes and --steps extend."),
     ] = None,
 ) -> None:
-    """Train a base policy; Ctrl-C leaves a checkpoint that --resume goes on from.
+    """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 
-    The recipe is train/ROBOT where there is one, else train/default. With [bold]--world
-    pybullet[/] it comes from the folder train_physics, with [bold]--init[/] as well from
-    finetune_physics. [bold]--adapters[/] takes the place of its adapters.
+    Recipes are sections of configs/robots: train, with --world pybullet train_physics, with --init
+    as well finetune_physics. Settings: every key of the recipe, such as learner.batch_size=256.
 
-    Settings: every key of the recipe, such as [bold]learner.batch_size=256[/] or
-    [bold]num_envs=64[/].
+    A run resumed in the analytic world equals one that was never interrupted. In PyBullet, episodes
+    in progress restart.
 
-    With [bold]--resume[/] only [bold]--minutes[/] and [bold]--steps[/] may be given: how long the
-    run lasts in all, with what it has done.
+    Example: kinfeas train --robot pr2 --minutes 3 --out runs/pr2
 
-    A resumed run in the analytic world equals one that was never stopped. With physics, learner,
-    replay buffer and counters go on, but the episodes that were under way are given up for new
-    ones: PyBullet's state cannot be saved.
+    Example: kinfeas train --resume runs/pr2
     """
-    options.check_robot(robot)
-    from kinfeas.training.run import check_begun, check_new
+    from kinfeas.training.run import check_begun, check_new, finished
 
-    if processes is not None and world is WorldName.ANALYTIC:
-        raise KinfeasError("--processes needs --world pybullet")
-    pybullet = True if world is WorldName.PYBULLET else None
-    wishes = Wishes(
-        robot, task, seed, minutes, steps, algorithm, sim2real, pybullet, init, processes
-    )
     if resume is not None:
-        others = replace(wishes, minutes=None, steps=None)
-        if any(value is not None for value in (*vars(others).values(), out, config, overrides)):
-            raise KinfeasError(
-                "--resume goes on with the run's own settings: leave out all others but --minutes "
-                "and --steps"
-            )
+        others = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
+        if world != "analytic" or any(one is not None for one in others):
+            raise KinfeasError("--resume excludes all options but --minutes and --steps")
         check_begun(resume)
-        longer = wishes.overrides()
-        folder, progress = resume, _finished(resume, longer) or resume_run(resume, longer)
+        longer = _duration(minutes, steps)
+        folder, done = resume, finished(resume, longer)
+        if done is None:
+            done = resume_run(resume, longer)
+        else:
+            sys.stderr.write(f"{folder}: finished; larger --steps or --minutes extend the run\n")
+            write_evaluation(folder)
     else:
         if out is not None:
             check_new(out)
-        settings = read_settings(wishes, config, overrides or [])
+        settings = read_settings(
+            robot,
+            task,
+            seed=seed,
+            minutes=minutes,
+            steps=steps,
+            algorithm=algorithm,
+            adapters=adapters,
+            world=world,
+            init=init,
+            processes=processes,
+            config=config,
+            overrides=overrides or (),
+        )
         folder = out or default_folder(settings)
         check_new(folder)
-        progress = train_run(settings, folder)
-    _show(progress, folder)
+        done = train_run(settings, folder)
+    _show(done, folder)
 
 
-def _finished(folder: Path, overrides: Sequence[str]) -> "Progress | None":
-    """Return how far a run came that has nothing left to do, and say so; None for any other."""
-    from kinfeas.training.run import finished
+def read_settings(  # noqa: PLR0913 - options of the command
+    robot: str | None = None,
+    task: str | None = None,
+    *,
+    seed: int | None = None,
+    minutes: float | None = None,
+    steps: int | None = None,
+    algorithm: str | None = None,
+    adapters: str | None = None,
+    world: str = "analytic",
+    init: str | None = None,
+    processes: int | None = None,
+    config: str | None = None,
+    overrides: Sequence[str] = (),
+) -> "TrainConfig":
+    """Return the settings of a run: the recipe, then the options, then `overrides`.
 
-    progress = finished(folder, overrides)
-    if progress is not None:
-        write_evaluation(folder)
-        sys.stderr.write(f"{folder}: finished; more --steps or --minutes in all take it further\n")
-    return progress
+    Raises:
+        KinfeasError: If recipe, robot, task, a key or a value is invalid.
+    """
+    from kinfeas.config.recipes import load_recipe, load_section
+    from kinfeas.core.registry import from_anywhere
+    from kinfeas.envs.world import World
+    from kinfeas.training.config import TrainConfig
+    from kinfeas.training.run import with_initial_policy
+
+    if config is None and robot is None:
+        robot = options.robot_of(init)
+    given: dict[str, object] = {
+        "robot": robot,
+        "task": task,
+        "seed": seed,
+        "learner.algorithm": algorithm,
+    }
+    given |= {"init": init, "processes": processes}
+    if adapters is not None:
+        given["world.adapters"] = [vars(one) for one in options.read_adapters(adapters)]
+    changes = [*options.assignments(given), *_duration(minutes, steps), *overrides]
+    section = "train"
+    if world != "analytic":
+        section = "train_physics" if init is None else "finetune_physics"
+    if config is None:
+        name = options.read_robot(robot or options.DEFAULT_ROBOT).name
+        settings = load_section(TrainConfig, section, name, changes)
+    else:
+        settings = load_recipe(TrainConfig, config, section, changes)
+    if settings.world.backend != world:
+        raise KinfeasError(f"--world {world}: the recipe is for the world {settings.world.backend}")
+    # Before there is a folder, since it raises the errors of unknown names.
+    known_task = options.read_task(settings.task, settings.task_parameters)
+    World(options.read_robot(settings.robot), known_task, settings.world, settings.seed)
+    return with_initial_policy(
+        replace(settings, robot=from_anywhere(settings.robot), task=from_anywhere(settings.task))
+    )
+
+
+def _duration(minutes: float | None, steps: int | None) -> list[str]:
+    """Return assignments of the duration; one that is given lifts the recipe's other limit."""
+    if minutes is None and steps is None:
+        return []
+    limits = {"minutes": minutes, "steps": steps}
+    return [f"schedule.{key}={'null' if one is None else one}" for key, one in limits.items()]
+
+
+def default_folder(settings: "TrainConfig") -> Path:
+    """Return `runs/ROBOT-TASK-SEED`, with `-pybullet` appended for a run with physics."""
+    robot, task = Path(settings.robot).stem, Path(settings.task).stem
+    backend = settings.world.backend
+    suffix = "" if backend == "analytic" else f"-{backend}"
+    return Path("runs") / f"{robot}-{task}-{settings.seed}{suffix}"
 
 
 def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
-    """Train with a bar and return how far the run came."""
+    """Train with a progress bar and return the progress at the end."""
     from kinfeas.training.train import train as run
 
     return _run(folder, lambda report: run(settings, folder, report))
 
 
 def resume_run(folder: Path, overrides: Sequence[str] = ()) -> "Progress":
-    """Go on with a run, its settings changed by `overrides`, and return how far it came."""
+    """Resume a run, its settings changed by `overrides`, and return the progress at the end."""
     from kinfeas.training.train import resume as run
 
     return _run(folder, lambda report: run(folder, report, overrides))
@@ -197,33 +221,85 @@ def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
 
     try:
         with training_bar() as report:
-            progress = work(report)
+            done = work(report)
     except KeyboardInterrupt:
-        begun = (folder / SETTINGS).is_file()
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
         sys.stderr.write(
-            f"interrupted: the run is kept, go on with: {resume}\n"
-            if begun
-            else "interrupted before the run began: nothing was kept\n"
+            f"interrupted; resume with: {resume}\n"
+            if (folder / SETTINGS).is_file()
+            else "interrupted before the run began\n"
         )
         raise typer.Exit(130) from None
     write_evaluation(folder)
-    return progress
+    return done
 
 
-def _show(progress: "Progress", folder: Path) -> None:
-    figures = best_figures(folder)
+@contextmanager
+def training_bar() -> Iterator["Report"]:
+    """Show a bar on standard error, lines where it is no terminal; yields its update."""
+    with progress("training") as advance:
+        shown = 0.0
+
+        def report(now: "Progress") -> None:
+            nonlocal shown
+            advance(now.share - shown, describe(now))
+            shown = now.share
+
+        yield report
+
+
+def describe(now: "Progress") -> str:
+    """Return steps, speed, success, best evaluation and remaining time of a run in one line."""
+    if now.evaluating:
+        return f"{now.steps:,} steps, evaluating (not counted as training time)"
+    left = now.seconds * (1.0 - now.share) / max(now.share, 1e-9)
+    # NaN and -1 mean unknown.
+    recent = f"{now.success:.0%}" if now.success >= 0.0 else "-"
+    best = f"{now.best:.1%}" if now.best >= 0.0 else "-"
+    return (
+        f"{now.steps:,} steps, {now.steps / max(now.seconds, 1e-9):,.0f}/s, "
+        f"success {recent}, best score {best}, {as_minutes(left)} left"
+    )
+
+
+def write_evaluation(folder: Path) -> dict[str, Any]:
+    """Write `evaluation.json` of a finished run and return its metrics on fresh episodes.
+
+    Raises:
+        KinfeasError: If the run has no best checkpoint, or it cannot be read.
+    """
+    from kinfeas.config import from_mapping
+    from kinfeas.io.policy_metadata import read_best
+    from kinfeas.training.config import TrainConfig
+
+    best = read_best(folder)
+    settings = from_mapping(TrainConfig, best.config, str(folder))
+    metrics = {
+        "robot": best.robot,
+        "trained_with": settings.robot,
+        "task": settings.task,
+        "world": settings.world.backend,
+        "policy": str(folder),
+        "steps": best.steps,
+        **best.fresh_evaluation,
+    }
+    write_json(metrics, folder / "evaluation.json")
+    return metrics
+
+
+def _show(done: "Progress", folder: Path) -> None:
+    best = write_evaluation(folder)
     rows = [
-        ["steps", f"{progress.steps:,}"],
-        ["time", f"{progress.seconds / 60.0:.1f} min"],
-        ["steps per second of training", f"{progress.steps / progress.seconds:,.0f}"],
+        ["steps", f"{done.steps:,}"],
+        ["time", f"{done.seconds / 60.0:.1f} min"],
+        ["steps per second of training", f"{done.steps / done.seconds:,.0f}"],
         [
-            f"best checkpoint, {figures['episodes']} fresh episodes",
-            share(*(float(figures[key]) for key in ("success", "success_low", "success_high"))),
+            f"success of the best checkpoint, {best['episodes']} fresh episodes",
+            share(*(float(best[key]) for key in ("success", "success_low", "success_high"))),
         ],
-        ["it came after steps", f"{figures['steps']:,}"],
+        ["steps of the best checkpoint", f"{best['steps']:,}"],
     ]
     print_table(f"trained: {folder}", ["", "share (95 % interval) or figure"], rows)
-    command = ["kinfeas", "evaluate", "--robot", figures["trained_with"], "--task", figures["task"]]
-    command += ["--world", figures["world"]] if figures["world"] != WorldName.ANALYTIC else []
+    command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
+    command += ["--world", best["world"]] if best["world"] != "analytic" else []
     typer.echo(f"evaluate it: {shlex.join([*command, '--policy', str(folder)])}")

@@ -8,7 +8,7 @@ from kinfeas import config
 from kinfeas.benchmark.publish import publish, train_command
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.speed import random_network
-from kinfeas.cli.train_settings import Wishes, read_settings
+from kinfeas.cli.train import read_settings
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies import pretrained
@@ -74,6 +74,6 @@ def test_the_command_makes_the_same_settings(overrides):
     options = list(zip(words[2::2], words[3::2], strict=True))
     given = dict(options[:2])
     assert {key for key, _ in options[2:]} <= {"--set"}
-    wishes = Wishes(given["--robot"], None, int(given["--seed"]))
-    again = read_settings(wishes, None, [value for _, value in options[2:]])
+    changes = [value for _, value in options[2:]]
+    again = read_settings(given["--robot"], seed=int(given["--seed"]), overrides=changes)
     assert again == settings
