@@ -27,7 +27,7 @@ from kinfeas import config
 from kinfeas.config.quantities import LONGEST
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
-from kinfeas.io.csv_table import read_csv
+from kinfeas.io.formats import read_csv
 from kinfeas.plugins.limits import norm, positive
 from kinfeas.plugins.path import PathMotion, PosePath, checked_frame, even_moments, in_frame
 

@@ -11,8 +11,8 @@ from kinfeas import __version__, config
 from kinfeas.control.observation import CLIP, HORIZON, describe_action, describe_observation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
-from kinfeas.io import strict_json
 from kinfeas.io.files import write_file
+from kinfeas.io.formats import read_json
 from kinfeas.io.policy_metadata import Trained, read_trained
 from kinfeas.policies import onnx_policy
 from kinfeas.policies.network import Network, read_network
@@ -139,7 +139,7 @@ def _success(trained: Trained, folder: Path) -> dict[str, object]:
     # Metrics of the episodes that selected the checkpoint are biased and left out.
     evaluation: dict[str, object] = dict(trained.fresh_evaluation)
     if (path := folder / "evaluation.json").exists():
-        evaluation = strict_json.read(path)
+        evaluation = read_json(path)
         evaluation.pop("policy", None)  # a path of this machine
     kinds = {"evaluation": evaluation, "benchmark": trained.benchmark}
     return {kind: metrics for kind, metrics in kinds.items() if metrics}

@@ -11,7 +11,7 @@ from typing import Any
 from kinfeas import __version__, config
 from kinfeas.benchmark.runs import Run
 from kinfeas.config.recipes import load_section
-from kinfeas.io.folders import write_folder
+from kinfeas.io.files import write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_best, write_trained
 from kinfeas.policies.network import WEIGHTS
 from kinfeas.training.config import TrainConfig

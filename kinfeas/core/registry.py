@@ -160,13 +160,17 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
     factory, subject = _import(entry), str(_plugin(entry))
     if not callable(factory):
         raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
-    with plugin_note(subject):
-        try:
-            signature = signature_of(factory)
-            check_names(signature, parameters)
-            built = factory(**in_types(signature, parameters))
-        except (ValueError, TypeError, ImportError) as error:
-            raise KinfeasError(f"{subject}: {error}") from error
+    try:
+        signature = signature_of(factory)
+        check_names(signature, parameters)
+    except (ValueError, TypeError) as error:
+        raise KinfeasError(f"{subject}: {error}") from error
+    typed = in_types(signature, parameters, subject)
+    try:
+        with plugin_note(subject):
+            built = factory(**typed)
+    except (ValueError, TypeError, ImportError) as error:
+        raise KinfeasError(f"{subject}: {error}") from error
     lacks = [method for method in _METHODS.get(group, ()) if not hasattr(built, method)]
     if lacks:
         raise KinfeasError(
@@ -209,11 +213,13 @@ def check_names(signature: inspect.Signature, given: Mapping[str, object]) -> No
             )
 
 
-def in_types(signature: inspect.Signature, given: Mapping[str, object]) -> dict[str, object]:
+def in_types(
+    signature: inspect.Signature, given: Mapping[str, object], subject: str
+) -> dict[str, object]:
     """Return keyword parameters, as in YAML, converted to their annotated types.
 
     Raises:
-        KinfeasError: If one has another type or range.
+        KinfeasError: If one has another type or range; the message begins with `subject`.
     """
     typed = dict(given)
     for name in given.keys() & signature.parameters.keys():
@@ -222,7 +228,7 @@ def in_types(signature: inspect.Signature, given: Mapping[str, object]) -> dict[
         endless = isinstance(value, float) and not math.isfinite(value)
         if endless or value is parameter.default:
             continue
-        converted = convert(parameter.annotation, value, "parameters", name)
+        converted = convert(parameter.annotation, value, subject, name)
         # Numbers stay as written, for errors that quote them.
         typed[name] = value if isinstance(value, int | float) else converted
     return typed

@@ -1,10 +1,11 @@
-"""Single files: read up to a limit, written as a whole, and failures that name them."""
+"""Files and folders: reading with size limits, atomic writing, locks, errors with paths."""
 
 import errno
+import fcntl
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,22 +16,22 @@ _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
 
 
 def is_path(name: object) -> bool:
-    """Return whether a robot, a task and the like is meant by the path of its YAML, not by name."""
+    """Return whether a robot, task or policy is given by the path of a YAML file, not by name."""
     if isinstance(name, str):
         return os.sep in name or name.endswith((".yaml", ".yml"))
     return isinstance(name, Path)
 
 
 def is_standard_output(path: Path) -> bool:
-    """Return whether writing to `path` writes to this process's standard output."""
+    """Return whether `path` is the standard output of this process."""
     return _stream(path) == 1
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn a failure to read into a `KinfeasError` that names `path`.
+    """Convert errors of reading into a `KinfeasError` that names `path`.
 
-    A device or a pipe is one: it could be waited for, or read, without end.
+    Devices and pipes raise an error, because reading them may never end.
     """
     with _naming(path, "read"):
         mode = _mode(path)
@@ -40,47 +41,25 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def writing(path: Path) -> AbstractContextManager[None]:
-    """Turn a failure to write into a `KinfeasError` that names `path`."""
+    """Convert errors of writing into a `KinfeasError` that names `path`."""
     return _naming(path, "written")
 
 
-@contextmanager
-def _naming(path: Path, done: str) -> Iterator[None]:
-    if not _is_file_name(path):
-        raise KinfeasError(f"{str(path)!r}: cannot be {done}: no file can be called so")
-    try:
-        yield
-    except OSError as error:
-        relative = isinstance(error, FileNotFoundError) and not path.is_absolute()
-        where = f" in {Path.cwd()}" if relative else ""
-        raise KinfeasError(f"{path}: cannot be {done}: {error.strerror or error}{where}") from error
-    except UnicodeDecodeError as error:
-        raise KinfeasError(f"{path}: not a text file in UTF-8") from error
-
-
-def _is_file_name(path: Path) -> bool:
-    """Return whether the system takes a path for one: without NUL and lone surrogates."""
-    try:
-        return b"\0" not in os.fsencode(path)
-    except UnicodeEncodeError:
-        return False
-
-
-def read_file(path: Path, most: int) -> bytes:
-    """Return what a file of at most `most` bytes holds.
+def read_file(path: Path, max_bytes: int) -> bytes:
+    """Return the content of a file.
 
     Raises:
-        KinfeasError: If it cannot be read, or is larger.
+        KinfeasError: If it cannot be read, or is larger than `max_bytes`.
     """
     with reading(path), path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise KinfeasError(f"{path}: too large, at most {most} bytes are allowed")
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise KinfeasError(f"{path}: too large, at most {max_bytes} bytes are allowed")
     return content
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file, all of it or nothing, as `replacing` does.
+    """Write a file atomically.
 
     Raises:
         KinfeasError: If it cannot be written.
@@ -91,20 +70,22 @@ def write_file(path: Path, content: bytes) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield where to write a file of the same name, which takes the place of `path` when complete.
+    """Yield a temporary path of the same name whose content replaces `path` at the end.
 
-    A link stays, and what it leads to is replaced. A device, a pipe or `/dev/stdout` stays too: it
-    is handed what was written.
+    Links are followed. The content is copied into devices, pipes and `/dev/stdout`.
 
     Raises:
-        KinfeasError: If it cannot be written; what was there is still there.
+        KinfeasError: If it cannot be written; the old content remains.
     """
     target = replaced(path)
     with writing(path), TemporaryDirectory(prefix=".", dir=target and target.parent) as folder:
         fresh = Path(folder) / path.name
         yield fresh
         if target is None:
-            _hand_over(fresh, path)
+            stream = _stream(path)
+            sink = path.open("wb") if stream is None else os.fdopen(os.dup(stream), "wb")
+            with fresh.open("rb") as source, sink:
+                shutil.copyfileobj(source, sink)
         else:
             if target.exists():
                 shutil.copymode(target, fresh)
@@ -112,12 +93,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def replaced(path: Path) -> Path | None:
-    """Return the file that writing to `path` begins or replaces, links followed.
-
-    None if `path` is a device, a pipe or an open file such as `/dev/stdout`, which all stay.
+    """Return the file that writing to `path` replaces; None for devices, pipes and streams.
 
     Raises:
-        KinfeasError: If it is a folder, or must not be written.
+        KinfeasError: If it is a folder or not writable.
     """
     with writing(path):
         stream = _stream(path)
@@ -132,8 +111,78 @@ def replaced(path: Path) -> Path | None:
         return path.resolve() if not mode or stat.S_ISREG(mode) else None
 
 
+def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Replace a folder by a new one that `fill(path)` writes.
+
+    At any moment `find_folder` finds a complete folder, also after a kill.
+
+    Raises:
+        KinfeasError: If something cannot be written.
+    """
+    from safetensors import SafetensorError
+
+    fresh, old = folder.parent / f".{folder.name}.new", _old(folder)
+    with writing(folder):
+        if old.is_dir() and not folder.is_dir():
+            old.rename(folder)  # a kill between the two renames below
+        for leftover in (fresh, old):
+            shutil.rmtree(leftover, ignore_errors=True)
+        fresh.mkdir(parents=True)
+        try:
+            fill(fresh)
+        except SafetensorError as error:
+            raise KinfeasError(f"{folder}: cannot be written: {error}") from error
+        if folder.is_dir():
+            folder.rename(old)
+        fresh.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def find_folder(folder: Path) -> Path:
+    """Return `folder`, or its previous version if a process was killed while replacing it."""
+    old = _old(folder)
+    return old if old.is_dir() and not folder.is_dir() else folder
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Lock a folder against other processes that lock it; without effect on some file systems.
+
+    Raises:
+        KinfeasError: If another process holds the lock, or there is no such folder.
+    """
+    with writing(folder):
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise KinfeasError(f"{folder}: another process is at work in it") from error
+        except OSError:
+            pass  # the file system has no locks
+        yield
+    finally:
+        os.close(lock)
+
+
+@contextmanager
+def _naming(path: Path, done: str) -> Iterator[None]:
+    try:
+        yield
+    except KinfeasError:
+        raise
+    except UnicodeDecodeError as error:
+        raise KinfeasError(f"{path}: not a text file in UTF-8") from error
+    except OSError as error:
+        relative = isinstance(error, FileNotFoundError) and not path.is_absolute()
+        where = f" in {Path.cwd()}" if relative else ""
+        raise KinfeasError(f"{path}: cannot be {done}: {error.strerror or error}{where}") from error
+    except ValueError as error:  # of a reader, or of a path with NUL or a lone surrogate
+        name = str(path) if str(path).isprintable() else repr(str(path))
+        raise KinfeasError(f"{name}: cannot be {done}: {error}") from error
+
+
 def _mode(path: Path) -> int:
-    """Return the kind and the rights of what is there, 0 if there is nothing."""
     try:
         return path.stat().st_mode
     except FileNotFoundError:
@@ -141,7 +190,7 @@ def _mode(path: Path) -> int:
 
 
 def _stream(path: Path) -> int | None:
-    """Return the number of the open file of this process that `path` stands for, if it does."""
+    """Return the file descriptor of a path such as /dev/stdout or /dev/fd/3."""
     if str(path) in _STREAMS:
         return _STREAMS[str(path)]
     open_file = path.name.isdecimal() and path.exists()
@@ -149,8 +198,5 @@ def _stream(path: Path) -> int | None:
     return int(path.name) if own else None
 
 
-def _hand_over(fresh: Path, path: Path) -> None:
-    stream = _stream(path)
-    sink = path.open("wb") if stream is None else os.fdopen(os.dup(stream), "wb")
-    with fresh.open("rb") as source, sink:
-        shutil.copyfileobj(source, sink)
+def _old(folder: Path) -> Path:
+    return folder.parent / f".{folder.name}.old"

@@ -18,8 +18,7 @@ from kinfeas import config as configuration
 from kinfeas.config import Interval
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import writing
-from kinfeas.io.folders import find_folder
+from kinfeas.io.files import find_folder, writing
 from kinfeas.io.policy_metadata import read_trained
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import Network, read_network

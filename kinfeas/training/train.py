@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from kinfeas import config as configuration
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, summarize
-from kinfeas.io.files import writing
-from kinfeas.io.folders import alone, find_folder, write_folder
+from kinfeas.io.files import alone, find_folder, write_folder, writing
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import WEIGHTS, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner

@@ -16,7 +16,7 @@ from safetensors.numpy import load_file
 
 from kinfeas import config
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.folders import alone
+from kinfeas.io.files import alone
 from kinfeas.policies.network import read_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training import checkpoint, logs, vec_env, worlds
