@@ -12,7 +12,7 @@ import io
 import json
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from PIL import Image
 
 from kinfeas.benchmark.plot import table_figure
 from kinfeas.benchmark.table import Cell
-from kinfeas.benchmark.text import to_markdown
 from kinfeas.policies.loading import BASELINES
 from kinfeas.viz.style import png
 
@@ -49,6 +48,15 @@ ROWS = {
     "{}, ceiling": ("sac", "ceiling"),
 }
 """Policies and figures of the README's rows by their heads; no policy: the one with filters."""
+LEARNED = {
+    "sac": "SAC, 3 seeds",
+    "rollout_planner:sac": "SAC, 3 seeds, rollout planner",
+    "td3": "TD3, 3 seeds",
+    "pretrained": "pretrained",
+    "feasibility_filter:pretrained": "pretrained, feasibility filter",
+    "rollout_planner:feasibility_filter:pretrained": "pretrained, both filters",
+}
+"""Rows of learned policies in docs/results.md."""
 PHYSICS = {
     ("head_start", "pretrained"): "{}, 3 s head start",
     ("", "pretrained"): "{}",
@@ -59,12 +67,14 @@ PHYSICS = {
     ("", "geometric_modulation"): "{}, `geometric_modulation`",
     ("", "demonstrated_base"): "{}, `demonstrated_base`",
 }
+"""Rows of docs/physics.md, by variant and policy."""
 IN_PYBULLET = {
     "pr2": ("head_start", "pretrained"),
     "tiago": ("", "rollout_planner:pretrained"),
     "hsr": ("", "pretrained"),
 }
 """Variant and policy of the README's rows with physics."""
+JUMPS = "Steps in which an arm joint would exceed its velocity limit."
 PICTURES = ("learning_curves", "examples-tiago", "workspace")
 COLOURS = 128
 
@@ -107,13 +117,35 @@ def shown(record: Sequence[Entry]) -> list[Cell]:
 
 
 def fill_results(page: str, record: Sequence[Entry]) -> str:
-    """Return the page of results with the tables of a record, a heading deeper."""
-    table = to_markdown(shown(record), "", [])
-    tables = re.search(r"World: analytic;.*(?=\n## How to make it again)", table, re.DOTALL)
-    assert tables is not None
-    deeper = re.sub(r"^## ", "### ", tables.group(), flags=re.MULTILINE).rstrip()
-    place = re.compile(r"World: analytic;.*?(?=\n\n## Learning curves)", re.DOTALL)
-    filled, count = place.subn(lambda _: deeper, page, count=1)
+    """Return the page of results with the tables of a record."""
+    lines: list[str] = []
+    for robot, title in ROBOTS.items():
+        cells = of_variant(record, "")
+        rows = [(name, policy, "success") for policy, name in LEARNED.items()]
+        for policy in BASELINES:
+            rows.append((f"`{policy}`", policy, "success"))
+        rows.insert(1, ("*paper, SAC*", "sac", "paper_success"))
+        rows += [
+            (f"*paper, `{policy}`*", policy, "paper_success")
+            for policy in ("follow_ee", "geometric_modulation", "demonstrated_base")
+        ]
+        rows.append(("**ceiling**", "sac", "ceiling"))
+        table = [
+            (name, [_success(cells.get((robot, task, policy)), key) for task in TASKS])
+            for name, policy, key in rows
+        ]
+        lines += [f"### {title}", "", *_table("success, %", TASKS, table), ""]
+    lines += ["### Other starts and goals", ""]
+    lines += _table("success, %", ("policy", "success", "ceiling"), list(_variants(record)))
+    lines += ["", "### Joint jumps per episode", "", JUMPS, ""]
+    jumps = [
+        (f"{title}, {name}", [_jumps(cells.get((robot, task, policy))) for task in TASKS])
+        for robot, title in ROBOTS.items()
+        for policy, name in {**LEARNED, "whole_body_qp": "`whole_body_qp`"}.items()
+    ]
+    lines += _table("robot, policy", TASKS, jumps)
+    place = re.compile(r"(?<=\n)### PR2\n.*?(?=\n\n## Learning curves)", re.DOTALL)
+    filled, count = place.subn(lambda _: "\n".join(lines), page, count=1)
     return _found(filled, count, "results.md: no tables before 'Learning curves'")
 
 
@@ -134,18 +166,83 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
 
 
 def fill_physics(page: str, record: Sequence[Entry]) -> str:
-    """Return the page of physics with the rows of its table filled anew."""
+    """Return the page of physics with the tables of a record."""
     rows = [
-        _physics_row(name.format(title), cells[robot, task, policy])
+        (name.format(title), robot, policy, of_variant(record, variant))
         for robot, title in ROBOTS.items()
         for (variant, policy), name in PHYSICS.items()
-        for cells in [of_variant(record, variant)]
-        for task in TASKS
-        if (robot, task, policy) in cells
     ]
-    place = re.compile(r"(^\| robot \| task \|.*\n\|[-|]+\|\n)(?:\|.*\n)+", re.MULTILINE)
-    filled, count = place.subn(lambda found: found[1] + "\n".join(rows) + "\n", page, count=1)
-    return _found(filled, count, "physics.md: no table that begins with 'robot' and 'task'")
+    main = [row for row in rows if row[2] not in BASELINES and "no objects" not in row[0]]
+    physical = TASKS[2:]
+    lines = _physics_table("success, % (analytic; paper)", rows, TASKS, _with_paper)
+    lines += ["", *_physics_table("within 5 cm, % (paper)", main, TASKS, _within), ""]
+    lines += _physics_table("task success, %; arm collisions", main, physical, _physical)
+    place = re.compile(r"\| success, % \(analytic; paper\).*?(?=\n\nPR2 also uses)", re.DOTALL)
+    filled, count = place.subn(lambda _: "\n".join(lines), page, count=1)
+    return _found(filled, count, "physics.md: no table of success before 'PR2'")
+
+
+def _table(head: str, columns: Sequence[str], rows: Sequence[tuple[str, list[str]]]) -> list[str]:
+    """Return the lines of a table, without rows that have no value."""
+    names = [f"`{name}`" if name in TASKS else name for name in columns]
+    return [
+        f"| {head} | {' | '.join(names)} |",
+        f"|{'---|' * (len(columns) + 1)}",
+        *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows if any(cells)),
+    ]
+
+
+def _physics_table(
+    head: str,
+    rows: Sequence[tuple[str, str, str, Cells]],
+    tasks: Sequence[str],
+    text: Callable[[Entry], str],
+) -> list[str]:
+    table = []
+    for name, robot, policy, cells in rows:
+        found = [cells.get((robot, task, policy)) for task in tasks]
+        episodes = [cell["episodes_per_seed"] for cell in found if cell]
+        values = ["" if cell is None else text(cell) for cell in found]
+        table.append((name, [f"{min(episodes)}+" if episodes else "", *values]))
+    return _table(head, ("episodes", *tasks), table)
+
+
+def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
+    for cell in record:
+        if cell["variant"]:
+            where = f"{ROBOTS[cell['robot']]}, `{cell['task']}`, {cell['variant']}"
+            name = LEARNED.get(cell["policy"], f"`{cell['policy']}`")
+            yield where, [name, _success(cell, "success"), f"{100 * cell['ceiling']:.1f}"]
+
+
+def _success(cell: Entry | None, key: str) -> str:
+    """Return a percentage; of success and the paper's, the one within 5 cm in brackets."""
+    if cell is None or cell[key] is None:
+        return ""
+    if key == "ceiling":
+        return f"{100 * cell[key]:.1f}"
+    within = cell[key.replace("success", "within_5cm")]
+    return f"{_share(cell, key)} ({100 * within:.1f})"
+
+
+def _jumps(cell: Entry | None) -> str:
+    return "" if cell is None else f"{cell['joint_jumps_per_episode']:.2f}"
+
+
+def _with_paper(cell: Entry) -> str:
+    others = [f"{100 * cell['analytic_success']:.0f}"]
+    if cell["paper_success"] is not None:
+        others.append(f"{100 * cell['paper_success']:.1f}")
+    return f"**{100 * cell['success']:.0f}** ({'; '.join(others)})"
+
+
+def _within(cell: Entry) -> str:
+    paper = cell["paper_within_5cm"]
+    return f"{100 * cell['within_5cm']:.0f}" + ("" if paper is None else f" ({100 * paper:.0f})")
+
+
+def _physical(cell: Entry) -> str:
+    return f"{100 * cell['task_success']:.0f}; {cell['arm_collisions']:.1f}"
 
 
 def _fill(page: str, head: str, values: list[str]) -> str:
@@ -164,26 +261,6 @@ def _found(filled: str, places: int, complaint: str) -> str:
 def _share(cell: Entry, key: str) -> str:
     text = f"{100 * cell[key]:.1f}"
     return f"**{text}**" if key == "success" and cell["policy"] not in BASELINES else text
-
-
-def _physics_row(name: str, cell: Entry) -> str:
-    def percent(key: str) -> str:
-        return "" if cell[key] is None else f"{100 * cell[key]:.0f}"
-
-    interval = f"({percent('success_low')} - {percent('success_high')})"
-    paper = "" if cell["paper_success"] is None else f"{100 * cell['paper_success']:.1f}"
-    values = (
-        name,
-        f"`{cell['task']}`",
-        cell["episodes_per_seed"],
-        f"**{percent('success')}** {interval}",
-        percent("analytic_success"),
-        paper,
-        percent("within_5cm"),
-        percent("task_success") if cell["task"] not in RANDOM else "",
-        f"{cell['base_collisions']:.1f} / {cell['arm_collisions']:.1f}",
-    )
-    return f"| {' | '.join(map(str, values))} |"
 
 
 def _read(path: Path) -> list[Entry]:
