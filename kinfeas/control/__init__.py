@@ -1,1 +1,4 @@
-"""The control loop and its parts. May import kinematics and what lies below it."""
+"""The control loop: motion sequence, observation, base drives, command filters and adapters.
+
+One batched loop serves training, evaluation and deployment. Backends, envs and sim2real import it.
+"""

@@ -1,18 +1,19 @@
-"""How a base turns actions into motion: omnidirectional and differential drives."""
+"""Base drives: commands into base motion, and the arm that follows it by IK."""
 
 import numpy as np
 
-from kinfeas.core.spatial import Array, yaw
+from kinfeas.core.spatial import Array, integrate, relative, yaw
+from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.robots.robot import Base
 
 
 def action_size(base: Base) -> int:
-    """Return how many numbers command the base: 3 (v_x, v_y, omega) or 2 (v, omega)."""
+    """Return the size of a base command: 3 (v_x, v_y, omega) or 2 (v, omega)."""
     return 3 if base.drive == "omnidirectional" else 2
 
 
 def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
-    """Return the world twist that an action stands for.
+    """Return the world twist of an action.
 
     Omnidirectional: translate with the old heading, then rotate; the planar speed is clipped by
     its norm. Differential: rotate, then drive along the new heading.
@@ -45,7 +46,7 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
 
 
 def carried_out(action: Array) -> Array:
-    """Return commands as `base_twist` carries them out: within [-1, 1], planar speed by its norm.
+    """Return commands clipped as `base_twist` does: to [-1, 1], the planar speed by its norm.
 
     Args:
         action: Shares of the limits, shape (..., 3) or (..., 2).
@@ -56,7 +57,7 @@ def carried_out(action: Array) -> Array:
 
 
 def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
-    """Return the action that moves the base by a planar world velocity as well as its drive can.
+    """Return the action that comes closest to a planar world velocity of the base.
 
     An omnidirectional base copies it, without rotation. A differential one steers toward it,
     backwards if it points behind, and drives by the part of it that lies along the new heading.
@@ -83,6 +84,44 @@ def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> A
     along = forward * np.cos(turn * dt) + left * np.sin(turn * dt)
     action = np.stack([along / base.max_velocity, turn / base.max_rotation], axis=1)
     return np.clip(action, -1.0, 1.0)
+
+
+class KinematicStep:
+    """Effect of base commands in one control period: base twists, and arms by IK.
+
+    Attributes:
+        solver: IK of the robot.
+        dt: Control period in seconds.
+        max_joint_step: Longest way of each arm joint in a period, shape (j,), radians or metres.
+    """
+
+    def __init__(self, solver: IkSolver, dt: float) -> None:
+        self.solver, self.dt = solver, dt
+        self.max_joint_step: Array = solver.robot.max_joint_velocity * dt
+
+    def __call__(
+        self,
+        action: Array,
+        base_pose: Array,
+        desired: Array,
+        joints: Array,
+        *,
+        allow_reconfiguration: bool = True,
+    ) -> tuple[Array, IkSolution]:
+        """Return world twists of the bases, shape (n, 6), and IK solutions of the arms.
+
+        Args:
+            action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+            base_pose: World pose of the base, shape (n, 7).
+            desired: World pose of the EE at the end of the period, shape (n, 7).
+            joints: Last commanded arm joints, shape (n, j), radians or metres.
+            allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
+        """
+        twist = base_twist(self.solver.robot.base, base_pose, action, self.dt)
+        target = relative(desired, integrate(base_pose, twist, self.dt))
+        return twist, self.solver.solve(
+            target, joints, self.max_joint_step, allow_reconfiguration=allow_reconfiguration
+        )
 
 
 def _clip_speed(forward: Array, left: Array, base: Base) -> tuple[Array, Array]:

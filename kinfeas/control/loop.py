@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import action_size
+from kinfeas.control.drive import KinematicStep, action_size
 from kinfeas.control.execution import (
     GRASP_METRES,
     RECONFIGURATION_SECONDS,
     ExecutionConfig,
     SubgoalMotion,
 )
-from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON, OBSERVATION, Seen, observe
 from kinfeas.core import spatial

@@ -24,11 +24,6 @@ def random_actions(base, n, seed=1):
     return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, action_size(base)))
 
 
-@pytest.mark.parametrize(("base", "size"), [(OMNI, 3), (DIFFERENTIAL, 2)])
-def test_action_size(base, size):
-    assert action_size(base) == size
-
-
 def test_omnidirectional_translates_with_the_old_heading_then_rotates():
     twist = base_twist(OMNI, headings(np.pi / 2), np.array([[0.5, 0.0, 1.0]]), DT)
     np.testing.assert_allclose(twist, [[0.0, 0.1, 0.0, 0.0, 0.0, 1.0]], atol=1e-15)
@@ -71,12 +66,6 @@ def test_speed_is_clipped_by_its_norm():
 
 
 @pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
-def test_no_action_no_motion(base):
-    twist = base_twist(base, random_bases(10), np.zeros((10, action_size(base))), DT)
-    np.testing.assert_array_equal(twist, 0.0)
-
-
-@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
 def test_turning_the_world_turns_the_twist(base):
     poses, action = random_bases(100), random_actions(base, 100)
     turned = planar_pose(poses[:, 0], poses[:, 1], wrap(yaw(poses) + 1.0))
@@ -95,15 +84,6 @@ def test_omnidirectional_action_toward_is_the_inverse():
     twist = base_twist(OMNI, base, action, DT)
     np.testing.assert_allclose(twist[:, :2], velocity, atol=1e-14)
     np.testing.assert_array_equal(twist[:, 5], 0.0)
-
-
-def test_omnidirectional_keeps_the_direction_of_what_is_too_fast():
-    velocity = np.array([[3.0, -4.0]])
-    base = random_bases(1)
-    action = action_toward(OMNI, base, velocity, DT)
-    assert np.abs(action).max() <= 1.0
-    twist = base_twist(OMNI, base, action, DT)
-    np.testing.assert_allclose(twist[:, :2], [[0.12, -0.16]])
 
 
 def test_differential_action_toward_is_the_inverse_where_its_drive_can():

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -87,15 +85,6 @@ def test_tool_tip_is_ahead_along_the_approach_axis(robot):
     np.testing.assert_allclose(np.abs(gripper[6]), 1.0, atol=1e-9)
 
 
-def test_tip_legs_lead_the_tip_to_the_target(robot):
-    sequence = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")])
-    target = poses(6, 1)
-    tip = spatial.compose(sequence.goal, np.broadcast_to(tool_pose(robot), (6, 7)))
-    np.testing.assert_allclose(np.stack(spatial.distance(tip, target)), 0.0, atol=1e-7)
-    follow(sequence, 600)
-    assert np.all(spatial.distance(sequence.desired, sequence.goal)[0] < 0.02)
-
-
 def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
     sequence, linear = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")]), Linear()
     tool = np.broadcast_to(tool_pose(robot), (6, 7))
@@ -109,7 +98,7 @@ def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
         np.testing.assert_allclose(np.stack(error), 0.0, atol=1e-6)
 
 
-def test_looking_ahead_moves_nothing(robot):
+def test_a_plan_moves_nothing(robot):
     sequence = begin(robot)
     follow(sequence, 40)
     before = sequence.snapshot()
@@ -119,7 +108,7 @@ def test_looking_ahead_moves_nothing(robot):
         np.testing.assert_array_equal(values, before[key], err_msg=key)
 
 
-def test_legs_follow_each_other_from_the_desired_pose(robot):
+def test_subgoals_follow_each_other_from_the_desired_pose(robot):
     sequence = begin(robot, 1)
     subgoals, last = [0], sequence.desired
     for _ in range(3000):
@@ -135,7 +124,7 @@ def test_legs_follow_each_other_from_the_desired_pose(robot):
 
 
 @pytest.mark.parametrize(("dt", "periods"), [(0.1, 20), (0.02, 100), (0.3, 7)])
-def test_a_wait_stands_still_for_its_seconds(robot, dt, periods):
+def test_a_dwell_keeps_its_time(robot, dt, periods):
     linear = Linear()
     sequence = begin(robot, 2, [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)], dt)
     sequence.move(sequence.plan(dt))
@@ -153,13 +142,6 @@ def test_a_wait_stands_still_for_its_seconds(robot, dt, periods):
     assert sequence.subgoal.tolist() == [1, 0]
     sequence.move(sequence.plan(dt))
     assert np.linalg.norm(sequence.desired[0] - stood) > 0.0
-
-
-def test_the_wait_of_the_last_leg_does_not_hold_it(robot):
-    sequence = begin(robot, 3, [SubgoalMotion(Linear(), dwell=2.0)])
-    sequence.advance(everyone(sequence))
-    assert sequence.last.all()
-    assert not sequence.waiting.any()
 
 
 def test_no_row_depends_on_the_others(robot):
@@ -188,7 +170,7 @@ def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
     np.testing.assert_array_equal(seen[:, rows], follow(begin(robot, 6), 300)[:, [0, 5]])
 
 
-def test_randomness_differs_between_rows_and_legs(robot):
+def test_randomness_differs_between_rows_and_subgoals(robot):
     subgoals = [SubgoalMotion(Wander()), SubgoalMotion(Wander())]
     sequence = MotionSequence(subgoals, robot, HORIZON)
     sequence.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
@@ -207,7 +189,7 @@ def test_snapshot_goes_on_to_the_bit(robot, steps):
     np.testing.assert_array_equal(follow(again, 500), follow(sequence, 500))
 
 
-def test_the_demonstrated_base_is_known_on_its_legs_only(robot):
+def test_the_demonstrated_base_is_given_on_its_subgoals_only(robot):
     sequence = begin(robot, 3, [SubgoalMotion(Wander()), SubgoalMotion(Linear())])
     follow(sequence, 5, lambda _: np.array([False, True, False]))
     base = sequence.demonstrated_base
@@ -215,20 +197,7 @@ def test_the_demonstrated_base_is_known_on_its_legs_only(robot):
     assert np.isnan(base[1]).all()
 
 
-def test_without_demonstrations_there_is_no_base(robot):
-    base = begin(robot, 3, [SubgoalMotion(Linear())]).demonstrated_base
-    assert base.shape == (3, 7)
-    assert np.isnan(base).all()
-
-
-def test_legs_may_share_a_generator(robot):
-    linear = Linear()
-    subgoals = [SubgoalMotion(linear), replace(SubgoalMotion(linear), frame="tip")]
-    assert len(MotionSequence(subgoals, robot, HORIZON).generators) == 1
-    assert len(MotionSequence(chain(), robot, HORIZON).generators) == 2
-
-
-def test_a_head_start_delays_the_first_leg_and_no_other(robot):
+def test_a_head_start_delays_the_first_subgoal_only(robot):
     subgoals = [SubgoalMotion(Linear(), dwell=0.2), SubgoalMotion(Linear())]
     sequence = MotionSequence(subgoals, robot, HORIZON, ExecutionConfig(head_start=0.5))
     targets = np.repeat(poses(2, 1)[:, np.newaxis], 2, axis=1)
@@ -256,7 +225,7 @@ def test_a_head_start_is_for_each_episode_alone(robot):
 
 
 @pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
-def test_a_leg_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
+def test_a_subgoal_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
     subgoals = [
         SubgoalMotion(Linear(), dwell=0.3, grip="close"),
         SubgoalMotion(Linear(), grip="open"),
@@ -275,19 +244,7 @@ def test_a_leg_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at,
     assert moves[: stops_at + 4] == ([True] * (stops_at + 1) + [False] * 3)[: len(moves)]
 
 
-def test_a_leg_without_a_grip_does_not_settle(robot):
-    sequence = MotionSequence(
-        [SubgoalMotion(Linear(), dwell=0.3)] * 2,
-        robot,
-        HORIZON,
-        ExecutionConfig(grasp_settle_time=1.0),
-    )
-    sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
-    assert sequence.advance(everyone(sequence)).all()
-    assert sequence.resting.all()
-
-
-def test_rows_that_are_held_stay_where_they_are(robot):
+def test_paused_rows_stay(robot):
     sequence, paused = begin(robot), np.array([True, False] * 3)
     for subgoal in range(4):
         before, moves = sequence.desired, sequence.plan(HORIZON)

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.drive import KinematicStep, action_size, base_twist
 from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.kinematic_step import KinematicStep
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.envs.episodes import run_episodes

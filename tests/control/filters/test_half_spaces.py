@@ -74,13 +74,6 @@ def test_no_row_depends_on_the_others():
         np.testing.assert_array_equal(alone[0], together[row])
 
 
-def test_without_half_spaces_nothing_moves():
-    points = drawn(2)[0]
-    moved, outside = put(points, np.zeros((40, 0, 3)), np.zeros((40, 0)))
-    assert not outside.any()
-    np.testing.assert_array_equal(moved, points)
-
-
 def test_what_is_empty_limits_nothing():
     points, normals, offsets = drawn(3, count=2)
     alone, _ = put(points, normals[:, :1], offsets[:, :1])
