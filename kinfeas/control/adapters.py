@@ -1,4 +1,4 @@
-"""Adapters: what stands between the loop and a backend, as a list in a YAML file."""
+"""Adapters around a backend, as a list in YAML."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,42 +14,42 @@ from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.robots.robot import Robot
 
 FOLDER = "sim2real"
-"""Where the ladder of shipped lists stands among the configurations."""
+"""Folder of the shipped lists of adapters."""
 
 
 @dataclass(frozen=True)
 class Sim2Real:
-    """What lies between the analytic world and a robot.
+    """A list of adapters.
 
     Attributes:
-        adapters: Wrapped around the backend, the first one innermost.
+        adapters: Adapters around the backend, the first one innermost.
     """
 
     adapters: tuple[PluginSpec, ...] = ()
 
 
 def read_sim2real(name: str) -> Sim2Real:
-    """Return the list of adapters of a YAML file, or of one that comes with the package.
+    """Return the list of adapters of a YAML file or a shipped list.
 
     Args:
         name: Path of the file, or `ideal`, `paper`, `pr2_like` or `harsh`.
 
     Raises:
-        KinfeasError: If there is neither, or it is empty, or an entry of it is not allowed.
+        KinfeasError: If there is none, it is empty, or an entry is invalid.
     """
     path = find_recipe(name, FOLDER)
     if not strict_yaml.read(path):
-        raise KinfeasError(f"{path}: must hold a list 'adapters', which is [] for none")
+        raise KinfeasError(f"{path}: must have a list 'adapters', [] for none")
     return config.load(Sim2Real, path)
 
 
 def wrap(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
-    """Return `backend` within the adapters, the first one innermost.
+    """Return a backend within adapters.
 
     Args:
-        backend: What carries out the commands in the end.
-        adapters: What goes around it.
-        robot: Whom it moves.
+        backend: Backend that executes the commands.
+        adapters: The first one is innermost.
+        robot: Robot of the backend.
 
     Raises:
         KinfeasError: If there is no such adapter, or a parameter is invalid.
@@ -65,7 +65,7 @@ def wrap(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Back
 
 
 def chain(backend: Backend) -> Iterator[Backend]:
-    """Yield `backend` and all that it is wrapped around, the outermost first."""
+    """Yield a backend and the backends within it, the outermost first."""
     link: Any = backend
     yield link
     while isinstance(link, BackendWrapper):
@@ -74,10 +74,10 @@ def chain(backend: Backend) -> Iterator[Backend]:
 
 
 def execution_of(backend: Backend, execution: ExecutionConfig) -> ExecutionConfig:
-    """Return the pace that the adapters around a backend make of `execution`.
+    """Return `execution` as the adapters around a backend change it.
 
     Raises:
-        KinfeasError: If one from outside fails, or makes no pace of it.
+        KinfeasError: If an adapter returns something else.
     """
     for link in chain(backend):
         if isinstance(link, ExecutionAdapter):

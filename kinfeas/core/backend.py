@@ -13,21 +13,21 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 
 Grip = Literal["close", "open"]
-"""What a gripper does."""
+"""Commands of a gripper."""
 
 
 @dataclass(frozen=True)
 class RobotState:
-    """What was measured of n robots.
+    """Measured state of n robots.
 
     Attributes:
         base_pose: World pose of the base frame, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
         base_twist: World twist of the base, shape (n, 6), m/s and rad/s, where it is measured.
-        joint_velocities: Of the arm joints, shape (n, j), per second, where they are measured.
-        age: Seconds since the oldest part of it was measured, shape (n,), where that is known.
-        ee_in_base: EE pose in the base frame, shape (n, 7), where it is not what the joints say.
-        true_state: What really is, where a sensor errs and a simulator knows.
+        joint_velocities: Velocities of the arm joints, shape (n, j), where they are measured.
+        age: Seconds since the oldest part was measured, shape (n,), if known.
+        ee_in_base: EE pose in the base frame, shape (n, 7), where it differs from the kinematics.
+        true_state: True state, where sensors have errors and a simulator knows it.
     """
 
     base_pose: Array
@@ -40,7 +40,7 @@ class RobotState:
 
 
 class Backend(Protocol):
-    """n robots at once; the analytic world has any n, PyBullet and a real robot have n = 1."""
+    """Moves n robots; real robots have n = 1."""
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -55,7 +55,7 @@ class Backend(Protocol):
         ...
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Command all n robots for `dt` seconds and return what was measured after it.
+        """Command all n robots for `dt` seconds and return the measured state.
 
         Args:
             base_twist: World twist of the base, shape (n, 6), m/s and rad/s.
@@ -65,7 +65,7 @@ class Backend(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of what the backend holds; it may be called twice."""
+        """Free the resources; further calls do nothing."""
         ...
 
 
@@ -83,8 +83,7 @@ class BackendWrapper:
 class Stochastic(Protocol):
     """A backend or adapter that draws random numbers.
 
-    Its randomness belongs to the episode: equal seeds give equal draws, whatever else is in the
-    batch.
+    Equal seeds give equal draws of an episode in any batch.
     """
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
@@ -100,7 +99,7 @@ class SupportsGripper(Protocol):
         """Begin to close or to open the grippers of robots.
 
         Args:
-            grip: What they do.
+            grip: The command.
             env_ids: Indices of the m robots.
         """
         ...
@@ -108,18 +107,18 @@ class SupportsGripper(Protocol):
 
 @dataclass(frozen=True)
 class ObstacleDistances:
-    """What stands near the bases of n robots: k places each, of which some may be empty.
+    """Obstacles near the bases of n robots, k places each; unused places are at infinity.
 
     Attributes:
-        closest_point: The point of the base that is nearest to a thing, in the base frame, shape
+        closest_point: Point of the base closest to the obstacle, in the base frame, shape
             (n, k, 2), metres.
-        normal: Horizontal part of the unit vector from there to the thing, in the base frame, shape
-            (n, k, 2).
-        distance: How far the thing is away, shape (n, k), metres: below 0 where both are in one
-            another, inf where there is none.
+        normal: Horizontal part of the unit vector from there to the obstacle, in the base frame,
+            shape (n, k, 2).
+        distance: Distance to the obstacle, shape (n, k), metres; negative in penetration, inf
+            without an obstacle.
 
     Raises:
-        ValueError: If the shapes are others, or something is no number.
+        ValueError: If a shape is wrong or a value is not a number.
     """
 
     closest_point: Array
@@ -127,7 +126,7 @@ class ObstacleDistances:
     distance: Array
 
     def __post_init__(self) -> None:
-        """Check what a backend from outside may have made."""
+        """Check the values of outside backends."""
         shape = (*self.distance.shape, 2)
         if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
             shapes = f"{self.closest_point.shape}, {self.normal.shape} and {self.distance.shape}"
@@ -138,15 +137,15 @@ class ObstacleDistances:
         if not (np.isfinite(self.closest_point).all() and np.isfinite(self.normal).all()):
             raise ValueError("closest_point and normal must be finite")
         if not (self.distance > -np.inf).all():
-            raise ValueError("distance must be a number, or inf where there is nothing")
+            raise ValueError("distance must be a number, or inf without an obstacle")
 
 
 @runtime_checkable
 class SupportsObstacleDistances(Protocol):
-    """A backend or adapter that knows what stands around its robots."""
+    """A backend or adapter that measures distances to obstacles."""
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
-        """Return what is nearer than `within` metres to the bases, but for what they handle."""
+        """Return obstacles closer than `within` metres to the bases, without grasped objects."""
         ...
 
 
@@ -197,10 +196,10 @@ class BatchLimited(Protocol):
 
 @runtime_checkable
 class RealTimeBackend(Protocol):
-    """A backend whose robot moves by a clock of its own: a real one, or a process that plays one.
+    """A backend whose robot moves in real time: a real robot, or a simulator process.
 
-    It cannot be put anywhere: `reset` leaves the robot where it is and returns its state. `step`
-    sends the command, waits for the end of the control period and returns the newest measurement.
+    `reset` cannot move the robot: it returns its state. `step` sends the command, waits for the end
+    of the control period and returns the newest measurement.
     """
 
     def read(self) -> RobotState:
@@ -208,29 +207,29 @@ class RealTimeBackend(Protocol):
         ...
 
     def stop(self) -> None:
-        """Command the base to zero and the arm to stay; it may be called at any time, and twice."""
+        """Command zero base velocity and hold the arm; callable at any time, repeatedly."""
         ...
 
 
 @runtime_checkable
 class ArmLimited(Protocol):
-    """A backend that decides itself how fast the arm goes to where it is sent."""
+    """A backend that controls the velocity of the arm toward its targets."""
 
     def limit_arm(self, velocity: Array) -> None:
-        """Let no joint of the arm go faster from now on; shape (j,), rad/s or m/s."""
+        """Limit the velocities of the arm joints; shape (j,), rad/s or m/s."""
         ...
 
 
 @runtime_checkable
 class Resumable(Protocol):
-    """A backend or adapter whose whole state fits into arrays, so that a run can go on from it."""
+    """A backend or adapter whose whole state can be saved as arrays."""
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all n robots by name."""
         ...
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
-        """Take on a state that `snapshot` returned and return what it measures."""
+        """Restore the state of a snapshot and return the measured state."""
         ...
 
 
@@ -249,6 +248,6 @@ def build_backend(name: str, parameters: Mapping[str, object], **offered: object
     known = inspect.signature(factory).parameters if callable(factory) else {}
     given = {key: value for key, value in offered.items() if key in known}
     for key in given.keys() & parameters.keys():
-        raise KinfeasError(f"backend {name!r}: the parameter {key!r} follows from the run")
+        raise KinfeasError(f"backend {name!r}: the run sets the parameter {key!r}")
     backend: Backend = registry.build("kinfeas.backends", name, {**given, **parameters})
     return backend

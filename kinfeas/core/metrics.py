@@ -13,12 +13,12 @@ GOAL_METRES, GOAL_RADIANS = 0.025, float(np.deg2rad(12.0))
 """Tolerances of a goal, which must be reached on a feasible step."""
 
 WITHIN = 0.05
-"""Metres that the EE may stray in an episode that counts as within 5 cm."""
+"""Largest deviation of the EE, metres, in an episode that counts as within 5 cm."""
 
 
 @dataclass(frozen=True)
 class EpisodeRecords:
-    """What happened in n episodes.
+    """Records of n episodes.
 
     Attributes:
         reached: Whether the goal, the end of the last sub-goal, was reached, shape (n,).
@@ -26,7 +26,7 @@ class EpisodeRecords:
         max_deviation: Largest distance of the EE from the desired position, metres, shape (n,).
         mean_deviation: Mean of that distance over the episode, metres, shape (n,).
         final_distance: Distance of the EE from the goal at the end, metres, shape (n,); infinite
-            where the last sub-goal was never begun.
+            if the last sub-goal did not begin.
         joint_jumps: Steps in which a joint moved faster than its limit, shape (n,).
         steps: Length of the episode, shape (n,).
         task_done: Whether the objects ended as the task asks for, or the goal was reached if the
@@ -48,12 +48,12 @@ class EpisodeRecords:
 
     @property
     def success(self) -> NDArray[np.bool_]:
-        """Whether the goal was reached without one kinematic failure, shape (n,)."""
+        """Whether the goal was reached without an IK failure, shape (n,)."""
         return self.reached & (self.failures == 0)
 
     @property
     def within(self) -> NDArray[np.bool_]:
-        """Whether the EE never strayed by more than `WITHIN` and ended as near, shape (n,)."""
+        """Whether deviation and final distance were at most `WITHIN`, shape (n,)."""
         return (self.max_deviation <= WITHIN) & (self.final_distance <= WITHIN)
 
 
@@ -93,7 +93,7 @@ def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
     share, weight = hits / trials, z * z / trials
     centre = (share + weight / 2.0) / (1.0 + weight)
     half = z * np.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials)) / (1.0 + weight)
-    # Rounding must not put the share of none or of all outside its own interval.
+    # Rounding must not put a share of 0 or 1 outside its interval.
     low, high = min(share, max(0.0, centre - half)), max(share, min(1.0, centre + half))
     return Share(share, float(low), float(high))
 

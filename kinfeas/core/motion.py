@@ -1,4 +1,4 @@
-"""What a motion generator is: the seam that plugins fill in."""
+"""Protocol of motion generators, which plugins implement."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -13,22 +13,21 @@ State = dict[str, Array]
 class MotionGenerator(Protocol):
     """EE motion toward a target, for n motions at once.
 
-    Pure: the state is passed in and handed back, a dict of arrays with leading axis n, so that a
-    caller can restart single motions or look one step ahead without committing to it. States may
-    share arrays, so whoever restarts single motions writes into copies. The target is an input of
-    every call, since it may move; what a motion needs of its start belongs into the state. A
-    generator is called once a step, is built from keyword parameters and never learns which frame
-    or which robot it drives.
+    Pure: the state is an argument and a return value, a dict of arrays with leading axis n, so that
+    callers can restart single motions and preview steps. States may share arrays; callers write
+    into copies. The target is an argument of every call, since it may move; values of the start
+    belong into the state. A generator is called once a step, is built from keyword parameters, and
+    does not depend on the robot or the frame that it moves.
     """
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
     ) -> State:
-        """Return the state of n motions that begin at `ee_pose`; it shares no memory with these.
+        """Return the state of n motions that begin at `ee_pose`, without shared memory.
 
         Args:
             ee_pose: World pose of the driven frame, shape (n, 7).
-            target_pose: Goal of the EE, or pose of the handled object, shape (n, 7).
+            target_pose: Goal of the EE, or pose of the grasped object, shape (n, 7).
             rngs: One source of randomness for each motion, n of them.
         """
         ...
@@ -38,7 +37,7 @@ class MotionGenerator(Protocol):
 
         Args:
             state: State of n motions.
-            target_pose: Where their targets are now, shape (n, 7).
+            target_pose: Current poses of their targets, shape (n, 7).
         """
         ...
 
@@ -49,8 +48,8 @@ class MotionGenerator(Protocol):
 
         Args:
             state: State of n motions.
-            ee_pose: Desired world pose that the motion has come to, shape (n, 7).
-            target_pose: Where the targets are now, shape (n, 7).
+            ee_pose: Current desired world pose, shape (n, 7).
+            target_pose: Current poses of the targets, shape (n, 7).
             dt: Duration of each motion's step in seconds, shape (n,).
         """
         ...
@@ -58,15 +57,15 @@ class MotionGenerator(Protocol):
 
 @runtime_checkable
 class Demonstrated(Protocol):
-    """What a motion generator has besides if the base was demonstrated along with the EE."""
+    """A motion generator with a demonstrated motion of the base."""
 
     def base_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the world poses at which the base was demonstrated to be now, shape (n, 7).
+        """Return the world poses of the base in the demonstration now, shape (n, 7).
 
-        Rows of NaN where that is not known.
+        Rows without a demonstration are NaN.
 
         Args:
             state: State of n motions.
-            target_pose: Where their targets are now, shape (n, 7).
+            target_pose: Current poses of their targets, shape (n, 7).
         """
         ...
