@@ -94,6 +94,10 @@ class Batch:
             raise ValueError(f"'next_episode' is {self.next_episode}")
         return self._scaled(self.world.restore(snapshot)) if self.saves_world else self.start()
 
+    def call(self, method: str, *arguments: Any) -> Any:
+        """Return the result of a method by its name."""
+        return getattr(self, method)(*arguments)
+
     def _note_ends(self, infos: list[dict[str, Any]], transition: Transition, rows: Rows) -> None:
         """Write the ends of the episodes in `rows` as Stable-Baselines3 reads them."""
         final = self._scaled(transition.observation[rows])
@@ -113,13 +117,18 @@ class Batch:
         return observation.scaled(seen, self.scale)
 
 
-_batch: Batch | None = None  # of a worker process
+_worker: tuple[TrainConfig, int, int] | Batch  # of a worker process
 
 
-def begin_worker() -> None:
-    """Prepare a worker process: leave Ctrl-C to its parent, and end with it."""
+def begin_worker(config: TrainConfig, rows: int, first: int) -> None:
+    """Prepare a worker process for a batch of `rows` episodes in PyBullet, from `first` on.
+
+    It leaves Ctrl-C to its parent, and ends with it.
+    """
+    global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    _worker = config, rows, first
 
 
 def _end_with_parent() -> None:
@@ -129,12 +138,10 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def build_batch(config: TrainConfig, rows: int, first: int) -> None:
-    """Build this worker's PyBullet world of `rows` episodes; episode `first` begins next."""
-    global _batch
-    _batch = Batch(training_world(config), rows, config.action_repeat, False, first)
-
-
 def call_batch(method: str, *arguments: Any) -> Any:
-    """Return the result of a method of this worker's batch."""
-    return getattr(_batch, method)(*arguments)
+    """Return the result of a method of this worker's batch, which the first call builds."""
+    global _worker
+    if not isinstance(_worker, Batch):
+        config, rows, first = _worker
+        _worker = Batch(training_world(config), rows, config.action_repeat, False, first)
+    return _worker.call(method, *arguments)

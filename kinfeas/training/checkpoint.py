@@ -33,7 +33,10 @@ def save_learner(
         state: Further entries for the JSON.
     """
     random, random_tensors = _random_state()
-    tensors = _world_tensors(world) | _networks(learner) | random_tensors
+    tensors = _world_tensors(world) | random_tensors
+    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
+    if (entropy := _learned_entropy(learner)) is not None:
+        tensors["log_ent_coef"] = entropy
     optimizers: dict[str, Any] = {}
     for name, optimizer in _optimizers(learner).items():
         saved = optimizer.state_dict()
@@ -54,17 +57,10 @@ def save_learner(
     write_state(folder, about)
 
 
-def load_learner(
-    folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]]
-) -> dict[str, NDArray[Any]]:
+def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
     The global random states of torch and NumPy, which SB3 draws from, are restored as well.
-
-    Args:
-        folder: The checkpoint.
-        learner: Networks, optimizers, replay buffer.
-        world: A fresh snapshot of the environments with the layout of the saved one.
 
     Raises:
         KinfeasError: If the checkpoint is missing, truncated, or of another configuration.
@@ -72,10 +68,9 @@ def load_learner(
     about = read_state(folder)
     with loading(folder):
         tensors = load_file(folder / _TENSORS)
-        _check_world(_world_tensors(world), tensors)
-        for key, values in _networks(learner).items():
-            _check_like(key, tensors[key], values)
-            values.copy_(tensors[key])
+        learner.policy.load_state_dict(_below("policy.", tensors))
+        if (entropy := _learned_entropy(learner)) is not None:
+            entropy.copy_(tensors["log_ent_coef"])
         for name, optimizer in _optimizers(learner).items():
             groups = about["optimizers"][name]
             _load_optimizer(optimizer, groups, _below(f"optimizer.{name}.", tensors))
@@ -85,38 +80,10 @@ def load_learner(
         return _world_arrays(tensors)
 
 
-def _check_world(wanted: Tensors, tensors: Tensors) -> None:
-    """Raise unless the saved world has the tensors of a fresh one, a row an environment.
-
-    Motions that have not begun have no state yet, and delay buffers of adapters grow along axis 1.
-    """
-    rows = {len(values) for key, values in wanted.items() if key == "world.steps"}
-    for key, like in wanted.items():
-        _check_like(key, tensors[key], like, grows=like.dim() > 1 and like.shape[1] == 1)
-    for key in _below("world.", tensors).keys() - _below("world.", wanted).keys():
-        if not key.startswith("motion.") or {len(tensors[f"world.{key}"])} != rows:
-            raise ValueError(f"world.{key} is unknown")
-
-
-def _check_like(key: str, found: torch.Tensor, like: torch.Tensor, grows: bool = False) -> None:
-    """Raise unless types and shapes agree; an axis 1 that `grows` may be longer."""
-    shape = found.shape
-    if grows and found.dim() == like.dim():
-        shape = torch.Size([shape[0], 1, *shape[2:]])
-    if shape != like.shape or found.dtype != like.dtype:
-        raise ValueError(
-            f"{key} holds {found.dtype} of shape {tuple(found.shape)}, not {like.dtype} of shape "
-            f"{tuple(like.shape)}"
-        )
-
-
 def _load_optimizer(optimizer: torch.optim.Optimizer, groups: Any, tensors: Tensors) -> None:
-    parameters = optimizer.param_groups[0]["params"]
     state: dict[int, Tensors] = {}
     for key, values in tensors.items():
         index, slot = key.split(".")
-        if slot != "step":
-            _check_like(key, values, parameters[int(index)])
         state.setdefault(int(index), {})[slot] = values
     optimizer.load_state_dict({"state": state, "param_groups": groups})
 
@@ -127,7 +94,6 @@ def _load_buffer(buffer: ReplayBuffer, about: Mapping[str, Any], tensors: Tensor
         raise ValueError(f"the position of its replay buffer is {buffer.pos}")
     for name in _BUFFER:
         room = getattr(buffer, name)[: buffer.size()]
-        _check_like(name, tensors[name], torch.from_numpy(room))
         room[:] = tensors[name].numpy()
 
 
@@ -140,20 +106,17 @@ def _random_state() -> tuple[dict[str, Any], Tensors]:
 
 
 def _load_random_state(about: Mapping[str, Any], tensors: Tensors) -> None:
-    for key, like in _random_state()[1].items():
-        _check_like(key, tensors[key], like)
     torch.set_rng_state(tensors["random.torch"])
     keys = tensors["random.numpy"].numpy().astype(np.uint32)
     state = (about["kind"], keys, about["position"], about["has_gauss"], about["gauss"])
     np.random.set_state(state)  # noqa: NPY002 - as above
 
 
-def _networks(learner: Learner) -> Tensors:
-    """Return the weights, which share memory with the learner's, and SAC's learned entropy."""
-    tensors = {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
-    if isinstance(learner, SAC) and learner.log_ent_coef is not None:
-        tensors["log_ent_coef"] = learner.log_ent_coef.detach()
-    return tensors
+def _learned_entropy(learner: Learner) -> torch.Tensor | None:
+    """Return the logarithm of SAC's entropy coefficient, if it is learned."""
+    if not isinstance(learner, SAC) or learner.log_ent_coef is None:
+        return None
+    return learner.log_ent_coef.detach()
 
 
 def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:

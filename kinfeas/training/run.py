@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Annotated, Any
 
 import numpy as np
@@ -90,10 +89,8 @@ def check_new(out: Path) -> None:
     """Check that a run can begin in a folder.
 
     Raises:
-        KinfeasError: If it is not empty, it cannot be written, or TensorBoard does not support its
-            name.
+        KinfeasError: If it is not empty, or no folder.
     """
-    _check_name(out)
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.
         if out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir()):
@@ -101,30 +98,17 @@ def check_new(out: Path) -> None:
                 again = f"--resume {shlex.quote(str(out))}"
                 raise KinfeasError(f"{out}: already there; use {again}, or another --out")
             raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
-        nearest = next(place for place in (out, *out.parents) if place.exists())
-        TemporaryFile(dir=nearest).close()
 
 
 def check_begun(out: Path) -> None:
     """Check that a run has begun in a folder.
 
     Raises:
-        KinfeasError: If it has not, or TensorBoard does not support the name of the folder.
+        KinfeasError: If it has not.
     """
-    _check_name(out)
     with writing(out):
         if not (out / SETTINGS).is_file():
             raise KinfeasError(f"{out}: not a training run: there is no {SETTINGS} in it")
-
-
-def _check_name(out: Path) -> None:
-    try:
-        str(out).encode()
-    except UnicodeEncodeError as error:
-        raise KinfeasError(
-            f"{str(out)!a}: TensorBoard needs a name that is text in this locale; use another "
-            "name, a UTF-8 locale, or PYTHONUTF8=1"
-        ) from error
 
 
 def read_settings(out: Path, overrides: Sequence[str] = ()) -> TrainConfig:

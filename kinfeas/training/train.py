@@ -135,8 +135,7 @@ class _Run:
         with loading(last):
             read_network(last, self.env.robot)
             self.env.reset()
-            saved = load_learner(last, self.learner, self.env.snapshot())
-            self.observation = self.env.restore(saved)
+            self.observation = self.env.restore(load_learner(last, self.learner))
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""

@@ -2,7 +2,7 @@
 
 import multiprocessing
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     BrokenExecutor,
     Executor,
@@ -10,6 +10,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from kinfeas.envs.gym import read_actions
 from kinfeas.envs.world import World
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.training.batch import Batch, StepResult, begin_worker, build_batch, call_batch
+from kinfeas.training.batch import Batch, StepResult, begin_worker, call_batch
 from kinfeas.training.config import TrainConfig
 
 SHARE = 10**9
@@ -43,7 +44,21 @@ class EpisodesVecEnv(VecEnv):
 
     render_mode = None
 
-    def __init__(self, robot: Robot, sizes: Sequence[int], workers: Sequence[Executor]) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        sizes: Sequence[int],
+        workers: Sequence[Executor],
+        call: Callable[..., Any],
+    ) -> None:
+        """Set the spaces.
+
+        Args:
+            robot: The robot.
+            sizes: Number of episodes of each worker.
+            workers: A thread or a process for each batch.
+            call: Calls a method of the worker's batch: its name, then its arguments.
+        """
         super().__init__(
             sum(sizes),
             spaces.Box(-np.inf, np.inf, (observation.size(robot),), np.float32),
@@ -53,12 +68,8 @@ class EpisodesVecEnv(VecEnv):
         self.scale = observation.scale(robot).astype(np.float32)
         ends = np.cumsum(sizes)
         self._rows = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
-        self._workers = list(workers)
-        self._coming: list[Future[StepResult]] = []
-
-    @abstractmethod
-    def _submit(self, worker: int, method: str, *arguments: Any) -> Future[Any]:
-        """Let a worker call a method of its `Batch`."""
+        self._workers, self._call = list(workers), call
+        self._coming: list[Future[Any]] = []
 
     def reset(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
@@ -73,14 +84,11 @@ class EpisodesVecEnv(VecEnv):
         assert self.action_space.shape is not None
         # A copy, for the caller may change the actions meanwhile.
         commands = read_actions(actions, (self.num_envs, *self.action_space.shape)).copy()
-        self._coming = [
-            self._submit(worker, "step", commands[rows]) for worker, rows in enumerate(self._rows)
-        ]
+        self._begin("step", *[[commands[rows]] for rows in self._rows])
 
     def step_wait(self) -> StepResult:
         """Return observations, rewards, dones and infos; where done, a new episode has begun."""
-        coming, self._coming = self._coming, []
-        seen, rewards, dones, infos = zip(*self._results(coming), strict=True)
+        seen, rewards, dones, infos = zip(*self._results(), strict=True)
         return (
             np.concatenate(seen),
             np.concatenate(rewards),
@@ -90,7 +98,7 @@ class EpisodesVecEnv(VecEnv):
 
     @abstractmethod
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return the state to resume from, by name; a step in progress ends first."""
+        """Return the state to resume from, by name."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
@@ -119,13 +127,33 @@ class EpisodesVecEnv(VecEnv):
         """Return False for each of the environments."""
         return [False for _ in self._get_indices(indices)]
 
-    def _ask(self, method: str, *arguments: Any) -> list[Any]:
-        return self._results(
-            [self._submit(worker, method, *arguments) for worker in range(len(self._workers))]
-        )
+    def _begin(self, method: str, *arguments: Sequence[Any]) -> None:
+        """Let each worker call a method of its batch, with its own arguments."""
+        with _alive(len(self._workers)):
+            self._coming = [
+                worker.submit(self._call, method, *given)
+                for worker, given in zip(self._workers, arguments, strict=True)
+            ]
 
-    def _results(self, coming: Sequence[Future[Any]]) -> list[Any]:
-        return [future.result() for future in coming]
+    def _results(self) -> list[Any]:
+        coming, self._coming = self._coming, []
+        with _alive(len(self._workers)):
+            return [future.result() for future in coming]
+
+    def _ask(self, method: str, *arguments: Sequence[Any]) -> list[Any]:
+        self._begin(method, *(arguments or [()] * len(self._workers)))
+        return self._results()
+
+
+@contextmanager
+def _alive(count: int) -> Iterator[None]:
+    try:
+        yield
+    except BrokenExecutor as error:
+        raise KinfeasError(
+            f"one of {count} training processes died, as if killed or out of memory; "
+            "try fewer --processes"
+        ) from error
 
 
 class WorldVecEnv(EpisodesVecEnv):
@@ -134,20 +162,16 @@ class WorldVecEnv(EpisodesVecEnv):
     def __init__(self, world: World, num_envs: int, action_repeat: int = 1) -> None:
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
-        super().__init__(world.robot, [num_envs], [ThreadPoolExecutor(1)])
         self.world, self.batch = world, Batch(world, num_envs, action_repeat)
-
-    def _submit(self, worker: int, method: str, *arguments: Any) -> Future[Any]:
-        return self._workers[worker].submit(getattr(self.batch, method), *arguments)
+        super().__init__(world.robot, [num_envs], [ThreadPoolExecutor(1)], self.batch.call)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return the state to resume from, by name; a step in progress ends first."""
-        (state,) = self._ask("snapshot")
-        return dict(state)
+        """Return the state to resume from, by name."""
+        return self.batch.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Resume from a snapshot and return the observations, shape (n, d)."""
-        return np.concatenate(self._ask("restore", snapshot))
+        return self.batch.restore(snapshot)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Use another seed from the next reset on."""
@@ -158,7 +182,7 @@ class WorldVecEnv(EpisodesVecEnv):
     def close(self) -> None:
         """End the thread and close the world's backend."""
         super().close()
-        self.world.loop.backend.close()
+        self.world.close()
 
 
 class ProcessVecEnv(EpisodesVecEnv):
@@ -176,37 +200,17 @@ class ProcessVecEnv(EpisodesVecEnv):
         """
         parts = np.array_split(np.arange(config.num_envs), config.processes)
         context = multiprocessing.get_context("spawn")
-        workers = [ProcessPoolExecutor(1, context, begin_worker) for _ in parts]
+        workers = [
+            ProcessPoolExecutor(1, context, begin_worker, (config, len(part), SHARE * i))
+            for i, part in enumerate(parts)
+        ]
         sizes = [len(part) for part in parts]
-        super().__init__(load_robot(config.robot), sizes, workers)
+        super().__init__(load_robot(config.robot), sizes, workers, call_batch)
         try:
-            self._results(
-                [
-                    worker.submit(build_batch, config, size, SHARE * i)
-                    for i, (worker, size) in enumerate(zip(workers, sizes, strict=True))
-                ]
-            )
+            self._ask("snapshot")
         except KinfeasError:
             self.close()
             raise
-
-    def _submit(self, worker: int, method: str, *arguments: Any) -> Future[Any]:
-        try:
-            return self._workers[worker].submit(call_batch, method, *arguments)
-        except BrokenExecutor as error:
-            raise self._death() from error
-
-    def _results(self, coming: Sequence[Future[Any]]) -> list[Any]:
-        try:
-            return super()._results(coming)
-        except BrokenExecutor as error:
-            raise self._death() from error
-
-    def _death(self) -> KinfeasError:
-        return KinfeasError(
-            f"one of {len(self._workers)} training processes died, as if killed or out of memory; "
-            "try fewer --processes"
-        )
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the numbers of the next episodes, a number a process."""
@@ -215,12 +219,5 @@ class ProcessVecEnv(EpisodesVecEnv):
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Begin the next episodes of a snapshot and return the observations, shape (n, d)."""
-        numbers = snapshot["next_episode"]
-        return np.concatenate(
-            self._results(
-                [
-                    self._submit(worker, "restore", {"next_episode": number})
-                    for worker, number in enumerate(numbers)
-                ]
-            )
-        )
+        numbers = [[{"next_episode": number}] for number in snapshot["next_episode"]]
+        return np.concatenate(self._ask("restore", *numbers))

@@ -289,7 +289,7 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
     assert about["config"]["robot"] == "hsr"
     assert offsets == [worlds.EVALUATION_SEED, worlds.FRESH_SEED]
     resume(out)
-    assert offsets[2:] == [training.EVALUATION_SEED]
+    assert offsets[2:] == [worlds.EVALUATION_SEED]
     assert finished(out)
 
 
@@ -302,6 +302,14 @@ def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path,
     with pytest.raises(KinfeasError):
         train(tiny(override), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_cannot_be_made_raises(tiny, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for out in (tmp_path / "file", tmp_path / "file" / "run", tmp_path / ("n" * 300)):
+        with pytest.raises(KinfeasError, match=out.name):
+            train(tiny(), out)
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
