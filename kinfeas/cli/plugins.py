@@ -27,7 +27,11 @@ app = typer.Typer(
 )
 
 _GENERATORS = "kinfeas.motion_generators"
-_GIVEN = {"kinfeas.adapters": ("backend", "robot"), "kinfeas.backends": ("robot",)}
+_GIVEN = {
+    "kinfeas.adapters": ("backend", "robot"),
+    "kinfeas.backends": ("robot",),
+    "kinfeas.policies": ("robot",),
+}
 """Parameters that the program itself passes."""
 
 
@@ -100,8 +104,8 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     name: Annotated[
         str,
         typer.Argument(
-            help="Name of a motion generator.",
-            autocompletion=options.names_of("motion_generators"),
+            help="Name of a motion generator or policy, or module:Class of a policy.",
+            autocompletion=options.names_of("motion_generators", "policies"),
         ),
     ],
     overrides: options.Overrides = None,
@@ -116,10 +120,11 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
         float, typer.Option("--max-angular-velocity", min=0.0, help="The same in rad/s.")
     ] = 0.1,
     seed: options.Seed = 0,
+    robot: Annotated[str, typer.Option("--robot", help="Robot of a policy.")] = "pr2",
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Check a motion generator. The exit code is 2 if a rule is broken.
+    """Check a motion generator or a policy. The exit code is 2 if a rule is broken.
 
     Settings: the generator's parameters, such as gain=0.2.
 
@@ -129,6 +134,9 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.testing import RULES, examine
     from kinfeas.testing.trial import Trial
 
+    if name in registry.names("kinfeas.policies") or ":" in name:
+        _check_policy(name, robot)
+        return
     parameters = assigned(overrides or [])
     trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
     try:
@@ -153,6 +161,16 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     if broken:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
     typer.echo(f"motion generator {name} passes all {len(findings)} rules")
+
+
+def _check_policy(name: str, robot: str) -> None:
+    from kinfeas.policies.loading import load_policy
+    from kinfeas.robots.loading import load_robot
+    from kinfeas.testing import check_policy
+
+    known = load_robot(robot)
+    check_policy(load_policy(name, known), known)
+    typer.echo(f"policy {name} keeps the contract on robot {known.name}")
 
 
 def _result(one: "Finding") -> str:
