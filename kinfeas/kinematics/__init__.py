@@ -1,1 +1,1 @@
-"""Batched kinematics: chains, IK, self-collision, reachability. May import robots."""
+"""Batched kinematics: chains, IK, self-collision, reachability. May import robots and below."""

@@ -1,4 +1,4 @@
-"""Do two convex shapes come closer than a margin? GJK on boxes, cylinders and spheres."""
+"""Distance tests between boxes, cylinders and spheres, by GJK."""
 
 import math
 
@@ -12,21 +12,21 @@ MAX_ITERATIONS = 30
 
 @kernel
 def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex):
-    """Return whether two shapes are nearer to each other than `margin` metres.
+    """Return whether two shapes are closer than `margin` metres.
 
-    Errs on the side of contact: a case that does not settle counts as near.
+    Without convergence the answer is True.
 
     Args:
         margin: Metres, above zero.
-        kind_a: BOX, CYLINDER or SPHERE; `kind_b` alike.
+        kind_a: BOX, CYLINDER or SPHERE.
         size_a: Half extents along the shape's axes, shape (3,): a cylinder is radius, radius, half
             length; a sphere is its radius three times.
         rot_a: Orientation, shape (3, 3).
         pos_a: Centre, shape (3,), metres.
-        kind_b: Second shape.
-        size_b: Second shape.
-        rot_b: Second shape.
-        pos_b: Second shape.
+        kind_b: Same for the second shape, and so on.
+        size_b: As `size_a`.
+        rot_b: As `rot_a`.
+        pos_b: As `pos_a`.
         simplex: Scratch, shape (6, 3).
     """
     v = simplex[4]
@@ -51,7 +51,7 @@ def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos
 
 @kernel
 def _add_support(w, toward, sign, v, kind, size, rot, pos):
-    """Add sign times the point of the shape that lies farthest along toward * v."""
+    """Add sign times the support point of the shape in the direction toward * v."""
     x = toward * (rot[0, 0] * v[0] + rot[1, 0] * v[1] + rot[2, 0] * v[2])
     y = toward * (rot[0, 1] * v[0] + rot[1, 1] * v[1] + rot[2, 1] * v[2])
     z = toward * (rot[0, 2] * v[0] + rot[1, 2] * v[1] + rot[2, 2] * v[2])
@@ -70,10 +70,10 @@ def _add_support(w, toward, sign, v, kind, size, rot, pos):
 
 @kernel
 def _nearest(simplex, count, v):
-    """Write the point of the simplex nearest to the origin into `v`; keep only what carries it.
+    """Write the point of the simplex nearest to the origin; reduce it to the face of that point.
 
     Returns:
-        How many of its points remain; 4 where the origin lies inside.
+        Number of points that remain; 4 if the origin is inside.
     """
     if count == 1:
         copy_row(simplex[0], v)
@@ -149,11 +149,7 @@ def _nearest_on_triangle(simplex, v):
 
 @kernel
 def _nearest_in_tetrahedron(simplex, v):
-    """Try all four faces.
-
-    That without the newest point is nearest only where rounding decides, as between parallel
-    faces.
-    """
+    """Try all four faces; the one without the newest point matters only for rounding errors."""
     a, b, c, d = simplex[0].copy(), simplex[1].copy(), simplex[2].copy(), simplex[3].copy()
     inside, best, best_count = True, np.inf, 4
     kept = np.empty((3, 3))
@@ -185,7 +181,7 @@ def _nearest_in_tetrahedron(simplex, v):
 
 @kernel
 def _beyond(p, q, r, opposite):
-    """Return whether the origin and `opposite` lie on different sides of the plane p q r."""
+    """Return whether the plane p q r separates the origin from `opposite`."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     wx, wy, wz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx

@@ -1,4 +1,4 @@
-"""One descent of the inverse kinematics: damped least squares with an active set of limits."""
+"""One descent of IK: damped least squares with an active set of joint limits."""
 
 import math
 from typing import NamedTuple
@@ -10,22 +10,22 @@ from kinfeas.kinematics.forward import Chain, Frames, fill_columns, make_frames,
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 
 STALL_STEPS = 3
-"""Steps without progress after which a descent gives up."""
+"""Steps without progress after which a descent ends."""
 
 DAMPING_FLOOR, DAMPING_GAIN = 1e-6, 0.02
-"""Damping is the floor plus the gain times the squared error, m^2."""
+"""Damping: the floor plus the gain times the squared error, m^2."""
 
 
 class Descent(NamedTuple):
-    """What a descent is run with.
+    """Limits and tolerances of a descent.
 
     Attributes:
         lower: Joint limits, shape (v,); -inf for continuous joints.
         upper: Same, +inf for continuous joints.
-        position_tolerance: Metres at which a descent is content.
-        rotation_tolerance: Radians at which a descent is content.
-        rotation_weight: Metres that one radian of error is worth while descending.
-        max_iterations: Steps at most.
+        position_tolerance: Position error at which it ends, metres.
+        rotation_tolerance: Rotation error at which it ends, radians.
+        rotation_weight: Metres equivalent to one radian of error.
+        max_iterations: Largest number of steps.
     """
 
     lower: Array
@@ -38,7 +38,7 @@ class Descent(NamedTuple):
 
 @inlined
 def within(options, lower, upper):
-    """Return the same descent within other limits, shape (v,) each."""
+    """Return the same descent with other joint limits, shape (v,) each."""
     return Descent(
         lower,
         upper,
@@ -50,7 +50,7 @@ def within(options, lower, upper):
 
 
 class Scratch(NamedTuple):
-    """Memory of one descent, allocated once for a whole batch."""
+    """Memory of a descent, allocated once for a whole batch."""
 
     frames: Frames
     columns: Array
@@ -67,7 +67,7 @@ class Scratch(NamedTuple):
 
 @kernel
 def make_scratch(joints, variables):
-    """Return scratch memory for a chain of `joints` joints driven by `variables` variables."""
+    """Return scratch memory for a chain of `joints` joints and an arm of `variables` joints."""
     return Scratch(
         make_frames(joints),
         np.empty((variables, 6)),
@@ -85,22 +85,22 @@ def make_scratch(joints, variables):
 
 @inlined
 def descend(chain: Chain, options: Descent, target_rotation, target_position, q, scratch):
-    """Move `q` to the target as far as its limits allow.
+    """Move `q` towards the target within its limits.
 
     Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
-    least-squares problem within the joint limits. The first is damped towards `scratch.pull`, which
-    so moves what the target leaves free, and which is zero again afterwards.
+    least-squares problem within the joint limits. The first step is damped towards `scratch.pull`,
+    a motion in the null space; `scratch.pull` is zero afterwards.
 
     Args:
         chain: From base to EE, driven by v variables.
-        options: Limits, tolerances and patience.
+        options: Limits and tolerances.
         target_rotation: EE orientation in the base frame, shape (3, 3).
         target_position: EE position in the base frame, shape (3,), metres.
-        q: Where to begin, within the limits; receives where it ends, shape (v,).
+        q: First joint positions, within the limits; receives the last ones, shape (v,).
         scratch: Memory of `make_scratch`.
 
     Returns:
-        Remaining distance in metres and angle in radians.
+        Remaining position error in metres and rotation error in radians.
     """
     stalled, best = 0, np.inf
     metres, radians = np.inf, np.inf
@@ -111,7 +111,7 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
         cost = square(metres) + square(options.rotation_weight * radians)
         stalled = 0 if cost < 0.95 * best else stalled + 1
         best = min(best, cost)
-        # What is returned was measured at the very `q` that is left behind.
+        # The errors returned are those of the last `q`.
         if stalled > STALL_STEPS or iteration == options.max_iterations:
             break
         fill_columns(chain.tree, scratch.frames, scratch.columns)
@@ -134,7 +134,7 @@ def _weigh(weight, scratch):
 
 @inlined
 def measure(chain, target_rotation, target_position, q, scratch):
-    """Write the error that `q` leaves, metres and radians; return the lengths of its halves."""
+    """Write the error of `q`; return its norms, metres and radians."""
     place_chain(chain, q, scratch.frames)
     squared = 0.0
     for i in range(3):
@@ -146,7 +146,7 @@ def measure(chain, target_rotation, target_position, q, scratch):
 
 @inlined
 def rotation_error(target, current, error):
-    """Write the rotation vector from `current` to `target` into error[3:]; return its length."""
+    """Write the rotation vector from `current` to `target` to error[3:]; return its norm."""
     trace = 0.0
     for i in range(3):
         for k in range(3):
@@ -171,7 +171,7 @@ def rotation_error(target, current, error):
 
 @inlined
 def _half_turn(target, current, error):
-    """Write a half turn about the axis n of R = 2 n n' - 1, where the sine says nothing."""
+    """Write a half turn about the axis n of R = 2 n n' - 1, where the sine is zero."""
     largest, column = -1.0, 0
     for i in range(3):
         diagonal = 0.0
@@ -196,8 +196,8 @@ def _step_within_limits(options, q, damping, scratch):
     """Write the damped least-squares step that keeps `q` within its limits.
 
     Of min |J s - e|^2 + damping |s - p|^2 within bounds, with the pull p, the free joints' part is
-    s = p + J' y. A joint whose share passes a bound is held there. When no other does, a held joint
-    whose share has come back within its bounds is let go, each joint once, and the rest is solved
+    s = p + J' y. A joint that would pass a bound is held there. When no other does, a held joint
+    that would move back within its bounds is released, each joint once, and the rest is solved
     again.
     """
     step, wanted, side, released = scratch.step, scratch.wanted, scratch.side, scratch.released
@@ -221,7 +221,7 @@ def _step_within_limits(options, q, damping, scratch):
 
 @inlined
 def _release(scratch):
-    """Let go of the joint that is held most against its will; return whether there is one."""
+    """Release the held joint that would move back farthest; return whether there is one."""
     worst, choice = 0.0, -1
     for j in range(len(scratch.side)):
         inward = scratch.side[j] * (scratch.step[j] - scratch.wanted[j])
@@ -234,7 +234,7 @@ def _release(scratch):
 
 @inlined
 def _solve_damped(scratch, damping):
-    """Write y of (J J' + damping) y = e over the free joints, less what pull and held ones do."""
+    """Write y of (J J' + damping) y = e for free joints; pull and held joints reduce e."""
     columns, low, y = scratch.columns, scratch.normal, scratch.solved
     copy_row(scratch.error, y)
     low[:] = 0.0
@@ -256,7 +256,7 @@ def _solve_damped(scratch, damping):
         total = low[i, i] + damping
         for j in range(i):
             total -= low[i, j] * low[i, j]
-        # The diagonal holds the inverse, for it is only ever divided by.
+        # The diagonal holds the inverse, since it only divides.
         low[i, i] = 1.0 / math.sqrt(total)
     for i in range(6):
         for j in range(i):

@@ -1,4 +1,4 @@
-"""Batched forward kinematics and Jacobian."""
+"""Forward kinematics: the chain as arrays for kernels, EE poses and the Jacobian."""
 
 import math
 from typing import NamedTuple
@@ -17,19 +17,18 @@ FIXED = -1
 
 
 class Tree(NamedTuple):
-    """m moving joints, each after its parent, and the body that each one carries.
+    """The m moving joints of a robot, each after its parent.
 
-    Every joint moves about or along the z axis of its own frame: the rotation that takes the
-    URDF's axis there is folded into the constant transforms before and after it, so that a joint
-    costs one mixing of two columns.
+    Every joint moves about or along the z axis of its own frame: the constant transforms before and
+    after it contain the rotation to the URDF's axis, so that a joint mixes only two columns.
 
     Attributes:
-        parent: Joint that carries joint i, shape (m,); -1 is the robot's base.
+        parent: Parent joint, shape (m,); -1 is the robot's base.
         rotation: From the parent's body to the joint, shape (m, 3, 3).
         offset: Same, metres, shape (m, 3).
-        prismatic: Whether the joint slides, shape (m,).
+        prismatic: Whether the joint is prismatic, shape (m,).
         variable: Arm variable that drives it, shape (m,).
-        multiplier: Joint position per unit of the variable, shape (m,); 1 but for mimic joints.
+        multiplier: Joint position per unit of the variable, shape (m,); 1 except for mimic joints.
         bias: Joint position at variable 0, shape (m,).
     """
 
@@ -43,7 +42,7 @@ class Tree(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Where a link sits: rigidly on the body of a joint.
+    """Pose of a link on the body of a joint.
 
     Attributes:
         joint: Index into the tree; -1 is the robot's base.
@@ -60,10 +59,10 @@ class Chain(NamedTuple):
     """A serial tree (parent of i is i - 1) with the EE frame on its last body.
 
     Attributes:
-        tree: The joints on the way to the EE.
+        tree: Joints from the base to the EE.
         ee_rotation: From the last body to the EE frame, shape (3, 3).
         ee_offset: Same, metres, shape (3,).
-        variables: How many the arm has, those included that move nothing here.
+        variables: Number of the arm's joints, including those that do not move the EE.
     """
 
     tree: Tree
@@ -72,37 +71,49 @@ class Chain(NamedTuple):
     variables: int
 
 
-class _Drive(NamedTuple):
+class _Segment(NamedTuple):
+    """One joint of a tree."""
+
+    parent: int
+    rotation: Array
+    offset: Array
+    prismatic: bool
     variable: int
     multiplier: float
     bias: float
 
 
-class _Segment(NamedTuple):
-    parent: int
-    rotation: Array
-    offset: Array
-    prismatic: bool
-    drive: _Drive
-
-
 def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mount]]:
-    """Return the moving joints of `robot` and where each of its links is mounted.
+    """Return the joints that the arm drives and the mount of each link.
 
-    Joints that the arm does not drive stand at `robot.fixed_joints`.
+    All other joints are at `robot.fixed_joints`.
 
     Args:
         robot: The robot.
-        tip: Only the joints on the way from the root to this link; all joints by default.
+        tip: Only joints between the root and this link; by default all joints.
     """
-    on_path = _path(robot, tip) if tip else None
+    urdf = robot.urdf
+    on_path = {joint.child for joint in urdf.path_to(tip)} if tip else set(urdf.links)
     segments: list[_Segment] = []
-    mounts = {robot.urdf.root: Mount(FIXED, np.eye(3), np.zeros(3))}
-    for joint in _from_root(robot):
-        if on_path is not None and joint.child not in on_path:
-            continue
-        mounts[joint.child] = _attach(robot, joint, mounts[joint.parent], segments)
-    return _stack(segments), mounts
+    mounts = {urdf.root: Mount(FIXED, np.eye(3), np.zeros(3))}
+    links = [urdf.root]
+    for link in links:
+        for joint in urdf.on[link]:
+            if joint.child in on_path:
+                mounts[joint.child] = _attach(robot, joint, mounts[link], segments)
+                links.append(joint.child)
+    columns = zip(*segments, strict=True) if segments else [()] * len(_Segment._fields)
+    parent, turns, offsets, prismatic, variable, multiplier, bias = columns
+    tree = Tree(
+        parent=np.array(parent, dtype=np.intp),
+        rotation=np.array(turns).reshape(-1, 3, 3),
+        offset=np.array(offsets).reshape(-1, 3),
+        prismatic=np.array(prismatic, dtype=np.bool_),
+        variable=np.array(variable, dtype=np.intp),
+        multiplier=np.array(multiplier, dtype=np.float64),
+        bias=np.array(bias, dtype=np.float64),
+    )
+    return tree, mounts
 
 
 def build_chain(robot: Robot) -> Chain:
@@ -113,28 +124,24 @@ def build_chain(robot: Robot) -> Chain:
 
 
 def _attach(robot: Robot, joint: Joint, mount: Mount, segments: list[_Segment]) -> Mount:
-    """Return where the joint's child is mounted; a driven joint is appended to `segments`."""
-    turn = Rotation.from_quat(joint.origin[3:]).as_matrix()
-    rotation = mount.rotation @ turn
+    """Return the mount of the joint's child; a joint that the arm drives joins `segments`."""
+    rotation = mount.rotation @ Rotation.from_quat(joint.origin[3:]).as_matrix()
     offset = mount.offset + mount.rotation @ joint.origin[:3]
     if joint.kind == "fixed":
         return Mount(mount.joint, rotation, offset)
-    align = _z_onto(np.asarray(joint.axis))
-    drive = _drive(robot, joint)
-    prismatic = joint.kind == "prismatic"
-    if drive.variable == FIXED:
-        motion, slide = _motion(drive.bias, prismatic)
+    align, prismatic = _z_onto(np.asarray(joint.axis)), joint.kind == "prismatic"
+    leader, multiplier, bias = robot.urdf.followed(joint)
+    names = [arm_joint.name for arm_joint in robot.arm]
+    if leader.name not in names:
+        position = robot.fixed_joints[joint.name]
+        motion = Rotation.from_rotvec([0.0, 0.0, 0.0 if prismatic else position]).as_matrix()
+        slide = np.array([0.0, 0.0, position if prismatic else 0.0])
         moved = rotation @ align
         return Mount(mount.joint, moved @ motion @ align.T, offset + moved @ slide)
-    segments.append(_Segment(mount.joint, rotation @ align, offset, prismatic, drive))
-    # In C order, for kernels are compiled anew for every memory layout.
+    drive = names.index(leader.name), multiplier, bias
+    segments.append(_Segment(mount.joint, rotation @ align, offset, prismatic, *drive))
+    # In C order, since kernels are compiled for each memory layout.
     return Mount(len(segments) - 1, np.ascontiguousarray(align.T), np.zeros(3))
-
-
-def _motion(position: float, prismatic: bool) -> tuple[Array, Array]:
-    if prismatic:
-        return np.eye(3), np.array([0.0, 0.0, position])
-    return Rotation.from_rotvec([0.0, 0.0, position]).as_matrix(), np.zeros(3)
 
 
 def _z_onto(axis: Array) -> Array:
@@ -143,52 +150,6 @@ def _z_onto(axis: Array) -> Array:
     x = np.cross(helper, axis)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
-
-
-def _drive(robot: Robot, joint: Joint) -> _Drive:
-    """Return what moves `joint`."""
-    names = [arm_joint.name for arm_joint in robot.arm]
-    leader, multiplier, bias = robot.urdf.followed(joint)
-    if leader.name in names:
-        return _Drive(names.index(leader.name), multiplier, bias)
-    return _Drive(FIXED, 0.0, robot.fixed_joints[joint.name])
-
-
-def _from_root(robot: Robot) -> list[Joint]:
-    """Return all joints, each after the one that carries it."""
-    carried: dict[str, list[Joint]] = {}
-    for joint in robot.urdf.joints.values():
-        carried.setdefault(joint.parent, []).append(joint)
-    ordered: list[Joint] = []
-    links = [robot.urdf.root]
-    while links:
-        children = carried.get(links.pop(0), [])
-        ordered += children
-        links += [joint.child for joint in children]
-    return ordered
-
-
-def _path(robot: Robot, tip: str) -> set[str]:
-    """Return the links between the root and `tip`."""
-    parent = {joint.child: joint.parent for joint in robot.urdf.joints.values()}
-    links = {tip}
-    while tip in parent:
-        tip = parent[tip]
-        links.add(tip)
-    return links
-
-
-def _stack(segments: list[_Segment]) -> Tree:
-    drives = [segment.drive for segment in segments]
-    return Tree(
-        parent=np.array([segment.parent for segment in segments], dtype=np.intp),
-        rotation=np.array([s.rotation for s in segments]).reshape(-1, 3, 3),
-        offset=np.array([s.offset for s in segments]).reshape(-1, 3),
-        prismatic=np.array([s.prismatic for s in segments], dtype=np.bool_),
-        variable=np.array([drive.variable for drive in drives], dtype=np.intp),
-        multiplier=np.array([drive.multiplier for drive in drives], dtype=np.float64),
-        bias=np.array([drive.bias for drive in drives], dtype=np.float64),
-    )
 
 
 def forward(chain: Chain, joint_positions: Array) -> Array:
@@ -202,7 +163,7 @@ def forward(chain: Chain, joint_positions: Array) -> Array:
         Poses, shape (..., 7).
 
     Raises:
-        KinfeasError: If the joint positions are of another shape.
+        KinfeasError: If the joint positions have another shape.
     """
     flat, leading = flattened(chain.variables, joint_positions)
     poses = np.empty((len(flat), 7))
@@ -211,17 +172,17 @@ def forward(chain: Chain, joint_positions: Array) -> Array:
 
 
 def jacobian(chain: Chain, joint_positions: Array) -> Array:
-    """Return the derivative of the EE's twist by the joints' velocities.
+    """Return the Jacobian of the EE, the derivative of its twist by the joint velocities.
 
     Args:
         chain: The robot's chain with v variables.
         joint_positions: Shape (..., v), radians or metres.
 
     Returns:
-        Shape (..., 6, v): linear rows, then angular rows, along the base's axes, at the EE origin.
+        Shape (..., 6, v): linear rows, then angular rows, in the base's axes, at the EE origin.
 
     Raises:
-        KinfeasError: If the joint positions are of another shape.
+        KinfeasError: If the joint positions have another shape.
     """
     flat, leading = flattened(chain.variables, joint_positions)
     columns = np.empty((*flat.shape, 6))
@@ -230,14 +191,10 @@ def jacobian(chain: Chain, joint_positions: Array) -> Array:
 
 
 def flattened(variables: int, joint_positions: Array) -> tuple[Array, tuple[int, ...]]:
-    """Return configurations as the kernels take them, shape (n, v), and their leading axes.
-
-    Args:
-        variables: How many the arm has, v.
-        joint_positions: Shape (..., v), radians or metres.
+    """Return joint positions (..., v) as an array for kernels, (n, v), and their leading axes.
 
     Raises:
-        KinfeasError: If the last axis is of another length: the kernels do not look.
+        KinfeasError: If the last axis has another length than `variables`, v.
     """
     rows = np.ascontiguousarray(joint_positions, dtype=np.float64)
     if rows.shape[-1] != variables:
@@ -262,10 +219,10 @@ def _jacobian_batch(chain, joint_positions, out):
 
 
 class Frames(NamedTuple):
-    """Where a chain is, and memory to get there; allocated once for a whole batch.
+    """Frames of a chain, allocated once for a whole batch.
 
     Attributes:
-        motion: Cosine, sine and slide of each joint, shape (m, 3).
+        motion: Cosine, sine and translation of each joint, shape (m, 3).
         axis: Joint axes in the base frame, shape (m, 3).
         origin: Joint origins in the base frame, shape (m, 3), metres.
         rotation: EE orientation in the base frame, shape (3, 3).
@@ -281,7 +238,7 @@ class Frames(NamedTuple):
 
 @inlined
 def make_frames(joints):
-    """Return memory for a chain of `joints` joints."""
+    """Return empty frames for a chain of `joints` joints."""
     return Frames(
         np.empty((joints, 3)),
         np.empty((joints, 3)),
@@ -293,7 +250,7 @@ def make_frames(joints):
 
 @inlined
 def place_joints(tree: Tree, q, motion):
-    """Write cosine, sine and slide of every joint, shape (m, 3), for the variables `q`, (v,)."""
+    """Write cosine, sine and translation of every joint, (m, 3), at the variables `q`, (v,)."""
     for i in range(len(tree.variable)):
         value = tree.multiplier[i] * q[tree.variable[i]] + tree.bias[i]
         if tree.prismatic[i]:
@@ -306,8 +263,8 @@ def place_joints(tree: Tree, q, motion):
 def place_chain(chain: Chain, q, frames):
     """Write axes, origins and EE pose of the chain at the variables `q`, shape (v,).
 
-    A row of a product of rotations depends on the same row of its first factor alone, so that the
-    chain is walked three times with three numbers in hand.
+    A row of a product of rotations depends only on the same row of the first factor: the chain is
+    evaluated once for each of three rows.
     """
     tree, motion = chain.tree, frames.motion
     place_joints(tree, q, motion)

@@ -1,4 +1,4 @@
-"""Inverse kinematics that the reward can stand on: verified, within limits, deterministic."""
+"""Inverse kinematics: verified, within joint limits, deterministic."""
 
 from dataclasses import dataclass, fields
 from typing import Annotated
@@ -17,31 +17,29 @@ from kinfeas.kinematics.self_collision import CollisionModel, build_collision_mo
 from kinfeas.robots.robot import Robot
 
 ROTATION_WEIGHT = 0.4
-"""Metres that one radian of error is worth in the search, where no pose tolerance says
-otherwise."""
+"""Metres equivalent to one radian of error in the search of robots without pose tolerance."""
 
 AIM = 0.2
-"""Share of the tolerances at which a descent is content; it may end anywhere within them."""
+"""Share of the tolerances at which a descent ends early."""
 
 POSE_DIMENSIONS = 6
 
 
 @dataclass(frozen=True)
 class IkOptions:
-    """How hard to search.
+    """Options of the IK solver.
 
     Attributes:
-        library: Configurations to restart from, spread over the joint limits.
-        restarts: How many of them, those whose EE pose is nearest to the target, are tried.
-        candidates: Solutions among which the one nearest to the seed is taken.
-        self_collision: Whether solutions in which the robot touches itself are rejected.
-        pose tolerance: Whether a robot's own pose tolerance counts as feasible; else only exact
-        solutions do.
-        position_tolerance: Metres within which a pose counts as reached.
-        rotation_tolerance: Radians within which a pose counts as reached.
-        max_iterations: Steps of one descent at most.
-        centering: How strongly the spare freedom of the arm draws its joints to the middle of their
-            ranges, as a share of what they can move in time; 0 for not at all.
+        library: Number of configurations to restart from, spread over the joint limits.
+        restarts: Largest number of restarts, from those with the EE nearest to the target.
+        candidates: Number of solutions of which the one nearest to the seed is taken.
+        self_collision: Whether solutions in self-collision are rejected.
+        pose_tolerance: Whether the robot's pose tolerance counts as feasible.
+        position_tolerance: Position error of an exact solution, metres.
+        rotation_tolerance: Rotation error of an exact solution, radians.
+        max_iterations: Largest number of steps of a descent.
+        centering: Pull of a redundant arm's joints towards the middles of their ranges, as a share
+            of the largest joint step; 0 for none.
     """
 
     library: Annotated[int, Interval(low=1, high=65536)] = 2048
@@ -55,7 +53,7 @@ class IkOptions:
     centering: Share = 1.0
 
     def thorough(self) -> "IkOptions":
-        """Return options by which the same counts as a solution, searched for as by default."""
+        """Return options with the same definition of a solution and the default search."""
         return IkOptions(
             self_collision=self.self_collision,
             pose_tolerance=self.pose_tolerance,
@@ -66,14 +64,14 @@ class IkOptions:
 
 @dataclass(frozen=True)
 class IkSolution:
-    """What the solver found for n targets.
+    """Solutions for n targets.
 
     Attributes:
-        joint_positions: Solutions, and the seeds where there is none, shape (n, v).
+        joint_positions: Solutions, or the seeds where there is none, shape (n, v).
         feasible: Whether a solution was found, shape (n,).
-        position_error: Distance that the solution, or the closest attempt free of self-collision,
-            leaves, shape (n,), metres.
-        rotation_error: The same for the orientation, shape (n,), radians.
+        position_error: Position error of the solution, or of the closest attempt without
+            self-collision, shape (n,), metres.
+        rotation_error: Rotation error of the same, shape (n,), radians.
     """
 
     joint_positions: Array
@@ -82,13 +80,13 @@ class IkSolution:
     rotation_error: Array
 
     def put(self, rows: NDArray[np.intp], found: "IkSolution") -> None:
-        """Put what was found for m of the targets in place of what is here; `rows` is (m,)."""
+        """Replace the solutions of the m targets `rows`, shape (m,)."""
         for entry in fields(self):
             getattr(self, entry.name)[rows] = getattr(found, entry.name)
 
 
 class IkSolver:
-    """Finds arm configurations that put the EE of one robot at given poses."""
+    """Solves IK for batches of EE poses of one robot."""
 
     def __init__(self, robot: Robot, options: IkOptions | None = None) -> None:
         """Prepare the solver for `robot`."""
@@ -108,59 +106,50 @@ class IkSolver:
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
-        A descent from the seed comes first if the EE is near the target there: within
-        `max_joint_step`, where what the arm has to spare draws its joints to the middle of their
-        ranges, and where that fails, as far as the limits allow. Where that fails, too, others
-        start from those configurations of a fixed library that bring the EE nearest, and of up to
-        `candidates` solutions the one that the arm reaches soonest is taken. The answer is a
-        function of the arguments alone, row by row.
+        If the EE is near the target at the seed, the search begins there: within `max_joint_step`,
+        where redundant arms centre their joints, then within the joint limits. Otherwise, or if
+        that fails, it restarts from the configurations of a fixed library with the nearest EE, and
+        takes the one of up to `candidates` solutions that the arm reaches soonest. The solution of
+        a row depends on the arguments of that row alone.
 
         Args:
             ee_pose_in_base: Targets, shape (n, 7).
-            seed: Joint positions to begin from, shape (n, v), radians or metres.
-            max_joint_step: How far each joint can go from there in time, shape (v,); a solution
-                within is taken before any other. By default nothing is known of it.
-            allow_reconfiguration: Whether solutions further away than `max_joint_step` are looked
-                for, too; without, `max_joint_step` has to be given.
+            seed: First joint positions, shape (n, v), radians or metres.
+            max_joint_step: Largest displacement of each joint in one control step, shape (v,);
+                solutions within it come first.
+            allow_reconfiguration: Whether solutions beyond `max_joint_step` are allowed.
 
         Raises:
-            KinfeasError: If one of them is of another shape, or missing.
+            KinfeasError: If an array has another shape, or `max_joint_step` is needed and missing.
         """
         if max_joint_step is None and not allow_reconfiguration:
             raise KinfeasError("without reconfiguration, max_joint_step must be given")
         targets = np.ascontiguousarray(ee_pose_in_base, dtype=np.float64)
         solution = np.array(seed, dtype=np.float64, order="C")
-        near = (
-            None
-            if max_joint_step is None
-            else np.ascontiguousarray(max_joint_step, dtype=np.float64)
-        )
-        self._check_shapes(targets, solution, near)
+        within = np.empty(0)
+        if max_joint_step is not None:
+            within = np.ascontiguousarray(max_joint_step, dtype=np.float64)
+        joints = self.chain.variables
+        expected = {
+            "targets": (targets, (len(targets), 7)),
+            "seeds": (solution, (len(targets), joints)),
+            "max_joint_step": (within, within.shape if max_joint_step is None else (joints,)),
+        }
+        for name, (array, shape) in expected.items():  # the kernels do not check
+            if array.shape != shape:
+                raise KinfeasError(f"{name} must be of shape {shape}, not {array.shape}")
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
-        within = np.empty(0) if near is None else near
         solve_batch(
             self._problem, targets, within, allow_reconfiguration, solution, feasible, errors
         )
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 
-    def _check_shapes(self, targets: Array, seed: Array, max_joint_step: Array | None) -> None:
-        """Raise unless the shapes belong together, for the kernels do not look."""
-        joints = self.chain.variables
-        if targets.ndim != 2 or targets.shape[1] != 7:
-            raise KinfeasError(f"targets must be of shape (n, 7), not {targets.shape}")
-        if seed.shape != (len(targets), joints):
-            raise KinfeasError(f"seeds must be of shape {len(targets), joints}, not {seed.shape}")
-        if max_joint_step is not None and max_joint_step.shape != (joints,):
-            raise KinfeasError(
-                f"max_joint_step must be of shape ({joints},), not {max_joint_step.shape}"
-            )
-
 
 def _make_problem(
     robot: Robot, options: IkOptions, chain: Chain, collision: CollisionModel
 ) -> Problem:
-    # Copies, for kernels are compiled anew for arrays that are read-only.
+    # Copies, since kernels are compiled again for read-only arrays.
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
@@ -197,16 +186,16 @@ def _make_problem(
 
 
 def spread_configurations(robot: Robot, count: int, seed: int = 0) -> Array:
-    """Return `count` configurations that cover the joint limits evenly, shape (count, v).
+    """Return up to 65536 configurations that cover the joint limits evenly, (count, v).
 
-    Each seed has others, as long as they are fewer than 65536.
+    Each seed has others.
     """
     lower, upper = robot.finite_joint_limits
     return lower + (upper - lower) * spread(count, len(robot.arm), seed * 65536)
 
 
 def _ranges(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return middles and half widths of the joint ranges; 0 and inf where there is no limit."""
+    """Return middles and half widths of the joint ranges; 0 and inf without limits."""
     bounded = np.isfinite(upper - lower)
     middle, half = np.zeros_like(lower), np.full_like(lower, np.inf)
     middle[bounded] = (lower[bounded] + upper[bounded]) / 2.0
@@ -215,10 +204,7 @@ def _ranges(lower: Array, upper: Array) -> tuple[Array, Array]:
 
 
 def _centering(half: Array, strength: float) -> Array:
-    """Return what draws joints to their middles, shape (v,), or (0,) if nothing is to.
-
-    An arm of no more joints than a pose has dimensions has nothing to spare.
-    """
+    """Return the pull towards the middles, (v,), or (0,) for arms that are not redundant."""
     if strength == 0.0 or len(half) <= POSE_DIMENSIONS:
         return np.empty(0)
     inverse = np.divide(1.0, half, out=np.zeros_like(half), where=half > 0.0)
@@ -226,10 +212,10 @@ def _centering(half: Array, strength: float) -> Array:
 
 
 def _reach(chain: Chain, middle: Array, half: Array) -> Array:
-    """Return a ball that no position of the last joint can leave: centre (3,) and radius.
+    """Return the centre (3,) and radius of a ball that contains the last joint.
 
-    The sum of the link lengths after the first joint that turns bounds the distance from it; the
-    sliding joints before it move that joint along a line, whose half length adds to the radius.
+    The lengths of the links after the first revolute joint bound the distance from it. Prismatic
+    joints before it move it along a line, whose half length adds to the radius.
     """
     tree = chain.tree
     turning = np.flatnonzero(~tree.prismatic)
@@ -250,11 +236,11 @@ def _reach(chain: Chain, middle: Array, half: Array) -> Array:
 
 
 def spread(count: int, dimensions: int, first: int = 0) -> Array:
-    """Return points number `first` to `first + count - 1` of the unit cube, (count, dimensions).
+    """Return quasirandom points of the unit cube, shape (count, dimensions).
 
-    The additive recurrence of the generalised golden ratio (Roberts, "The unreasonable
-    effectiveness of quasirandom sequences", 2018). SciPy's sequences would do as well, but their
-    import costs a deployed policy a sixth of its memory.
+    These are numbers `first` to `first + count - 1` of the additive recurrence of the generalised
+    golden ratio (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). SciPy's
+    sequences take a sixth more memory in a deployed policy.
     """
     ratio = 2.0
     for _ in range(64):  # a fixed point of x^(d + 1) = x + 1

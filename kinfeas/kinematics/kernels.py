@@ -1,4 +1,4 @@
-"""How kernels of kinematics are compiled, and the smallest of them."""
+"""Compilation of kernels, and small ones: copies, squares, poses from matrices and back."""
 
 from numba import njit
 
@@ -7,12 +7,12 @@ from kinfeas.core.pose_kernels import product
 
 kernel_cache.settle()  # before the first kernel
 
-# numpy's error model spares a zero check at every division; the kernels guard their own. Sums may
-# be regrouped and multiply-adds fused, always in the same way: results stay deterministic. A kernel
-# that did not say that it is not inlined would be, everywhere, if its first caller is. What finds
-# numbers for other kernels is inlined, for else each of them has a copy of it, regrouped in its own
-# way, and what else a process has compiled decides which copy runs. No kernel has a `**`: numba
-# compiles it once in a process, and whoever asks first says whether it may be regrouped.
+# numpy's error model has no zero check at divisions. Sums may be regrouped and multiply-adds fused,
+# always in the same way: results are deterministic. Without `forceinline=False` a kernel is inlined
+# everywhere if its first caller is. Functions that compute numbers for other kernels are inlined:
+# otherwise each kernel has its own, regrouped copy, and the kernels that a process compiled before
+# determine which copy runs. No kernel has a `**`, since numba compiles it once in a process, with
+# the flags of the first kernel.
 _FAST = {"contract", "reassoc", "nsz"}
 kernel = njit(cache=True, error_model="numpy", fastmath=_FAST, nogil=True, forceinline=False)
 inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True)
@@ -20,18 +20,14 @@ inlined = njit(cache=True, error_model="numpy", fastmath=_FAST, forceinline=True
 
 @inlined
 def copy_row(values, out):
-    """Write the same values, shape (n,).
-
-    An assignment to a slice would compile numpy's broadcasting and the making of its messages
-    along, at times for minutes.
-    """
+    """Copy values, shape (n,); a slice assignment takes much longer to compile."""
     for i in range(len(values)):
         out[i] = values[i]
 
 
 @inlined
 def square(value):
-    """Return the value times itself."""
+    """Return the square."""
     return value * value
 
 
@@ -51,8 +47,8 @@ def write_matrix(pose, out):
 def write_pose(position, matrix, out):
     """Write a position, shape (3,), and a rotation matrix, shape (3, 3), as a pose, shape (7,).
 
-    The largest of the four numbers is taken from the diagonal, the others from its quotients
-    (Shepperd, J. Guidance and Control 1978).
+    The largest component comes from the diagonal, the others from quotients by it (Shepperd, J.
+    Guidance and Control 1978).
     """
     a, b, c = matrix[0, 0], matrix[1, 1], matrix[2, 2]
     if a + b + c > 0.0:

@@ -1,4 +1,4 @@
-"""The ceiling: how many goals can be reached from any base pose at all."""
+"""Reachability: the share of goals that the EE reaches from some base pose."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,19 +14,19 @@ from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.robot import Robot
 
 STAGES = (4, 16, 64, 256, 1024)
-"""Base poses that have been tried around an open goal by the end of each stage."""
+"""Base poses tried around a goal by the end of each stage."""
 
 _POSTURES, _POSTURE_SEED = 8192, 3
 
 
 @dataclass(frozen=True)
 class Reachability:
-    """What can be reached, and how sure that is.
+    """Reached goals.
 
     Attributes:
-        reached: For each goal whether a base pose was found, shape (n,).
-        share: Share of them with its Wilson interval: how well n goals stand for all goals.
-        convergence: Share reached by the end of each stage: how little more tries still add.
+        reached: Whether a base pose was found for each goal, shape (n,).
+        share: Share of reached goals with its Wilson interval.
+        convergence: Share reached by the end of each stage.
     """
 
     reached: NDArray[np.bool_]
@@ -35,7 +35,7 @@ class Reachability:
 
 
 def at_goals(robot: Robot, ik: IkOptions) -> IkOptions:
-    """Return the IK options at goals, where success limits a robot's pose tolerance."""
+    """Return the IK options for goals: tolerances of success replace a pose tolerance."""
     if robot.pose_tolerance is None or not ik.pose_tolerance:
         return ik
     return replace(
@@ -52,17 +52,17 @@ def reachable(
 ) -> Reachability:
     """Return which of `goals` the EE reaches from some base pose.
 
-    The base poses to try come from postures spread over the joint limits: each is turned about and
-    carried over the floor until its EE is above or below the goal, and those that miss the goal's
-    height and tilt least come first. IK decides. What it finds is certain; a goal that it does not
-    find is as good as out of reach only where `convergence` has settled.
+    Base poses come from configurations spread over the joint limits: the robot is turned and moved
+    until its EE is above or below the goal. Configurations with the least error in height and tilt
+    come first, and IK decides. Goals that are not found are out of reach only if `convergence` has
+    settled.
 
     Args:
-        solver: Says what counts as reached, and whether self-collision does not.
+        solver: IK, with its tolerances and self-collision check.
         goals: World poses of the EE, shape (n, 7), n at least 1.
-        stages: Ascending numbers of base poses; only goals still open go on to the next stage.
+        stages: Ascending numbers of base poses; only open goals enter the next stage.
         on_done: Called with the share of all work, 0-1, that has just been done.
-        tried: Of the base poses, how many have been tried in vain already.
+        tried: Number of base poses that were tried before.
     """
     postures = _Postures(solver)
     reached = np.zeros(len(goals), dtype=np.bool_)
@@ -78,7 +78,7 @@ def reachable(
 
 
 class _Postures:
-    """Arm configurations free of self-collision that propose base poses."""
+    """Arm configurations without self-collision that propose base poses."""
 
     def __init__(self, solver: IkSolver) -> None:
         joints = spread_configurations(solver.robot, _POSTURES, _POSTURE_SEED)
@@ -88,7 +88,7 @@ class _Postures:
         self.turns = rotation(self.ee_pose).as_matrix()
 
     def reach(self, goal: Array, first: int, last: int) -> bool:
-        """Return whether one of the proposals `first` to `last` for `goal`, (7,), reaches it."""
+        """Return whether one of the proposals `first` to `last` reaches `goal`, shape (7,)."""
         heading, cost = self._face(goal)
         best = np.argsort(cost, kind="stable")[first:last]
         heading, ee = heading[best], self.ee_pose[best]
@@ -100,7 +100,7 @@ class _Postures:
         return bool(np.any(self.solver.solve(targets, self.joints[best]).feasible))
 
     def _face(self, goal: Array) -> tuple[Array, Array]:
-        """Return for each posture the heading that fits `goal` best, and the squared miss, (l,).
+        """Return the best heading and its squared error for each configuration, shape (l,).
 
         The heading maximizes the trace of R_goal' Rz(heading) R_ee.
         """

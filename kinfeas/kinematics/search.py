@@ -1,4 +1,4 @@
-"""The search of the inverse kinematics: a descent from where the arm is, then from a library."""
+"""The search of IK: descents from the seed, then from a library of configurations."""
 
 import math
 from typing import NamedTuple
@@ -13,35 +13,35 @@ from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square, write_
 from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
 
 WARM_COST = 0.3**2
-"""Squared distance, metres, within which a descent from the seed comes before all others."""
+"""Squared error, m^2, up to which the search begins with descents from the seed."""
 
 HOPEFUL, HOPELESS_COST = 6, 0.02**2
-"""After so many restarts none of which came nearer than this squared distance, m^2, it gives up."""
+"""The search ends after so many restarts if none had a smaller squared error, m^2."""
 
 DRAWN, NEAR, WIDE = range(3)
-"""Descents from the seed: within what joints can move, drawn to their middles or not; or freely."""
+"""Descents from the seed: within `max_joint_step`, centring the joints or not, or anywhere."""
 
 
 class Problem(NamedTuple):
-    """Everything that does not change from target to target.
+    """Constants of a robot's search.
 
     Attributes:
         chain: From base to EE, driven by v variables.
-        descent: How one descent runs.
-        collision: What the robot may touch itself with.
-        check_collision: Whether that is looked at.
+        descent: Limits and tolerances of a descent.
+        collision: Self-collision model.
+        check_collision: Whether self-collision is checked.
         velocity: Joint velocity limits, shape (v,).
-        continuous: Which joints turn without end, shape (v,).
-        middle: The middles of the joint ranges, shape (v,).
-        centering: How strongly joints are drawn there: times the root of the distance, it is a
-            share of what they can move in time. Shape (v,), or (0,) if they are not.
-        reach: Ball that the last joint cannot leave: centre and radius, shape (4,), metres.
+        continuous: Whether joints are continuous, shape (v,).
+        middle: Middles of the joint ranges, shape (v,).
+        centering: Pull towards the middles, shape (v,): times the root of the distance, a share of
+            `max_joint_step`. Shape (0,) for none.
+        reach: Centre and radius of a ball that contains the last joint, shape (4,), metres.
         library: Configurations to restart from, shape (l, v).
-        features: What ranks them for a target, shape (13, l); see `library_features`.
-        restarts: How many of them are tried at most.
-        candidates: Solutions among which the nearest is taken.
-        accept_position: Distance at which a pose is feasible, metres.
-        accept_rotation: The same for its orientation, radians.
+        features: Their features for ranking, shape (13, l); see `library_features`.
+        restarts: Largest number of restarts.
+        candidates: Number of solutions of which the nearest is taken.
+        accept_position: Position error of a feasible pose, metres.
+        accept_rotation: Rotation error of a feasible pose, radians.
     """
 
     chain: Chain
@@ -62,15 +62,15 @@ class Problem(NamedTuple):
 
 
 def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.float32]:
-    """Return what ranks library entries by their EE's distance to a target, shape (13, l).
+    """Return features that rank library entries by their EE's distance to a target, (13, l).
 
-    |p - p'|^2 + (weight^2 / 2) |R - R'|^2 is, but for what all entries share, a sum of products of
-    one entry's features with the target's.
+    |p - p'|^2 + (weight^2 / 2) |R - R'|^2 is, except for terms of the target alone, a sum of
+    products of an entry's features with the target's.
 
     Args:
         position: EE positions of the entries, shape (l, 3), metres.
         turn: EE orientations, shape (l, 3, 3).
-        weight: Metres that one radian is worth.
+        weight: Metres equivalent to one radian.
     """
     squares = np.sum(np.square(position), axis=1, keepdims=True)
     rows = [squares, -2.0 * position, -(weight**2) * turn.reshape(-1, 9)]
@@ -86,12 +86,12 @@ def solve_batch(
     Args:
         problem: The robot.
         targets: EE poses in the base frame, shape (n, 7).
-        max_joint_step: How far each joint may go from its seed in a solution that comes before all
-            others, shape (v,), or (0,) if none does.
-        allow_reconfiguration: Whether others count at all.
+        max_joint_step: Displacement of each joint within which solutions come before all others,
+            shape (v,), or (0,) for none.
+        allow_reconfiguration: Whether other solutions are allowed.
         solution: Holds the seeds and receives the answers, shape (n, v).
-        feasible: Receives whether there is one, shape (n,).
-        errors: Receives what it, or the closest attempt, leaves, shape (n, 2): metres, radians.
+        feasible: Receives whether there is a solution, shape (n,).
+        errors: Receives the errors of it, or of the closest attempt, (n, 2): metres, radians.
     """
     scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
     touching = make_collision_scratch(problem.collision)
@@ -130,11 +130,10 @@ def solve_batch(
 def _solve_from_seed(
     problem, target, max_joint_step, allow_reconfiguration, near, solution, error, scratch, touching
 ):
-    """Descend from the seed if it is near enough; return whether that solved it.
+    """Descend from the seed if it is near the target; return whether there is a solution.
 
-    First within `max_joint_step` of it, for the arm gets there in time: drawn to the middle of the
-    joint ranges, and where that fails, without. Then, if it `allow_reconfiguration`, from there as
-    far as it takes.
+    The first descents stay within `max_joint_step`, with and without centring of the joints. The
+    last one, if `allow_reconfiguration`, has the joint limits only.
     """
     q = scratch.trial
     limits = problem.descent
@@ -169,7 +168,7 @@ def _solve_from_seed(
             error[0], error[1] = metres, radians
         if attempt == DRAWN:
             _start(limits, solution, q)
-    # Where there is pose tolerance, staying may be an answer that every descent has left.
+    # With a pose tolerance, the seed itself may be a solution that every descent has left.
     if not _close_enough(problem, metres_here, radians_here):
         return False
     _start(limits, solution, q)
@@ -189,7 +188,7 @@ def _start(limits, seed, q):
 
 @inlined
 def _draw(problem, max_joint_step, q, pull):
-    """Write where the joints are drawn: to the middle of their ranges, and not beyond it."""
+    """Write the pull of the joints towards the middles of their ranges, not beyond them."""
     for j in range(len(q)):
         away = q[j] - problem.middle[j]
         length = problem.centering[j] * math.sqrt(abs(away)) * max_joint_step[j]
@@ -198,7 +197,7 @@ def _draw(problem, max_joint_step, q, pull):
 
 @inlined
 def _solve_from_library(problem, target, solution, error, order, scratch, touching):
-    """Descend from one library entry after the other; keep the solution nearest to the seed."""
+    """Descend from library entries; keep the solution nearest to the seed."""
     q, seed = scratch.trial, solution.copy()
     closest = _cost(problem, error[0], error[1])
     nearest, found = np.inf, 0
@@ -226,7 +225,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
 
 @inlined
 def _wrap(angle):
-    """Return the angle in (-pi, pi], with its own bits if it lies there."""
+    """Return the angle in (-pi, pi], unchanged to the bit if it is there."""
     if -np.pi < angle <= np.pi:
         return angle
     wrapped = np.pi - (np.pi - angle) % (2.0 * np.pi)
@@ -235,7 +234,7 @@ def _wrap(angle):
 
 @inlined
 def _close_enough(problem, metres, radians):
-    # Asked this way about, numbers that are not finite are no solution.
+    # In this form, errors that are not finite are no solution.
     return metres <= problem.accept_position and radians <= problem.accept_rotation
 
 
@@ -246,7 +245,7 @@ def _free(problem, q, touching):
 
 @inlined
 def _improves(problem, metres, radians, error, q, touching):
-    """Return whether an attempt comes nearer than the best so far without touching itself."""
+    """Return whether an attempt is the closest so far and free of self-collision."""
     closer = _cost(problem, metres, radians) < _cost(problem, error[0], error[1])
     return closer and _free(problem, q, touching)
 
@@ -283,7 +282,7 @@ def _rank_library(problem, target, scores, order):
 
 @inlined
 def _out_of_reach(problem, target):
-    """Return whether the last joint would have to lie where the arm's lengths cannot bring it."""
+    """Return whether the target would bring the last joint outside the ball `reach`."""
     turn, squared, lever = problem.chain.ee_rotation, 0.0, 0.0
     for i in range(3):
         joint = target[1][i]

@@ -1,4 +1,4 @@
-"""Does the arm touch the robot? Exact primitives, batched, never optimistic."""
+"""Self-collision of batches of configurations, on primitives."""
 
 from itertools import combinations, product
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 
 MARGIN = 1e-3
-"""Metres within which two shapes count as touching."""
+"""Distance below which two shapes count as touching, metres."""
 
 _KINDS = {"box": BOX, "cylinder": CYLINDER, "sphere": SPHERE}
 
@@ -23,15 +23,15 @@ class CollisionModel(NamedTuple):
     """The s collision shapes of a robot and the pairs of them that may touch.
 
     Attributes:
-        tree: All joints that the arm drives, those of mimicking bodies included.
-        body: Joint whose body carries the shape, shape (s,); -1 is the base.
+        tree: All joints that the arm drives, mimic joints included.
+        body: Joint of the shape's body, shape (s,); -1 is the base.
         kind: Shape kinds of `convex`, shape (s,).
         size: Half extents, shape (s, 3), metres.
-        radius: Of the sphere around the shape, shape (s,), metres.
+        radius: Radius of the bounding sphere, shape (s,), metres.
         rotation: From body to shape, shape (s, 3, 3).
         offset: Same, metres, shape (s, 3).
         pairs: Indices of shapes to check, shape (p, 2).
-        variables: How many the arm has, those included that move nothing here.
+        variables: Number of the arm's joints.
     """
 
     tree: Tree
@@ -46,7 +46,7 @@ class CollisionModel(NamedTuple):
 
 
 class CollisionScratch(NamedTuple):
-    """Memory of one check, allocated once for a whole batch."""
+    """Memory of a check, allocated once for a whole batch; has the poses of the last one."""
 
     motion: Array
     bodies: Array
@@ -57,15 +57,15 @@ class CollisionScratch(NamedTuple):
 
 
 def build_collision_model(robot: Robot) -> CollisionModel:
-    """Return the collision model of `robot` with its other joints at rest.
+    """Return the collision model of `robot`, with all other joints at `robot.fixed_joints`.
 
-    Shapes of one link, of links joined rigidly or by one joint, of links that the arm does not
-    move against each other, and the robot's `ignored_collisions` are not checked.
+    It leaves out pairs of shapes on one link, on links that are joined rigidly or by one joint, on
+    links that the arm does not move against each other, and the robot's `ignored_collisions`.
     """
     tree, mounts = build_tree(robot)
     named = [(link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes]
     placed = [_mount_shape(mounts[link], shape) for link, shape in named]
-    size = np.array([_half_extents(shape) for _, shape in named]).reshape(-1, 3)
+    extents = [_extents(shape) for _, shape in named]
     body = np.array([mount.joint for mount in placed], dtype=np.intp)
     shapes: dict[str, list[int]] = {}
     for i, (link, _) in enumerate(named):
@@ -79,8 +79,8 @@ def build_collision_model(robot: Robot) -> CollisionModel:
         tree=tree,
         body=body,
         kind=np.array([_KINDS[shape.kind] for _, shape in named], dtype=np.intp),
-        size=size,
-        radius=np.array([_radius(shape) for _, shape in named]),
+        size=np.array([half for half, _ in extents]).reshape(-1, 3),
+        radius=np.array([radius for _, radius in extents]),
         rotation=np.array([mount.rotation for mount in placed]).reshape(-1, 3, 3),
         offset=np.array([mount.offset for mount in placed]).reshape(-1, 3),
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
@@ -89,16 +89,13 @@ def build_collision_model(robot: Robot) -> CollisionModel:
 
 
 def checked_links(robot: Robot) -> list[tuple[str, str]]:
-    """Return the pairs of links that the self-collision test looks at, sorted by name.
-
-    Links without shapes are not among them.
-    """
+    """Return the pairs of links with shapes that are checked, sorted by name."""
     _, mounts = build_tree(robot)
     return sorted((min(pair), max(pair)) for pair in _checked_links(robot, mounts))
 
 
 def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
-    """Return whether the robot touches itself, to within `MARGIN`.
+    """Return whether the robot is in self-collision, to within `MARGIN`.
 
     Args:
         model: The robot's collision model.
@@ -108,7 +105,7 @@ def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.b
         Shape (...).
 
     Raises:
-        KinfeasError: If the joint positions are of another shape.
+        KinfeasError: If the joint positions have another shape.
     """
     flat, leading = flattened(model.variables, joint_positions)
     touching = np.empty(len(flat), dtype=np.bool_)
@@ -125,7 +122,7 @@ def _self_collides_batch(model, joint_positions, touching):
 
 @kernel
 def make_collision_scratch(model):
-    """Return scratch memory with the shapes that never move already in place."""
+    """Return scratch memory with the poses of the shapes on the base."""
     joints, shapes = len(model.tree.variable), len(model.body)
     scratch = CollisionScratch(
         np.empty((joints, 3)),
@@ -145,7 +142,7 @@ def make_collision_scratch(model):
 
 @kernel
 def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
-    """Return whether the robot touches itself at the arm joints `q`, shape (v,)."""
+    """Return whether the robot is in self-collision at the arm joints `q`, shape (v,)."""
     _place_bodies(model.tree, q, scratch)
     rot, pos, size = scratch.rotation, scratch.position, model.size
     for s in range(len(model.body)):
@@ -204,7 +201,7 @@ def _place_shape(model, s, scratch):
 
 @inlined
 def _sphere_misses_box(dx, dy, dz, radius, rot, half):
-    """Return whether a sphere lies off a box, (dx, dy, dz) between their centres either way."""
+    """Return whether a sphere and a box are apart; (dx, dy, dz) is between their centres."""
     squared = 0.0
     for k in range(3):
         along = abs(rot[0, k] * dx + rot[1, k] * dy + rot[2, k] * dz) - half[k]
@@ -219,29 +216,20 @@ def _mount_shape(mount: Mount, shape: Shape) -> Mount:
     return Mount(mount.joint, mount.rotation @ turn, offset)
 
 
-def _half_extents(shape: Shape) -> tuple[float, float, float]:
+def _extents(shape: Shape) -> tuple[Array, float]:
+    """Return the half extents (3,) and the radius of the bounding sphere, metres."""
     if shape.kind == "box":
-        x, y, z = shape.size
-        return x / 2.0, y / 2.0, z / 2.0
+        half = np.array(shape.size) / 2.0
+        return half, float(np.linalg.norm(shape.size) / 2.0)
     if shape.kind == "cylinder":
         radius, length = shape.size
-        return radius, radius, length / 2.0
-    (radius,) = shape.size
-    return radius, radius, radius
-
-
-def _radius(shape: Shape) -> float:
-    if shape.kind == "cylinder":
-        radius, length = shape.size
-        return float(np.hypot(radius, length / 2.0))
-    if shape.kind == "sphere":
-        return float(shape.size[0])
-    return float(np.linalg.norm(shape.size) / 2.0)
+        return np.array([radius, radius, length / 2.0]), float(np.hypot(radius, length / 2.0))
+    return np.full(3, shape.size[0]), float(shape.size[0])
 
 
 def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]]:
     """Return the pairs of links whose shapes may touch."""
-    rigid = _rigid_groups(robot)
+    rigid = robot.urdf.rigid
     bodies: dict[int, list[str]] = {}
     for link, mount in mounts.items():
         if robot.urdf.links[link].shapes:
@@ -257,15 +245,3 @@ def _checked_links(robot: Robot, mounts: dict[str, Mount]) -> set[frozenset[str]
         and frozenset((rigid[a], rigid[b])) not in joined
         and frozenset((a, b)) not in robot.ignored_collisions
     }
-
-
-def _rigid_groups(robot: Robot) -> dict[str, str]:
-    """Return for each link the topmost link that it is fixed to."""
-    above = {j.child: j.parent for j in robot.urdf.joints.values() if j.kind == "fixed"}
-
-    def top(link: str) -> str:
-        while link in above:
-            link = above[link]
-        return link
-
-    return {link: top(link) for link in robot.urdf.links}
