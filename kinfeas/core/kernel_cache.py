@@ -1,23 +1,28 @@
-"""Where numba keeps what it has compiled."""
+"""Folder and lock of numba's cache of compiled kernels."""
 
+import fcntl
 import os
 import stat
 import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numba
 
 from kinfeas.core.errors import KinfeasError
 
+_POLL, _DEADLINE = 0.02, time.monotonic() + 60.0
+"""Seconds between attempts to lock, and the time after which an import does not wait."""
+
 
 def settle() -> None:
-    """Let numba cache in a folder of the user's own where it can nowhere else.
-
-    It takes the folder of the sources or the user's own cache, and raises if neither can be
-    written, as in a container that runs as another user than the one who installed.
+    """Set numba's cache folder if neither the sources nor the user's cache are writable.
 
     Raises:
-        KinfeasError: If there is no folder for temporary files, or another user could write ours.
+        KinfeasError: If no folder is writable by this user alone.
     """
     try:
         numba.njit(cache=True)(_any)
@@ -26,53 +31,79 @@ def settle() -> None:
         numba.config.reload_config()  # type: ignore[no-untyped-call]
 
 
-def _any() -> None:
-    """Stand for any function of the package."""
+def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
+    """Return a decorator that compiles a generalized ufunc, in one process at a time.
+
+    Numba caches such a function in two parts that refer to each other by names of the process. A
+    cache filled by two processes at once would crash every later process.
+    """
+
+    def compile_alone(function: Callable[..., None]) -> Any:
+        with _alone() as alone:
+            decorate: Any = numba.guvectorize
+            made = decorate(signatures, layout, nopython=True, cache=alone)(function)
+        return made.ufunc  # numba's wrapper around it takes as long as a pose
+
+    return compile_alone
 
 
 def open_lock() -> int | None:
-    """Return the descriptor of a file that processes of this user lock, or None if there is none.
-
-    It lies in the user's own folder, and no symbolic link is followed to it.
-    """
+    """Return the descriptor of the user's lock file, or None without a writable folder."""
     try:
         return os.open(_own_folder() / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except (OSError, KinfeasError):
         return None
 
 
-def _own_folder() -> Path:
-    """Return a folder that only this user can write: what lies in it is run.
-
-    It is `kinfeas` in the user's folder for caches, or beside other temporary files if that cannot
-    be written.
-    """
+@contextmanager
+def _alone() -> Iterator[bool]:
+    """Wait for the lock; yield whether this process may write the cache."""
+    lock = open_lock()
+    if lock is None:
+        yield True  # without a folder there is no cache
+        return
     try:
-        return _private(_caches() / "kinfeas")
-    except (OSError, RuntimeError):  # nor need there be a home
+        while not (locked := _try_lock(lock)) and time.monotonic() < _DEADLINE:
+            time.sleep(_POLL)
+        yield locked
+    finally:
+        os.close(lock)
+
+
+def _try_lock(lock: int) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # the file system has no locks
+    return True
+
+
+def _any() -> None:
+    """Stand for any kernel."""
+
+
+def _own_folder() -> Path:
+    """Return a folder that only this user can write, because its content is executed."""
+    try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        return _private((cache if cache.is_absolute() else Path.home() / ".cache") / "kinfeas")
+    except (OSError, RuntimeError):  # not writable, or no home
         pass
     try:
         return _private(Path(tempfile.gettempdir()) / f"kinfeas-{os.getuid()}")
     except OSError as error:
-        raise _nowhere(error.strerror or str(error)) from error
-
-
-def _caches() -> Path:
-    told = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return told if told.is_absolute() else Path.home() / ".cache"
+        raise KinfeasError(
+            f"no folder for compiled kernels ({error.strerror or error}); set NUMBA_CACHE_DIR"
+        ) from error
 
 
 def _private(folder: Path) -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    about = folder.lstat()
-    if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o022:
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
         raise PermissionError(f"{folder} is not this user's alone")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"{folder} cannot be written")
     return folder
-
-
-def _nowhere(reason: str) -> KinfeasError:
-    return KinfeasError(
-        f"there is no folder for compiled kernels ({reason}); let NUMBA_CACHE_DIR name one"
-    )

@@ -1,71 +1,21 @@
 """Compiled pose arithmetic behind `spatial`: generalized ufuncs, one pose at a time.
 
-`scipy.spatial.transform.Rotation` costs 10 to 100 us a call, twenty calls a step of the loop; these
-cost about one. Quaternions are xyzw; results have w >= 0 and unit length. A pose's result does not
-depend on what else is in the batch.
+They take about 1 us a call; `scipy.spatial.transform.Rotation` takes 10 to 100 us. Quaternions are
+xyzw; results have w >= 0 and unit length. The result of a row does not depend on the batch.
 """
 
-import fcntl
 import math
-import os
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
-from numba import guvectorize, njit
+from numba import njit
 
 from kinfeas.core import kernel_cache
+from kinfeas.core.kernel_cache import compiled
 
 kernel_cache.settle()  # before the first kernel
 
-_AGAIN, _END = 0.02, time.monotonic() + 60.0
-"""Seconds between two looks at the lock, and when an import waits no longer: who has it hangs."""
-
-# What is not said here, the first caller of a process would decide, and with it the last bits.
+# Explicit options, because those of the first caller would decide the last bits.
 inlined = njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)
-
-
-def compiled(signatures: Sequence[str], layout: str) -> Callable[[Callable[..., None]], Any]:
-    """Return a decorator that makes a generalized ufunc, by one process at a time.
-
-    Numba caches such a function in two parts, of which one calls the other by a name that differs
-    from process to process: two processes that filled the cache together would leave parts there
-    that do not fit, and every later process would crash.
-    """
-
-    def compile_alone(function: Callable[..., None]) -> Any:
-        with _alone() as alone:
-            made = guvectorize(signatures, layout, nopython=True, cache=alone)(function)
-        return made.ufunc  # what numba puts around it takes as long as a pose
-
-    return compile_alone
-
-
-@contextmanager
-def _alone() -> Iterator[bool]:
-    """Wait for the user's other processes to leave such a block; yield whether they have."""
-    lock = kernel_cache.open_lock()
-    if lock is None:
-        yield True  # nowhere to write: then there is no cache to fill either
-        return
-    try:
-        while not (taken := _taken(lock)) and time.monotonic() < _END:
-            time.sleep(_AGAIN)
-        yield taken
-    finally:
-        os.close(lock)
-
-
-def _taken(lock: int) -> bool:
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        pass  # there are no locks here
-    return True
 
 
 @inlined
@@ -129,7 +79,7 @@ def integrate(pose, twist, dt, out):
 
 @compiled(["void(f8[:], f8[:], f8, f8[:], f8[:])"], "(p),(p),(),(t)->(t)")
 def twist_between(start, end, dt, like, out):
-    """World twist that leads from `start` to `end` in `dt` seconds; `like` only lends its size."""
+    """World twist that leads from `start` to `end` in `dt` seconds; `like` has its size."""
     x, y, z, w = product(end[3], end[4], end[5], end[6], -start[3], -start[4], -start[5], start[6])
     sine = math.sqrt(x * x + y * y + z * z)
     # angle / sin(angle / 2), by its series where the quotient would lose digits
@@ -151,4 +101,4 @@ def distance(a, b, metres, radians):
 
 
 TWIST = np.zeros(6)
-"""Lends its size to `twist_between`."""
+"""Argument `like` of `twist_between`."""

@@ -1,4 +1,4 @@
-"""Rows of batched arrays, which are replaced and never written into, since others may hold them."""
+"""Rows of batched arrays; arrays are copied, because they may be shared."""
 
 from typing import Any
 
@@ -12,21 +12,21 @@ Rows = NDArray[np.intp]
 
 
 def with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
-    """Return `array` with `values` in its `rows`."""
+    """Return a copy of `array` with `values` in `rows`."""
     changed = array.copy()
     changed[rows] = values
     return changed
 
 
 def of_rows(state: State, rows: Rows) -> State:
-    """Return the state of some rows."""
+    """Return the state of `rows`."""
     return {key: values[rows] for key, values in state.items()}
 
 
 def merged(state: State, rows: Rows, values: State, n: int) -> State:
-    """Return the state of n rows with `values` put into `rows`; a state that is empty has none.
+    """Return the state of n rows with `values` in `rows`; other rows of an empty state are zero.
 
-    Both have the same keys, types and shapes, which `CheckedMotion` sees to.
+    Keys, types and shapes of both are equal, which `CheckedMotion` checks.
     """
     if len(rows) == n:
         return values

@@ -1,4 +1,4 @@
-"""Write a motion generator for one motion; `batched` makes it one for n."""
+"""Motion generators written for one motion, and their conversion to n motions."""
 
 import functools
 import inspect
@@ -19,14 +19,14 @@ Parameters = ParamSpec("Parameters")
 class SingleMotion(Protocol):
     """EE motion toward a target, for one motion.
 
-    What changes from step to step belongs into the state, not into attributes: all motions of a
-    batch share the object. The state is a dict of numbers and arrays, whose shapes stay the same.
+    The state holds everything that changes, because all motions of a batch share the object. It is
+    a dict of numbers and arrays with constant shapes.
     """
 
     def start(
         self, ee_pose: Array, target_pose: Array, rng: np.random.Generator
     ) -> Mapping[str, ArrayLike]:
-        """Return the state of a motion that begins at `ee_pose`, shape (7,)."""
+        """Return the state of a motion that starts at `ee_pose`, shape (7,)."""
         ...
 
     def goal_pose(self, state: dict[str, Any], target_pose: Array) -> Array:
@@ -52,14 +52,14 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
             def goal_pose(self, state, target_pose): ...  # -> (7,)
             def twist(self, state, ee_pose, target_pose, dt): ...  # -> (6,), dict
 
-    Optional: `base_pose(self, state, target_pose)`, where the base was demonstrated to be, (7,);
-    else NaN. The class gets its own copy of every array and may write into it. Numbers in the state
-    come back as float64. It costs a Python call a row: write large batches with arrays instead.
+    Optional: `base_pose(self, state, target_pose)` returns the demonstrated base pose, (7,). The
+    class gets its own copy of every array and may write into it. Numbers in the state become
+    float64. Each row costs a Python call; write generators for large batches with arrays.
     """
     if not isinstance(single, type):
         raise KinfeasError(f"batched takes a class, not {single!r}")
 
-    # Composed, not inherited: inside `single`, self.goal_pose is to mean the one for one motion.
+    # Composition, because self.goal_pose inside `single` is the one for one motion.
     @functools.wraps(single.__init__)  # type: ignore[misc]  # `single` is a class
     def __init__(self: RowByRow, *args: Any, **kwargs: Any) -> None:  # noqa: N807  a constructor
         self.single = single(*args, **kwargs)
@@ -74,10 +74,10 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
 
 
 class RowByRow:
-    """A motion generator that loops over rows; `batched` makes its constructor.
+    """A motion generator that loops over rows; `batched` adds the constructor.
 
     Attributes:
-        single: What runs each row.
+        single: The generator for one motion.
     """
 
     single: SingleMotion
@@ -110,7 +110,6 @@ class RowByRow:
         )
 
     def _pair(self, answer: Any) -> tuple[Array, Mapping[str, ArrayLike]]:
-        """Return what a single motion's `twist` answers, in arrays of the right shape."""
         where = f"{type(self).__name__}.twist"
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise KinfeasError(f"{where} must return a pair: the twist and the next state")
@@ -120,7 +119,6 @@ class RowByRow:
         return twist, answer[1]
 
     def _stacked(self, method: str, states: list[Mapping[str, ArrayLike]]) -> State:
-        """Return the states of single motions as one of n."""
         if not states:
             return {}
         where = f"{type(self).__name__}.{method}"
@@ -136,25 +134,22 @@ class RowByRow:
 
 
 def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:
-    """Return the world poses at which the base was demonstrated to be now, shape (n, 7)."""
+    """Return the demonstrated world poses of the base, shape (n, 7)."""
     return _poses(cast("Any", self.single).base_pose, state, target_pose)
 
 
 def _poses(
     ask: Callable[[dict[str, Any], Array], Array], state: State, target_pose: Array
 ) -> Array:
-    """Return what `ask` answers for the state and the target of each motion, shape (n, 7)."""
     poses = [ask(_row(state, i), target.copy()) for i, target in enumerate(target_pose)]
     return np.stack(poses) if poses else np.zeros((0, 7))
 
 
 def _row(state: State, i: int) -> dict[str, Any]:
-    """Return a copy of the state of motion `i`."""
     return {k: v[i].copy() for k, v in state.items()}
 
 
 def _numbers(state: object, where: str) -> State:
-    """Return the state of one motion in arrays of its own."""
     if not isinstance(state, Mapping):
         kind = type(state).__name__
         raise KinfeasError(f"{where} must return a state that is a dict of numbers, not a {kind}")

@@ -1,9 +1,8 @@
 """Poses and twists: pure functions on arrays with any leading axes.
 
 A pose is `(..., 7)`: x y z qx qy qz qw in metres with a unit quaternion (xyzw). A twist is
-`(..., 6)`: linear then angular velocity along the world's axes, m/s and rad/s. Where the
-kernels calculate with them, any other last axis is a `KinfeasError`, and so are leading axes that
-do not fit each other.
+`(..., 6)`: linear then angular velocity along world axes, m/s and rad/s. Other shapes raise a
+`KinfeasError`.
 """
 
 from collections.abc import Callable
@@ -39,7 +38,7 @@ def canonical(quaternion: Array) -> Array:
 
 
 def compose(parent: Array, child: Array) -> Array:
-    """Return `child`, given in the frame `parent`, in the frame that `parent` is given in.
+    """Return the pose `child`, given relative to `parent`, in the frame of `parent`'s coordinates.
 
     Args:
         parent: Pose, shape (..., 7).
@@ -50,7 +49,7 @@ def compose(parent: Array, child: Array) -> Array:
 
 
 def relative(pose: Array, frame: Array) -> Array:
-    """Return `pose` as seen from `frame`; both of shape (..., 7) in the same frame."""
+    """Return `pose` in the frame `frame`; both of shape (..., 7), given in the same frame."""
     seen: Array = _call(pose_kernels.relative, pose, frame)
     return seen
 
@@ -78,7 +77,7 @@ def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
 
 
 def distance(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return how far the poses `a` and `b` are apart.
+    """Return the distance and angle between the poses `a` and `b`.
 
     Args:
         a: Pose, shape (..., 7).
@@ -108,25 +107,14 @@ def yaw(pose: Array) -> Array:
 def wrap(angle: Array) -> Array:
     """Return `angle` in radians, wrapped to (-pi, pi]."""
     turn = 2.0 * np.pi
-    # A tiny negative number modulo a turn rounds up to a whole turn, which the second one ends.
+    # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
     return np.pi - np.mod(np.mod(np.pi - angle, turn), turn)
 
 
 def _call(
     kernel: Callable[..., Any], one: Array, other: Array, *more: object, last: tuple[int] = _POSE
 ) -> Any:
-    """Return what a kernel makes of two arrays and more.
-
-    Args:
-        kernel: Does not look itself, and would read or write past arrays of another last axis.
-        one: Poses, shape (..., 7).
-        other: Poses, too, or twists, as `last` says.
-        more: What else the kernel takes.
-        last: The last axis of `other`.
-
-    Raises:
-        KinfeasError: If the last axes are others, or the leading ones do not broadcast.
-    """
+    # Kernels would read or write past arrays of another last axis.
     shapes = np.shape(one), np.shape(other)
     if shapes[0][-1:] != _POSE or shapes[1][-1:] != last:
         kinds = "poses (..., 7)" if last == _POSE else "a pose (..., 7) and a twist (..., 6)"
@@ -135,5 +123,5 @@ def _call(
         return kernel(one, other, *more)
     except ValueError as error:
         raise KinfeasError(
-            f"the leading axes of the shapes {shapes[0]} and {shapes[1]} do not fit each other"
+            f"the leading axes of {shapes[0]} and {shapes[1]} do not broadcast"
         ) from error

@@ -1,4 +1,4 @@
-"""Where episodes begin."""
+"""Starts and random numbers of episodes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,13 +10,12 @@ from kinfeas.core.spatial import Array
 
 @dataclass(frozen=True)
 class Start:
-    """Where n episodes begin and where their motions lead.
+    """Starts and targets of n episodes.
 
     Attributes:
         base_pose: World pose of the base, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
-        target_poses: What the motion of each sub-goal heads for, in the world, shape (n, sub-goals,
-            7).
+        target_poses: World target pose of each sub-goal, shape (n, sub-goals, 7).
     """
 
     base_pose: Array
@@ -25,11 +24,11 @@ class Start:
 
 
 def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:
-    """Return the source of all randomness of an episode, from its beginning.
+    """Return the random generator of an episode.
 
     Args:
-        seed: Of all episodes.
-        episode: Number of this one.
-        stream: Tells the episodes of a seed apart from those of other streams.
+        seed: Seed of all episodes.
+        episode: Number of the episode.
+        stream: Separates episodes of the same seed and number.
     """
     return np.random.default_rng(np.random.SeedSequence((seed, episode), spawn_key=tuple(stream)))

@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numba
@@ -38,7 +39,7 @@ def nowhere(monkeypatch, tmp_path):
     return tmp_path
 
 
-def test_kernels_are_kept_in_the_temporary_folder_where_they_can_be_nowhere_else(tmp_path):
+def test_kernels_are_cached_in_the_temporary_folder_without_another(tmp_path):
     environment = {**os.environ, **NOWHERE, "TMPDIR": str(tmp_path), "XDG_CACHE_HOME": os.devnull}
     done = subprocess.run(
         [sys.executable, "-c", USE], env=environment, check=True, capture_output=True, text=True
@@ -77,6 +78,24 @@ def test_a_lock_is_no_link_to_another_file(nowhere, monkeypatch):
     assert not (nowhere / "theirs").exists()
 
 
-def test_without_a_folder_there_is_no_lock(nowhere):
-    (nowhere / f"kinfeas-{os.getuid()}").symlink_to(nowhere)
-    assert kernel_cache.open_lock() is None
+def test_an_import_does_not_wait_for_a_lock_without_end(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kernel_cache, "_DEADLINE", time.monotonic())
+    with kernel_cache._alone() as first, kernel_cache._alone() as second:
+        assert (first, second) == (True, False)
+
+
+@pytest.mark.slow
+def test_processes_may_compile_at_once(tmp_path):
+    code = """
+import numpy as np
+from kinfeas.core import spatial
+poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
+spatial.integrate(poses, spatial.twist_between(poses, spatial.compose(poses, poses), 1.0), 1.0)
+spatial.distance(poses, spatial.relative(poses, poses))
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", code]
+    processes = [subprocess.Popen(command, env=environment) for _ in range(3)]
+    assert [process.wait(timeout=300) for process in processes] == [0, 0, 0]
+    subprocess.run(command, env=environment, check=True, timeout=300)

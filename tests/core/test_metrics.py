@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest
@@ -66,7 +68,8 @@ def test_ending_far_off_is_not_within():
 
 def test_summary_of_a_hand_example():
     low, high = 0.15003898915214947, 0.8499610108478506  # 2 of 4, by scipy
-    assert summarize(records()) == pytest.approx(
+    found = {key: value for key, value in summarize(records()).items() if value is not None}
+    assert found == pytest.approx(
         {
             "episodes": 4,
             "success": 0.5,
@@ -84,5 +87,12 @@ def test_summary_of_a_hand_example():
     )
 
 
-def test_summary_holds_plain_numbers():
-    assert all(type(value) in (int, float) for value in summarize(records()).values())
+def test_task_success_and_collisions_of_backends_that_tell():
+    base, arm = np.array([0, 2, 0, 0]), np.array([0, 1, 3, 0])
+    done = np.array([True, False, False, False])
+    told = replace(records(), task_done=done, base_collisions=base, arm_collisions=arm)
+    found = summarize(told)
+    assert (found["task_success"], found["collision_free_rate"]) == (0.25, 0.5)
+    assert (found["base_collisions"], found["arm_collisions"]) == (0.5, 1.0)
+    assert all(type(value) in (int, float) for value in found.values())
+    assert summarize(records())["task_success"] is None
