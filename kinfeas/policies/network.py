@@ -1,4 +1,4 @@
-"""The trained network of a base policy, evaluated without torch."""
+"""Trained networks of base policies, evaluated without torch."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ from kinfeas.robots.robot import Robot, fingerprint
 
 WEIGHTS = "policy.safetensors"
 
-# What reading tensors raises that are cut, foreign, made up, or of a type that NumPy lacks.
+# Exceptions of truncated or foreign files, and of types that NumPy lacks.
 _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
 
 
@@ -38,13 +38,12 @@ _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeE
 class Network:
     """A multi-layer perceptron with ReLU between its layers and tanh at its end.
 
-    Each row is computed by itself in a fixed order, so that an action does not depend on what
-    else is in the batch.
+    Each row is computed by itself in a fixed order, so that actions do not depend on the batch.
 
     Attributes:
-        scale: Factor on each observed number before it is clipped, shape (inputs,), float32.
-        weights: Of each layer, shape (inputs, outputs), float32.
-        biases: Of each layer, shape (outputs,), float32.
+        scale: Factor on each number of the observation before clipping, shape (inputs,), float32.
+        weights: Weights of each layer, shape (inputs, outputs), float32.
+        biases: Biases of each layer, shape (outputs,), float32.
         observation_terms: Names of its observation terms, in order.
     """
 
@@ -68,7 +67,7 @@ class Network:
         return np.tanh(values).astype(np.float64)
 
     def equals(self, other: "Network") -> bool:
-        """Return whether all numbers of both networks are equal."""
+        """Return whether both networks have equal weights and biases."""
         pairs = zip((*self.weights, *self.biases), (*other.weights, *other.biases), strict=True)
         return all(np.array_equal(one, another) for one, another in pairs)
 
@@ -77,10 +76,10 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
     """Write a network as `policy.safetensors` and `policy.json` into `folder`.
 
     Args:
-        network: What to write.
+        network: The network.
         folder: An existing folder.
-        robot: Whom it was trained for.
-        known: What else is known of it, by the names of `Trained`: settings, steps, figures.
+        robot: Robot of the training.
+        known: More fields of `Trained`: settings, steps, metrics.
     """
     tensors = {"scale": network.scale}
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
@@ -104,10 +103,10 @@ def read_network(folder: Path, robot: Robot) -> Network:
 
     Args:
         folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
-        robot: Whom it is to drive.
+        robot: Robot that it is to command.
 
     Raises:
-        KinfeasError: If there is no policy, or a broken one, or one for another robot or for other
+        KinfeasError: If there is no policy, or it is broken or for another robot or other
             kinematics.
     """
     place = policy_folder(folder)

@@ -25,10 +25,10 @@ from kinfeas.robots.robot import Robot
 
 _RHO_INNER, _RHO_OUTER = 1.9, 0.1
 _PUSH, _FULL_PUSH = 0.1, 0.1
-"""Speed, m/s, toward the allowed side, and how far the level lies below 1 where it is reached."""
+"""Speed toward the allowed side, m/s, and the depth of the level below 1 at which it is full."""
 
 _CONE, _HEADING_GAIN = 0.15, 1.0
-"""Half angle, radians, in which the heading is free, and rad/s per radian beyond."""
+"""Half angle of free heading, radians, and the gain beyond it, rad/s per radian."""
 
 _AHEAD = 0.6
 """Metres ahead of a differential base at which a point can move in every direction."""
@@ -37,14 +37,14 @@ _TINY = 1e-6
 
 
 CONE = 0.7
-"""Radians by which the EE may lie off its preferred bearing where the ellipses hold."""
+"""Half angle about the preferred bearing for which the ellipses are fitted, radians."""
 
 _SCOUTS, _TARGETS = 8192, 24576
 _HEIGHT_STEP, _HEIGHT_BLUR = 0.2, 0.1
 _PITCHES, _PITCH_BLUR = 9, 0.25
 _CELL, _HALF_WIDTH, _BLUR = 0.1, 1.5, 0.08
 _SHARE = 0.6
-"""Of the targets that the best places reach, how many a place within the ellipses should."""
+"""Reach of places within the ellipses, as a share of that of the best places."""
 
 _CENTRES = np.arange(-_HALF_WIDTH + _CELL / 2.0, _HALF_WIDTH, _CELL)
 _X, _Y = (grid.ravel() for grid in np.meshgrid(_CENTRES, _CENTRES, indexing="ij"))
@@ -59,11 +59,11 @@ class ReachEllipses:
     """Ellipses over a grid of EE heights and pitches, aligned with the azimuth of the approach.
 
     Attributes:
-        heights: Of the EE above the floor, evenly spaced, shape (h,), metres.
-        pitches: Of the approach axis above the horizon, evenly spaced, shape (p,), radians.
+        heights: EE heights above the floor, evenly spaced, shape (h,), metres.
+        pitches: Pitches of the approach axis above the horizon, evenly spaced, shape (p,), radians.
         shapes: Outer centre 2, outer half axes 2 and inner half axes 2, shape (h, p, 6), metres
             from the EE; the inner ellipse lies around the EE itself.
-        bearing: Of the EE as seen from the base, where the arm reaches most, radians.
+        bearing: Bearing of the EE from the base at which the arm reaches most, radians.
     """
 
     heights: Array
@@ -84,7 +84,7 @@ def approach(robot: Robot, ee_pose: Array) -> tuple[Array, Array]:
     """Return pitch and azimuth of the approach axis, each of shape (n,), radians.
 
     Args:
-        robot: Says which axis of the EE that is.
+        robot: Robot that defines the approach axis.
         ee_pose: Shape (n, 7).
     """
     axis = Rotation.from_quat(robot.gripper_rotation).inv().apply([1.0, 0.0, 0.0])
@@ -230,7 +230,7 @@ def _between(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
 
 @dataclass(frozen=True, eq=False)
 class GeometricModulation:
-    """Drives as the EE moves, within reach of it.
+    """Moves the base with the EE, within reach of it.
 
     The velocity is measured from the achieved EE position to the planned one, so that the base
     also closes the arm's error. An omnidirectional base copies the modulated velocity and turns
@@ -238,8 +238,8 @@ class GeometricModulation:
     for the bearing besides.
 
     Attributes:
-        robot: Who moves.
-        ellipses: Where its base should stand.
+        robot: Robot that moves.
+        ellipses: Preferred places of its base.
     """
 
     robot: Robot

@@ -1,7 +1,7 @@
-"""Reactive whole-body inverse kinematics: one quadratic program over base and arm a step.
+"""Reactive whole-body IK: one quadratic program over base and arm a step.
 
-Not in the paper, but what everyone asks: why learn? A base that is only led by the next step of
-the EE's motion, and by where the arm's joints would rather be, is what learning has to beat.
+A baseline that the paper does not have: the base follows from the next step of the EE's motion and
+a preferred posture of the arm.
 """
 
 from collections.abc import Callable
@@ -21,32 +21,31 @@ from kinfeas.kinematics.forward import build_chain
 from kinfeas.robots.robot import Robot
 
 _POSITION_COST, _ROTATION_COST = 10.0, 4.0
-"""Of missing the planned EE pose, per metre and per radian."""
+"""Weights of the distance to the planned EE pose, per metre and radian."""
 
 _POSTURE_COST, _POSTURE_GAIN = 0.3, 0.05
-"""Of a share of a joint's range off its middle, and the share of the way there of one step."""
+"""Weight of the distance to the middle of a joint's range, and the gain toward it in a step."""
 
 _BASE_COST, _TURN_COST = 0.3, 0.1
-"""Of moving the base, per metre and per radian."""
+"""Weights of base motion, per metre and radian."""
 
 _DAMPING = 1e-6
-"""On all joints, so that those without any other cost stand still."""
+"""Damping of all joints."""
 
 _SOLVER = "daqp"
 
 
 @dataclass(frozen=True)
 class WholeBodyQp:
-    """Drives as the base moves in the best next step of the whole body.
+    """Moves the base as in the best next step of the whole body.
 
-    Pink states the step as a quadratic program: bring the EE to the pose planned for it, hold the
-    arm's joints near the middle of their ranges, move the base no more than that takes; all within
-    the limits of position and velocity. Only the base command of its solution is acted upon: the
-    arm is placed by the loop's own IK, as for every policy. Where no step is found the base stands
-    still.
+    Pink solves the quadratic program: bring the EE to its planned pose, hold the arm joints near
+    the middle of their ranges and move the base little, within position and velocity limits. The
+    arm part of the solution is not used: the loop's IK places the arm, as for every policy. Without
+    a solution the base rests.
 
     Attributes:
-        robot: Who moves.
+        robot: Robot that moves.
     """
 
     robot: Robot
@@ -61,7 +60,7 @@ class WholeBodyQp:
         return actions
 
     def __reduce__(self) -> tuple[type["WholeBodyQp"], tuple[Robot]]:
-        """Leave out what is built when it is first needed."""
+        """Leave out the model, which is built on first use."""
         return WholeBodyQp, (self.robot,)
 
     @cached_property
@@ -81,7 +80,7 @@ def whole_body_qp(robot: Robot) -> WholeBodyQp:
     tree = build_chain(robot).tree
     if len(tree.variable) != len(robot.arm) or not np.all(tree.multiplier == 1.0):
         raise KinfeasError(
-            f"whole_body_qp cannot drive robot {robot.name!r}: each arm joint must move by itself"
+            f"whole_body_qp does not support robot {robot.name!r}: its arm has mimic joints"
         )
     return WholeBodyQp(robot)
 
@@ -89,9 +88,8 @@ def whole_body_qp(robot: Robot) -> WholeBodyQp:
 def build_model(robot: Robot) -> Any:
     """Return Pinocchio's model of base and arm with the EE as frame `ee`.
 
-    Everything is seen from the base, so that it always stands at the origin. There the two or
-    three joints that carry it move it in just the ways that its drive can: forward, to the left
-    unless the drive is differential, and about itself. All joints have one number each.
+    The base is at the origin of the model. Its two or three joints move it as its drive can:
+    forward, to the left unless the drive is differential, and about the vertical axis.
     """
     import pinocchio as pin
 
@@ -157,7 +155,7 @@ def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
 
 
 def _posture_costs(lower: Array, upper: Array, carried: int) -> Array:
-    """Return what it costs to move the base, and to hold a joint off the middle of its range."""
+    """Return the weights of base motion and of joint positions off the middle of their ranges."""
     bounded = np.isfinite(upper)
     costs = np.zeros(len(upper))
     costs[bounded] = _POSTURE_COST / (upper[bounded] - lower[bounded])
