@@ -3,7 +3,7 @@ import pytest
 from kinfeas.core import registry
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.recording import record_episodes
-from kinfeas.policies.baselines.following import FollowEe
+from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 
 
@@ -17,4 +17,4 @@ def recordings(hsr):
     """Two episodes with IK failures."""
     task = registry.build("kinfeas.tasks", "ggr", {})
     world = World(hsr, task, WorldConfig(max_failures=9, max_seconds=15.0), seed=1)
-    return record_episodes(world, FollowEe(hsr.base), 2)
+    return record_episodes(world, load_policy("follow_ee", hsr), 2)
