@@ -1,4 +1,4 @@
-"""Episodes kept step by step, for pictures and replays."""
+"""Episodes recorded step by step, for pictures and replays."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,26 @@ from kinfeas.control.loop import Rows
 from kinfeas.core import spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
-from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.episodes import Watch, run_episodes
 from kinfeas.envs.world import Transition, World
 from kinfeas.kinematics.forward import forward
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One episode of t - 1 steps: t moments, the first one its start.
+    """One episode of t - 1 steps: t moments with the start.
 
     Attributes:
         episode: Its number.
-        base_pose: World pose of the base, shape (t, 7).
+        base_pose: World pose of the base, shape (t, 7), without sensor errors.
         joint_positions: Arm joints, shape (t, j).
         desired: Desired world pose of the EE, shape (t, 7).
-        ee_pose: Achieved world pose of the EE, shape (t, 7).
+        ee_pose: Achieved world pose of the EE, shape (t, 7), without sensor errors.
         feasible: Whether IK found the desired pose, shape (t,); True at the start.
-        goals: World poses of the EE at the ends of the sub-goals that were begun, shape (sub-goals,
-            7).
+        goals: World poses of the EE at the ends of the started sub-goals, shape (sub-goals, 7).
         reached: Whether the episode ended at the goal.
         dt: Seconds between moments.
+        task_done: Whether the objects met the success condition; None without one.
     """
 
     episode: int
@@ -40,27 +40,38 @@ class Recording:
     goals: Array
     reached: bool
     dt: float
+    task_done: bool | None = None
 
     @property
     def goal(self) -> Array:
-        """World pose of the EE at the end of the last sub-goal that was begun, shape (7,)."""
+        """World pose of the EE at the end of the last started sub-goal, shape (7,)."""
         return self.goals[-1]
 
+    @property
+    def times(self) -> Array:
+        """Seconds since the start, shape (t,)."""
+        return self.dt * np.arange(len(self.feasible), dtype=np.float64)
 
-def record_episodes(world: World, policy: Policy, episodes: int, first: int = 0) -> list[Recording]:
-    """Return episodes `first` to `first + episodes - 1` of the world's seed, step by step."""
+
+def record_episodes(
+    world: World, policy: Policy, episodes: int, first: int = 0, watch: Watch | None = None
+) -> list[Recording]:
+    """Return episodes `first` to `first + episodes - 1`; arguments as in `run_episodes`."""
     kept = {first + i: _Kept(world, first + i) for i in range(episodes)}
 
-    def watch(world: World, transition: Transition, rows: Rows, numbers: Rows) -> None:
+    def add(world: World, transition: Transition, rows: Rows, numbers: Rows) -> None:
         for row, number in zip(rows, numbers, strict=True):
             kept[number].add(world, transition, row)
+        if watch is not None:
+            watch(world, transition, rows, numbers)
 
-    run_episodes(world, policy, episodes, watch=watch, first=first)
-    return [one.recording() for one in kept.values()]
+    records = run_episodes(world, policy, episodes, watch=add, first=first)
+    done = [None] * episodes if records.task_done is None else records.task_done.tolist()
+    return [one.recording(task) for one, task in zip(kept.values(), done, strict=True)]
 
 
 class _Kept:
-    """What has been seen of one episode so far."""
+    """Moments of one episode."""
 
     def __init__(self, world: World, episode: int) -> None:
         self.episode, self.dt = episode, world.config.dt
@@ -71,29 +82,15 @@ class _Kept:
         self.reached = False
 
     def add(self, world: World, transition: Transition, row: int) -> None:
-        loop = world.loop
-        self.moments.append(
-            (
-                loop.state.base_pose[row].copy(),
-                loop.state.joint_positions[row].copy(),
-                loop.desired[row].copy(),
-                loop.ee_pose[row].copy(),
-                bool(transition.step.feasible[row]),
-            )
-        )
+        loop, (base, ee) = world.loop, world.loop.true_state
+        joints = (loop.state.true_state or loop.state).joint_positions
+        poses = (base[row], joints[row], loop.desired[row], ee[row])
+        feasible = bool(transition.step.feasible[row])
+        self.moments.append((*(pose.copy() for pose in poses), feasible))
         self.goals[int(loop.sequence.subgoal[row])] = loop.goal[row].copy()
         self.reached = bool(transition.reached[row])
 
-    def recording(self) -> Recording:
-        base, joints, desired, ee, feasible = zip(*self.moments, strict=True)
-        return Recording(
-            self.episode,
-            np.array(base),
-            np.array(joints),
-            np.array(desired),
-            np.array(ee),
-            np.array(feasible),
-            np.array(list(self.goals.values())),
-            self.reached,
-            self.dt,
-        )
+    def recording(self, task_done: bool | None) -> Recording:
+        columns = (np.array(column) for column in zip(*self.moments, strict=True))
+        goals = np.array(list(self.goals.values()))
+        return Recording(self.episode, *columns, goals, self.reached, self.dt, task_done)

@@ -1,6 +1,6 @@
 """Pictures and films of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 from typing import Any
@@ -26,30 +26,9 @@ from kinfeas.io.run_log import REACHED, Record
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.viz.drawing import (
-    Solid,
-    add_axes,
-    corners,
-    draw_floor,
-    draw_solids,
-    robot_solids,
-    scene_solids,
-    show_all,
-    surrounds,
-)
-from kinfeas.viz.film import SIZE, write_caption
-from kinfeas.viz.style import (
-    ARM,
-    BASE,
-    BODY,
-    DESIRED,
-    EE,
-    FAILURE,
-    GOAL,
-    INK,
-    STYLE,
-    failures_text,
-)
+from kinfeas.viz import drawing
+from kinfeas.viz.film import SIZE, result
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
 
 _ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
 _PALEST = 0.62
@@ -79,12 +58,12 @@ def episodes_figure(
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
             furniture = [] if scene is None else _furniture_near(scene, recording)
-            side = add_axes(figure, grid[0, column], _side(recording), _ELEVATION)
+            side = drawing.add_axes(figure, grid[0, column], _side(recording), _ELEVATION)
             _draw_side(side, robot, recording, [one for object_ in furniture for one in object_])
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
             for one in furniture:
-                _draw_outline(top, corners(one), (0.86, 0.79, 0.69, 0.6), 1.8)
+                _draw_outline(top, drawing.corners(one), (0.86, 0.79, 0.69, 0.6), 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
         figure.legend(handles=_legend(), loc="outside lower center", ncols=columns, fontsize=10)
@@ -156,12 +135,8 @@ def moments(recording: Recording, spacing: float = 1.0, most: int = 4) -> NDArra
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count)).clip(0, len(way) - 1))
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """A fixed view: heading to the right of the picture, and the corners of what is seen."""
-
-    heading: float
-    corners: Array
+Camera = tuple[float, Array]
+"""Heading to the right of the picture, and opposite corners (2, 3) of what is seen, metres."""
 
 
 def watch(base: Array, goal: Array, points: Array) -> Camera:
@@ -176,23 +151,22 @@ def watch(base: Array, goal: Array, points: Array) -> Camera:
     around = np.concatenate([points, base[np.newaxis], goal[np.newaxis]])
     low, high = around.min(axis=0) - _AROUND, around.max(axis=0) + _AROUND
     low[2], high[2] = 0.0, max(high[2] - _AROUND, _HEIGHT)
-    return Camera(float(np.arctan2(way[1], way[0]) + _TURN), np.array([low, high]))
+    return float(np.arctan2(way[1], way[0]) + _TURN), np.array([low, high])
 
 
 def moment_image(
-    robot: Robot, recording: Recording, camera: Camera, moment: int = -1
+    robot: Robot, recording: Recording, camera: Camera, moment: int
 ) -> NDArray[np.uint8]:
     """Return an image of one moment and the paths until then, shape (360, 480, 3)."""
-    end = len(recording.feasible) if moment == -1 else moment + 1
+    heading, seen = camera
     with rc_context(STYLE):
         figure = Figure(figsize=(SIZE[0] / 100, SIZE[1] / 100), dpi=100)
         canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
-        axes = add_axes(figure, (0.0, 0.0, 1.0, 1.0), camera.heading, _ELEVATION)
-        draw_floor(axes, camera.corners)
-        posture = recording.base_pose[moment], recording.joint_positions[moment]
-        draw_solids(axes, robot_solids(robot, *posture))
-        _draw_paths(axes, recording, end)
-        show_all(axes, camera.corners, SIZE[0] / SIZE[1])
+        axes = drawing.add_axes(figure, (0.0, 0.0, 1.0, 1.0), heading, _ELEVATION)
+        drawing.draw_floor(axes, seen)
+        drawing.draw_solids(axes, _robot(robot, recording, moment))
+        _draw_paths(axes, recording, moment + 1)
+        drawing.show_all(axes, seen, SIZE[0] / SIZE[1])
         canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
@@ -205,42 +179,42 @@ class EpisodeFilm:
     robot: Robot
     title: str
 
-    @property
-    def times(self) -> Array:
-        """Seconds since the start of the episode, shape (t,)."""
-        return np.arange(len(self.recording.feasible), dtype=np.float64) * self.recording.dt
+    def picture(self, moment: int) -> Image.Image:
+        """Return the picture of one moment with the paths until then."""
+        return Image.fromarray(
+            moment_image(self.robot, self.recording, _watch(self.recording), moment)
+        )
 
-    def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
-        """Return the picture of one moment; its caption gives the playback speed."""
-        kept = self.recording
-        points = np.concatenate([kept.base_pose[:, :3], kept.desired[:, :3]])
-        camera = watch(kept.base_pose[0, :3], kept.goal[:3], points)
-        image = Image.fromarray(moment_image(self.robot, kept, camera, moment))
-        end = None
-        if moment == len(kept.feasible) - 1:
-            end = ("goal reached" if kept.reached else "goal not reached", kept.reached)
-        failures = int(np.sum(~kept.feasible[: moment + 1]))
-        write_caption(image, self.title, (self.times[moment], speed), failures, end)
-        return image
+
+def _watch(recording: Recording) -> Camera:
+    points = np.concatenate([recording.base_pose[:, :3], recording.desired[:, :3]])
+    return watch(recording.base_pose[0, :3], recording.goal[:3], points)
 
 
 def _title(recording: Recording) -> str:
-    end = "goal reached" if recording.reached else "goal missed"
     failures = failures_text(int(np.sum(~recording.feasible)))
-    seconds = (len(recording.feasible) - 1) * recording.dt
-    return f"Episode {recording.episode}: {end}, {failures}, {seconds:.0f} s"
+    seconds = recording.times[-1]
+    return f"Episode {recording.episode}: {result(recording)[0]}, {failures}, {seconds:.0f} s"
 
 
-def _furniture_near(scene: Scene, recording: Recording) -> list[list[Solid]]:
+def _robot(
+    robot: Robot, recording: Recording, moment: int, colours: tuple[str, str] = (BODY, ARM)
+) -> list[drawing.Solid]:
+    pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
+    return drawing.robot_solids(robot, pose, joints, colours)
+
+
+def _furniture_near(scene: Scene, recording: Recording) -> list[list[drawing.Solid]]:
     """Return the solids of each object near the paths."""
     paths = np.concatenate([recording.base_pose[:, :2], recording.ee_pose[:, :2]])
     low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
-    near: dict[str, list[Solid]] = {
+    near: dict[str, list[drawing.Solid]] = {
         name: []
         for name, one in scene.objects.items()
-        if np.all((one.pose[:2] > low) & (one.pose[:2] < high)) and not surrounds(scene, one)
+        if np.all((one.pose[:2] > low) & (one.pose[:2] < high))
+        and not drawing.surrounds(scene, one)
     }
-    for name, solid in scene_solids(scene):
+    for name, solid in drawing.scene_solids(scene):
         if name in near:
             near[name].append(solid)
     return list(near.values())
@@ -256,31 +230,26 @@ def _side(recording: Recording) -> float:
 
 
 def _draw_side(
-    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[Solid]
+    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[drawing.Solid]
 ) -> None:
-    drawn = moments(recording)
     solids = list(furniture)
-    for place, moment in enumerate(drawn):
-        colours = _pale(BODY, place, len(drawn)), _pale(ARM, place, len(drawn))
-        posture = recording.base_pose[moment], recording.joint_positions[moment]
-        solids += robot_solids(robot, *posture, colours)
-    points = np.concatenate([corners(solids), recording.desired[:, :3], recording.goals[:, :3]])
-    floor = draw_floor(axes, points)
-    draw_solids(axes, solids)
+    for moment, pale in _fading(recording):
+        solids += _robot(robot, recording, moment, (pale(BODY), pale(ARM)))
+    ends = recording.desired[:, :3], recording.goals[:, :3]
+    points = np.concatenate([drawing.corners(solids), *ends])
+    floor = drawing.draw_floor(axes, points)
+    drawing.draw_solids(axes, solids)
     _draw_paths(axes, recording)
-    show_all(axes, np.concatenate([points, floor]), 1.5)
+    drawing.show_all(axes, np.concatenate([points, floor]), 1.5)
 
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
-    drawn = moments(recording)
-    for place, moment in enumerate(drawn):
-        posture = recording.base_pose[moment], recording.joint_positions[moment]
-        body = [solid for solid in robot_solids(robot, *posture) if solid.colour == BODY]
+    for moment, pale in _fading(recording):
+        body = [one for one in _robot(robot, recording, moment) if one.colour == BODY]
         if body:
-            colour = (*to_rgb(_pale(BODY, place, len(drawn))), 0.55)
-            _draw_outline(axes, corners(body), colour, 2.0)
+            _draw_outline(axes, drawing.corners(body), (*to_rgb(pale(BODY)), 0.55), 2.0)
         reach = np.stack([recording.base_pose[moment, :2], recording.ee_pose[moment, :2]])
-        axes.plot(*reach.T, color=_pale(ARM, place, len(drawn)), lw=3.0, zorder=5)
+        axes.plot(*reach.T, color=pale(ARM), lw=3.0, zorder=5)
     _draw_paths(axes, recording)
     pose = recording.base_pose[moments(recording, 0.3, 12)]
     heading = spatial.yaw(pose)
@@ -318,11 +287,17 @@ def _draw_paths(axes: Axes, recording: Recording, end: int | None = None) -> Non
     draw(recording.goals, "*", color=GOAL, mec=INK, mew=0.7, ms=16.0, zorder=11)
 
 
-def _pale(colour: str, place: int, count: int) -> str:
-    """Return a colour that is the paler the earlier: `place` 0 of `count` is the palest."""
-    share = _PALEST * (1.0 - place / max(count - 1, 1))
-    red, green, blue = (part + (1.0 - part) * share for part in to_rgb(colour))
-    return to_hex((red, green, blue))
+def _fading(recording: Recording) -> Iterator[tuple[int, Callable[[str], str]]]:
+    """Yield the drawn moments, and functions that make colours the paler the earlier."""
+    drawn = moments(recording)
+    for place, moment in enumerate(drawn.tolist()):
+        share = _PALEST * (1.0 - place / max(len(drawn) - 1, 1))
+
+        def pale(colour: str, share: float = share) -> str:
+            red, green, blue = (part + (1.0 - part) * share for part in to_rgb(colour))
+            return to_hex((red, green, blue))
+
+        yield moment, pale
 
 
 def _legend() -> list[Line2D]:

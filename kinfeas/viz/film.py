@@ -1,6 +1,6 @@
 """Films as GIF or MP4 files, or as a PNG with some of their pictures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array
+from kinfeas.evaluation.recording import Recording
 from kinfeas.io.files import replacing
+from kinfeas.io.run_log import TASK_DONE
 from kinfeas.viz.style import DESIRED, EE, FAILURE, GOAL, INK, failures_text
 
 SUFFIXES = (".gif", ".mp4", ".png")
@@ -25,15 +26,20 @@ _PANELS = (2, 2)  # of a PNG
 
 
 class Film(Protocol):
-    """An episode as a sequence of pictures."""
+    """A recorded episode with pictures and a title for their captions."""
 
     @property
-    def times(self) -> Array:
-        """Seconds since the start of the episode, shape (t,)."""
+    def recording(self) -> Recording:
+        """The episode."""
         ...
 
-    def picture(self, moment: int, speed: float = 1.0) -> Image.Image:
-        """Return the picture of one moment, captioned with the playback speed."""
+    @property
+    def title(self) -> str:
+        """First words of the captions."""
+        ...
+
+    def picture(self, moment: int) -> Image.Image:
+        """Return the picture of one moment."""
         ...
 
 
@@ -61,17 +67,15 @@ def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = N
         KinfeasError: If the suffix is another one, or the file cannot be written.
     """
     check_film_path(path)
-    moments, suffix = _moments(film.times, path), path.suffix.lower()
+    moments, suffix = _moments(film, path), path.suffix.lower()
     rate = 0.0 if suffix == ".png" else (_GIF if suffix == ".gif" else _MP4)[0]
-    speed = max(1.0, film.times[-1] * rate / len(moments))
+    speed = max(1.0, film.recording.times[-1] * rate / len(moments))
 
-    def pictures() -> Iterator[Image.Image]:
-        for moment in moments:
-            yield film.picture(int(moment), speed)
-            if on_done is not None:
-                on_done(1)
-
-    shown = list(pictures())
+    shown = []
+    for moment in moments:
+        shown.append(captioned(film, int(moment), speed))
+        if on_done is not None:
+            on_done(1)
     with replacing(path) as fresh:
         if suffix == ".png":
             _write_png(shown, fresh)
@@ -83,30 +87,27 @@ def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = N
 
 def count_pictures(film: Film, path: Path) -> int:
     """Return the number of pictures that `write_film` draws."""
-    return len(_moments(film.times, path))
+    return len(_moments(film, path))
 
 
-def write_caption(
-    image: Image.Image,
-    title: str,
-    time: tuple[float, float],
-    failures: int,
-    result: tuple[str, bool] | None = None,
-) -> None:
-    """Write a caption into the lower left corner of a picture.
+def result(recording: Recording) -> tuple[str, bool]:
+    """Return the result of an episode as a text, and whether it is a success."""
+    text = "goal reached" if recording.reached else "goal not reached"
+    return text + TASK_DONE[
+        recording.task_done
+    ], recording.reached and recording.task_done is not False
 
-    Args:
-        image: The picture.
-        title: First words of the caption.
-        time: Seconds since the start, and playback speed.
-        failures: Number of IK failures until then.
-        result: Result of the episode and whether it is a success; None before its end.
-    """
-    faster = f"  ({time[1]:.1f}x)" if time[1] > 1.05 else ""
-    text = f"{title}   {time[0]:.1f} s{faster}   "
+
+def captioned(film: Film, moment: int, speed: float = 1.0) -> Image.Image:
+    """Return a picture with time, playback speed, IK failures and, at the end, the result."""
+    image, recording = film.picture(moment), film.recording
+    failures = int(np.sum(~recording.feasible[: moment + 1]))
+    faster = f"  ({speed:.1f}x)" if speed > 1.05 else ""
+    text = f"{film.title}   {recording.times[moment]:.1f} s{faster}   "
     lines = [[(text, INK), (failures_text(failures), FAILURE if failures else EE)]]
-    if result is not None:
-        lines.append([(result[0], EE if result[1] else FAILURE)])
+    if moment == len(recording.feasible) - 1:
+        end, succeeded = result(recording)
+        lines.append([(end, EE if succeeded else FAILURE)])
     font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", 13)
     draw = ImageDraw.Draw(image, "RGBA")
     for number, words in enumerate(lines):
@@ -117,16 +118,17 @@ def write_caption(
         for text, colour in words:
             draw.text((left, low), text, fill=colour, font=font)
             left += draw.textlength(text, font=font)
+    return image
 
 
-def _moments(times: Array, path: Path) -> NDArray[np.intp]:
-    last = len(times) - 1
+def _moments(film: Film, path: Path) -> NDArray[np.intp]:
+    times = film.recording.times
     if path.suffix.lower() == ".png":
         count = _PANELS[0] * _PANELS[1]
     else:
         rate, most = _GIF if path.suffix.lower() == ".gif" else _MP4
         count = min(most, int(np.ceil(times[-1] * rate)))
-    return np.unique(np.linspace(0, last, max(2, count)).round().astype(np.intp))
+    return np.unique(np.linspace(0, len(times) - 1, max(2, count)).round().astype(np.intp))
 
 
 def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:

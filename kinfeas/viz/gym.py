@@ -68,4 +68,4 @@ class RenderedMotionEnv(BaseMotionEnv):
         if self._camera is None:  # it stays when the base moves
             ends = np.stack([loop.ee_pose[0, :3], loop.goal[0, :3]])
             self._camera = watch(state.base_pose[0, :3], loop.goal[0, :3], ends)
-        return moment_image(self.world.solver.robot, now, self._camera)
+        return moment_image(self.world.solver.robot, now, self._camera, 0)

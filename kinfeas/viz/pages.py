@@ -1,9 +1,9 @@
 """HTML pages of scenes and episodes in 3-D, made by viser; they need no server."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from io import StringIO
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -17,9 +17,12 @@ from kinfeas.robots.urdf import Joint, Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.drawing import joint_poses, robot_parts, scene_solids
+from kinfeas.viz.film import result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
 
-_LIFTED = np.array([0.0, 0.0, 0.01])  # m, of the base path above the floor
+if TYPE_CHECKING:
+    from kinfeas.viz.pybullet_film import PyBulletFilm
+
 _FLOOR = (245, 246, 248)
 _AROUND = 1.5  # m, of floor beyond the paths
 _PIECE = 0.02  # m, length of the pieces of a path
@@ -110,46 +113,38 @@ class ScenePage:
 
 
 def episode_html(
-    recording: Recording, robot: Robot, times: Array, scene: Scene | None = None
+    recording: Recording, robot: Robot, scene: Scene | None = None, times: Array | None = None
 ) -> str:
     """Return the page of an episode, drawn from the robot's primitive shapes.
 
     Args:
         recording: The episode, t moments.
         robot: Robot model.
-        times: Of the moments, shape (t,), seconds.
         scene: Furniture.
+        times: Of the moments, shape (t,), seconds; by default those of the recording.
 
     Raises:
         KinfeasError: If viser is not installed.
     """
-    desired, ee = recording.desired[:, :3], recording.ee_pose[:, :3]
-    paths = {BASE: recording.base_pose[:, :3] + _LIFTED, DESIRED: desired, EE: ee}
     with _serving(robot.name) as server:
-        _draw_paths(server, paths, recording.goals[:, :3], desired[~recording.feasible])
+        _draw_paths(server, recording)
         if scene is not None:
             _draw_scene(server, scene)
         tree, parts = robot_parts(robot)
-        bodies: dict[int, Any] = {}
-        for number, part in enumerate(parts):
-            name = f"/robot/{part.joint}"
-            if part.joint not in bodies:
-                bodies[part.joint] = server.scene.add_frame(name, show_axes=False)
-            _draw(server, f"{name}/{number}", part.shape, ARM if part.arm else BODY)
-        film = server.get_scene_serializer()
-        shown = moments(times)
-        for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
+        frames = _Frames(server, "robot")
+        for part in parts:
+            frames.draw(part.joint, part.shape, ARM if part.arm else BODY)
+
+        def show(moment: int) -> None:
             relative = joint_poses(tree, recording.joint_positions[moment])
             poses = compose(recording.base_pose[moment], relative)
-            for body, frame in bodies.items():
-                _place(frame, poses[body])
-            film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
-        html: str = film.as_html()
-        return html
+            frames.place({joint: poses[joint] for joint in frames.handles})
+
+        return _play(server, recording.times if times is None else times, show)
 
 
-def pybullet_html(film: Any) -> str:
-    """Return the page of a `PyBulletFilm`, with everything that moves.
+def pybullet_html(film: "PyBulletFilm") -> str:
+    """Return the page of an episode in PyBullet, with everything that moves.
 
     Raises:
         KinfeasError: If viser is not installed.
@@ -157,34 +152,24 @@ def pybullet_html(film: Any) -> str:
     from kinfeas.backends.pybullet.camera import link_poses, show_moment, visual_shapes
 
     recording = film.recording
-    paths = {BASE: recording.base + _LIFTED, DESIRED: recording.desired, EE: recording.ee}
     with _serving(film.title) as server:
-        _draw_paths(server, paths, recording.goals, recording.desired[recording.failures > 0])
+        _draw_paths(server, recording)
         server.initial_camera.position, server.initial_camera.look_at = film.eye[0], film.target[0]
-        frames: dict[tuple[int, int], Any] = {}
-        for number, one in enumerate(visual_shapes(film.physics)):
-            if one.shape.kind == "box" and max(one.shape.size) > _WALL:
-                continue
-            name = f"/world/{one.body}-{one.link + 1}"
-            if (one.body, one.link) not in frames:
-                frames[one.body, one.link] = server.scene.add_frame(name, show_axes=False)
-            _draw(server, f"{name}/{number}", one.shape, one.colour)
-        label = f"{failures_text(int(recording.failures.sum()))}, {recording.outcome}"
-        position = recording.goals[-1] + np.array([0.0, 0.0, 0.15])
-        result = server.scene.add_label("/outcome", label, position=position, visible=False)
-        serializer, links, shown = server.get_scene_serializer(), list(frames), moments(film.times)
-        before = np.full((len(links), 7), np.inf)
-        for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
-            show_moment(film.physics, recording.moments[moment])
-            poses = link_poses(film.physics, links)
-            for row in np.flatnonzero(np.abs(poses - before).max(axis=1) > _STILL):
-                _place(frames[links[row]], poses[row])
-                before[row] = poses[row]
-            result.visible = bool(moment == shown[-1])
-            seconds = float(film.times[after] - film.times[moment])
-            serializer.insert_sleep(seconds or 1.0)
-        html: str = serializer.as_html()
-        return html
+        frames = _Frames(server, "world")
+        for one in visual_shapes(film.physics):
+            if one.shape.kind != "box" or max(one.shape.size) <= _WALL:
+                frames.draw((one.body, one.link), one.shape, one.colour)
+        text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
+        position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
+        label = server.scene.add_label("/result", text, position=position, visible=False)
+        links, last = list(frames.handles), len(film.moments) - 1
+
+        def show(moment: int) -> None:
+            show_moment(film.physics, film.moments[moment])
+            frames.place(dict(zip(links, link_poses(film.physics, links), strict=True)))
+            label.visible = moment == last
+
+        return _play(server, recording.times, show)
 
 
 def moments(times: Array) -> NDArray[np.intp]:
@@ -220,6 +205,42 @@ def _serving(title: str) -> Iterator[Any]:
         _stop(server)
 
 
+class _Frames:
+    """Moving frames with shapes, by key."""
+
+    def __init__(self, server: Any, name: str) -> None:
+        self._server, self._name = server, name
+        self.handles: dict[Any, Any] = {}
+        self._poses: dict[Any, Array] = {}
+        self._shapes = 0
+
+    def draw(self, key: Any, shape: Shape, colour: str | tuple[float, ...]) -> None:
+        """Draw a shape in the frame of a key."""
+        if key not in self.handles:
+            name = f"/{self._name}/{len(self.handles)}"
+            self.handles[key] = self._server.scene.add_frame(name, show_axes=False)
+            self._poses[key] = np.full(7, np.inf)
+        self._shapes += 1
+        _draw(self._server, f"{self.handles[key].name}/{self._shapes}", shape, colour)
+
+    def place(self, poses: Mapping[Any, Array]) -> None:
+        """Move the frames whose world pose (7,) has changed."""
+        for key, pose in poses.items():
+            if np.abs(pose - self._poses[key]).max() > _STILL:
+                _place(self.handles[key], pose)
+                self._poses[key] = pose
+
+
+def _play(server: Any, times: Array, show: Callable[[int], None]) -> str:
+    """Return the page on which moments are shown at their times."""
+    film, shown = server.get_scene_serializer(), moments(times).tolist()
+    for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
+        show(moment)
+        film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
+    html: str = film.as_html()
+    return html
+
+
 def _draw_scene(server: Any, scene: Scene) -> list[Any]:
     return [
         _draw(server, f"/{name}/{number}", solid.shape, solid.colour)
@@ -237,8 +258,11 @@ def _draw(server: Any, name: str, shape: Shape, colour: str | tuple[float, ...])
     return server.scene.add_icosphere(name, radius=shape.size[0], **how)
 
 
-def _draw_paths(server: Any, paths: Mapping[str, Array], goals: Array, failures: Array) -> None:
-    """Draw paths (t, 3) by colour, goals and failures over a floor; place the camera."""
+def _draw_paths(server: Any, recording: Recording) -> None:
+    """Draw paths, goals and failures over a floor, and place the camera."""
+    base = recording.base_pose[:, :3] + np.array([0.0, 0.0, 0.01])
+    desired, goals = recording.desired[:, :3], recording.goals[:, :3]
+    paths = {BASE: base, DESIRED: desired, EE: recording.ee_pose[:, :3]}
     points = np.concatenate([*paths.values(), goals])
     low, high = points.min(axis=0), points.max(axis=0)
     middle, size = (low + high) / 2.0 * [1.0, 1.0, 0.0], high - low + 2.0 * _AROUND
@@ -247,17 +271,17 @@ def _draw_paths(server: Any, paths: Mapping[str, Array], goals: Array, failures:
         position=middle,
     )  # fmt: skip
     for colour, path in paths.items():
-        kept = [0]
-        for index in range(1, len(path)):
-            if np.linalg.norm(path[index] - path[kept[-1]]) >= _PIECE:
-                kept.append(index)
-        lines = np.stack([path[kept[:-1]], path[kept[1:]]], axis=1)
-        if len(lines):
+        travelled = np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))
+        _, kept = np.unique((travelled / _PIECE).astype(int), return_index=True)
+        ends = path[np.concatenate([[0], kept + 1])]
+        if len(kept):
             server.scene.add_line_segments(
-                f"/paths/{colour[1:]}", lines, _rgb(colour), thickness=3.0, thickness_units="screen"
-            )
+                f"/paths/{colour[1:]}", np.stack([ends[:-1], ends[1:]], axis=1), _rgb(colour),
+                thickness=3.0, thickness_units="screen",
+            )  # fmt: skip
     for number, goal in enumerate(goals):
         server.scene.add_icosphere(f"/goals/{number}", 0.025, color=_rgb(GOAL), position=goal)
+    failures = desired[~recording.feasible]
     if len(failures):
         server.scene.add_point_cloud("/failures", failures, _rgb(FAILURE), point_size=0.025)
     away = np.array([1.8, -2.6, 2.0]) * max(1.0, float(size.max()) / 4.0)
