@@ -252,7 +252,7 @@ def _show_episode(
     from kinfeas.evaluation.recording import record_episodes
     from kinfeas.viz.episodes import EpisodeFilm, episodes_figure
     from kinfeas.viz.pages import episode_html, pybullet_html
-    from kinfeas.viz.pybullet_film import make_film, record
+    from kinfeas.viz.pybullet_film import make_film
     from kinfeas.viz.style import png
 
     robot = chosen.robot
@@ -260,7 +260,7 @@ def _show_episode(
     try:
         if chosen.world.backend == "pybullet":
             with status(f"episode {number}"):
-                pybullet_film = make_film(world, record(world, policy, number))
+                pybullet_film = make_film(world, policy, number)
             _write_film(pybullet_film, video)
             write_drawing(lambda: pybullet_html(pybullet_film).encode(), replay)
             _write_film(pybullet_film, picture)
@@ -271,7 +271,7 @@ def _show_episode(
         world.close()
     film = EpisodeFilm(recording, robot, f"{robot.name}, {chosen.task.name}")
     _write_film(film, video)
-    write_drawing(lambda: episode_html(recording, robot, film.times).encode(), replay)
+    write_drawing(lambda: episode_html(recording, robot).encode(), replay)
     write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)
 
 

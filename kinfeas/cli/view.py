@@ -69,8 +69,11 @@ def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | 
     write_json(_run_facts(run), json)
     _show_run(run)
     write_drawing(lambda: png(record_figure(run, robot), dpi=110), picture)
-    episode = as_recording(run, robot)
-    write_drawing(lambda: episode_html(episode, robot, run.time, scene_of(run)).encode(), html)
+
+    def page() -> bytes:
+        return episode_html(as_recording(run, robot), robot, scene_of(run), run.time).encode()
+
+    write_drawing(page, html)
 
 
 def _run_facts(run: "Record") -> dict[str, object]:

@@ -91,6 +91,9 @@ class _Kept:
         self.reached = bool(transition.reached[row])
 
     def recording(self, task_done: bool | None) -> Recording:
-        columns = (np.array(column) for column in zip(*self.moments, strict=True))
+        base, joints, desired, ee, feasible = (np.array(x) for x in zip(*self.moments, strict=True))
         goals = np.array(list(self.goals.values()))
-        return Recording(self.episode, *columns, goals, self.reached, self.dt, task_done)
+        return Recording(
+            self.episode, base, joints, desired, ee, feasible, goals, self.reached, self.dt,
+            task_done,
+        )  # fmt: skip

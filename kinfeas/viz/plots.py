@@ -141,7 +141,8 @@ def sim2real_figure(title: str, costs: Sequence[Cost], sweeps: Sequence[Sweep]) 
         ratios = [1.3, *(1.0 for _ in sweeps)]
         first, *others = figure.subplots(1, 1 + len(sweeps), squeeze=False, width_ratios=ratios)[0]
         for place, cost in enumerate(costs):
-            share, *interval = (cost.figures[f"success{end}"] for end in ("", "_low", "_high"))
+            found = cost.figures
+            share, *interval = found["success"], found["success_low"], found["success_high"]
             colour = EE if cost.adapter in (NONE, ALL) else BASE
             first.plot(interval, [place, place], color=colour, lw=4.5, alpha=0.3)
             first.plot([share], [place], "o", color=colour, ms=6.0, mec="white", mew=0.8)
@@ -153,10 +154,10 @@ def sim2real_figure(title: str, costs: Sequence[Cost], sweeps: Sequence[Sweep]) 
         first.xaxis.set_major_formatter(PercentFormatter(1.0))
         first.set_xlabel("each adapter alone, each left out, and all")
         for axes, sweep in zip(others, sweeps, strict=True):
-            values, found = sweep.axis.values, sweep.figures
-            shares, lows, highs = (
-                [figures[f"success{end}"] for figures in found] for end in ("", "_low", "_high")
-            )
+            values = sweep.axis.values
+            shares = [one["success"] for one in sweep.figures]
+            lows = [one["success_low"] for one in sweep.figures]
+            highs = [one["success_high"] for one in sweep.figures]
             axes.fill_between(values, lows, highs, color=EE, alpha=0.18, lw=0.0)
             axes.plot(values, shares, "o-", color=EE, lw=2.0, ms=6.0, mec="white", clip_on=False)
             axes.set(xlabel=sweep.axis.title, ylim=(0.0, 1.02))

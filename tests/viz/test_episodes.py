@@ -64,13 +64,12 @@ def test_a_film_shows_failures_in_red(hsr, recordings):
     red = np.array([int(FAILURE[i : i + 2], 16) for i in (1, 3, 5)])
 
     def count(film):
-        image = np.asarray(film.picture(len(film.times) - 2), dtype=int)[:300]
+        image = np.asarray(film.picture(len(recording.times) - 2), dtype=int)[:300]
         return int(np.sum(np.abs(image - red).sum(axis=-1) < 40))
 
     film = EpisodeFilm(recording, hsr, "hsr")
     fine = replace(film, recording=replace(recording, feasible=recording.feasible | True))
     assert film.picture(0).size == (480, 360)
-    assert film.times[1] == pytest.approx(recording.dt)
     assert count(film) > 5
     assert count(fine) == 0
 

@@ -46,9 +46,7 @@ def test_joints_move_their_shapes(page):
 
 def test_an_episode_page_is_self_contained(hsr, recordings):
     pytest.importorskip("viser")
-    recording = recordings[0]
-    times = recording.dt * np.arange(len(recording.feasible))
-    check_self_contained(episode_html(recording, hsr, times))
+    check_self_contained(episode_html(recordings[0], hsr))
 
 
 def test_few_moments_and_the_last_one_are_shown():

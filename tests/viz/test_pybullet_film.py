@@ -13,9 +13,9 @@ pytest.importorskip("pybullet")
 
 from kinfeas.backends.pybullet.camera import link_poses, show_moment
 from kinfeas.envs.world import World, evaluation_world
-from kinfeas.viz.film import check_film_path, count_pictures, write_film
+from kinfeas.viz.film import captioned, check_film_path, count_pictures, result, write_film
 from kinfeas.viz.pages import pybullet_html
-from kinfeas.viz.pybullet_film import make_film, record
+from kinfeas.viz.pybullet_film import make_film
 from kinfeas.viz.style import FAILURE
 
 
@@ -28,37 +28,34 @@ def start(robot, task, seconds, **changes):
 def film(hsr):
     """One second in which the task is not done."""
     world, policy = start(hsr, "door", 1)
-    yield make_film(world, record(world, policy, 0))
+    yield make_film(world, policy, 0)
     world.close()
 
 
-def test_a_recording_has_the_episode(film):
+def test_a_film_has_the_episode(film):
     recording = film.recording
-    count = len(recording.times)
-    assert count == len(recording.moments) == len(recording.desired) == len(recording.failures)
-    assert np.all(np.diff(recording.times) > 0.0)
+    assert len(recording.times) == len(film.moments) == len(recording.desired)
     assert recording.times[-1] == pytest.approx(1.0)
-    assert np.abs(recording.ee[0] - recording.desired[0]).max() < 0.01
+    assert np.abs(recording.ee_pose[0] - recording.desired[0]).max() < 0.01
     assert len(recording.goals) == 1
-    assert not recording.reached
-    assert recording.done is False
+    assert result(recording) == ("goal not reached, task not done", False)
 
 
 def test_paths_are_true_positions_without_sensor_errors(hsr):
     lost = PluginSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
     world, policy = start(hsr, "ggr", 1, adapters=(lost,))
-    recording = record(world, policy, 0)
-    body = world.backend.sims[0].body
-    for moment, base, ee in zip(recording.moments, recording.base, recording.ee, strict=True):
-        show_moment(body.physics, moment)
-        seen = link_poses(body.physics, [(body.body, body.links[hsr.ee_frame])])
+    film = make_film(world, policy, 0)
+    body, recording = world.task.backend.sims[0].body, film.recording
+    for moment, base, ee in zip(film.moments, recording.base_pose, recording.ee_pose, strict=True):
+        show_moment(film.physics, moment)
+        seen = link_poses(film.physics, [(body.body, body.links[hsr.ee_frame])])
         np.testing.assert_allclose(base[:2], body.planar()[:2], atol=1e-9)
-        np.testing.assert_allclose(ee, seen[0, :3], atol=1e-6)
+        np.testing.assert_allclose(ee[:3], seen[0, :3], atol=1e-6)
     world.close()
 
 
 def test_the_camera_stays_in_the_room_and_moves_smoothly(film):
-    assert film.eye.shape == film.target.shape == film.recording.base.shape
+    assert film.eye.shape == film.target.shape == (len(film.moments), 3)
     assert np.abs(film.eye[:, :2]).max() < 5.0
     assert np.all(film.eye[:, 2] > 0.5)
     assert np.linalg.norm(np.diff(film.eye, axis=0), axis=1).max() < 0.1
@@ -70,19 +67,16 @@ def count_red(image):
 
 
 def test_failures_are_red(film):
-    count = len(film.times)
-    red = [
-        count_red(
-            replace(film, recording=replace(film.recording, failures=failures)).picture(count - 2)
-        )
-        for failures in (np.zeros(count, dtype=int), np.ones(count, dtype=int))
-    ]
+    count, red = len(film.moments), []
+    for feasible in (np.ones(count, dtype=bool), np.zeros(count, dtype=bool)):
+        shown = replace(film, recording=replace(film.recording, feasible=feasible))
+        red.append(count_red(shown.picture(count - 2)))
     assert red[0] == 0
     assert red[1] > 10
 
 
 @pytest.mark.parametrize(
-    ("reached", "done", "outcome", "succeeded"),
+    ("reached", "done", "text", "succeeded"),
     [
         (True, None, "goal reached", True),
         (False, None, "goal not reached", False),
@@ -91,12 +85,13 @@ def test_failures_are_red(film):
         (False, True, "goal not reached, task done", False),
     ],
 )
-def test_the_last_picture_has_the_result(film, reached, done, outcome, succeeded):
-    none = np.zeros_like(film.recording.failures)
-    recording = replace(film.recording, reached=reached, done=done, failures=none)
-    assert (recording.outcome, recording.succeeded) == (outcome, succeeded)
-    last = len(recording.times) - 1
-    assert bool(count_red(replace(film, recording=recording).picture(last))) is not succeeded
+def test_the_last_picture_has_the_result(film, reached, done, text, succeeded):
+    feasible = np.ones_like(film.recording.feasible)
+    recording = replace(film.recording, reached=reached, task_done=done, feasible=feasible)
+    assert result(recording) == (text, succeeded)
+    last, shown = len(film.moments) - 1, replace(film, recording=recording)
+    assert count_red(captioned(shown, last - 1)) == 0
+    assert bool(count_red(captioned(shown, last))) is not succeeded
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".png", ".mp4"])
