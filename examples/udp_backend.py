@@ -105,8 +105,8 @@ class UdpRobotLink:
 class UdpBackend(LinkBackend):
     """Entry point udp = "my_robot.udp:UdpBackend" in the group kinfeas.backends."""
 
-    def __init__(self, robot, *, seconds=0.1, patience=5.0):
-        super().__init__(robot, UdpLink(), seconds=seconds, patience=patience)
+    def __init__(self, robot, *, seconds=0.1, timeout=5.0):
+        super().__init__(robot, UdpLink(), seconds=seconds, timeout=timeout)
 
     def stop_call(self):  # for the watchdog process
         return StopCall("my_robot.udp:stop_base")

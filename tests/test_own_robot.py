@@ -12,7 +12,7 @@ from kinfeas.kinematics.ik import IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import RobotSpec
-from kinfeas.sim2real.ros.names import read_topics
+from kinfeas.sim2real.ros.topics import read_topics
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "examples" / "own_robot"

@@ -15,7 +15,7 @@ from kinfeas.cli.main import app
 from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.ros.names import read_topics
+from kinfeas.sim2real.ros.topics import read_topics
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 from kinfeas.training.config import TrainConfig

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from kinfeas.io.run_log import About
     from kinfeas.robots.robot import Robot
     from kinfeas.sim2real.deploy.config import DeployConfig
-    from kinfeas.sim2real.deploy.deployment import Outcome, Setup
+    from kinfeas.sim2real.deploy.runtime import Outcome, Setup
     from kinfeas.tasks.task import Task
 
 Three = tuple[float, float, float]
@@ -173,8 +173,7 @@ def _read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) ->
     from kinfeas import config
     from kinfeas.config import strict_yaml
     from kinfeas.config.recipes import section
-    from kinfeas.sim2real.deploy.config import DeployConfig
-    from kinfeas.sim2real.deploy.guard_config import Guards
+    from kinfeas.sim2real.deploy.config import DeployConfig, Guards
 
     data, source = section("deploy", robot.name)
     if guards is not None:
@@ -215,9 +214,9 @@ def _make_setup(
     from kinfeas.core.backend import RealTimeBackend, build_backend
     from kinfeas.kinematics.ik import IkSolver
     from kinfeas.policies.loading import load_policy
-    from kinfeas.sim2real.deploy.deployment import Setup
+    from kinfeas.sim2real.deploy.preflight import warm_up
     from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
-    from kinfeas.sim2real.deploy.warm_up import warm_up
+    from kinfeas.sim2real.deploy.runtime import Setup
     from kinfeas.tasks.task import SupportsTaskScenes
 
     (policy_name, backend_name, adapter_list), (robot, task, config) = names, parts
@@ -254,7 +253,7 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     """Return scene and objects of the record; the episode is drawn in advance."""
     import numpy as np
 
-    from kinfeas.sim2real.deploy.deployment import TaskWithObjects
+    from kinfeas.sim2real.deploy.runtime import TaskWithObjects
 
     if not isinstance(setup.task, TaskWithObjects):
         return {}

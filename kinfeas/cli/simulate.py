@@ -10,7 +10,7 @@ from kinfeas.cli.output import print_table, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.sim2real.simulator.playing import Played
+    from kinfeas.sim2real.simulator.simulation import SimulationResult
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -54,31 +54,30 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas simulate --backend ros2 --robot pr2 --task door
     """
-    from kinfeas.sim2real.simulator.playing import play, robot_link
-    from kinfeas.sim2real.simulator.simulated_robot import Role, SimulatedRobot
-    from kinfeas.sim2real.simulator.spawn import set_stage
+    from kinfeas.sim2real.simulator import simulation
 
     if task is not None and scene is not None:
         raise KinfeasError("--task has its own scene and excludes --scene")
-    role, known = Role(rate, command_timeout, seconds), options.read_robot(robot)
-    link = robot_link(backend, known, topics)
+    known = options.read_robot(robot)
+    link = simulation.robot_link(backend, known, topics)
     drawn_by = options.read_task(task, {}) if task is not None else None
-    world, state = set_stage(known, drawn_by, scene, (seed, episode), gui=gui)
-    player = SimulatedRobot(world, state, role)
+    world, state = simulation.spawn(known, drawn_by, scene, seed=seed, episode=episode, gui=gui)
+    config = simulation.SimulationConfig(rate, command_timeout, seconds)
+    player = simulation.SimulatedRobot(world, state, config)
 
     def ready() -> None:
         x, y = state.base_pose[0, :2]
         typer.echo(f"{known.name} is ready at x {x:.2f} m, y {y:.2f} m; Ctrl-C ends it")
 
     try:
-        played = play(player, link, role, ready)
+        played = simulation.simulate(player, link, ready)
     finally:
         world.close()
     write_json(asdict(played), json)
     _show(played)
 
 
-def _show(played: "Played") -> None:
+def _show(played: "SimulationResult") -> None:
     rows = [
         ("time", f"{played.seconds:.1f} s"),
         ("commands to the base", f"{played.base_commands}"),

@@ -28,21 +28,50 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
         Shape (n, 6), m/s and rad/s.
     """
     action = np.clip(action, -1.0, 1.0)
-    twist = np.zeros((len(action), 6))
-    heading = yaw(base_pose)
-    twist[:, 5] = action[:, -1] * base.max_rotation
+    velocity = np.zeros((len(action), 3))
+    velocity[:, 0] = action[:, 0] * base.max_velocity
+    velocity[:, 2] = action[:, -1] * base.max_rotation
     if base.drive == "omnidirectional":
-        forward, left = _clip_speed(
-            action[:, 0] * base.max_velocity, action[:, 1] * base.max_velocity, base
+        velocity[:, 0], velocity[:, 1] = _clip_speed(
+            velocity[:, 0], action[:, 1] * base.max_velocity, base
         )
-    else:
-        heading = heading + twist[:, 5] * dt
-        forward = action[:, 0] * base.max_velocity
-        left = np.zeros_like(forward)
-    cosine, sine = np.cos(heading), np.sin(heading)
-    twist[:, 0] = cosine * forward - sine * left
-    twist[:, 1] = sine * forward + cosine * left
+    return world_twist(base, base_pose, velocity, dt)
+
+
+def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
+    """Return the world twist of a velocity in the base frame, shape (n, 6), m/s and rad/s.
+
+    Args:
+        base: Drive: a differential one drives along its new heading.
+        base_pose: World pose of the base, shape (n, 7).
+        velocity: Forward, left and rotation, shape (n, 3), m/s and rad/s.
+        dt: Duration in seconds for which the twist will hold.
+    """
+    cosine, sine = _direction(base, base_pose, velocity[:, 2], dt)
+    twist = np.zeros((len(velocity), 6))
+    twist[:, 0] = cosine * velocity[:, 0] - sine * velocity[:, 1]
+    twist[:, 1] = sine * velocity[:, 0] + cosine * velocity[:, 1]
+    twist[:, 5] = velocity[:, 2]
     return twist
+
+
+def base_velocity(base: Base, base_pose: Array, twist: Array, dt: float) -> Array:
+    """Return the velocity in the base frame of a world twist, shape (n, 3), m/s and rad/s.
+
+    The inverse of `world_twist`, without the components that a base on a floor cannot have.
+    """
+    cosine, sine = _direction(base, base_pose, twist[:, 5], dt)
+    forward = cosine * twist[:, 0] + sine * twist[:, 1]
+    left = cosine * twist[:, 1] - sine * twist[:, 0]
+    return np.stack([forward, left, twist[:, 5]], axis=1)
+
+
+def _direction(base: Base, base_pose: Array, rotation: Array, dt: float) -> tuple[Array, Array]:
+    """Return cosine and sine of the heading along which the base drives, shape (n,) each."""
+    heading = yaw(base_pose)
+    if base.drive != "omnidirectional":
+        heading = heading + rotation * dt
+    return np.cos(heading), np.sin(heading)
 
 
 def carried_out(action: Array) -> Array:

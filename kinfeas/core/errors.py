@@ -13,6 +13,10 @@ class KinfeasError(ValueError):
     """
 
 
+class Fault(KinfeasError):  # noqa: N818 - a state of the robot, and no mistake in the input
+    """The reason why a run on a robot must stop: a measurement, a command, a clock or a link."""
+
+
 def no_such(word: str, names: Collection[str]) -> str:
     """Return the end of an error on the unknown `word`: a guess, and the `names` that exist."""
     close = difflib.get_close_matches(word, names, n=1)

@@ -1,24 +1,93 @@
-"""Settings of a deployment."""
+"""Configuration of a deployment: guards, execution, and parameters of its parts."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 from kinfeas.config import PluginSpec
+from kinfeas.config.quantities import Count, Positive, PositiveSeconds, PositiveShare
 from kinfeas.control.execution import ExecutionSettings
+from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
-from kinfeas.sim2real.deploy.guard_config import Guards
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Limits of measurements and commands.
+
+    Attributes:
+        reach: Start only if a base pose is found from which the arm reaches the end of each
+            sub-goal.
+        max_age: Age of a measurement, and of the one behind a command, that stops the run, seconds.
+        max_period: Length of a control period that stops it, seconds.
+        max_clock_skew: Change of the system's clock, or stamp in the future, that stops it,
+            seconds.
+        max_distance: Distance of the base from its start that stops it, metres.
+        max_tilt: Tilt of the base that stops it, radians.
+        pose_jump: Change of the measured base position, beyond what it can have driven, that stops
+            it, metres.
+        heading_jump: The same of its heading, radians.
+        joint_tolerance: Excess of a measured joint beyond its limits that stops it, radians or
+            metres.
+        max_linear_velocity: Limit of the base command, m/s; the robot's own if null.
+        max_angular_velocity: The same, rad/s.
+        acceleration: Limit of its change, m/s^2; the robot's own if null.
+        rotation_acceleration: The same, rad/s^2.
+        joint_speed: Fraction of their velocity limits that arm joints may use.
+        joint_jump: Distance of a joint target beyond which the arm holds, radians or metres.
+        max_tracking_delay: Seconds that a joint may need to its last target; beyond, the arm holds
+            until it has caught up.
+        max_consecutive_ik_failures: Control periods in a row without an IK solution, or with the
+            arm on hold, after which the run stops.
+        watchdog: Seconds without a heartbeat after which another process stops the base; null for
+            no such process.
+    """
+
+    reach: bool = True
+    max_age: PositiveSeconds = 0.2
+    max_period: PositiveSeconds = 0.2
+    max_clock_skew: PositiveSeconds = 0.1
+    max_distance: Positive = 20.0
+    max_tilt: Positive = 0.15
+    pose_jump: Positive = 0.3
+    heading_jump: Positive = 0.5
+    joint_tolerance: Positive = 0.1
+    max_linear_velocity: Positive | None = None
+    max_angular_velocity: Positive | None = None
+    acceleration: Positive | None = None
+    rotation_acceleration: Positive | None = None
+    joint_speed: PositiveShare = 1.0
+    joint_jump: Positive = 3.2
+    max_tracking_delay: PositiveSeconds = 0.5
+    max_consecutive_ik_failures: Count = 50
+    watchdog: PositiveSeconds | None = 0.2
+
+    def timeless(self) -> "Guards":
+        """Return the guards without those of time, for worlds without a clock."""
+        never = math.inf
+        return replace(self, max_age=never, max_period=never, max_clock_skew=never, watchdog=None)
+
+    def check_rate(self, dt: float) -> None:
+        """Raise KinfeasError if control periods of `dt` seconds exceed a limit of time."""
+        for name in ("max_age", "max_period", "watchdog"):
+            seconds = getattr(self, name)
+            if seconds is not None and seconds < 1.5 * dt:
+                raise KinfeasError(
+                    f"guards.{name} of {seconds:g} s needs a rate of at least "
+                    f"{1.5 / seconds:g} Hz, not {1.0 / dt:g} Hz"
+                )
 
 
 @dataclass(frozen=True)
 class DeployConfig(ExecutionSettings):
-    """What can be set of a deployment beside policy, robot, backend, goal and its pace.
+    """Settings of a deployment.
 
     Attributes:
-        guards: When it is stopped.
-        generator: Keyword parameters of the motion generator of a goal.
-        task: Keyword parameters of the task.
-        backend: Keyword parameters of the backend, beside those that every robot gives it.
-        ik: How hard IK searches.
-        filters: Change the policy's commands, in this order.
+        guards: Limits of measurements and commands.
+        generator: Parameters of the motion generator of a goal.
+        task: Parameters of the task.
+        backend: Parameters of the backend.
+        ik: Settings of the IK solver.
+        filters: Command filters, in this order.
     """
 
     guards: Guards = field(default_factory=Guards)

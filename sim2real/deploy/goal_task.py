@@ -1,4 +1,4 @@
-"""Where a run begins and where it leads."""
+"""The task of a single goal, and the start of a run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
 
-_UNIT = 1e-2  # by which the length of a given quaternion may be off
+_UNIT = 1e-2  # deviation of a quaternion's norm from 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class GoalTask:
 
     Attributes:
         goal: World position, shape (3,), metres.
-        orientation: Unit quaternion xyzw, shape (4,); the one at the start where None.
-        motion: What moves the EE.
+        orientation: Unit quaternion xyzw, shape (4,); that of the start if None.
+        motion: Motion generator.
         name: Task name.
     """
 
@@ -37,16 +37,16 @@ class GoalTask:
 
     @property
     def subgoals(self) -> tuple[Subgoal, ...]:
-        """The one motion, of the EE frame."""
+        """The one sub-goal, of the EE frame."""
         return (Subgoal(self.motion),)
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return the one episode that there is, its arrays without a leading axis."""
+        """Return the start at the origin, without leading axes."""
         start = Start(spatial.IDENTITY, solver.robot.home["home"], np.empty((1, 7)))
         return self.aimed(solver, start)
 
     def aimed(self, solver: IkSolver, start: Start) -> Start:
-        """Return the same start with the goal as its target, without leading axes."""
+        """Return a start, without leading axes, with the goal as its target."""
         orientation = self.orientation
         if orientation is None:
             ee = forward(solver.chain, start.joint_positions[np.newaxis])
@@ -64,15 +64,14 @@ def make_goal_task(
         position: World position of the EE, metres.
         orientation: Roll, pitch and yaw about the world's axes in radians, or a quaternion xyzw;
             None for the orientation at the start.
-        motion: What moves the EE.
+        motion: Motion generator.
 
     Raises:
-        KinfeasError: If a number is not finite or too large, or the quaternion not of unit length.
+        KinfeasError: If a number is not finite or too large, or the quaternion has no unit norm.
     """
     numbers = np.array([*position, *(orientation or ())])
     if not (np.abs(numbers) <= REMOTEST).all():
-        most = f"at most {REMOTEST:,.0f} in size"
-        raise KinfeasError(f"a goal must be made of finite numbers of {most}")
+        raise KinfeasError(f"a goal must have finite numbers of at most {REMOTEST:,.0f} in size")
     if orientation is None:
         return GoalTask(numbers, None, motion)
     turn = numbers[3:]
@@ -85,18 +84,21 @@ def make_goal_task(
     return GoalTask(numbers[:3], turn / np.linalg.norm(turn), motion)
 
 
-def begin(task: Task, solver: IkSolver, rng: np.random.Generator, now: RobotState | None) -> Start:
-    """Return where a run begins, with leading axes of one.
+def begin(
+    task: Task, solver: IkSolver, rng: np.random.Generator, measured: RobotState | None
+) -> Start:
+    """Return the start of a run, with leading axes of one.
 
     Args:
-        task: What is to be done.
-        solver: The robot's kinematics.
-        rng: Draws what is not given.
-        now: Where a robot stands that cannot be put anywhere else; None for any other.
+        task: Task.
+        solver: IK solver of the robot.
+        rng: Random numbers of the task.
+        measured: State of a real robot; None if the task sets the start.
     """
     start = sample_start(task, solver, rng)
-    if now is not None:
-        start = replace(start, base_pose=now.base_pose[0], joint_positions=now.joint_positions[0])
+    if measured is not None:
+        base, joints = measured.base_pose[0], measured.joint_positions[0]
+        start = replace(start, base_pose=base, joint_positions=joints)
         if isinstance(task, GoalTask):
             start = task.aimed(solver, start)
     return Start(

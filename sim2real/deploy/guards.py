@@ -1,54 +1,266 @@
-"""The guards of a deployed policy, as a wrapper around the backend of its robot.
+"""Guards between a deployed policy and its robot.
 
-Whatever policy, IK and backend give, what goes out obeys the limits or commands the base to zero.
+`StateMonitor` checks measurements, `SafetyFilter` limits and checks commands, and `Guarded` stops
+the robot if either raises. The adapters of a rehearsal stand between the filter and the monitor:
+
+    loop -> Guarded (StateMonitor) -> adapters -> SafetyFilter -> backend of the robot
 """
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import wrap
-from kinfeas.core.backend import Backend, RealTimeBackend, RobotState
-from kinfeas.core.errors import PLUGIN_ERRORS
+from kinfeas.control.drive import base_velocity, world_twist
+from kinfeas.core import spatial
+from kinfeas.core.backend import (
+    ArmLimited,
+    Backend,
+    BackendWrapper,
+    Grip,
+    RealTimeBackend,
+    RobotState,
+    Stochastic,
+    SupportsGripper,
+    SupportsObstacleDistances,
+)
+from kinfeas.core.checks import array_fault, check_state
+from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.spatial import Array
-from kinfeas.robots.robot import Robot
-from kinfeas.sim2real.deploy.command_guard import CommandGuard, check_age, check_command
-from kinfeas.sim2real.deploy.guard_config import Guards
-from kinfeas.sim2real.deploy.measurement_guard import MeasurementGuard
-from kinfeas.sim2real.deploy.passing import Passing
-from kinfeas.sim2real.deploy.rate import Rate
-from kinfeas.sim2real.deploy.timed import Timed
-from kinfeas.sim2real.link.fault import Fault, beyond, reason_of
+from kinfeas.robots.robot import Robot, joint_displacement
+from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.deploy.rate import Clock, Rate
+
+_UNIT = 1e-2  # deviation of a quaternion's norm from 1
 
 
-@dataclass(frozen=True)
-class Clocks:
-    """What tells the time, both in seconds; a test has its own.
+class StateMonitor:
+    """Checks one measurement after the other, and the clocks they are dated by."""
+
+    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
+        """Start without a measurement.
+
+        Args:
+            backend: Backend that measures.
+            robot: Robot that is measured.
+            guards: Limits.
+            clock: Clocks of the run.
+        """
+        self._source = f"backend {type(backend).__name__}"
+        self._robot, self._guards, self._clock = robot, guards, clock
+        self._needs_age = isinstance(backend, RealTimeBackend)
+        self._start: Array | None = None
+        self._last: Array = np.empty(7)
+        self._times = self._now()
+
+    def begin(self, state: RobotState) -> None:
+        """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
+        self._start = None
+        self._times = self._now()
+        self.check(state)
+        self._start = self._last
+
+    def check(self, state: RobotState) -> None:
+        """Raise Fault if a measurement, or the time since the last one, exceeds a limit."""
+        elapsed = self._check_clocks()
+        check_state(state, 1, len(self._robot.arm), self._source)
+        if state.age is not None:
+            self._check_age(state.age)
+        elif self._needs_age:
+            raise Fault(f"{self._source}: a real robot must return the age of its state")
+        self._check_pose(state.base_pose[0], elapsed)
+        self._check_joints(state.joint_positions[0])
+        self._last = state.base_pose[0].copy()
+
+    def _check_clocks(self) -> float:
+        before, self._times = self._times, self._now()
+        elapsed, wall = (self._times - before).tolist()
+        _limit("the control period took {} s", elapsed, self._guards.max_period)
+        skew = abs(wall - elapsed)
+        _limit("the system's clock was set by {} s", skew, self._guards.max_clock_skew)
+        return float(elapsed)
+
+    def _check_age(self, age: Array) -> None:
+        _limit("the newest measurement is {} s old", age[0], self._guards.max_age)
+        _limit("a measurement is {} s in the future", -age[0], self._guards.max_clock_skew)
+
+    def _check_pose(self, pose: Array, elapsed: float) -> None:
+        guards, base = self._guards, self._robot.base
+        if abs(float(np.linalg.norm(pose[3:])) - 1.0) > _UNIT:
+            raise Fault("the orientation of the measured base_pose is not a unit quaternion")
+        tilt = 2.0 * float(np.hypot(pose[3], pose[4]))
+        _limit("the base leans by {} rad", tilt, guards.max_tilt)
+        if self._start is None:
+            return
+        away = float(np.hypot(*(pose - self._start)[:2]))
+        _limit("the base is {} m from its start", away, guards.max_distance)
+        metres, radians = map(float, spatial.distance(self._last, pose))
+        jump = "the measured base pose jumped by {} "
+        _limit(f"{jump}m", metres, guards.pose_jump + base.max_velocity * elapsed)
+        _limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
+
+    def _check_joints(self, joints: Array) -> None:
+        lower, upper = self._robot.joint_limits
+        outside = np.maximum(lower - joints, joints - upper)
+        worst = int(np.argmax(outside))
+        name, most = self._robot.arm[worst].name, self._guards.joint_tolerance
+        _limit(f"joint {name} is measured {{}} beyond its limits", float(outside[worst]), most)
+
+    def _now(self) -> Array:
+        return np.array([self._clock.monotonic(), self._clock.wall()])
+
+
+class _Wrapper(BackendWrapper):
+    """A wrapper that passes on seeds, grips and obstacle distances."""
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend = backend
+        if isinstance(backend, SupportsObstacleDistances):
+            self.obstacle_distances = backend.obstacle_distances
+
+    def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
+        """Seed a backend that draws random numbers."""
+        if isinstance(self.backend, Stochastic):
+            self.backend.seed(seeds, env_ids)
+
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
+        """Close or open the grippers of a backend that has them."""
+        if isinstance(self.backend, SupportsGripper):
+            self.backend.grip(grip, env_ids)
+
+
+class SafetyFilter(_Wrapper):
+    """The backend of one robot, which is sent finite and recent commands within its limits only.
+
+    After `stop` nothing is sent until the next reset.
 
     Attributes:
-        steady: Never set, so that durations are measured by it.
-        wall: The system's clock, which stamps are made with.
+        base_twist: Last world twist that was sent, shape (1, 6).
+        joint_targets: Last joint targets that were sent, shape (1, j).
+        hold: Why the arm was held in the last step; empty if it was not.
+        stopped: Whether nothing is sent any more, as before the first reset.
+        steps: Number of commands sent.
     """
 
-    steady: Callable[[], float] = time.monotonic
-    wall: Callable[[], float] = time.time
+    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
+        """Wrap a backend.
+
+        Args:
+            backend: Backend of one robot.
+            robot: Robot model.
+            guards: Limits.
+            clock: Clocks of the run.
+        """
+        super().__init__(backend)
+        self._robot, self._guards, self._clock = robot, guards, clock
+        self._joint_speed = guards.joint_speed * robot.max_joint_velocity
+        self._velocity, self._dt = np.zeros(3), 0.0
+        self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
+        self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
+        self.hold, self.stopped, self.steps = "", True, 0
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Start a run; shapes as in `Backend`. Raises KinfeasError if there is no valid state."""
+        if isinstance(self.backend, ArmLimited):
+            self.backend.limit_arm(self._joint_speed)
+        state = self.backend.reset(base_pose, joint_positions, env_ids)
+        check_state(state, 1, len(self._robot.arm), f"backend {type(self.backend).__name__}: reset")
+        self._state, self._measured = state, self._clock.monotonic()
+        self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
+        self._velocity = np.zeros(3)
+        self.hold, self.stopped = "", False
+        return state
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Send a command within the limits; shapes as in `Backend`.
+
+        Raises:
+            Fault: If the command is not finite or too old, or the robot was stopped.
+        """
+        self._check_running()
+        _check_array("the base command", base_twist, (1, 6))
+        _check_array("the arm command", joint_targets, (1, len(self._robot.arm)))
+        base, pose = self._robot.base, self._state.base_pose
+        wanted = base_velocity(base, pose, base_twist, dt)[0]
+        velocity = limited_velocity(self._robot, self._guards, wanted, self._velocity, dt)
+        twist = world_twist(base, pose, velocity[np.newaxis], dt)
+        targets = self._arm_targets(joint_targets[0], dt)[np.newaxis]
+        # The measurement is a part of both, and an adapter may hide it from the monitor.
+        _check_array("the base command", twist, (1, 6))
+        _check_array("the arm command", targets, (1, len(self._robot.arm)))
+        self._check_age()
+        self._velocity, self._dt = velocity, dt
+        self.base_twist, self.joint_targets = twist, targets
+        # A backend may write into its copies.
+        self._state = self.backend.step(twist.copy(), targets.copy(), dt)
+        self._measured = self._clock.monotonic()
+        self.steps += 1
+        return self._state
+
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
+        """Close or open the gripper; raise Fault after a stop."""
+        self._check_running()
+        super().grip(grip, env_ids)
+
+    def stop(self) -> None:
+        """Command the base to zero and the arm to hold; it may be called at any time."""
+        moved, self.stopped = not self.stopped, True
+        self.base_twist, self._velocity = np.zeros((1, 6)), np.zeros(3)
+        if isinstance(self.backend, RealTimeBackend):
+            self.backend.stop()
+        elif moved and self._dt > 0.0:  # nothing moves before the first step
+            self.backend.step(self.base_twist, self.joint_targets, self._dt)
+
+    def close(self) -> None:
+        """Close the backend."""
+        with plugin_note(f"backend {type(self.backend).__name__}"):
+            self.backend.close()
+
+    def _check_running(self) -> None:
+        if self.stopped:
+            raise Fault("the robot was stopped")
+
+    def _check_age(self) -> None:
+        """Check the age of the measurement from which the command was computed."""
+        elapsed = self._clock.monotonic() - self._measured
+        age = elapsed + (0.0 if self._state.age is None else float(self._state.age[0]))
+        _limit("the command is made of a measurement {} s old", age, self._guards.max_age)
+
+    def _arm_targets(self, targets: Array, dt: float) -> Array:
+        """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
+        before, robot, guards = self.joint_targets[0], self._robot, self._guards
+        move = joint_displacement(robot, before, targets)
+        lag = (
+            np.abs(joint_displacement(robot, self._state.joint_positions[0], before))
+            / self._joint_speed
+        )
+        self.hold = ""
+        if np.abs(move).max() > guards.joint_jump:
+            self.hold = "the arm's target is too far away"
+        elif not lag.max() <= guards.max_tracking_delay:  # also if the measurement is not a number
+            self.hold = f"joint {robot.arm[int(lag.argmax())].name} does not follow"
+        if self.hold:
+            return before
+        move /= np.max(np.abs(move) / (self._joint_speed * dt), initial=1.0)
+        after = np.where(robot.continuous, spatial.wrap(before + move), before + move)
+        lower, upper = robot.joint_limits
+        # A joint that starts beyond a limit must not jump to it.
+        return np.clip(after, np.minimum(lower, before), np.maximum(upper, before))
 
 
-class Guarded(Passing):
-    """A backend of one robot behind guards: between the loop and the adapters.
-
-    Whatever policy, IK and adapters give, `CommandGuard` sends nothing beyond the limits. This
-    looks at clocks and measurements. Once it has raised, or was stopped, nothing is commanded any
-    more.
+class Guarded(_Wrapper):
+    """The backend that a deployed loop sees: it stops the robot if anything raises.
 
     Attributes:
-        state: What was measured last and believed.
-        unstopped: Why the base could not be commanded to zero, or nothing.
-        unclosed: Why the backend could not be closed, or nothing.
+        guards: Limits.
+        commands: Filter of the commands.
+        state: Last state that passed the monitor.
+        unstopped: Why the base could not be commanded to zero; empty if it could.
+        unclosed: Why the backend could not be closed; empty if it could.
     """
 
     def __init__(
@@ -59,172 +271,144 @@ class Guarded(Passing):
         *,
         adapters: Sequence[PluginSpec] = (),
         rate: Rate | None = None,
-        clocks: Clocks | None = None,
+        clock: Clock | None = None,
     ) -> None:
         """Put guards around a backend.
 
         Args:
-            backend: What moves the robot.
-            robot: Who is moved.
-            guards: What is allowed; the defaults by default.
-            adapters: What stands between the two guards, the first one next to the backend.
-            rate: What makes a simulated world keep to the clock on the wall.
-            clocks: What tells the time.
+            backend: Backend of one robot.
+            robot: Robot model.
+            guards: Limits; the defaults if None.
+            adapters: Adapters of a rehearsal, the first one next to the backend.
+            rate: Ends the control periods of a simulated world; None if nobody waits for them.
+            clock: Clocks; the system's by default.
 
         Raises:
-            KinfeasError: If there is no such adapter, or it refuses its parameters.
+            KinfeasError: If an adapter is unknown, or a parameter of it.
         """
-        self.guards, self._clocks = guards or Guards(), clocks or Clocks()
-        self._commands = CommandGuard(backend, robot, self.guards, self._clocks.steady)
-        wrapped = wrap(self._commands, adapters, robot)
-        super().__init__(wrapped if rate is None else Timed(wrapped, rate))
-        needs_age = isinstance(backend, RealTimeBackend)
-        self._measured = MeasurementGuard(robot, self.guards, needs_age=needs_age)
-        self._steady = self._wall = np.nan
-        self._fails = 0
+        self.guards, clock = guards or Guards(), clock or Clock()
+        self.commands = SafetyFilter(backend, robot, self.guards, clock)
+        super().__init__(wrap(self.commands, adapters, robot))
+        self._robot_backend, self._rate = backend, rate
+        self._name = f"backend {type(backend).__name__}"
+        self._monitor = StateMonitor(backend, robot, self.guards, clock)
+        self._failures = 0
         self.unstopped = self.unclosed = ""
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
-
-    @property
-    def base_twist(self) -> Array:
-        """World twist that was sent last, shape (1, 6)."""
-        return self._commands.base_twist
-
-    @property
-    def joint_targets(self) -> Array:
-        """Arm joints that were sent last, shape (1, j)."""
-        return self._commands.joint_targets
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the base was commanded to zero for good."""
-        return self._commands.stopped
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Begin anew; shapes as in `Backend`.
+        """Start a run; shapes as in `Backend`.
 
         Raises:
-            Fault: If what is measured cannot be believed.
+            KinfeasError: If the backend fails or its state exceeds a limit.
         """
-        state = self.backend.reset(base_pose, joint_positions, env_ids)
-        self._measured.begin(state)
-        self._fails, self.unstopped = 0, ""
-        self._steady, self._wall = self._clocks.steady(), self._clocks.wall()
-        self.state = state
-        return state
+        with plugin_note(self._name):
+            self.state = self.backend.reset(base_pose, joint_positions, env_ids)
+        if self._rate is not None:
+            self._rate.wait()
+        self._monitor.begin(self.state)
+        self._failures, self.unstopped = 0, ""
+        return self.state
 
-    def look(self) -> RobotState | None:
-        """Return where a robot stands that moves by its own clock; None of any other.
-
-        Raises:
-            KinfeasError: If a backend from outside fails, or returns no state.
-            Fault: If what is measured cannot be believed.
-        """
-        state = self._commands.look()
-        if state is not None:
-            self._measured.begin(state)
+    def read(self) -> RobotState | None:
+        """Return the state of a robot that moves in real time; None of a simulated world."""
+        if not isinstance(self._robot_backend, RealTimeBackend):
+            return None
+        with plugin_note(self._name):
+            state = self._robot_backend.read()
+        self._monitor.begin(state)
         return state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Send what is allowed of a command and return what was measured; shapes as in `Backend`.
+        """Carry out a command for `dt` seconds; shapes as in `Backend`.
 
         Raises:
-            Fault: If the run must not go on; the base is commanded to zero before.
+            Fault: If a limit is exceeded; the robot is stopped before.
         """
-        if self.stopped:
-            raise Fault("the base was stopped")
-        passed = False
+        steps, passed = self.commands.steps, False
         try:
-            self._check_delay()
-            check_command(self._commands.robot, base_twist, joint_targets)
-            joint_command = self._commands.steps
             state = self.backend.step(base_twist, joint_targets, dt)
-            if self._commands.steps == joint_command:
+            if self.commands.steps == steps:
                 raise Fault("an adapter has not passed the command on")
-            elapsed = self._check_period()
-            self._measured.check(state, elapsed)
+            if self._rate is not None:
+                self._rate.wait()
+            self._monitor.check(state)
             self.state, passed = state, True
         finally:
             if not passed:
                 self.stop()
         return state
 
-    def judge(self, *, feasible: bool) -> None:
-        """Count the control periods in a row in which the arm could not go where it should.
+    def count(self, *, feasible: bool) -> None:
+        """Count the control periods in a row in which the arm could not follow.
 
         Args:
-            feasible: Whether IK found the desired pose in this one.
+            feasible: Whether IK found a solution in this one.
 
         Raises:
-            Fault: If there were too many; the base is commanded to zero before.
+            Fault: If there were too many; the robot is stopped before.
         """
-        held = self._commands.held
-        self._fails = 0 if feasible and not held else self._fails + 1
-        if self._fails > self.guards.max_consecutive_ik_failures:
+        hold, most = self.commands.hold, self.guards.max_consecutive_ik_failures
+        self._failures = 0 if feasible and not hold else self._failures + 1
+        if self._failures > most:
             self.stop()
-            why = held or "IK finds no solution"
-            raise Fault(
-                f"{why}, for more than {self.guards.max_consecutive_ik_failures} steps in a row"
-            )
+            why = hold or "IK finds no solution"
+            raise Fault(f"{why}, for more than {most} steps in a row")
 
     def stop(self) -> None:
-        """Command the base to zero, and the arm to stay; it may be called at any time, and twice.
-
-        It goes past the adapters, which may delay or lose a command.
-        """
+        """Command the base to zero and the arm to hold, past the adapters; it raises nothing."""
         try:
-            self._commands.stop()
+            self.commands.stop()
         except PLUGIN_ERRORS as error:
-            # What has led here is what the user must hear of; the watchdog tries again.
-            self.unstopped = reason_of(error)
+            self.unstopped = str(error) or repr(error)  # and the watchdog tries again
 
     def close(self) -> None:
-        """Stop the base and close the backend; it may be called twice, and raises nothing."""
+        """Stop the robot and close the backend; it raises nothing."""
         self.stop()
         try:
             self.backend.close()
         except PLUGIN_ERRORS as error:
-            if not self.unstopped:  # or else it is known already that nothing can be sent
-                self.unclosed = reason_of(error)
-
-    def _check_delay(self) -> None:
-        """Raise if the measurement that a command is made of has become too old meanwhile."""
-        check_age(self.state, self._elapsed(), self.guards.max_age)
-
-    def _check_period(self) -> float:
-        """Return the seconds that the backend took; raise if they were too many."""
-        elapsed, most = self._elapsed(), self.guards.max_period
-        if elapsed > most:
-            took = f"the control period took {beyond(elapsed, most)} s"
-            raise Fault(f"{took}, at most {most:g} s is allowed")
-        return elapsed
-
-    def _elapsed(self) -> float:
-        """Return the seconds since this was asked last; raise if a clock cannot be believed."""
-        steady, wall = self._clocks.steady(), self._clocks.wall()
-        elapsed, jump = steady - self._steady, (wall - self._wall) - (steady - self._steady)
-        self._steady, self._wall = steady, wall
-        if not elapsed >= 0.0:
-            raise Fault(f"the clock went backwards by {beyond(-elapsed, 0.0)} s")
-        if not abs(jump) <= self.guards.max_clock_skew:
-            sign = "-" if jump < 0.0 else "+"
-            raise Fault(
-                f"the system's clock was set by {sign}"
-                f"{beyond(abs(jump), self.guards.max_clock_skew)} s"
-            )
-        return elapsed
+            if not self.unstopped:  # or the connection is known to be lost
+                self.unclosed = str(error) or repr(error)
 
 
-def check_action(action: Array, size: int) -> Array:
-    """Return the action of one robot, shape (1, size), if it is one.
+def limited_velocity(
+    robot: Robot, guards: Guards, wanted: Array, before: Array, dt: float
+) -> Array:
+    """Return the velocity nearest to the wanted one within the limits of robot and guards.
 
-    Raises:
-        Fault: If it has another shape or is not finite.
+    Args:
+        robot: Robot model.
+        guards: Limits, which are never above the robot's own.
+        wanted: Forward, left and rotation, shape (3,), m/s and rad/s.
+        before: Velocity before it, shape (3,).
+        dt: Seconds between the two.
     """
-    if action.shape != (1, size):
-        raise Fault(f"the policy's action has the shape {action.shape}, not {(1, size)}")
-    if not np.isfinite(action).all():
-        raise Fault("the policy's action is not finite")
-    return action
+    base = robot.base
+    linear = min(base.max_velocity, guards.max_linear_velocity or np.inf)
+    angular = min(base.max_rotation, guards.max_angular_velocity or np.inf)
+    acceleration = dt * min(base.max_acceleration, guards.acceleration or np.inf)
+    rotation = dt * min(base.max_rotation_acceleration, guards.rotation_acceleration or np.inf)
+    if base.drive == "differential":
+        wanted = wanted * [1.0, 0.0, 1.0]
+    change = _shortened(wanted, linear, angular) - before
+    return before + _shortened(change, acceleration, rotation)
+
+
+def _shortened(velocity: Array, linear: float, angular: float) -> Array:
+    length = float(np.hypot(*velocity[:2]))
+    scale = linear / length if length > linear else 1.0
+    return np.array([*(velocity[:2] * scale), np.clip(velocity[2], -angular, angular)])
+
+
+def _check_array(name: str, value: object, shape: tuple[int, ...]) -> None:
+    if fault := array_fault(value, shape):
+        raise Fault(f"{name} {fault}")
+
+
+def _limit(sentence: str, value: float, most: float) -> None:
+    """Raise Fault if a value is above a limit, or not a number."""
+    if not value <= most:
+        raise Fault(f"{sentence.format(f'{value:.4g}')}, at most {most:.3g} is allowed")

@@ -1,73 +1,99 @@
-"""What a run is going to ask of arm and base, looked at before anything moves."""
+"""Checks before a run: reachable goals, limits that fit the motion, and compiled kernels."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 
+from kinfeas.config import PluginSpec
 from kinfeas.control.loop import Loop
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
-from kinfeas.core import spatial
+from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
+from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.reachability import reachable
-from kinfeas.sim2real.deploy.guard_config import Guards
+from kinfeas.sim2real.deploy.config import Guards
+from kinfeas.sim2real.deploy.guards import Guarded
+from kinfeas.tasks.task import Task, build_subgoals
 
-_LONGEST = 1500
-"""Periods of `HORIZON` for which the motion of a sub-goal is followed at most."""
+_LONGEST = 1500  # steps of `HORIZON` for which the motion to a sub-goal is computed
+_ROUNDING = 1e-6  # of velocities in m/s and of their quotients
 
-_ROUNDING = 1e-6
-"""By which a speed in m/s, or a quotient of two, may be off."""
+_WARM_UP_STEPS = 5
+_WARM_UP_WAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE to its targets
 
 
-def preview(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) -> str:
-    """Return a warning of what is likely to end a run early, or nothing.
+def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) -> str:
+    """Return a warning if the EE is planned to outrun the base, or an empty string.
 
     Args:
-        loop: What is going to be started.
-        start: Where it begins, with leading axes of one.
-        rng: What it is going to draw from, which stays as it is.
-        guards: What is allowed.
+        loop: Loop before its start.
+        start: Start of the run, with leading axes of one.
+        rng: Random numbers of the run; none is drawn.
+        guards: Limits.
 
     Raises:
-        KinfeasError: If the end of a sub-goal is out of reach, as far as a search can tell.
+        KinfeasError: If no base pose is found from which the arm reaches the end of a sub-goal.
     """
     if guards.reach:
         _check_reach(loop.solver, subgoal_poses(_sequence(loop, start, rng)))
-    if guards.max_linear_velocity is None:
+    most = guards.max_linear_velocity
+    if most is None:
         return ""
     planned = top_speed(_sequence(loop, start, rng))
-    execution_of = planned * loop.execution.time_scale
-    if execution_of <= guards.max_linear_velocity + _ROUNDING:
+    executed = planned * loop.execution.time_scale
+    if executed <= most + _ROUNDING:
         return ""
-    share = guards.max_linear_velocity / max(planned, loop.robot.base.max_velocity)
+    share = most / max(planned, loop.robot.base.max_velocity)
+    scale = math.floor(100 * share + _ROUNDING) / 100
     return (
-        f"guards.max_linear_velocity slows down the base alone, to "
-        f"{guards.max_linear_velocity:g} m/s; the hand, which is to "
-        f"move at up to {execution_of:.2g} m/s, may leave it behind: "
-        f"--set time_scale={math.floor(100 * share + _ROUNDING) / 100:g} slows it down as much"
+        f"guards.max_linear_velocity limits the base to {most:g} m/s, but the EE is planned to "
+        f"move at up to {executed:.2g} m/s and may outrun it: --set time_scale={scale:g} slows both"
     )
 
 
 def subgoal_poses(sequence: MotionSequence) -> Array:
-    """Return one robot's EE poses at the ends of all sub-goals, shape (sub-goals, 7)."""
+    """Return the EE poses of one robot at the ends of its sub-goals, shape (sub-goals, 7)."""
     return np.concatenate([sequence.goal for _ in _each_subgoal(sequence)])
 
 
 def top_speed(sequence: MotionSequence) -> float:
-    """Return the greatest speed in m/s at which one robot's EE is planned to move."""
+    """Return the highest planned velocity of one robot's EE, m/s."""
     return max(_top_speed_of_subgoal(sequence) for _ in _each_subgoal(sequence))
 
 
+def warm_up(
+    solver: IkSolver,
+    policy: Policy,
+    task: Task,
+    dt: float,
+    adapters: Sequence[PluginSpec] = (),
+    filters: Sequence[CommandFilter] = (),
+) -> None:
+    """Compile the kernels of a run by a few steps in the analytic world."""
+    robot, rng = solver.robot, np.random.default_rng(0)
+    joints = robot.home["home"][np.newaxis]
+    target = forward(solver.chain, joints) + _WARM_UP_WAY
+    targets = np.stack([target] * len(task.subgoals), axis=1)
+    analytic = registry.build("kinfeas.backends", "analytic", {})
+    backend = Guarded(analytic, robot, Guards().timeless(), adapters=adapters)
+    loop = Loop(solver, build_subgoals(task.subgoals), backend, dt, filters=filters)
+    loop.set_policy(policy)
+    loop.start(Start(spatial.IDENTITY[np.newaxis], joints, targets), [rng])
+    for _ in range(_WARM_UP_STEPS):
+        loop.step(policy.act(loop.policy_input))
+
+
 def _sequence(loop: Loop, start: Start, rng: np.random.Generator) -> MotionSequence:
-    """Return the motion sequence that a loop is going to take, without waits and a head start."""
+    """Return the motion sequence of a loop without dwell times and head start."""
     subgoals = [replace(subgoal, dwell=0.0) for subgoal in loop.sequence.subgoals]
     sequence = MotionSequence(subgoals, loop.robot, HORIZON)
     ee = spatial.compose(start.base_pose, forward(loop.solver.chain, start.joint_positions))
@@ -76,7 +102,7 @@ def _sequence(loop: Loop, start: Start, rng: np.random.Generator) -> MotionSeque
 
 
 def _each_subgoal(sequence: MotionSequence) -> Iterator[int]:
-    """Yield the number of each sub-goal at its start, as if each one before led to its very end."""
+    """Yield the number of each sub-goal; the one before ends exactly at its goal."""
     for number in range(len(sequence.subgoals)):
         yield number
         sequence.desired = sequence.goal
@@ -97,9 +123,9 @@ def _top_speed_of_subgoal(sequence: MotionSequence) -> float:
 
 
 def _check_reach(solver: IkSolver, goals: Array) -> None:
-    """Do nothing if base poses are found from which the arm comes to all `goals`, shape (n, 7).
+    """Check that base poses are found from which the arm reaches `goals`, shape (n, 7).
 
-    It may stay as far away as counts as there.
+    The tolerances are those of a reached goal.
     """
     near = replace(
         solver.options,
@@ -111,15 +137,11 @@ def _check_reach(solver: IkSolver, goals: Array) -> None:
     if reached.all():
         return
     first = int(np.argmin(reached))
-    what = "the goal" if len(goals) == 1 else f"the end of sub-goal {first + 1} of {len(goals)}"
+    goal = "the goal" if len(goals) == 1 else f"the end of sub-goal {first + 1} of {len(goals)}"
+    rpy = spatial.rotation(goals[first]).as_euler("xyz")
+    numbers = (f"{value + 0.0:g}" for value in np.round([*goals[first, :3], *rpy], 3))
+    x, y, z, roll, pitch, yaw = numbers
     raise KinfeasError(
-        f"no base pose was found from which the arm reaches {what}, {_words(goals[first])}; "
-        "--set guards.reach=false goes there all the same"
+        f"no base pose was found from which the arm reaches {goal}, x {x}, y {y}, z {z} m, roll "
+        f"{roll}, pitch {pitch}, yaw {yaw} rad; --set guards.reach=false skips this check"
     )
-
-
-def _words(pose: Array) -> str:
-    """Return a pose, shape (7,), as one reads it."""
-    turn = spatial.rotation(pose).as_euler("xyz")
-    x, y, z, roll, pitch, yaw = (f"{value + 0.0:g}" for value in np.round([*pose[:3], *turn], 3))
-    return f"x {x}, y {y}, z {z} m, roll {roll}, pitch {pitch}, yaw {yaw} rad"

@@ -1,4 +1,4 @@
-"""A fixed rate: absolute deadlines on the monotonic clock, and how well they were kept."""
+"""A fixed control rate: absolute deadlines, and statistics of how well they were met."""
 
 import math
 import time
@@ -9,22 +9,37 @@ import numpy as np
 
 from kinfeas.core.errors import KinfeasError
 
-LATE = 1.5
-"""A period of so many control periods has missed its deadline, where another keeps the time."""
+_LATE = 1.5
+"""Control periods after which a period that the robot times itself counts as late."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The clocks of a run; tests have simulated ones.
+
+    Attributes:
+        monotonic: Seconds of a clock that is never set.
+        wall: Seconds of the system's clock.
+        sleep: Waits for a number of seconds.
+    """
+
+    monotonic: Callable[[], float] = time.monotonic
+    wall: Callable[[], float] = time.time
+    sleep: Callable[[float], None] = time.sleep
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How regular the control periods were; all of them in seconds.
+    """Statistics of control periods, in seconds.
 
     Attributes:
-        periods: How many were measured.
-        p50: Their median.
-        p99: What one in a hundred of them exceeds.
-        longest: The longest of them.
-        misses: How many ended after their deadline.
-        work_p50: Median of what there was to do in a period; None where another keeps the time.
-        work_p99: What one in a hundred of them exceeds; None likewise.
+        periods: Number of periods.
+        p50: Median.
+        p99: 99th percentile.
+        longest: Maximum.
+        misses: Number of periods that ended after their deadline.
+        work_p50: Median of the computing time of a period; None if the robot times the periods.
+        work_p99: 99th percentile of it, or None.
     """
 
     periods: int
@@ -37,75 +52,60 @@ class Timing:
 
 
 class Rate:
-    """Ends every control period at its time.
+    """Waits for the end of each control period.
 
-    The deadlines are those of a clock that never lost a beat: a late period does not shift those
-    after it. Deadlines that have passed meanwhile are left out, never made up for in haste.
+    Deadlines are multiples of the period: a late period does not shift later ones, and deadlines
+    that have passed are skipped.
     """
 
-    def __init__(
-        self,
-        dt: float,
-        *,
-        now: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        """Make a metronome; the first `wait` or `tick` sets it going.
+    def __init__(self, dt: float, clock: Clock | None = None) -> None:
+        """Start at the first `wait` or `tick`.
 
         Args:
             dt: Control period in seconds.
-            now: The clock, in seconds; it never goes backwards.
-            sleep: Waits for so many seconds.
+            clock: The system's clocks by default.
 
         Raises:
-            KinfeasError: If `dt` is not a finite number above 0.
+            KinfeasError: If `dt` is not above 0 and finite.
         """
         if not 0.0 < dt < math.inf:
-            raise KinfeasError(f"the control period must be a finite number above 0 s, not {dt}")
-        self.dt, self._now, self._sleep = dt, now, sleep
+            raise KinfeasError(f"the control period must be above 0 s and finite, not {dt}")
+        self.dt, self._clock = dt, clock or Clock()
         self._deadline = self._last = math.nan
         self._periods: list[float] = []
         self._work: list[float] = []
         self._misses = 0
 
     def wait(self) -> float:
-        """Wait for the end of the control period; return its measured length in seconds.
-
-        The first call only sets the metronome going, and returns 0.
-        """
-        now = self._now()
+        """Wait for the end of the control period; return its length in seconds, at first 0."""
+        now = self._clock.monotonic()
         if math.isnan(self._last):
             self._last, self._deadline = now, now + self.dt
             return 0.0
         self._work.append(now - self._last)
-        if now > self._deadline:
-            self._misses += 1
+        self._misses += now > self._deadline
         while now < self._deadline:
-            self._sleep(self._deadline - now)
-            now = self._now()
+            self._clock.sleep(self._deadline - now)
+            now = self._clock.monotonic()
         self._deadline += self.dt * (1 + math.floor(max(0.0, now - self._deadline) / self.dt))
         return self._measure(now)
 
     def tick(self) -> float:
-        """Return the length of the period that ends now, whose end another has waited for.
-
-        It is late where it took `LATE` control periods. The first call returns 0.
-        """
-        now = self._now()
+        """Return the length of a period that ends now and that the robot times, at first 0."""
+        now = self._clock.monotonic()
         if math.isnan(self._last):
             self._last = now
             return 0.0
-        if now - self._last > LATE * self.dt:
-            self._misses += 1
+        self._misses += now - self._last > _LATE * self.dt
         return self._measure(now)
 
     def timing(self) -> Timing:
-        """Return how regular the periods were so far; zeros if none was measured."""
+        """Return the statistics so far; zeros without a period."""
         if not self._periods:
             return Timing(0, 0.0, 0.0, 0.0, 0)
-        p50, p99 = _median_and_tail(self._periods)
-        longest, work = max(self._periods), _median_and_tail(self._work) if self._work else ()
-        return Timing(len(self._periods), p50, p99, longest, self._misses, *work)
+        p50, p99 = _percentiles(self._periods)
+        work = _percentiles(self._work) if self._work else ()
+        return Timing(len(self._periods), p50, p99, max(self._periods), self._misses, *work)
 
     def _measure(self, now: float) -> float:
         period, self._last = now - self._last, now
@@ -113,6 +113,6 @@ class Rate:
         return period
 
 
-def _median_and_tail(seconds: list[float]) -> tuple[float, float]:
+def _percentiles(seconds: list[float]) -> tuple[float, float]:
     p50, p99 = np.percentile(seconds, (50.0, 99.0)).tolist()
     return p50, p99

@@ -1,40 +1,146 @@
-"""A run on a robot: the loop, a policy and a clock, behind guards, written down step by step."""
+"""A run of a policy on a robot: the control loop behind guards, recorded step by step."""
 
+import math
 import signal
 import sys
 import traceback
 from contextlib import ExitStack, closing, nullcontext, suppress
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from types import FrameType
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import execution_of
-from kinfeas.control.drive import action_size
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Loop
-from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError, plugin_note
+from kinfeas.core.backend import Backend, RealTimeBackend
+from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, plugin_note
+from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.core.start import episode_rng
 from kinfeas.io.run_log import REACHED, TASK_DONE, Moment, Recorder
-from kinfeas.sim2real.deploy.deployment import Code, Outcome, Setup, TaskWithObjects
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin
-from kinfeas.sim2real.deploy.guards import Guarded, check_action
-from kinfeas.sim2real.deploy.preflight import preview
-from kinfeas.sim2real.deploy.rate import Rate
+from kinfeas.sim2real.deploy.guards import Guarded
+from kinfeas.sim2real.deploy.preflight import preflight
+from kinfeas.sim2real.deploy.rate import Clock, Rate, Timing
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
-from kinfeas.sim2real.deploy.signals import Signals
 from kinfeas.sim2real.deploy.watchdog import StopCall, Watchdog, Watched
-from kinfeas.sim2real.link.fault import Fault
-from kinfeas.tasks.task import build_subgoals
+from kinfeas.tasks.task import Task, build_subgoals
 
-__all__ = ["Code", "Outcome", "Setup", "deploy"]
+
+class Code(IntEnum):
+    """Exit code of a run; 2 is left for runs that do not start.
+
+    From 128 on it is the signal that ended the run, as in a shell.
+    """
+
+    REACHED = 0
+    FAULT = 3
+    TIME_OVER = 4
+    HUNG_UP = 128 + signal.SIGHUP
+    INTERRUPTED = 128 + signal.SIGINT
+    QUIT = 128 + signal.SIGQUIT
+    TERMINATED = 128 + signal.SIGTERM
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a run.
+
+    Attributes:
+        code: Exit code.
+        reason: Reason of the end in one line.
+        unstopped: Why the base could not be commanded to zero; empty if it could.
+        seconds: Duration.
+        failures: Control periods without an IK solution.
+        timing: Statistics of the control periods.
+        unclosed: Why the backend could not be closed; empty if it could.
+        task_done: Whether the task's objects are at their goal; None if there are none.
+    """
+
+    code: Code
+    reason: str
+    unstopped: str
+    seconds: float
+    failures: int
+    timing: Timing
+    unclosed: str = ""
+    task_done: bool | None = None
+
+
+@runtime_checkable
+class TaskWithObjects(Task, Protocol):
+    """A task that moves objects of a simulated world."""
+
+    def drawn(self) -> tuple[str, dict[str, Array]]:
+        """Return the scene and the initial world poses of its objects in the last episode."""
+        ...
+
+    def settle(self, joint_positions: Array, dt: float) -> None:
+        """Simulate until objects that were put down are at rest."""
+        ...
+
+    def done(self) -> bool | None:
+        """Return whether the objects are at their goal; None if they have none."""
+        ...
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Parts and settings of a run.
+
+    Attributes:
+        solver: IK solver of the robot.
+        policy: Commands the base.
+        task: Motion and targets.
+        backend: Moves the robot.
+        dt: Control period in seconds.
+        adapters: Adapters around the backend, the first one innermost.
+        seconds: Longest duration.
+        seed: Seed of all random numbers.
+        execution: Execution of EE motions, before adapters change it.
+        filters: Command filters, in this order.
+        guards: Limits; those of time do not apply to a world without a clock.
+        real_time: Whether a simulated world waits for the clock.
+        clock: Clocks.
+    """
+
+    solver: IkSolver
+    policy: Policy
+    task: Task
+    backend: Backend
+    dt: float
+    adapters: tuple[PluginSpec, ...] = ()
+    seconds: float = math.inf
+    seed: int = 0
+    execution: ExecutionConfig = field(default_factory=ExecutionConfig)
+    filters: tuple[CommandFilter, ...] = ()
+    guards: Guards = field(default_factory=Guards)
+    real_time: bool = True
+    clock: Clock = field(default_factory=Clock)
+
+    def __post_init__(self) -> None:
+        """Remove the guards of time where they do not apply; check the others against `dt`."""
+        if not (self.real_time or self.live):
+            object.__setattr__(self, "guards", self.guards.timeless())
+        self.guards.check_rate(self.dt)
+
+    @property
+    def live(self) -> bool:
+        """Whether the robot moves in real time by itself."""
+        return isinstance(self.backend, RealTimeBackend)
 
 
 def deploy(setup: Setup, recorder: Recorder) -> Outcome:
-    """Return how a run ended; whatever happens in it, the base is commanded to zero at its end.
+    """Run a policy and return the result; the base is commanded to zero at the end in any case.
 
     Raises:
-        KinfeasError: If it cannot begin.
+        KinfeasError: If the run cannot start.
     """
     run = _Run(setup, recorder)
     with ExitStack() as stack:
@@ -43,29 +149,30 @@ def deploy(setup: Setup, recorder: Recorder) -> Outcome:
                 stack.enter_context(closing(one))
         signals = stack.enter_context(Signals())
         stack.enter_context(closing(run.guarded))
-        run.connect()
-        with run.watch() as watchdog:
+        if setup.live:  # the watchdog needs the connection
+            home = run.robot.home["home"]
+            run.guarded.reset(IDENTITY[np.newaxis], home[np.newaxis])
+        with run.watchdog() as watchdog:
             run.start()
             outcome = run.drive(watchdog, signals)
     return replace(outcome, unclosed=run.guarded.unclosed)
 
 
 class _Run:
-    """One run, from its first measurement to its last command."""
+    """State of a run."""
 
     def __init__(self, setup: Setup, recorder: Recorder) -> None:
-        self.setup, self.recorder, self.live = setup, recorder, setup.live
-        self.robot = setup.solver.robot
-        self.rate = Rate(setup.dt, now=setup.clocks.steady)
-        self.waits = setup.real_time and self.live is None
-        self.keeps_time = setup.real_time or self.live is not None
+        self.setup, self.recorder = setup, recorder
+        self.robot, self.clock = setup.solver.robot, setup.clock
+        self.rate = Rate(setup.dt, self.clock)
+        self.waits = setup.real_time and not setup.live
         self.guarded = Guarded(
             setup.backend,
             self.robot,
             setup.guards,
             adapters=setup.adapters,
             rate=self.rate if self.waits else None,
-            clocks=setup.clocks,
+            clock=self.clock,
         )
         execution = execution_of(self.guarded, setup.execution)
         self.loop = Loop(
@@ -80,47 +187,46 @@ class _Run:
         self.steps = self.failures = 0
         self.began = 0.0
 
-    def connect(self) -> None:
-        """Wait for the first measurement of a robot that moves by its own clock."""
-        if self.live is not None:
-            home = self.robot.home["home"]
-            self.guarded.reset(IDENTITY[np.newaxis], home[np.newaxis])
-
-    def watch(self) -> Watchdog | nullcontext[None]:
-        """Return what stops the base should this process die or hang, if anything does."""
+    def watchdog(self) -> Watchdog | nullcontext[None]:
+        """Return the watchdog, if guards and backend have one."""
         backend, seconds = self.setup.backend, self.setup.guards.watchdog
         if seconds is not None and isinstance(backend, Watched):
-            return Watchdog(_stop_call(backend), seconds)
-        if seconds is not None and self.live is not None:
+            with plugin_note(f"backend {type(backend).__name__}"):
+                call: Any = backend.stop_call()
+            if not isinstance(call, StopCall):
+                name, found = type(backend).__name__, type(call).__name__
+                raise KinfeasError(f"backend {name}: stop_call must return a StopCall, not {found}")
+            return Watchdog(call, seconds)
+        if seconds is not None and self.setup.live:
+            name = type(backend).__name__
             sys.stderr.write(
-                f"no watchdog: nothing stops the base if this process dies or hangs, for "
-                f"{type(backend).__name__} has no stop_call\n"
+                "no watchdog: nothing stops the base if this process dies or hangs; backend "
+                f"{name} has no stop_call\n"
             )
         return nullcontext()
 
     def start(self) -> None:
-        """Put the robot where the run begins, or begin it where it stands."""
-        rng = episode_rng(self.setup.seed, 0)
-        start = begin(self.setup.task, self.setup.solver, rng, self.guarded.look())
-        if warning := preview(self.loop, start, rng, self.setup.guards):
+        """Start the loop, with a real robot where it is."""
+        setup, rng = self.setup, episode_rng(self.setup.seed, 0)
+        start = begin(setup.task, setup.solver, rng, self.guarded.read())
+        if warning := preflight(self.loop, start, rng, setup.guards):
             sys.stderr.write(f"{warning}\n")
         self.loop.start(start, [rng])
-        self.began = self.setup.clocks.steady()
-        self.note("start")
+        self.began = self.clock.monotonic()
+        self.record("start")
 
-    def drive(self, watchdog: Watchdog | None, signals: Signals) -> Outcome:
-        """Go on until something ends it, and command the base to zero."""
+    def drive(self, watchdog: Watchdog | None, signals: "Signals") -> Outcome:
+        """Run until something ends it, then command the base to zero."""
         reason, done = "stopped by an error", None
         try:
-            code, reason = self.go(watchdog, signals)
+            code, reason = self.run(watchdog, signals)
             if isinstance(self.setup.task, TaskWithObjects):
                 state = self.guarded.state.true_state or self.guarded.state
                 self.setup.task.settle(state.joint_positions, self.setup.dt)
                 done = self.setup.task.done()
         except (KinfeasError, OSError) as error:
             code, reason = Code.FAULT, str(error)
-        except PLUGIN_ERRORS as error:
-            # A mistake in somebody's code, who needs to know where.
+        except PLUGIN_ERRORS as error:  # a mistake in the code of a plugin, or in ours
             self.guarded.stop()
             traceback.print_exc()
             code, reason = Code.FAULT, f"{type(error).__name__}: {error}"
@@ -131,47 +237,52 @@ class _Run:
             raised = sys.exception()
             with suppress(KinfeasError):
                 end = reason if raised is None else f"{type(raised).__name__}: {raised}"
-                self.note(end + TASK_DONE[done])
+                self.record(end + TASK_DONE[done])
         return Outcome(
             code,
             " ".join(reason.split()),
             self.guarded.unstopped,
-            self.lasted(),
+            self.seconds(),
             self.failures,
             self.rate.timing(),
             task_done=done,
         )
 
-    def go(self, watchdog: Watchdog | None, signals: Signals) -> tuple[Code, str]:
-        """Take one step after the other; return how and why the last one was the last."""
-        setup, loop, size = self.setup, self.loop, action_size(self.robot.base)
-        # Half a period, for none ends to the microsecond.
-        while self.lasted() + 0.5 * setup.dt < setup.seconds:
-            if signals.caught is not None:
-                return _ended_by(signals.caught)
+    def run(self, watchdog: Watchdog | None, signals: "Signals") -> tuple[Code, str]:
+        """Step until the end; return its code and reason."""
+        setup, loop = self.setup, self.loop
+        shape = (1, loop.action_size)
+        # Half a period, since none ends to the microsecond.
+        while self.seconds() + 0.5 * setup.dt < setup.seconds:
+            if (caught := signals.caught) is not None:
+                by_hand = caught is signal.SIGINT
+                by = "interrupted by Ctrl-C" if by_hand else f"ended by {caught.name}"
+                return Code(128 + caught), by
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died or stalled")
-            goal = loop.goal[0]
-            step = loop.step(check_action(setup.policy.act(loop.policy_input), size))
+            goal, action = loop.goal[0], setup.policy.act(loop.policy_input)
+            if action.shape != shape:
+                raise Fault(f"the policy's action has the shape {action.shape}, not {shape}")
+            step = loop.step(action)
             if not self.waits:
                 self.rate.tick()
             feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
             after = int(loop.sequence.subgoal[0])
             event = f"sub-goal {after + 1} begins" if after > subgoal else ""
-            self.note(event, goal, subgoal, feasible=feasible)
-            self.guarded.judge(feasible=feasible)
+            self.record(event, goal, subgoal, feasible=feasible)
+            self.guarded.count(feasible=feasible)
             if step.finished[0]:
                 return Code.REACHED, REACHED
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
 
-    def lasted(self) -> float:
-        """Return the seconds since the start: by the clock, if the world keeps to one."""
-        if self.keeps_time:
-            return self.setup.clocks.steady() - self.began
+    def seconds(self) -> float:
+        """Return the seconds since the start: by the clock, if the world has one."""
+        if self.setup.real_time or self.setup.live:
+            return self.clock.monotonic() - self.began
         return self.steps * self.setup.dt
 
-    def note(
+    def record(
         self,
         event: str,
         goal: Array | None = None,
@@ -179,21 +290,18 @@ class _Run:
         *,
         feasible: bool = True,
     ) -> None:
-        """Write down where the robot is and what it was commanded.
-
-        Goal and sub-goal are those of the step that has ended, if they have changed with it.
-        """
-        loop, guarded, state = self.loop, self.guarded, self.guarded.state
+        """Record state and command, with goal and sub-goal of the step that has ended."""
+        loop, commands, state = self.loop, self.guarded.commands, self.guarded.state
         self.recorder.write(
             Moment(
-                time=self.lasted(),
-                age=float("nan") if state.age is None else float(np.max(state.age)),
+                time=self.seconds(),
+                age=math.nan if state.age is None else float(state.age[0]),
                 base_pose=state.base_pose[0],
                 joint_positions=state.joint_positions[0],
                 desired=loop.desired[0],
                 goal=loop.goal[0] if goal is None else goal,
-                base_twist=guarded.base_twist[0],
-                joint_targets=guarded.joint_targets[0],
+                base_twist=commands.base_twist[0],
+                joint_targets=commands.joint_targets[0],
                 feasible=feasible,
                 subgoal=int(loop.sequence.subgoal[0]) if subgoal is None else subgoal,
                 event=event,
@@ -201,17 +309,33 @@ class _Run:
         )
 
 
-def _stop_call(backend: Watched) -> StopCall:
-    """Return how another process stops the base, if the backend says it."""
-    with plugin_note(f"backend {type(backend).__name__}"):
-        call: Any = backend.stop_call()
-    if not isinstance(call, StopCall):
-        name, got = type(backend).__name__, type(call).__name__
-        raise KinfeasError(f"backend {name} must return a StopCall from stop_call, not {got}")
-    return call
+class Signals:
+    """A context that notes SIGINT, SIGQUIT, SIGTERM and SIGHUP for a loop, in the main thread.
 
+    SIGHUP is left alone if it is ignored, as by nohup. A second signal raises KeyboardInterrupt.
 
-def _ended_by(caught: signal.Signals) -> tuple[Code, str]:
-    """Return how and why a run ends that a signal was sent to."""
-    by = "interrupted by Ctrl-C" if caught is signal.SIGINT else f"ended by {caught.name}"
-    return Code(128 + caught), by
+    Attributes:
+        caught: First signal, or None.
+    """
+
+    def __init__(self) -> None:
+        self.caught: signal.Signals | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> "Signals":
+        """Install the handlers."""
+        noted = [signal.SIGINT, signal.SIGQUIT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            noted.append(signal.SIGHUP)
+        self._before = {one: signal.signal(one, self._note) for one in noted}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for one, handler in self._before.items():
+            signal.signal(one, handler)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        if self.caught is None:
+            self.caught = signal.Signals(number)
+        elif number != signal.SIGHUP:  # which a terminal and its shell both send
+            raise KeyboardInterrupt

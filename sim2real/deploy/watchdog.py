@@ -1,8 +1,8 @@
-"""A second process that stops the base once the run no longer says that it is alive.
+"""A second process that stops the base if the run stalls or dies.
 
-It is told so by heartbeats through a pipe. They cease when the run stalls, and the pipe closes when
-it dies, however that happens. Each is answered, so that the run notices a watchdog that stalls or
-dies. The process imports next to nothing but what the backend names to stop its robot.
+The run sends heartbeats through a pipe, which closes when it dies. The process answers each,
+so that the run notices a watchdog that stalls or dies. It imports little beside the function of the
+backend that stops its robot.
 """
 
 import json
@@ -19,66 +19,65 @@ from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
-from kinfeas.sim2real.link.fault import reason_of
 
-AGAIN, TIMES = 0.05, 10
-"""Seconds between repeated stops, for a message may be lost, and how many follow a death."""
+INTERVAL, REPEATS = 0.05, 10
+"""Seconds between stops, which are repeated since messages may be lost, and stops after a death."""
 
 LAST_TRY = 5.0
-"""Seconds after a death for which a stop that fails is tried again."""
+"""Seconds after a death during which a stop that fails is repeated."""
 
 _BEAT, _END, _READY, _FIRED = b".", b"q", b"r", b"f"
-_MANY = 4096  # bytes, more than there are at a time
-_PATIENCE, _FAREWELL = 20.0, LAST_TRY + 2.0  # s, for the process to connect, and to end
+_CHUNK = 4096  # bytes, more than arrive at a time
+_CONNECT_TIMEOUT, _EXIT_TIMEOUT = 60.0, LAST_TRY + 2.0  # s
 
 
 @dataclass(frozen=True)
 class StopCall:
-    """How another process stops the base.
+    """A function with which another process stops the base.
 
     Attributes:
-        path: Function `module:function`. It is called once at the start, so that it can connect
-            to the robot, and returns a function without arguments that commands the base to zero
-            at once. One that raises is called again.
-        arguments: Keyword arguments of the first call, as JSON can hold them.
+        path: Function `module:function`. It is called once, connects to the robot and returns a
+            function without arguments that commands zero velocity. If this raises, it is called
+            again.
+        arguments: Keyword arguments of the first call, which must fit into JSON.
 
     Raises:
-        TypeError: If JSON cannot hold them.
+        TypeError: If the arguments do not fit into JSON.
     """
 
     path: str
     arguments: dict[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that another process can be told of it."""
+        """Check the arguments."""
         json.dumps(self.arguments)
 
 
 @runtime_checkable
 class Watched(Protocol):
-    """A backend whose robot moves on when this process dies, and can be stopped from another."""
+    """A backend whose robot moves on if this process dies, and that another process can stop."""
 
     def stop_call(self) -> StopCall:
-        """Return what the watchdog calls."""
+        """Return the call with which the watchdog stops the base."""
         ...
 
 
 class Watchdog:
-    """The process, as the run sees it; to be used as a context."""
+    """The watchdog from the side of the run; a context."""
 
     def __init__(self, stop: StopCall, seconds: float) -> None:
-        """Start the process and wait until it is ready to stop the base.
+        """Start the process and wait until it can stop the base.
 
         Args:
-            stop: What it calls.
-            seconds: Without a heartbeat, after which the base is stopped; without an answer to one,
-                after which `beat` tells of it.
+            stop: Call that stops the base.
+            seconds: Time without a heartbeat after which the base is stopped, and without an answer
+                after which `beat` reports the watchdog as lost.
 
         Raises:
-            KinfeasError: If the process does not become ready.
+            KinfeasError: If the process cannot connect to the robot.
         """
         order = json.dumps({"stop": asdict(stop), "seconds": seconds})
-        # A session of its own, for Ctrl-C goes to all processes of the terminal's group.
+        # In a session of its own, since Ctrl-C is sent to all processes of a terminal's group.
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "kinfeas.sim2real.deploy.watchdog", order],
             stdin=subprocess.PIPE,
@@ -92,7 +91,8 @@ class Watchdog:
         self._seconds, self._unanswered = seconds, deque[float]()
         self._fired = self._stalled = False
         os.set_blocking(self._in.fileno(), False)
-        if not select.select([self._out], [], [], _PATIENCE)[0] or self._out.read(1) != _READY:
+        ready = select.select([self._out], [], [], _CONNECT_TIMEOUT)[0]
+        if not ready or self._out.read(1) != _READY:
             self._process.kill()
             self.close()
             raise KinfeasError(f"the watchdog could not connect to the robot by {stop.path!r}")
@@ -102,13 +102,13 @@ class Watchdog:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End the process; after an error that nobody has dealt with, it stops the base before."""
+        """End the process; an error that is no KinfeasError lets it stop the base before."""
         if kind is not None and not issubclass(kind, KinfeasError):
             self.abandon()
         self.close()
 
     def beat(self) -> bool:
-        """Say that the run is alive; return whether the watchdog is, and has not stopped it."""
+        """Send a heartbeat; return whether the watchdog answers and has not stopped the base."""
         if self._in.closed:
             return False
         try:
@@ -118,7 +118,7 @@ class Watchdog:
         now = time.monotonic()
         self._unanswered.append(now)
         if select.select([self._out], [], [], 0.0)[0]:
-            answers = self._out.read(_MANY)
+            answers = self._out.read(_CHUNK)
             self._fired |= _FIRED in answers or not answers
             for _ in answers[: len(self._unanswered)]:
                 self._unanswered.popleft()
@@ -126,20 +126,20 @@ class Watchdog:
         return not (self._fired or self._stalled)
 
     def abandon(self) -> None:
-        """Die, as far as the process can tell: it stops the base, several times, and ends."""
+        """Close the pipe as if the run had died: the process stops the base and ends."""
         self._in.close()
 
     def close(self) -> None:
-        """End the process, which then stops nothing; it may be called twice."""
+        """End the process without a stop of the base; it may be called twice."""
         if self._process.returncode is not None:
             return
         if not self._in.closed:
             with suppress(OSError):
                 self._in.write(_END)
-            if self._stalled:  # or else it would be waited for in vain
+            if self._stalled:  # it would not end by itself
                 self._process.kill()
         try:
-            self._process.wait(_FAREWELL)
+            self._process.wait(_EXIT_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -148,94 +148,76 @@ class Watchdog:
 
 
 def main(order: str) -> None:
-    """Watch over standard input, as an order in JSON says."""
+    """Watch standard input, with an order in JSON."""
     given, answers = json.loads(order), os.dup(1)
-    os.dup2(2, 1)  # what libraries print must not be read as answers
+    os.dup2(2, 1)  # prints of libraries must not be read as answers
     try:
-        stop = _Stopping(_connect(StopCall(**given["stop"])))
+        module, _, name = given["stop"]["path"].partition(":")
+        stop = _Stop(getattr(import_module(module), name)(**given["stop"]["arguments"]))
     except PLUGIN_ERRORS as error:
-        sys.exit(f"watchdog: {reason_of(error)}")
+        sys.exit(f"watchdog: {error!r}")
     os.write(answers, _READY)
     if _watch(stop, given["seconds"], answers):
-        _outlive(stop)
+        end, stops = time.monotonic() + LAST_TRY, 0
+        while stops < REPEATS and time.monotonic() < end:
+            stops += stop("the run died")
+            time.sleep(INTERVAL)
 
 
-def _connect(call: StopCall) -> Callable[[], None]:
-    module, _, name = call.path.partition(":")
-    stop: Callable[[], None] = getattr(import_module(module), name)(**call.arguments)
-    return stop
-
-
-class _Stopping:
-    """The stop of the robot, which never raises: others wrote it, and it will be tried again.
-
-    What came of it is said when it changes, and once for each reason.
-    """
+class _Stop:
+    """The stop of the robot, which never raises, and prints a result that differs from the last."""
 
     def __init__(self, stop: Callable[[], None]) -> None:
-        self._stop, self._said = stop, ("", False)
+        self._stop, self._printed = stop, ""
 
     def __call__(self, why: str) -> bool:
-        """Command the base to zero, and say `why`; return whether that worked."""
+        """Command the base to zero; return whether that worked."""
         failed = ""
         try:
             self._stop()
         except PLUGIN_ERRORS as error:
-            failed = f"the base could not be commanded to zero: {reason_of(error)}"
-        if self._said != (why, bool(failed)):
-            _say(f"{why}: {failed or 'base commanded to zero'}")
-            self._said = why, bool(failed)
+            failed = f"the base could not be commanded to zero: {error!r}"
+        line = f"watchdog: {why}: {failed or 'base commanded to zero'}\n"
+        if line != self._printed:
+            _print(line)
+            self._printed = line
         return not failed
 
 
-def _watch(stop: _Stopping, seconds: float, answers: int) -> bool:
-    """Stop the base whenever no heartbeat comes; return whether the run died.
+def _watch(stop: _Stop, seconds: float, answers: int) -> bool:
+    """Stop the base while heartbeats are missing, after the first one; return whether one died.
 
-    The first one is waited for: nothing is commanded before it.
+    Once it has stopped the base it goes on: a run that comes back must not drive on.
     """
-    fired = False
-    patience: float | None = None
-    stalled = f"no sign of life from the run for {seconds:g} s"
+    timeout: float | None = None
+    fired, stalled = False, f"no heartbeat of the run for {seconds:g} s"
     while True:
-        # Once fired it stays so: a run that comes back has to end, and must not drive on.
-        if not select.select([0], [], [], patience)[0]:
+        if not select.select([0], [], [], timeout)[0]:
             stop(stalled)
             if not fired:
                 with suppress(OSError):
                     os.write(answers, _FIRED)
-            fired, patience = True, AGAIN
+            fired, timeout = True, INTERVAL
             continue
-        if not fired:
-            patience = seconds
-        heard = os.read(0, _MANY)
-        if _END in heard:
-            return False
-        if not heard:
-            return True
+        received = os.read(0, _CHUNK)
+        if not received or _END in received:
+            return not received
         if fired:
             stop(stalled)
-            continue
-        with suppress(OSError):
-            os.write(answers, heard)
+        else:
+            timeout = seconds
+            with suppress(OSError):
+                os.write(answers, received)
 
 
-def _outlive(stop: _Stopping) -> None:
-    """Stop the base of a run that died, until that has worked often enough or fails for good."""
-    end, told = time.monotonic() + LAST_TRY, 0
-    while told < TIMES and time.monotonic() < end:
-        told += stop("the run died")
-        time.sleep(AGAIN)
-
-
-def _say(sentence: str) -> None:
+def _print(line: str) -> None:
     try:
-        os.write(2, f"watchdog: {sentence}\n".encode(errors="backslashreplace"))
-    except OSError:
-        # Who reads it may have died with the run, and no stop that prints shall fail for that.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        os.close(nowhere)
+        os.write(2, line.encode(errors="backslashreplace"))
+    except OSError:  # the reader has died; a stop that prints must not fail for it
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        os.close(null)
 
 
 if __name__ == "__main__":

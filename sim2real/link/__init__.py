@@ -1,7 +1,7 @@
-"""The seam to a robot's bus: what goes over it, and what each end of a transport has to do.
+"""Interface to the bus of a robot: the messages and the two ends of a transport.
 
-A transport is one file that carries these few things; everything else, from frames to the ages of
-measurements, lies in `kinfeas.sim2real.link.backend` and is the same for all of them.
+A transport is a class that implements `Link`. `kinfeas.sim2real.link.backend` adds everything that
+transports have in common: frames, limits of the arm and ages of measurements.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,15 +15,15 @@ from kinfeas.robots.robot import Robot
 
 @dataclass(frozen=True)
 class BaseReading:
-    """Where the base was measured to be.
+    """A measured base pose.
 
     Attributes:
-        x: Along the world's x, metres.
-        y: Along the world's y, metres.
+        x: World x, metres.
+        y: World y, metres.
         yaw: Heading in radians.
-        velocity: x, y and turning in the base frame, shape (3,), m/s and rad/s; None if unknown.
-        stamp: When it was measured by the robot's clock, in seconds; None if it has no stamp.
-        age: How old it was already when it arrived, in seconds.
+        velocity: Forward, left and rotation in the base frame, shape (3,), m/s and rad/s, or None.
+        stamp: Time of the measurement by the robot's clock, seconds, or None.
+        age: Age on arrival, seconds, as far as the transport can tell.
     """
 
     x: float
@@ -36,11 +36,11 @@ class BaseReading:
 
 @dataclass(frozen=True)
 class JointReading:
-    """Where joints were measured to be, under the robot's own names; any part of all joints.
+    """Measured joints by the robot's joint names; a message may hold some of them only.
 
     Attributes:
-        positions: Radians or metres by joint.
-        velocities: Per second by joint, where they are measured.
+        positions: Radians or metres.
+        velocities: Per second, for the joints where they are measured.
         stamp: As in `BaseReading`.
     """
 
@@ -51,7 +51,7 @@ class JointReading:
 
 @dataclass(frozen=True)
 class JointPath:
-    """Joint positions to pass through, one after the other.
+    """A joint trajectory.
 
     Attributes:
         joints: The robot's names of the j joints.
@@ -66,7 +66,7 @@ class JointPath:
 
 @dataclass(frozen=True)
 class Readings:
-    """Where a transport hands measurements to; both may be called from any thread."""
+    """Callbacks for the measurements of a transport, safe to call from any thread."""
 
     base: Callable[[BaseReading], None]
     joints: Callable[[JointReading], None]
@@ -74,12 +74,12 @@ class Readings:
 
 @dataclass(frozen=True)
 class Orders:
-    """Where the robot's end of a transport hands commands to, from any thread.
+    """Callbacks for the commands that reach a robot, safe to call from any thread.
 
     Attributes:
-        drive: Takes x, y and turning in the base frame, shape (3,), m/s and rad/s.
-        move: Takes the way of some joints, which ends whatever they did before.
-        grip: Takes what the gripper shall begin to do.
+        drive: Takes the velocity in the base frame, shape (3,), m/s and rad/s.
+        move: Takes a joint trajectory; it replaces the one before of these joints.
+        grip: Takes `close` or `open`.
     """
 
     drive: Callable[[Array], None]
@@ -88,38 +88,30 @@ class Orders:
 
 
 class Link(Protocol):
-    """Our end of a transport. Nothing but `open` may block, and no call may fail silently.
+    """The deployment's end of a transport. Only `open` may block.
 
     Attributes:
-        base_source: Where the base's pose comes from, for errors, such as `/odom`.
-        joint_source: Where joint positions come from.
+        base_source: Source of the base pose for errors, such as `/odom`.
+        joint_source: Source of the joint positions.
     """
 
     base_source: str
     joint_source: str
 
     def open(self, readings: Readings) -> None:
-        """Connect and begin to hand on what arrives.
-
-        Raises:
-            KinfeasError: If there is nothing to connect to.
-        """
+        """Connect and pass on what arrives; raise KinfeasError if nothing can be reached."""
         ...
 
     def waits_for(self) -> str | None:
-        """Return what does not listen to our commands yet, or None once all of it does."""
+        """Return a command that has no receiver yet, or None if all have one."""
         ...
 
     def check(self) -> None:
-        """Do nothing while the link holds.
-
-        Raises:
-            Fault: If it is broken, whatever still seems to arrive.
-        """
+        """Raise Fault if the connection is broken."""
         ...
 
     def drive(self, velocity: Array) -> None:
-        """Command the base: x, y and turning in its own frame, shape (3,), m/s and rad/s."""
+        """Send the velocity in the base frame, shape (3,), m/s and rad/s."""
         ...
 
     def move(self, positions: Mapping[str, float], seconds: float) -> None:
@@ -127,28 +119,24 @@ class Link(Protocol):
         ...
 
     def grip(self, grip: Grip) -> None:
-        """Begin to close or to open the gripper."""
+        """Close or open the gripper."""
         ...
 
     def close(self) -> None:
-        """Deliver what was sent and let go; it may be called twice."""
+        """Deliver what was sent and disconnect; it may be called twice."""
         ...
 
 
 @runtime_checkable
 class RobotLink(Protocol):
-    """The robot's end of a transport, for whatever plays the robot."""
+    """The robot's end of a transport, for simulated robots."""
 
     def open(self, orders: Orders) -> None:
-        """Connect and begin to hand on the commands that arrive.
-
-        Raises:
-            KinfeasError: If there is nothing to connect to.
-        """
+        """Connect and pass on the commands; raise KinfeasError if nothing can be reached."""
         ...
 
     def check(self) -> None:
-        """Do nothing while the link holds; raise Fault if it is broken."""
+        """Raise Fault if the connection is broken."""
         ...
 
     def report(self, base: BaseReading, joints: JointReading) -> None:
@@ -156,21 +144,20 @@ class RobotLink(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go; it may be called twice."""
+        """Disconnect; it may be called twice."""
         ...
 
 
 @runtime_checkable
 class Hosted(Protocol):
-    """A backend class whose transport has an end for the robot, too."""
+    """A backend class with a robot's end, so that `kinfeas simulate` can stand in for the robot."""
 
     @staticmethod
     def robot_link(robot: Robot, topics: str | None = None) -> RobotLink:
         """Return the robot's end.
 
         Args:
-            robot: Who is played.
-            topics: Name or path of the file with its names on the bus; those of the robot by
-                default.
+            robot: Simulated robot.
+            topics: Name or path of the file with the names on the bus; the robot's by default.
         """
         ...

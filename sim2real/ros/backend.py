@@ -1,23 +1,34 @@
-"""The backends `ros1` and `ros2`: a robot, or what plays one, behind the topics of ROS."""
+"""The backends `ros1` and `ros2`: both ends of the topics of a robot on ROS."""
 
-from typing import ClassVar
+import math
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, ClassVar
 
+import numpy as np
+
+from kinfeas.core.backend import Grip
+from kinfeas.core.errors import Fault
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.watchdog import StopCall
-from kinfeas.sim2real.link import RobotLink
+from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings, RobotLink
 from kinfeas.sim2real.link.backend import LinkBackend
-from kinfeas.sim2real.link.stamps import DRIFT
-from kinfeas.sim2real.ros.bus import Version, make_bus
-from kinfeas.sim2real.ros.link import RosLink
-from kinfeas.sim2real.ros.names import read_topics
+from kinfeas.sim2real.link.measurements import DRIFT
+from kinfeas.sim2real.ros import messages as ros_messages
+from kinfeas.sim2real.ros.bus import Publisher, RosBus, Version, make_bus
+from kinfeas.sim2real.ros.topics import Topics, read_topics
+
+_ODOM = "odom"
 
 
 class RosBackend(LinkBackend):
-    """One robot behind the topics of ROS, of the version that the class of it names.
+    """A robot behind the topics of ROS.
 
     Attributes:
-        version: Of ROS.
-        topics: The names of the robot.
+        version: Version of ROS.
+        topics: Names of the robot.
     """
 
     version: ClassVar[Version]
@@ -28,62 +39,248 @@ class RosBackend(LinkBackend):
         topics: str | None = None,
         *,
         seconds: float = 0.1,
-        patience: float = 5.0,
-        stale: float = 0.2,
+        timeout: float = 5.0,
         drift: float = DRIFT,
     ) -> None:
-        """Connect nothing yet: `reset` does.
+        """Prepare a backend; the first `reset` connects.
 
         Args:
-            robot: Robot at the other end.
-            topics: Path of a YAML file with its names, or the name of one that comes with the
-                package; the robot's own name by default.
-            seconds: Seconds in which the arm shall reach each target: time_from_start of its
-                points.
-            patience: For how many seconds `reset` waits for the first measurements.
-            stale: Seconds after which a command is too late, as in `LinkBackend`.
-            drift: Share by which the robot's clock may be slower than ours, as in `LinkBackend`;
-                0.9 for a simulator that keeps to a tenth of real time.
+            robot: Robot model.
+            topics: Path of a YAML file with the names, or name of a shipped one; the robot's own by
+                default.
+            seconds: Minimum time_from_start of an arm target, seconds.
+            timeout: Seconds that `reset` waits for the first measurements.
+            drift: Fraction by which the robot's clock may be slower than ours: 0.9 for a simulator
+                at a tenth of real time.
 
         Raises:
-            KinfeasError: If the file is broken, a duration is not above 0 and finite, or the drift
-                not in [0, 1).
+            KinfeasError: If the file is invalid, a number out of range or a library missing.
         """
         self.topics = read_topics(robot, self.version, topics)
-        names = self.topics.joints.names
         link = RosLink(self.topics, make_bus(self.version), drift)
-        super().__init__(
-            robot,
-            link,
-            names=names,
-            seconds=seconds,
-            patience=patience,
-            stale=stale,
-            drift=drift,
-        )
+        names = self.topics.joints.names
+        super().__init__(robot, link, names=names, seconds=seconds, timeout=timeout, drift=drift)
 
     def stop_call(self) -> StopCall:
-        """Return what the watchdog calls."""
+        """Return the call with which the watchdog stops the base."""
         base = self.topics.base
         given = {"version": self.version, "topic": base.command, "stamped": base.stamped}
-        return StopCall("kinfeas.sim2real.ros.stop:stop_base", given)
+        return StopCall("kinfeas.sim2real.ros.bus:stop_base", given)
 
     @classmethod
     def robot_link(cls, robot: Robot, topics: str | None = None) -> RobotLink:
-        """Return the robot's end, for what plays a robot; arguments as in `Hosted`."""
-        from kinfeas.sim2real.ros.robot import RosRobotLink
-
+        """Return the robot's end, for a simulated robot; arguments as in `Hosted`."""
         names = read_topics(robot, cls.version, topics, "--topics FILE")
         return RosRobotLink(names, make_bus(cls.version))
 
 
 class Ros1Backend(RosBackend):
-    """One robot behind the topics of ROS 1."""
+    """A robot behind the topics of ROS 1."""
 
     version = 1
 
 
 class Ros2Backend(RosBackend):
-    """One robot behind the topics of ROS 2, without ROS on this machine."""
+    """A robot behind the topics of ROS 2, which need not be installed here."""
 
     version = 2
+
+
+class RosLink:
+    """The deployment's end: commands base, arm and gripper, reads joint states and odometry or TF.
+
+    Attributes:
+        base_source: Topic or transform of the base pose.
+        joint_source: Topic of the joint positions.
+    """
+
+    def __init__(self, topics: Topics, bus: RosBus, drift: float = DRIFT) -> None:
+        """Prepare a link; `open` connects."""
+        base = topics.base
+        tf = f"/tf ({base.world_frame} to {base.frame})"
+        self.base_source = base.odometry if base.measured_by == "odometry" else tf
+        self.joint_source = topics.joints.measured
+        self._topics, self._bus, self._drift = topics, bus, drift
+        self._publishers: dict[str, Publisher] = {}
+        self._frame_fault: str | None = None
+
+    def open(self, readings: Readings) -> None:
+        """Connect; raise KinfeasError if there is no ROS to connect to."""
+        self._bus.open("kinfeas")
+        self._frame_fault = None
+        topics, messages = self._topics, self._bus.messages
+        base = messages.TwistStamped if topics.base.stamped else messages.Twist
+        kinds = {topics.base.command: base}
+        kinds |= {one.command: messages.JointTrajectory for one in topics.joints.controllers}
+        if topics.gripper is not None:
+            kinds[topics.gripper.command] = ros_messages.gripper_type(messages, topics.gripper)
+        self._publishers = {
+            topic: self._bus.publisher(topic, kind) for topic, kind in kinds.items()
+        }
+        take_joints = _passing(ros_messages.from_joint_state, readings.joints)
+        self._bus.subscribe(self.joint_source, messages.JointState, take_joints)
+        if topics.base.measured_by == "odometry":
+            self._listen_to_odometry(readings)
+        else:
+            self._listen_to_tf(readings)
+
+    def waits_for(self) -> str | None:
+        """Return the first topic without a subscriber, except the gripper's."""
+        topics = self._topics
+        wanted = [topics.base.command, *(one.command for one in topics.joints.controllers)]
+        return next((one for one in wanted if not self._publishers[one].listeners()), None)
+
+    def check(self) -> None:
+        """Raise Fault if the connection is broken or the odometry is of another frame."""
+        self._bus.check()
+        if self._frame_fault is not None:
+            raise Fault(self._frame_fault)
+
+    def drive(self, velocity: Array) -> None:
+        """Send the velocity in the base frame, shape (3,), m/s and rad/s."""
+        base = self._topics.base
+        stamp = time.time() if base.stamped else None
+        self._send(base.command, ros_messages.drive_command(self._bus.messages, velocity, stamp))
+
+    def move(self, positions: Mapping[str, float], seconds: float) -> None:
+        """Send each controller its joints."""
+        for one in self._topics.joints.controllers:
+            share = {name: positions[name] for name in one.joints}
+            self._send(one.command, ros_messages.trajectory(self._bus.messages, share, seconds))
+
+    def grip(self, grip: Grip) -> None:
+        """Close or open the gripper, if the file names one."""
+        gripper = self._topics.gripper
+        if gripper is not None:
+            message = ros_messages.gripper_command(self._bus.messages, gripper, grip)
+            self._send(gripper.command, message)
+
+    def close(self) -> None:
+        """Deliver what was sent and release the topics; it may be called twice."""
+        self._bus.close()
+
+    def _send(self, topic: str, message: Any) -> None:
+        self._bus.check_sending()
+        self._publishers[topic].publish(message)
+
+    def _listen_to_odometry(self, readings: Readings) -> None:
+        frame = self._topics.base.frame.lstrip("/")
+
+        def take(message: Any) -> None:
+            theirs = message.child_frame_id.lstrip("/")
+            if theirs not in ("", frame):
+                self._frame_fault = (
+                    f"{self.base_source} measures frame {theirs}, but the base frame is {frame}"
+                )
+            readings.base(ros_messages.from_odometry(message))
+
+        self._bus.subscribe(self.base_source, self._bus.messages.Odometry, take)
+
+    def _listen_to_tf(self, readings: Readings) -> None:
+        base = self._topics.base
+        tree = ros_messages.TfTree(base.world_frame, base.frame, self._drift)
+        kind = self._bus.messages.TFMessage
+
+        def take(message: Any) -> None:
+            tree.take(message)
+            reading = tree.reading()
+            if reading is not None:
+                readings.base(reading)
+
+        # Each message has other transforms, so that none may be skipped.
+        self._bus.subscribe("/tf", kind, take, every=True)
+        self._bus.subscribe("/tf_static", kind, partial(tree.take, static=True), every=True)
+
+
+class RosRobotLink:
+    """The robot's end: reads commands, publishes odometry, joint states and TF."""
+
+    def __init__(self, topics: Topics, bus: RosBus) -> None:
+        """Prepare a link; `open` connects."""
+        self._topics, self._bus = topics, bus
+
+    def open(self, orders: Orders) -> None:
+        """Connect; raise KinfeasError if there is no ROS to connect to."""
+        bus, topics = self._bus, self._topics
+        bus.open("kinfeas_robot")
+        messages = bus.messages
+        base = messages.TwistStamped if topics.base.stamped else messages.Twist
+        bus.subscribe(topics.base.command, base, _passing(_finite_velocity, orders.drive))
+        move = _passing(ros_messages.path, orders.move)
+        for one in topics.joints.controllers:
+            bus.subscribe(one.command, messages.JointTrajectory, move)
+        if (gripper := topics.gripper) is not None:
+            kind = ros_messages.gripper_type(messages, gripper)
+            grip = _passing(lambda one: ros_messages.from_gripper(gripper, one), orders.grip)
+            bus.subscribe(gripper.command, kind, grip)
+        self._odometry = bus.publisher(topics.base.odometry, messages.Odometry)
+        self._joints = bus.publisher(topics.joints.measured, messages.JointState)
+        self._tf = bus.publisher("/tf", messages.TFMessage)
+
+    def check(self) -> None:
+        """Raise Fault if the connection is broken."""
+        self._bus.check()
+
+    def report(self, base: BaseReading, joints: JointReading) -> None:
+        """Publish a measurement."""
+        now = time.time() if base.stamp is None else base.stamp
+        stamp = self._bus.messages.Time.from_sec(now)
+        self._odometry.publish(self._odometry_of(base, stamp))
+        self._joints.publish(self._joint_state(joints, stamp))
+        world, frame = self._topics.base.world_frame, self._topics.base.frame
+        message, rest = self._bus.messages.TFMessage(), BaseReading(0.0, 0.0, 0.0)
+        message.transforms = [
+            self._transform(world, _ODOM, rest, stamp),
+            self._transform(_ODOM, frame, base, stamp),
+        ]
+        self._tf.publish(message)
+
+    def close(self) -> None:
+        """Release the topics; it may be called twice."""
+        self._bus.close()
+
+    def _odometry_of(self, base: BaseReading, stamp: Any) -> Any:
+        message = self._bus.messages.Odometry()
+        message.header.stamp, message.header.frame_id = stamp, _ODOM
+        message.child_frame_id = self._topics.base.frame
+        pose = message.pose.pose
+        _fill_pose(pose.position, pose.orientation, base)
+        if base.velocity is not None:
+            ros_messages.fill_twist(message.twist.twist, base.velocity)
+        return message
+
+    def _joint_state(self, joints: JointReading, stamp: Any) -> Any:
+        message, names = self._bus.messages.JointState(), self._topics.joints.names
+        message.header.stamp = stamp
+        message.name = [names.get(name, name) for name in joints.positions]
+        message.position = list(joints.positions.values())
+        message.velocity = [joints.velocities.get(name, 0.0) for name in joints.positions]
+        return message
+
+    def _transform(self, parent: str, child: str, base: BaseReading, stamp: Any) -> Any:
+        message = self._bus.messages.TransformStamped()
+        message.header.stamp, message.header.frame_id = stamp, parent
+        message.child_frame_id = child
+        _fill_pose(message.transform.translation, message.transform.rotation, base)
+        return message
+
+
+def _fill_pose(position: Any, quaternion: Any, base: BaseReading) -> None:
+    position.x, position.y = base.x, base.y
+    quaternion.z, quaternion.w = math.sin(base.yaw / 2.0), math.cos(base.yaw / 2.0)
+
+
+def _finite_velocity(message: Any) -> Array | None:
+    velocity = ros_messages.velocity(message)
+    return velocity if np.isfinite(velocity).all() else None
+
+
+def _passing(read: Callable[[Any], Any], take: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that passes on what `read` makes of a message, unless it is None."""
+
+    def passing(message: Any) -> None:
+        value = read(message)
+        if value is not None:
+            take(value)
+
+    return passing

@@ -1,18 +1,26 @@
-"""What links over ROS need of one of its two versions: messages, and topics to carry them."""
+"""The interface to one version of ROS: message classes, topics, and the stop of the watchdog.
 
+The process of the watchdog imports this module; it must import neither numpy nor ROS.
+"""
+
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
+from kinfeas.core.errors import KinfeasError
+
 Version = Literal[1, 2]
-"""Of ROS."""
+"""Version of ROS."""
+
+_SETTLING = 0.05  # s after which a connection that ROS counts carries messages
 
 
 @dataclass(frozen=True)
 class Messages:
-    """Classes of messages, made without arguments; both versions of ROS name their fields alike.
+    """Message classes, constructed without arguments; both versions have the same fields.
 
-    `Time` and `Duration` have `from_sec` and `to_sec`. PR2's gripper speaks ROS 1 alone.
+    `Time` and `Duration` have `from_sec` and `to_sec`. `Pr2GripperCommand` is of ROS 1 only.
     """
 
     Twist: Any
@@ -29,72 +37,100 @@ class Messages:
 
 
 class Publisher(Protocol):
-    """One topic, as its sender sees it."""
+    """The sender of a topic."""
 
     def publish(self, message: Any) -> None:
-        """Send a message without waiting for anybody; the newest one counts."""
+        """Send a message without blocking; it replaces one that is not sent yet."""
         ...
 
     def listeners(self) -> int:
-        """Return how many listen."""
+        """Return the number of subscribers."""
         ...
 
 
 class RosBus(Protocol):
-    """A node of its own in this process, with the topics that it opens.
+    """A node in this process.
 
     Attributes:
-        messages: Classes of messages, once it is open.
+        messages: Message classes, after `open`.
     """
 
     messages: Messages
 
     def open(self, name: str) -> None:
-        """Connect as a node whose name begins with `name`.
-
-        Raises:
-            KinfeasError: If this version of ROS is not installed, or there is nothing to connect
-                to.
-        """
+        """Start a node whose name begins with `name`; raise KinfeasError if that fails."""
         ...
 
     def publisher(self, topic: str, kind: Any) -> Publisher:
-        """Return what sends messages of a class to a topic."""
+        """Return the sender of a topic with messages of the class `kind`."""
         ...
 
     def subscribe(
         self, topic: str, kind: Any, take: Callable[[Any], None], *, every: bool = False
     ) -> None:
-        """Hand the messages of a topic on, from any thread: `every` one, or the newest."""
+        """Pass messages to `take`, from any thread: `every` one, or the newest."""
         ...
 
     def check(self) -> None:
-        """Do nothing while the connection holds.
-
-        Raises:
-            Fault: If it is broken.
-        """
+        """Raise Fault if the connection is broken."""
         ...
 
     def check_sending(self) -> None:
-        """Do nothing while what is published is carried; cheap enough for every command.
-
-        Raises:
-            Fault: If it is not.
-        """
+        """Raise Fault if messages are not sent any more; called before each of them."""
         ...
 
     def close(self) -> None:
-        """Deliver what was sent and let go of the topics; it may be called twice."""
+        """Deliver what was sent and release the topics; it may be called twice."""
         ...
 
 
 def make_bus(version: Version) -> RosBus:
-    """Return a bus of a version of ROS that is not open yet."""
+    """Return a bus that is not open yet; raise KinfeasError if the library for it is missing."""
     if version == 1:
-        from kinfeas.sim2real.ros.ros1_bus import Ros1Bus
+        from kinfeas.sim2real.ros.ros1 import Ros1Bus
 
         return Ros1Bus()
-    from kinfeas.sim2real.ros.ros2_bus import Ros2Bus
-
+    try:
+        from kinfeas.sim2real.ros.ros2 import Ros2Bus
+    except ImportError as error:
+        raise KinfeasError(
+            f"ROS 2 needs a library for DDS ({error}): pip install 'kinfeas[ros2]'"
+        ) from error
     return Ros2Bus()
+
+
+def stop_base(
+    version: Version, topic: str, *, stamped: bool = False, timeout: float = 10.0
+) -> Callable[[], None]:
+    """Return a function that commands zero velocity over a connection of its own.
+
+    The connection is from process to process and does not need the master of ROS 1. The function
+    raises Fault if nothing can be sent any more.
+
+    Args:
+        version: Version of ROS.
+        topic: Topic of geometry_msgs/Twist.
+        stamped: Whether it is of geometry_msgs/TwistStamped.
+        timeout: Seconds to wait for a subscriber.
+
+    Raises:
+        KinfeasError: If there is no ROS or no subscriber.
+    """
+    bus = make_bus(version)
+    bus.open("kinfeas_watchdog")
+    twist = bus.messages.TwistStamped if stamped else bus.messages.Twist
+    command, end = bus.publisher(topic, twist), time.monotonic() + timeout
+    while not command.listeners():
+        if time.monotonic() > end:
+            raise KinfeasError(f"nobody listens to {topic} within {timeout:g} s")
+        time.sleep(0.02)
+    time.sleep(_SETTLING)
+
+    def stop() -> None:
+        bus.check_sending()
+        zero = twist()
+        if stamped:  # robots ignore old commands
+            zero.header.stamp = bus.messages.Time.from_sec(time.time())
+        command.publish(zero)
+
+    return stop

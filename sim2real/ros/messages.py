@@ -1,20 +1,26 @@
-"""ROS messages from what goes over a link, and back, for both versions of ROS."""
+"""Conversion of ROS messages, of both versions, to and from those of a link."""
 
-from collections.abc import Mapping
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from kinfeas.core.backend import Grip
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import IDENTITY, Array, compose
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
+from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
 from kinfeas.sim2real.ros.bus import Messages
-from kinfeas.sim2real.ros.names import GripperTopics
-from kinfeas.sim2real.ros.tf import planar
+from kinfeas.sim2real.ros.topics import GripperTopics
+
+_DEEPEST = 32  # frames from the base to the world; more of them are a cycle
 
 
 def fill_twist(message: Any, velocity: Array) -> None:
-    """Set a geometry_msgs/Twist to x, y and turning, shape (3,)."""
+    """Set a geometry_msgs/Twist to forward, left and rotation, shape (3,)."""
     message.linear.x, message.linear.y, message.angular.z = velocity.tolist()
 
 
@@ -22,8 +28,8 @@ def drive_command(messages: Messages, velocity: Array, stamp: float | None) -> A
     """Return a geometry_msgs/Twist, or a TwistStamped.
 
     Args:
-        messages: Classes of messages.
-        velocity: x, y and turning in the base frame, shape (3,), m/s and rad/s.
+        messages: Message classes.
+        velocity: Velocity in the base frame, shape (3,), m/s and rad/s.
         stamp: Seconds of the system's clock for a TwistStamped, None for a Twist.
     """
     if stamp is None:
@@ -37,16 +43,13 @@ def drive_command(messages: Messages, velocity: Array, stamp: float | None) -> A
 
 
 def velocity(message: Any) -> Array:
-    """Return what a Twist or a TwistStamped asks for: x, y and turning, shape (3,)."""
+    """Return forward, left and rotation of a Twist or TwistStamped, shape (3,)."""
     twist = getattr(message, "twist", message)
     return np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
 
 def trajectory(messages: Messages, positions: Mapping[str, float], seconds: float) -> Any:
-    """Return a trajectory_msgs/JointTrajectory that ends at rest after `seconds`.
-
-    Its stamp is zero, which means at once.
-    """
+    """Return a trajectory_msgs/JointTrajectory that starts now and ends at rest after `seconds`."""
     point = messages.JointTrajectoryPoint()
     point.positions, point.velocities = list(positions.values()), [0.0] * len(positions)
     point.time_from_start = messages.Duration.from_sec(seconds)
@@ -56,7 +59,7 @@ def trajectory(messages: Messages, positions: Mapping[str, float], seconds: floa
 
 
 def path(message: Any) -> JointPath | None:
-    """Return what a JointTrajectory asks for; None if it is broken."""
+    """Return the path of a JointTrajectory; None if it is invalid."""
     joints, points = tuple(message.joint_names), message.points
     if not points or any(len(point.positions) != len(joints) for point in points):
         return None
@@ -67,15 +70,15 @@ def path(message: Any) -> JointPath | None:
 
 
 def from_odometry(message: Any) -> BaseReading:
-    """Return what a nav_msgs/Odometry says."""
+    """Return the measurement of a nav_msgs/Odometry."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
     x, y, heading = planar(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
-    moves = velocity(message.twist)
-    return BaseReading(x, y, heading, moves, message.header.stamp.to_sec() or None)
+    stamp = message.header.stamp.to_sec() or None
+    return BaseReading(x, y, heading, velocity(message.twist), stamp)
 
 
 def from_joint_state(message: Any) -> JointReading | None:
-    """Return what a sensor_msgs/JointState says; None if it says no positions."""
+    """Return the measurement of a sensor_msgs/JointState; None without positions."""
     names = message.name
     if len(message.position) != len(names):
         return None
@@ -86,7 +89,7 @@ def from_joint_state(message: Any) -> JointReading | None:
 
 
 def gripper_type(messages: Messages, gripper: GripperTopics) -> Any:
-    """Return the class of messages that command a gripper."""
+    """Return the message class of a gripper."""
     return messages.Pr2GripperCommand if gripper.kind == "pr2" else messages.JointTrajectory
 
 
@@ -101,7 +104,7 @@ def gripper_command(messages: Messages, gripper: GripperTopics, grip: Grip) -> A
 
 
 def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
-    """Return whether a gripper's message rather closes or opens it; None if it is broken."""
+    """Return the state nearer to a gripper's commanded position; None if it is invalid."""
     if gripper.kind == "trajectory":
         way = path(message)
         if way is None or not way.joints:
@@ -111,3 +114,63 @@ def from_gripper(gripper: GripperTopics, message: Any) -> Grip | None:
         position = message.position
     nearer = abs(position - gripper.closed) <= abs(position - gripper.open)
     return "close" if nearer else "open"
+
+
+def planar(pose: Array) -> tuple[float, float, float]:
+    """Return x, y and heading of a pose, shape (7,); NaN without a unit quaternion."""
+    x, y, _, qx, qy, qz, qw = pose.tolist()
+    if not abs(math.hypot(qx, qy, qz, qw) - 1.0) < 0.01:
+        return math.nan, math.nan, math.nan
+    return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+
+
+class TfTree:
+    """The newest transforms of TF: a replacement of tf2 for the pose of one frame in another."""
+
+    def __init__(
+        self,
+        world: str,
+        base: str,
+        drift: float = DRIFT,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Start without transforms.
+
+        Args:
+            world: Name of the world frame.
+            base: Name of the frame whose pose is measured.
+            drift: Fraction by which the robot's clock may be slower than ours.
+            now: Clock in seconds.
+        """
+        self._world, self._base, self._now = world.lstrip("/"), base.lstrip("/"), now
+        self._edges: dict[str, tuple[str, Array, float, float]] = {}  # parent, pose, stamp, sent
+        self._delays: defaultdict[str, TransportDelay] = defaultdict(partial(TransportDelay, drift))
+
+    def take(self, message: Any, *, static: bool = False) -> None:
+        """Take a tf2_msgs/TFMessage; `static` transforms do not age."""
+        now = self._now()
+        for one in message.transforms:
+            child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
+            p, q = one.transform.translation, one.transform.rotation
+            pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+            stamp = one.header.stamp.to_sec()
+            sent = math.inf if static else now
+            if stamp and not static:
+                sent = self._delays[child].sent(stamp, now)
+            self._edges[child] = parent, pose, stamp, sent
+
+    def reading(self) -> BaseReading | None:
+        """Return the base pose with the age of its oldest transform; None if one is missing."""
+        edges, frame = dict(self._edges), self._base
+        pose, oldest, stamp = IDENTITY, math.inf, None
+        for _ in range(_DEEPEST):
+            if frame == self._world:
+                age = max(0.0, self._now() - oldest)
+                x, y, heading = planar(pose)
+                return BaseReading(x, y, heading, stamp=stamp or None, age=age)
+            if frame not in edges:
+                return None
+            frame, above, when, sent = edges[frame]
+            stamp = when if stamp is None else stamp
+            pose, oldest = compose(above, pose), min(oldest, sent)
+        return None

@@ -1,1 +1,1 @@
-"""A simulated robot behind the topics of a real one."""
+"""Simulated robots behind the topics of real ones, for rehearsals of a deployment."""

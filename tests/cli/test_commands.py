@@ -17,8 +17,7 @@ from kinfeas.envs.world import WorldConfig
 from kinfeas.evaluation import evaluate as evaluate_module
 from kinfeas.policies.network import write_network
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.config import DeployConfig
-from kinfeas.sim2real.deploy.guard_config import Guards
+from kinfeas.sim2real.deploy.config import DeployConfig, Guards
 
 SHORT = ["--set", "world.max_seconds=3.0", "--episodes", "3"]
 

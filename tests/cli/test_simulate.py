@@ -8,7 +8,7 @@ from tests.cli.conftest import is_one_line
     [
         (
             ("--backend", "analytic"),
-            "backend 'analytic' is on no bus that a robot can be played on",
+            "analytic",
         ),
         (("--task", "door", "--scene", "room"), "--task has a scene of its own: leave --scene out"),
         (("--robot", "pr3"), "unknown robot 'pr3'"),

@@ -16,16 +16,16 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.ros import ros1_node
-from kinfeas.sim2real.ros.names import read_topics
+from kinfeas.sim2real.ros import ros1
+from kinfeas.sim2real.ros.topics import read_topics
 
 
 def _ros1_is_there() -> bool:
-    """Return whether what the tests need of ROS 1 is installed."""
+    """Return whether ROS 1 is installed."""
     path = list(sys.path)
     try:
         for name in ("rospy", "nav_msgs.msg", "tf2_msgs.msg", "trajectory_msgs.msg"):
-            ros1_node.ros(name)
+            ros1.ros(name)
     except KinfeasError:
         return False
     finally:
@@ -52,14 +52,14 @@ _COMMAND = "from kinfeas.cli.main import main; main()"
 _LISTEN = """
 import os, sys, time
 from kinfeas.sim2real.ros.bus import make_bus
-def said(mark, twist):
+def show(mark, twist):
     numbers = time.monotonic(), twist.linear.x, twist.linear.y, twist.angular.z
     os.write(1, f"{mark} {' '.join(map(str, numbers))}\\n".encode())  # whole lines, from threads
 bus = make_bus(int(sys.argv[3]))
 bus.open("listener")
 kinds = bus.messages
-bus.subscribe(sys.argv[1], kinds.Twist, lambda message: said("command", message))
-bus.subscribe(sys.argv[2], kinds.Odometry, lambda message: said("moves", message.twist.twist))
+bus.subscribe(sys.argv[1], kinds.Twist, lambda message: show("command", message))
+bus.subscribe(sys.argv[2], kinds.Odometry, lambda message: show("moves", message.twist.twist))
 print("listens", flush=True)
 while True:
     time.sleep(1.0)
@@ -67,7 +67,7 @@ while True:
 
 
 class Process:
-    """A Python process with what it says in a file."""
+    """A Python process with its output in a file."""
 
     def __init__(self, code: str, arguments: list[str], out: Path, env: dict[str, str]) -> None:
         self.out = out
@@ -80,16 +80,16 @@ class Process:
                 env=env,
             )
 
-    def said(self) -> str:
+    def output(self) -> str:
         return self.out.read_text()
 
     def wait_for(self, text: str) -> None:
-        self.wait(lambda: text in self.said())
+        self.wait(lambda: text in self.output())
 
     def wait(self, condition) -> None:
         """Wait until something holds; fail at once if the process ends before."""
         wait(lambda: condition() or self.process.poll() is not None)
-        assert condition(), self.said()
+        assert condition(), self.output()
 
     def end(self) -> int:
         return self.process.wait(TIMEOUT)
@@ -103,11 +103,11 @@ class Process:
 
 
 class Bus:
-    """Everything that is on one bus; processes are started when they are asked for.
+    """The processes on one bus.
 
     Attributes:
-        version: Of ROS.
-        dead: Whether there is nothing left to connect to.
+        version: Version of ROS.
+        dead: Whether it cannot be used any more.
     """
 
     version: int
@@ -127,23 +127,23 @@ class Bus:
         return self.started[-1]
 
     def robot(self) -> Process:
-        """Return a simulated robot that listens: the one there is, if it still lives."""
+        """Return a simulated robot that listens."""
         if self._robot is None or self._robot.process.poll() is not None:
             played = ["simulate", "--backend", f"ros{self.version}", "--robot", "pr2"]
             self._robot = self.run(_COMMAND, *played, "--seconds", "2000")
-        self._robot.wait_for("listens")
+        self._robot.wait_for("is ready")
         return self._robot
 
     def deploy(self, *arguments: str) -> Process:
         given = ["deploy", "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
         settings = [f"guards.{key}={value}" for key, value in _BUSY.items()]
-        settings += ["backend.patience=120", "backend.stale=1"]
+        settings += ["backend.timeout=120"]
         sets = [word for one in settings for word in ("--set", one)]
         return self.run(_COMMAND, *given, *arguments, *sets)
 
     def heard(self, mark: str) -> np.ndarray:
-        """Return what the listener heard so far: rows of time, x, y and turning."""
-        lines = self.listener.said().splitlines(keepends=True)
+        """Return what the listener received: rows of time, x, y and rotation."""
+        lines = self.listener.output().splitlines(keepends=True)
         rows = [line.split()[1:] for line in lines if line.startswith(mark) and line[-1] == "\n"]
         return np.array(rows, dtype=float).reshape(-1, 4)
 
@@ -240,5 +240,5 @@ def wait(condition) -> None:
     """Wait until something holds; fail after `TIMEOUT`."""
     end = time.monotonic() + TIMEOUT
     while not condition():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "timed out"
         time.sleep(0.05)

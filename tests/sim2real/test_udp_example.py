@@ -12,7 +12,7 @@ from kinfeas.core.backend import RealTimeBackend
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import BaseReading, Hosted, Orders
-from tests.sim2real.links import joints_at
+from tests.sim2real.doubles import joints_at
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"
 
@@ -47,7 +47,7 @@ def robots_end(udp, orders):
 
 
 def wait(condition):
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 60.0
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
     assert condition()
@@ -63,7 +63,7 @@ def test_carries_everything_both_ways(udp, orders, robots_end):
     backend._opened = True
     base = BaseReading(1.0, 2.0, np.pi / 2, np.array([0.1, 0.0, 0.2]), stamp=5.0)
     robots_end.report(base, joints_at(pr2))
-    wait(lambda: not any(backend._inbox.lacks()))
+    wait(lambda: not any(backend._inbox.missing()))
     state = backend.read()
     np.testing.assert_allclose(state.base_pose[0, :2], [1.0, 2.0])
     np.testing.assert_allclose(state.base_twist[0], [0, 0.1, 0, 0, 0, 0.2], atol=1e-12)

@@ -11,31 +11,20 @@ from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
 from kinfeas.tasks.task import MotionSpec
 
 
-@pytest.fixture(scope="module")
-def pr2():
-    return IkSolver(load_robot("pr2"))
-
-
-def test_begins_at_the_origin_with_the_ee_turned_as_it_is(pr2):
+@pytest.mark.parametrize("base", [spatial.IDENTITY, spatial.planar_pose(3.0, 1.0, 2.0)])
+def test_begins_where_the_robot_is_with_its_orientation_as_the_goal(base):
+    solver = IkSolver(load_robot("hsr"))
+    joints = solver.robot.home["home"][np.newaxis]
+    real = None if base is spatial.IDENTITY else RobotState(base[np.newaxis], joints)
     task = make_goal_task((1.0, 2.0, 0.5), None, MotionSpec())
-    start = begin(task, pr2, np.random.default_rng(1), None)
-    ee = forward(pr2.chain, start.joint_positions)
-    np.testing.assert_array_equal(start.base_pose, [spatial.IDENTITY])
+    start = begin(task, solver, np.random.default_rng(1), real)
+    ee = spatial.compose(base[np.newaxis], forward(solver.chain, joints))
+    np.testing.assert_array_equal(start.base_pose, [base])
+    np.testing.assert_array_equal(start.joint_positions, joints)
     np.testing.assert_allclose(start.target_poses[0, 0], [1.0, 2.0, 0.5, *ee[0, 3:]], atol=1e-12)
 
 
-def test_begins_where_a_live_robot_stands(pr2):
-    base = spatial.planar_pose(*np.array([[3.0], [1.0], [2.0]]))
-    joints = pr2.robot.home["home"][np.newaxis]
-    task = make_goal_task((1.0, 2.0, 0.5), None, MotionSpec())
-    start = begin(task, pr2, np.random.default_rng(1), RobotState(base, joints))
-    ee = spatial.compose(base, forward(pr2.chain, joints))
-    np.testing.assert_array_equal(start.base_pose, base)
-    np.testing.assert_array_equal(start.joint_positions, joints)
-    np.testing.assert_allclose(start.target_poses[0, 0, 3:], ee[0, 3:], atol=1e-12)
-
-
-def test_angles_and_quaternion_say_the_same():
+def test_an_orientation_is_given_by_angles_or_a_quaternion():
     half = np.sqrt(0.5)
     for turn in ((0.0, 0.0, np.pi / 2.0), (0.0, 0.0, half, half)):
         task = make_goal_task((0.0, 0.0, 1.0), turn, MotionSpec())
@@ -48,6 +37,6 @@ def test_angles_and_quaternion_say_the_same():
     ((0.0, 0.0, 0.0), (np.inf, 0.0, 0.0)),
     ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
 ])  # fmt: skip
-def test_refuses_what_is_no_goal(position, turn):
+def test_invalid_goals_are_errors(position, turn):
     with pytest.raises(KinfeasError, match="goal"):
         make_goal_task(position, turn, MotionSpec())

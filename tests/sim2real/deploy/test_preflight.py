@@ -11,37 +11,31 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.reachability import reachable
 from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
-from kinfeas.sim2real.deploy.guard_config import Guards
-from kinfeas.sim2real.deploy.preflight import preview, subgoal_poses, top_speed
+from kinfeas.sim2real.deploy.preflight import preflight, subgoal_poses, top_speed
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, build_subgoals
 
-
-@pytest.fixture(scope="module")
-def solvers():
-    return {name: IkSolver(load_robot(name)) for name in ("pr2", "tiago", "hsr")}
+HSR = IkSolver(load_robot("hsr"))
 
 
 def goal(*position, rpy=None):
     return make_goal_task(position, rpy, MotionSpec())
 
 
-def seen(solver, task, guards, execution=None):
-    """Return what a preview of a task warns of, and what is drawn after it."""
+def checked(task, guards, execution=None, solver=HSR):
+    """Return the warning about a task, and the next random number of the run."""
     rng = np.random.default_rng(3)
     loop = Loop(solver, build_subgoals(task.subgoals), AnalyticBackend(), 0.02, execution)
-    warning = preview(loop, begin(task, solver, rng, None), rng, guards)
-    return warning, rng.random()
+    return preflight(loop, begin(task, solver, rng, None), rng, guards), rng.random()
 
 
 def sequence(*targets, generator=None):
     """Return a motion sequence through positions, shape (3,), from the origin."""
     poses = np.tile(spatial.IDENTITY, (1, len(targets), 1))
     poses[0, :, :3] = targets
-    begun = MotionSequence(
-        [SubgoalMotion(generator or Linear())] * len(targets), load_robot("pr2"), 1
-    )
+    begun = MotionSequence([SubgoalMotion(generator or Linear())] * len(targets), HSR.robot, 1)
     begun.start(spatial.IDENTITY[np.newaxis], poses, [np.random.default_rng(0)])
     return begun
 
@@ -60,73 +54,53 @@ def test_the_ends_of_all_subgoals():
         ([(0.0, 0.0, 0.0)], 0.0),
     ],
 )
-def test_the_fastest_moment_of_all_subgoals(targets, speed):
+def test_the_top_speed_of_all_subgoals(targets, speed):
     assert top_speed(sequence(*targets)) == pytest.approx(speed)
 
 
-def test_a_motion_that_never_arrives_is_looked_at_for_a_while():
+def test_a_motion_that_never_arrives_is_computed_for_a_while():
     slow = Linear(gain=1e-6, min_velocity=1e-6)
     assert top_speed(sequence((1.0, 0.0, 0.0), generator=slow)) == pytest.approx(1e-6)
 
 
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_goals_within_reach_are_fine(solvers, name):
-    for position in ((0.9, 0.1, 0.8), (-3.0, 2.0, 0.6)):
-        assert seen(solvers[name], goal(*position), Guards())[0] == ""
-
-
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-@pytest.mark.parametrize("task", ["door", "drawer", "pick_place"])
-def test_the_tasks_that_come_along_are_fine(solvers, name, task):
-    assert seen(solvers[name], load_task(task, {}), Guards())[0] == ""
+@pytest.mark.parametrize(
+    "task", ["door", "drawer", "pick_place", (0.9, 0.1, 0.8), (-3.0, 2.0, 0.6)]
+)
+def test_reachable_goals_pass(task):
+    task = load_task(task, {}) if isinstance(task, str) else goal(*task)
+    assert checked(task, Guards())[0] == ""
 
 
 @pytest.mark.parametrize("height", [-0.5, 2.2, 90.0])
-def test_a_goal_out_of_reach_is_refused(solvers, height):
-    with pytest.raises(KinfeasError) as caught:
-        seen(solvers["pr2"], goal(1.5, 0.0, height, rpy=(0.0, 0.1, -0.2)), Guards())
-    assert str(caught.value) == (
-        "no base pose was found from which the arm reaches the goal, "
-        f"x 1.5, y 0, z {height:g} m, roll 0, pitch 0.1, yaw -0.2 rad; "
-        "--set guards.reach=false goes there all the same"
-    )
-    assert seen(solvers["pr2"], goal(1.5, 0.0, height), Guards(reach=False))[0] == ""
+def test_a_goal_out_of_reach_is_an_error_with_its_pose(height):
+    task = goal(1.5, 0.0, height, rpy=(0.0, 0.1, -0.2))
+    with pytest.raises(
+        KinfeasError, match=rf"x 1.5, y 0, z {height:g} m, roll 0, pitch 0.1, yaw -0.2 rad"
+    ):
+        checked(task, Guards())
+    assert checked(task, Guards(reach=False))[0] == ""
 
 
-def test_as_near_as_counts_as_there_is_within_reach(solvers):
-    high = (1.5, 0.0, 1.28)
-    pose = spatial.IDENTITY.copy()
-    pose[:3] = high
-    assert not reachable(solvers["pr2"], pose[np.newaxis]).reached.any()
-    assert seen(solvers["pr2"], goal(*high), Guards())[0] == ""
+def test_the_tolerance_is_that_of_a_reached_goal():
+    pr2, high = IkSolver(load_robot("pr2")), (1.5, 0.0, 1.28)
+    pose = np.array([[*high, 0.0, 0.0, 0.0, 1.0]])
+    assert not reachable(pr2, pose).reached.any()
+    assert checked(goal(*high), Guards(), solver=pr2)[0] == ""
 
 
 @pytest.mark.parametrize(
-    ("speed", "slow_down", "warns"),
-    [
-        (None, 1.0, False),
-        (0.1, 1.0, False),
-        (0.09, 1.0, True),
-        (0.05, 2.0, False),
-        (0.05, 1.9, True),
-    ],
+    ("speed", "time_scale", "factor"),
+    [(None, 1.0, None), (0.1, 1.0, None), (0.09, 1.0, 0.45), (0.05, 0.5, None), (0.05, 0.6, 0.25)],
 )
-def test_a_hand_that_outruns_the_base_is_warned_of(solvers, speed, slow_down, warns):
+def test_warns_of_an_ee_that_outruns_the_base(speed, time_scale, factor):
     guards, far = Guards(max_linear_velocity=speed), goal(4.0, 0.0, 0.8)
-    warning, _ = seen(solvers["hsr"], far, guards, ExecutionConfig(slow_down=slow_down))
-    assert bool(warning) is warns
+    warning, _ = checked(far, guards, ExecutionConfig(time_scale=time_scale))
+    assert bool(warning) is (factor is not None)
+    assert factor is None or f"time_scale={factor}" in warning
 
 
-def test_the_warning_says_what_slows_the_hand_down_as_much(solvers):
-    warning, _ = seen(solvers["hsr"], goal(4.0, 0.0, 0.8), Guards(max_linear_velocity=0.05))
-    assert warning == (
-        "guards.max_linear_velocity slows down the base alone, to 0.05 m/s; the hand, which is to "
-        "move at up to 0.1 m/s, may leave it behind: --set slow_down=4 slows it down as much"
-    )
-
-
-def test_a_look_draws_nothing(solvers):
+def test_draws_no_random_numbers():
     task = load_task("ggr", {})
-    looked = seen(solvers["pr2"], task, Guards(max_linear_velocity=0.01))
-    assert looked[0]
-    assert looked[1] == seen(solvers["pr2"], task, Guards(reach=False))[1]
+    warning, number = checked(task, Guards(max_linear_velocity=0.01))
+    assert warning
+    assert number == checked(task, Guards(reach=False))[1]

@@ -2,87 +2,58 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.sim2real.deploy.rate import Rate
+from kinfeas.sim2real.deploy.rate import Clock, Rate
+from tests.sim2real.doubles import Time
 
 
-class Clock:
-    """Time that passes when somebody sleeps or works; whoever sleeps wakes up a little late."""
-
-    def __init__(self, late=0.0):
-        self.time, self.late, self.slept = 100.0, late, 0
-
-    def now(self):
-        return self.time
-
-    def sleep(self, seconds):
-        assert seconds > 0.0
-        self.slept += 1
-        self.time += seconds + self.late
+@pytest.fixture
+def time():
+    return Time()
 
 
-def started(clock, dt=0.02):
-    metronome = Rate(dt, now=clock.now, sleep=clock.sleep)
-    assert metronome.wait() == 0.0
-    return metronome
+@pytest.fixture
+def rate(time):
+    started = Rate(0.02, time.clock)
+    assert started.wait() == 0.0
+    return started
 
 
-def test_late_awakenings_do_not_add_up():
-    clock = Clock(late=0.001)
-    metronome = started(clock)
+def test_late_awakenings_do_not_add_up(time):
+    clock = Clock(lambda: time.monotonic, sleep=lambda seconds: time.passes(seconds + 0.001))
+    rate = Rate(0.02, clock)
+    rate.wait()
     for _ in range(1000):
-        clock.time += 0.005
-        metronome.wait()
-    assert clock.time == pytest.approx(100.0 + 1000 * 0.02 + 0.001, abs=1e-6)
-    timing = metronome.timing()
+        time.passes(0.005)
+        rate.wait()
+    assert time.monotonic == pytest.approx(1000.0 + 1000 * 0.02 + 0.001, abs=1e-6)
+    timing = rate.timing()
     assert (timing.periods, timing.misses) == (1000, 0)
     assert timing.p50 == pytest.approx(0.02)
-    assert timing.work_p50 == pytest.approx(0.005)
-    assert timing.work_p99 == pytest.approx(0.005)
+    assert (timing.work_p50, timing.work_p99) == (pytest.approx(0.005), pytest.approx(0.005))
 
 
-def test_a_late_period_is_counted_and_does_not_shift_the_next():
-    clock = Clock()
-    metronome = started(clock)
-    clock.time += 0.025
-    assert metronome.wait() == pytest.approx(0.025)
-    assert metronome.wait() == pytest.approx(0.015)
-    assert metronome.timing().misses == 1
+@pytest.mark.parametrize(
+    ("late", "periods"), [(0.025, [0.025, 0.015, 0.02]), (0.09, [0.09, 0.01, 0.02])]
+)
+def test_a_late_period_is_counted_and_shifts_no_deadline(rate, time, late, periods):
+    time.passes(late)
+    np.testing.assert_allclose([rate.wait() for _ in range(3)], periods, atol=1e-9)
+    assert rate.timing().misses == 1
 
 
-def test_deadlines_that_have_passed_are_left_out():
-    clock = Clock()
-    metronome = started(clock)
-    clock.time += 0.09
-    metronome.wait()
-    periods = [metronome.wait() for _ in range(3)]
-    np.testing.assert_allclose(periods, [0.01, 0.02, 0.02], atol=1e-9)
-    assert metronome.timing().misses == 1
-
-
-def test_measures_what_another_waits_for():
-    clock = Clock()
-    metronome = Rate(0.02, now=clock.now)
-    assert metronome.tick() == 0.0
+def test_measures_periods_that_a_robot_times(time):
+    rate = Rate(0.02, time.clock)
+    assert rate.tick() == 0.0
+    assert rate.timing().periods == 0
     for period in (0.02, 0.029, 0.031, 0.019):
-        clock.time += period
-        assert metronome.tick() == pytest.approx(period)
-    timing = metronome.timing()
-    assert (timing.periods, timing.misses) == (4, 1)
+        time.passes(period)
+        assert rate.tick() == pytest.approx(period)
+    timing = rate.timing()
+    assert (timing.periods, timing.misses, timing.work_p50) == (4, 1, None)
     assert timing.longest == pytest.approx(0.031)
-    assert timing.work_p50 is None
-
-
-def test_nothing_measured_is_no_error():
-    assert Rate(0.02).timing().periods == 0
-
-
-def test_keeps_the_clock_on_the_wall():
-    metronome = Rate(0.005)
-    metronome.wait()
-    assert sum(metronome.wait() for _ in range(20)) == pytest.approx(0.1, abs=0.05)
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
-def test_refuses_other_periods(dt):
+def test_other_periods_are_errors(dt):
     with pytest.raises(KinfeasError, match="control period"):
         Rate(dt)

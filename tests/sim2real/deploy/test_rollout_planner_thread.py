@@ -5,157 +5,132 @@ from copy import copy
 import numpy as np
 import pytest
 
-from kinfeas.control.filters.rollout import RolloutConfig, RolloutPlanner
+from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.envs.world import World, evaluation_world
-from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.tasks.loading import load_task
 
-FAR = RolloutConfig(horizon=10.0, replan_interval=0.5, num_samples=8)
+FAR = {"horizon": 10.0, "replan_interval": 0.5, "num_samples": 8}
+ROWS = np.array([0])
+BACKWARDS = np.array([[-0.5, 0.0, 0.0]])
 
 
-@pytest.fixture(autouse=True)
-def closed(monkeypatch):
-    """Close what a test has begun, and check that it leaves the interpreter as it was."""
-    begun, watch = [], RolloutPlannerThread.watch
-    before = sys.getswitchinterval()
+class Leave:
+    """A policy that drives away from the EE; in another thread it waits until it may."""
 
-    def note(ahead, loop):
-        begun.append(ahead)
-        watch(ahead, loop)
+    def __init__(self):
+        self.free = threading.Event()
+        self.free.set()
+        self.threads = []
 
-    monkeypatch.setattr(RolloutPlannerThread, "watch", note)
-    yield
-    for ahead in reversed(begun):
-        ahead.close()
+    def __deepcopy__(self, _):
+        other = copy(self)
+        other.threads = self.copied = []
+        return other
+
+    def act(self, policy_input):
+        self.threads.append(threading.get_ident())
+        if threading.current_thread() is not threading.main_thread():
+            self.free.wait(60.0)
+        return np.repeat(BACKWARDS, len(policy_input.observation), axis=0)
+
+
+@pytest.fixture
+def policy():
+    return Leave()
+
+
+@pytest.fixture
+def loop(policy):
+    """A loop in which base and EE part."""
+    task = load_task("ggr_restricted", {})
+    world = World(load_robot("pr2"), task, evaluation_world("analytic", "pr2"), seed=3)
+    world.loop.set_policy(policy)
+    world.start([0])
+    return world.loop
+
+
+@pytest.fixture
+def planner(loop):
+    """A planner of the loop, whose end is checked."""
+    before, made = sys.getswitchinterval(), RolloutPlannerThread(**FAR)
+    made.reset(loop, ROWS)
+    yield made
+    loop.policy.free.set()
+    for _ in range(2):
+        made.close()
     assert sys.getswitchinterval() == before
     assert not any(thread.name.startswith("rollout_planner") for thread in threading.enumerate())
 
 
-@pytest.fixture
-def world():
-    """Return a world in which base and EE part: the base stands, and the EE goes away."""
-    world = World(load_robot("pr2"), load_task("ggr_restricted", {}), evaluation_world(), seed=3)
-    world.start([0])
-    return world
+def settle(planner):
+    """Wait for the plan under way."""
+    planner._coming.exception()
 
 
-class Leave:
-    """Drives backwards; in another thread it waits until that is open."""
-
-    def __init__(self):
-        self.open = threading.Event()
-        self.open.set()
-        self.owner = threading.get_ident()
-
-    def __deepcopy__(self, _):
-        return copy(self)
-
-    def act(self, policy_input):
-        if threading.get_ident() != self.owner:
-            self.open.wait(10.0)
-        return np.tile([-0.5, 0.0, 0.0], (len(policy_input.observation), 1))
+def drive(planner, loop, periods):
+    """Return the filtered commands of some periods."""
+    commands = []
+    for _ in range(periods):
+        commands.append(planner(BACKWARDS, loop.policy_input))
+        loop.step(BACKWARDS)
+    return np.concatenate(commands)
 
 
-def settle(ahead):
-    """Wait until the look under way has ended."""
-    ahead._coming.exception()
+def test_finds_the_offset_that_is_found_without_a_thread(planner, loop):
+    waiting = RolloutPlanner(**FAR)
+    waiting.reset(loop, ROWS)
+    expected = waiting(BACKWARDS, loop.policy_input)
+    planner(BACKWARDS, loop.policy_input)
+    settle(planner)
+    np.testing.assert_array_equal(planner(BACKWARDS, loop.policy_input), expected)
+    assert planner.offset.any()
 
 
-def drive(world, ahead, periods):
-    return [
-        (world.step(action := ahead.act(world.loop.policy_input)), action)[1]
-        for _ in range(periods)
-    ]
+def test_commands_are_the_policys_until_there_is_a_plan(planner, loop, policy):
+    policy.free.clear()
+    np.testing.assert_array_equal(drive(planner, loop, 3), np.repeat(BACKWARDS, 3, axis=0))
+    policy.free.set()
+    settle(planner)
+    assert (drive(planner, loop, 1) != BACKWARDS).any()
 
 
-def test_finds_what_is_found_without_a_thread(world):
-    beside, waiting = RolloutPlannerThread(Leave(), FAR), RolloutPlanner(Leave(), FAR)
-    for ahead in (beside, waiting):
-        ahead.watch(world.loop)
-        ahead.act(world.loop.policy_input)
-    settle(beside)
-    np.testing.assert_array_equal(
-        beside.act(world.loop.policy_input), waiting.act(world.loop.policy_input)
-    )
-    assert beside.deviation.any()
+def test_an_offset_ends_where_the_next_plan_is_late(planner, loop, policy):
+    drive(planner, loop, 1)
+    settle(planner)
+    policy.free.clear()
+    every = round(FAR["replan_interval"] / loop.dt)
+    commands = drive(planner, loop, 2 * every)
+    assert (commands[0] != BACKWARDS).any()
+    np.testing.assert_array_equal(commands[-1:], BACKWARDS)
 
 
-def test_the_policy_acts_alone_until_there_is_an_answer(world):
-    policy = Leave()
-    policy.open.clear()
-    ahead = RolloutPlannerThread(policy, FAR)
-    ahead.watch(world.loop)
-    before = drive(world, ahead, 3)
-    policy.open.set()
-    settle(ahead)
-    after = drive(world, ahead, 1)
-    np.testing.assert_array_equal(before, np.tile([-0.5, 0.0, 0.0], (3, 1, 1)))
-    assert (after[0] != before[0]).any()
+def test_the_thread_uses_a_copy_of_the_policy(planner, loop, policy):
+    drive(planner, loop, 1)
+    settle(planner)
+    assert policy.threads == []
+    assert threading.get_ident() not in policy.copied
+    assert policy.copied
 
 
-def test_an_answer_that_is_late_is_not_waited_for_and_the_last_one_ends(world):
-    policy = Leave()
-    ahead = RolloutPlannerThread(policy, FAR)
-    ahead.watch(world.loop)
-    drive(world, ahead, 1)
-    settle(ahead)
-    policy.open.clear()
-    actions = drive(world, ahead, 10)  # a look begins after five, and one is due after ten
-    assert (actions[0] != [[-0.5, 0.0, 0.0]]).any()
-    np.testing.assert_array_equal(drive(world, ahead, 1), [[[-0.5, 0.0, 0.0]]])
-    policy.open.set()
-
-
-def test_a_policy_is_asked_by_one_thread_only(world):
-    class Own(Leave):
-        def __deepcopy__(self, memo):
-            return Own()
-
-        def act(self, policy_input):
-            self.asked_by = threading.get_ident()
-            return super().act(policy_input)
-
-    policy = Own()
-    ahead = RolloutPlannerThread(policy, FAR)
-    ahead.watch(world.loop)
-    drive(world, ahead, 1)
-    settle(ahead)
-    assert policy.asked_by == threading.get_ident()
-    assert ahead.rehearsed.asked_by != threading.get_ident()
-
-
-def test_what_goes_wrong_in_it_is_heard_of(world, monkeypatch):
-    ahead = RolloutPlannerThread(Leave(), FAR)
-    ahead.watch(world.loop)
-
+def test_errors_of_the_thread_are_raised_in_the_loop(planner, loop, monkeypatch):
     def fail(now, due):
-        raise RuntimeError("no way out")
+        raise RuntimeError("boom")
 
-    monkeypatch.setattr(ahead, "plan", fail)
-    ahead.act(world.loop.policy_input)
-    settle(ahead)
-    with pytest.raises(RuntimeError, match="no way out"):
-        ahead.act(world.loop.policy_input)
-
-
-def test_begins_anew_with_another_loop(world):
-    ahead = RolloutPlannerThread(load_policy("pretrained", load_robot("pr2")), FAR)
-    ahead.watch(world.loop)
-    ahead.act(world.loop.policy_input)
-    other = World(load_robot("pr2"), world.task, evaluation_world(), seed=4)
-    other.start([0])
-    ahead.watch(other.loop)
-    assert ahead._coming is None
-    assert ahead.act(other.loop.policy_input).shape == (1, 3)
+    monkeypatch.setattr(planner, "plan", fail)
+    planner(BACKWARDS, loop.policy_input)
+    settle(planner)
+    with pytest.raises(RuntimeError, match="boom"):
+        planner(BACKWARDS, loop.policy_input)
 
 
-def test_a_loop_may_be_watched_again_after_close(world):
-    ahead = RolloutPlannerThread(Leave(), FAR)
-    for _ in range(2):
-        ahead.watch(world.loop)
-        ahead.act(world.loop.policy_input)
-        settle(ahead)
-        ahead.close()
-        ahead.close()
+def test_starts_again_after_a_reset_and_copies_settings(planner, loop):
+    planner(BACKWARDS, loop.policy_input)
+    planner.reset(loop, ROWS)
+    assert planner._coming is None
+    planner.close()
+    planner.reset(loop, ROWS)
+    assert planner(BACKWARDS, loop.policy_input).shape == (1, 3)
+    other = RolloutPlannerThread.of(RolloutPlanner(**FAR))
+    assert (other.horizon, other.num_samples) == (10.0, 8)

@@ -1,336 +1,180 @@
-import threading
-import time
-
 import numpy as np
 import pytest
 
 from kinfeas.control import drive
 from kinfeas.core import spatial
 from kinfeas.core.backend import ArmLimited, RealTimeBackend, SupportsGripper
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.deploy.command_guard import CommandGuard
-from kinfeas.sim2real.deploy.guard_config import Guards
 from kinfeas.sim2real.link import BaseReading, JointReading
-from kinfeas.sim2real.link.backend import LinkBackend, robot_names
-from kinfeas.sim2real.link.fault import Fault
-from tests.sim2real.links import MemoryLink, connected, joints_at, present
+from kinfeas.sim2real.link.backend import LinkBackend
+from tests.sim2real.doubles import MemoryLink, Time, connected, joints_at, present
 
-DT = 0.002
-
-
-@pytest.fixture(scope="module")
-def pr2():
-    return load_robot("pr2")
+DT = 0.02
+PR2 = load_robot("pr2")
+ARM = [joint.name for joint in PR2.arm]
+AT_HOME = PR2.home["home"][np.newaxis]
+ELBOW, ROLL = ARM.index("r_elbow_flex_joint"), ARM.index("r_forearm_roll_joint")
 
 
-def still(robot):
-    return np.zeros((1, 6)), robot.home["home"][np.newaxis].copy()
+@pytest.fixture
+def time():
+    return Time()
 
 
-def test_is_what_the_loop_asks_for(pr2):
-    backend, _ = connected(pr2)
-    assert isinstance(backend, RealTimeBackend)
-    assert isinstance(backend, SupportsGripper)
-    assert isinstance(backend, ArmLimited)
+@pytest.fixture
+def ends(time):
+    """A connected backend and its link."""
+    return connected(PR2, time)
 
 
-def test_reset_leaves_the_robot_where_it_is(robot):
-    link = MemoryLink(present(robot, x=1.0, y=2.0, yaw=0.5))
-    state = LinkBackend(robot, link).reset(np.zeros((1, 7)), np.ones((1, len(robot.arm))))
+def away(joint, by):
+    """Return joint targets, one joint of which is not at home."""
+    targets = AT_HOME.copy()
+    targets[0, joint] += by
+    return targets
+
+
+def test_reset_leaves_the_robot_where_it_is(ends):
+    backend, link = ends
+    for protocol in (RealTimeBackend, SupportsGripper, ArmLimited):
+        assert isinstance(backend, protocol)
+    state = backend.read()
     np.testing.assert_allclose(
         state.base_pose, spatial.planar_pose(*np.array([[1.0], [2.0], [0.5]]))
     )
-    np.testing.assert_array_equal(state.joint_positions[0], robot.home["home"])
-    assert 0.0 <= state.age[0] < 1.0
+    np.testing.assert_array_equal(state.joint_positions, AT_HOME)
+    assert state.age[0] == 0.0
     assert link.driven == link.moved == []
 
 
-def test_reset_waits_for_what_comes_late(pr2):
-    def late(readings):
-        threading.Timer(0.1, present(pr2), [readings]).start()
-
-    assert LinkBackend(pr2, MemoryLink(late)).reset(None, None).base_pose[0, 0] == 1.0
-
-
-def test_reset_measures_anew(pr2):
-    backend, link = connected(pr2)
+def test_reset_drops_what_was_measured_before(ends, monkeypatch):
+    backend, link = ends
     link.readings.base(BaseReading(5.0, 0.0, 0.0, stamp=1e9))
-    threading.Timer(0.05, present(pr2, x=7.0, stamp=5.0), [link.readings]).start()
+
+    def wait(seconds):
+        present(PR2, x=7.0, stamp=5.0)(link.readings)
+        return True
+
+    monkeypatch.setattr(backend._inbox, "wait", wait)
     assert backend.reset(None, None).base_pose[0, 0] == 7.0
 
 
 @pytest.mark.parametrize(
-    ("answer", "deaf", "said"),
+    ("answer", "deaf", "named"),
     [
-        (lambda pr2, to: to.joints(joints_at(pr2)), None, "no pose of the base came from the odom"),
-        (lambda _, to: to.base(BaseReading(0, 0, 0)), None, "no joint positions came from the enc"),
-        (lambda pr2, to: present(pr2)(to), "/cmd_vel", "nobody listens to /cmd_vel within 0.1 s"),
+        (lambda to: to.joints(joints_at(PR2)), None, "/odometer"),
+        (lambda to: to.base(BaseReading(0, 0, 0)), None, "/encoders"),
+        (present(PR2), "/cmd_vel", "/cmd_vel"),
+        (
+            lambda to: (
+                to.base(BaseReading(0.0, 0.0, 0.0)),
+                to.joints(JointReading(dict.fromkeys(ARM[:-1], 0.0))),
+            ),
+            None,
+            ARM[-1],
+        ),
+        (
+            lambda to: (
+                to.base(BaseReading(0.0, 0.0, 0.0)),
+                to.joints(joints_at(PR2, torso_lift_joint=0.2)),
+            ),
+            None,
+            "torso_lift_joint",
+        ),
     ],
 )
-def test_reset_says_what_is_silent(pr2, answer, deaf, said):
-    link = MemoryLink(lambda readings: answer(pr2, readings), deaf)
-    with pytest.raises(KinfeasError, match=f"{said}.*is the robot on") as error:
-        LinkBackend(pr2, link, patience=0.1).reset(None, None)
-    assert "\n" not in str(error.value)
+def test_reset_names_what_is_missing_or_wrong(answer, deaf, named):
+    with pytest.raises(KinfeasError, match=named):
+        LinkBackend(PR2, MemoryLink(answer, deaf), timeout=0.05).reset(None, None)
 
 
-def test_reset_says_which_joints_are_missing(pr2):
-    def answer(readings):
-        readings.base(BaseReading(0.0, 0.0, 0.0))
-        readings.joints(JointReading({joint.name: 0.0 for joint in pr2.arm[:-1]}))
-
-    with pytest.raises(KinfeasError, match="the encoders says nothing of r_wrist_roll_joint; it"):
-        LinkBackend(pr2, MemoryLink(answer), patience=0.1).reset(None, None)
-
-
-def test_reset_refuses_a_robot_whose_other_joints_stand_elsewhere(pr2):
-    def answer(readings):
-        readings.base(BaseReading(0.0, 0.0, 0.0))
-        readings.joints(joints_at(pr2, torso_lift_joint=0.2))
-
-    with pytest.raises(KinfeasError, match=r"torso_lift_joint stands at 0\.200, but"):
-        LinkBackend(pr2, MemoryLink(answer)).reset(None, None)
-
-
-def test_reset_stops_waiting_when_the_link_breaks(pr2):
-    link = MemoryLink()
-    link.broken = "the master died"
-    with pytest.raises(Fault, match="the master died"):
-        LinkBackend(pr2, link).reset(None, None)
-
-
-def test_the_base_is_told_what_the_policy_wants_in_its_own_frame(robot):
-    backend, link = connected(robot, yaw=2.5)
-    pose = backend.read().base_pose
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("name", ["pr2", "tiago"])
+def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name):
+    robot, rng = load_robot(name), np.random.default_rng(0)
+    backend, link = connected(robot, Time(), yaw=2.5)
+    pose, home = backend.read().base_pose, robot.home["home"][np.newaxis]
     for _ in range(20):
-        action = rng.uniform(-1.0, 1.0, (1, drive.action_size(robot.base)))
-        backend.step(drive.base_twist(robot.base, pose, action, DT), still(robot)[1], DT)
+        action = drive.carried_out(rng.uniform(-1.0, 1.0, (1, drive.action_size(robot.base))))
+        backend.step(drive.base_twist(robot.base, pose, action, DT), home, DT)
         forward, left, turn = link.driven[-1]
-        wanted = action[0] * robot.base.max_velocity
-        if robot.base.drive == "omnidirectional":
-            scale = min(1.0, robot.base.max_velocity / max(np.hypot(*wanted[:2]), 1e-9))
-            np.testing.assert_allclose([forward, left], wanted[:2] * scale, atol=1e-12)
-        else:
-            np.testing.assert_allclose(forward, wanted[0], atol=1e-12)
+        sent = [forward, left][: action.shape[1] - 1]
+        np.testing.assert_allclose(sent, action[0, :-1] * robot.base.max_velocity, atol=1e-12)
+        assert turn == pytest.approx(action[0, -1] * robot.base.max_rotation)
+        if robot.base.drive == "differential":
             assert left == 0.0
-        assert turn == action[0, -1] * robot.base.max_rotation
 
 
-def test_the_arm_is_sent_by_the_robots_own_names(pr2):
-    names = {"r_elbow_flex_joint": "elbow"}
-    positions = dict(joints_at(pr2).positions)
-    positions["elbow"] = positions.pop("r_elbow_flex_joint")
+def test_the_arm_is_sent_by_the_robots_own_names(time):
+    positions = dict(joints_at(PR2).positions)
+    positions["elbow"] = positions.pop(ARM[ELBOW])
 
     def answer(readings):
         readings.base(BaseReading(0.0, 0.0, 0.0))
         readings.joints(JointReading(positions))
 
     link = MemoryLink(answer)
-    backend = LinkBackend(pr2, link, names=names, seconds=0.25)
+    backend = LinkBackend(PR2, link, names={ARM[ELBOW]: "elbow"}, seconds=0.25, clock=time.clock)
     state = backend.reset(None, None)
-    np.testing.assert_array_equal(state.joint_positions[0], pr2.home["home"])
-    backend.step(*still(pr2), DT)
+    np.testing.assert_array_equal(state.joint_positions, AT_HOME)
+    backend.step(np.zeros((1, 6)), AT_HOME, DT)
     sent, seconds = link.moved[-1]
-    assert list(sent) == list(robot_names(pr2, names).values())
-    np.testing.assert_allclose(list(sent.values()), pr2.home["home"])
+    assert list(sent) == [*ARM[:ELBOW], "elbow", *ARM[ELBOW + 1 :]]
+    np.testing.assert_allclose(list(sent.values()), AT_HOME[0])
     assert seconds == 0.25
 
 
 @pytest.mark.parametrize("turns", [-3, 0, 2])
-def test_continuous_joints_go_the_short_way(pr2, turns):
-    backend, link = connected(pr2)
+def test_continuous_joints_go_the_short_way(ends, turns):
+    backend, link = ends
     measured = 3.0 + turns * 2.0 * np.pi
-    link.readings.joints(JointReading({"r_forearm_roll_joint": measured}))
-    targets = pr2.home["home"].copy()
-    targets[[joint.name for joint in pr2.arm].index("r_forearm_roll_joint")] = -3.0
-    backend.step(np.zeros((1, 6)), targets[np.newaxis], DT)
-    sent = link.moved[-1][0]["r_forearm_roll_joint"]
-    assert sent == pytest.approx(measured + 2.0 * np.pi - 6.0)
+    link.readings.joints(JointReading({ARM[ROLL]: measured}))
+    targets = AT_HOME.copy()
+    targets[0, ROLL] = -3.0
+    backend.step(np.zeros((1, 6)), targets, DT)
+    assert link.moved[-1][0][ARM[ROLL]] == pytest.approx(measured + 2.0 * np.pi - 6.0)
 
 
-def test_step_returns_the_newest(pr2):
-    backend, link = connected(pr2)
-    threading.Timer(0.02, link.readings.base, [BaseReading(9.0, 0.0, 0.0)]).start()
-    state = backend.step(*still(pr2), DT)
-    assert state.base_pose[0, 0] == 1.0
-    for _ in range(2):
-        state = backend.step(*still(pr2), 0.05)
-    assert state.base_pose[0, 0] == 9.0
+@pytest.mark.parametrize(("share", "used"), [(None, 1.0), (0.2, 0.2), (99.0, 1.0)])
+def test_no_joint_is_sent_faster_than_its_limit(ends, share, used):
+    backend, link = ends
+    fastest = PR2.max_joint_velocity
+    if share is not None:
+        backend.limit_arm(share * fastest)
+    backend.step(np.zeros((1, 6)), away(ELBOW, 1.0), DT)
+    assert link.moved[-1][1] == pytest.approx(1.0 / (used * fastest[ELBOW]))
 
 
-def test_keeps_time(pr2):
-    backend, _ = connected(pr2)
-    for _ in range(11):
-        backend.step(*still(pr2), 0.01)
-    timing = backend.rate.timing()
-    assert timing.periods == 11
-    assert timing.p50 == pytest.approx(0.01, abs=0.004)
+def test_steps_keep_the_rate_and_return_the_newest_state(ends, time):
+    backend, link = ends
+    start = time.monotonic
+    for x in (3.0, 4.0):
+        link.readings.base(BaseReading(x, 0.0, 0.0))
+        state = backend.step(np.zeros((1, 6)), AT_HOME, DT)
+        assert state.base_pose[0, 0] == x
+    assert time.monotonic - start == pytest.approx(2 * DT)
+    assert state.age[0] == pytest.approx(2 * DT)  # of the joints
+    assert backend.rate.timing().periods == 2
 
 
-def test_stop_commands_zero_and_holds_the_arm(pr2):
-    backend, link = connected(pr2)
-    link.readings.joints(JointReading({"r_elbow_flex_joint": -1.25, "r_forearm_roll_joint": 9.0}))
+def test_stop_commands_zero_and_holds_the_arm(ends):
+    backend, link = ends
+    link.readings.joints(JointReading({ARM[ELBOW]: -1.25, ARM[ROLL]: 9.0}))
     for _ in range(2):
         backend.stop()
         np.testing.assert_array_equal(link.driven[-1], np.zeros(3))
         held = link.moved[-1][0]
-        assert held["r_elbow_flex_joint"] == -1.25
-        assert held["r_forearm_roll_joint"] == pytest.approx(9.0)
-
-
-@pytest.mark.parametrize("part", ["twist", "joints"])
-def test_what_is_not_finite_is_never_sent(pr2, part):
-    backend, link = connected(pr2)
-    twist, joints = still(pr2)
-    (twist if part == "twist" else joints.copy())[0, 0] = np.nan
-    joints = joints if part == "twist" else np.full_like(joints, np.nan)
-    with pytest.raises(Fault, match="must be finite"):
-        backend.step(twist, joints, DT)
-    np.testing.assert_array_equal(link.driven, [np.zeros(3)])
-
-
-@pytest.mark.parametrize("reading", ["base", "joints"])
-def test_what_arrives_between_reading_and_sending_makes_no_command(pr2, reading):
-    backend, link = connected(pr2)
-    if reading == "base":
-        link.readings.base(BaseReading(0.0, 0.0, np.nan))
-    else:
-        link.readings.joints(JointReading({"r_forearm_roll_joint": np.nan}))
-    with pytest.raises(Fault, match="is not finite"):
-        backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
-    np.testing.assert_array_equal(link.driven, [np.zeros(3)])
-    for positions, _ in link.moved:
-        np.testing.assert_allclose(list(positions.values()), pr2.home["home"])
-
-
-def test_an_arm_with_a_long_way_is_given_the_time_for_it(pr2):
-    backend, link = connected(pr2)
-    joint = [joint.name for joint in pr2.arm].index("r_elbow_flex_joint")
-    targets = still(pr2)[1]
-    targets[0, joint] += 1.0
-    backend.step(np.zeros((1, 6)), targets, DT)
-    assert link.moved[-1][1] == pytest.approx(1.0 / pr2.max_joint_velocity[joint])
-
-
-@pytest.mark.parametrize("share", [1.0, 0.2])
-def test_an_arm_that_lags_is_sent_no_faster_than_the_guards_allow(pr2, share):
-    link, joint = MemoryLink(present(pr2)), 3
-    guard = CommandGuard(LinkBackend(pr2, link), pr2, Guards(joint_speed=share))
-    home = guard.reset(*still(pr2)).joint_positions[0]
-    target, speeds = still(pr2)[1], []
-    target[0, joint] += 1.0
-    for _ in range(30):
-        link.answer(link.readings)
-        guard.step(np.zeros((1, 6)), target, 0.02)
-        positions, seconds = link.moved[-1]
-        way = np.abs(np.array(list(positions.values())) - home)
-        speeds.append(way[joint] / seconds / pr2.max_joint_velocity[joint])
-    assert max(speeds) == pytest.approx(share)
-
-
-def test_no_limit_is_above_what_the_robot_can(pr2):
-    backend, link = connected(pr2)
-    backend.limit_arm(np.full(len(pr2.arm), 99.0))
-    targets = still(pr2)[1]
-    targets[0, 3] += 1.0
-    backend.step(np.zeros((1, 6)), targets, DT)
-    assert link.moved[-1][1] == pytest.approx(1.0 / pr2.max_joint_velocity[3])
-
-
-def test_what_follows_from_an_old_measurement_is_never_sent(pr2):
-    backend, link = connected(pr2)
-    time.sleep(0.21)
-    with pytest.raises(Fault, match=r"the command comes 0\.2\d s after the measurement"):
-        backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
-    np.testing.assert_array_equal(link.driven, [np.zeros(3)])
-    # A period may be longer than that.
-    backend.read()
-    time.sleep(0.21)
-    backend.step(np.full((1, 6), 0.1), still(pr2)[1], 0.4)
-    assert link.driven[-1].any()
-
-
-def test_what_was_held_up_while_it_was_sent_is_taken_back_at_once(pr2, monkeypatch):
-    backend, link = connected(pr2)
-    sent = link.drive
-    monkeypatch.setattr(link, "drive", lambda velocity: (sent(velocity), time.sleep(0.21)))
-    away = still(pr2)[1] + 0.1
-    with pytest.raises(Fault, match="the command comes"):
-        backend.step(np.full((1, 6), 0.1), away, 0.1)
-    assert [bool(velocity.any()) for velocity in link.driven] == [True, False]
-    # The arm was never sent away, only told to stay.
-    held = [list(positions.values()) for positions, _ in link.moved]
-    np.testing.assert_allclose(held, still(pr2)[1])
-
-
-def test_a_broken_link_stops_the_base(pr2):
-    backend, link = connected(pr2)
-    backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
-    link.broken = "the cable is out"
-    with pytest.raises(Fault, match="the cable is out"):
-        backend.step(np.full((1, 6), 0.1), still(pr2)[1], DT)
-    np.testing.assert_array_equal(link.driven[-1], np.zeros(3))
-    assert len(link.driven) == 2
-
-
-def test_a_clock_set_back_stops_the_base(pr2):
-    backend, link = connected(pr2)
-    for stamp in (100.0, 50.0):
-        link.readings.base(BaseReading(0.0, 0.0, 0.0, stamp=stamp))
-    with pytest.raises(Fault, match=r"the stamps of the base went back by 50\.00 s"):
-        backend.read()
-    np.testing.assert_array_equal(link.driven, [np.zeros(3)])
-
-
-def test_silence_shows_as_age(pr2):
-    backend, _ = connected(pr2)
-    backend.step(*still(pr2), 0.1)
-    assert backend.step(*still(pr2), 0.1).age[0] >= 0.1
-
-
-def test_grips_when_asked(pr2):
-    backend, link = connected(pr2)
-    backend.grip("close", np.array([], dtype=np.intp))
-    backend.grip("open", np.array([0]))
-    assert link.gripped == ["open"]
-
-
-def test_stops_and_lets_go_once(pr2):
-    backend, link = connected(pr2)
-    backend.close()
-    backend.close()
-    assert link.closed == 1
-    assert len(link.driven) == 1
-    backend.stop()
-    assert len(link.driven) == 1
-
-
-def test_refuses_what_it_cannot_do(pr2):
-    backend, link = connected(pr2)
-    with pytest.raises(KinfeasError, match="leads to one robot of 7 arm joints"):
-        backend.step(np.zeros((2, 6)), np.zeros((2, 7)), DT)
-    with pytest.raises(KinfeasError, match="seconds must be above 0 s and finite, not 0"):
-        LinkBackend(pr2, link, seconds=0.0)
-    with pytest.raises(KinfeasError, match="patience must be above 0 s and finite, not nan"):
-        LinkBackend(pr2, link, patience=np.nan)
-    with pytest.raises(KinfeasError, match="stale must be above 0 s and finite, not -1"):
-        LinkBackend(pr2, link, stale=-1.0)
-    with pytest.raises(KinfeasError, match="no arm joint 'elbow' to rename; known are r_"):
-        LinkBackend(pr2, link, names={"elbow": "e"})
-    with pytest.raises(KinfeasError, match="has not been measured yet"):
-        LinkBackend(pr2, link).read()
-    assert LinkBackend(pr2, link).stop() is None
+        assert held[ARM[ELBOW]] == -1.25
+        assert held[ARM[ROLL]] == pytest.approx(9.0)
 
 
 @pytest.mark.parametrize("arm_fails", [False, True])
-def test_an_arm_is_told_to_hold_even_if_the_base_cannot_be_stopped(pr2, monkeypatch, arm_fails):
-    backend, link = connected(pr2)
+def test_the_arm_holds_even_if_the_base_cannot_be_stopped(ends, monkeypatch, arm_fails):
+    backend, link = ends
     move = link.move
 
     def lost(velocity):
-        raise Fault("the base is lost")
+        raise Fault("base")
 
     def moved(positions, seconds):
         move(positions, seconds)
@@ -339,6 +183,41 @@ def test_an_arm_is_told_to_hold_even_if_the_base_cannot_be_stopped(pr2, monkeypa
 
     monkeypatch.setattr(link, "drive", lost)
     monkeypatch.setattr(link, "move", moved)
-    with pytest.raises(Fault, match="the base is lost"):
+    with pytest.raises(Fault, match="base"):
         backend.stop()
     assert len(link.moved) == 1
+
+
+def test_a_broken_link_or_useless_measurements_are_faults_that_send_nothing(ends):
+    backend, link = ends
+    link.broken = "cable"
+    for _ in range(2):
+        with pytest.raises(Fault, match=r"cable|is not finite"):
+            backend.step(np.full((1, 6), 0.1), AT_HOME, DT)
+        link.broken = None
+        link.readings.base(BaseReading(0.0, np.nan, 0.0))
+    assert link.driven == link.moved == []
+    with pytest.raises(Fault, match="cable"):
+        broken = MemoryLink()
+        broken.broken = "cable"
+        LinkBackend(PR2, broken).reset(None, None)
+
+
+def test_grips_and_closes_once(ends):
+    backend, link = ends
+    backend.grip("close", np.array([], dtype=np.intp))
+    backend.grip("open", np.array([0]))
+    assert link.gripped == ["open"]
+    backend.close()
+    backend.close()
+    backend.stop()
+    assert (link.closed, len(link.driven)) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("seconds", 0.0), ("timeout", np.nan), ("drift", 1.0), ("names", {"elbow": "e"})],
+)
+def test_bad_parameters_are_named(key, value):
+    with pytest.raises(KinfeasError, match="elbow" if key == "names" else key):
+        LinkBackend(PR2, MemoryLink(), **{key: value})

@@ -1,23 +1,25 @@
-"""Messages of both versions of ROS say the same to a link, and go over the wire as ROS has them."""
+"""Messages of both versions of ROS carry the same; those of ROS 2 have the bytes of ROS 2."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core import spatial
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros import messages as ros_messages
-from kinfeas.sim2real.ros import ros2_messages
-from kinfeas.sim2real.ros.names import read_topics
-from kinfeas.sim2real.ros.ros1_bus import ros1_message_classes
-from kinfeas.sim2real.ros.ros2_bus import ros2_message_classes
+from kinfeas.sim2real.ros import ros2
+from kinfeas.sim2real.ros.ros1 import ros1_message_classes
+from kinfeas.sim2real.ros.ros2 import ros2_message_classes
+from kinfeas.sim2real.ros.topics import read_topics
+from tests.sim2real.doubles import Time
 from tests.sim2real.ros_processes import needs_ros1
 
-JUDGE = get_typestore(Stores.ROS2_HUMBLE)
-KINDS = [one for one in vars(ros2_messages).values() if hasattr(one, "__idl_typename__")]
-OWN = [one for one in KINDS if one.__module__ == ros2_messages.__name__]
+REFERENCE = get_typestore(Stores.ROS2_HUMBLE)
+KINDS = [one for one in vars(ros2).values() if hasattr(one, "__idl_typename__")]
+OWN = [one for one in KINDS if one.__module__ == ros2.__name__]
 
 
 @pytest.fixture(params=[pytest.param(1, marks=needs_ros1), 2])
@@ -56,7 +58,7 @@ def filled(kind, rng):
 
 def _entry(name, rng):
     inner = {
-        "points": ros2_messages.JointTrajectoryPoint, "transforms": ros2_messages.TransformStamped
+        "points": ros2.JointTrajectoryPoint, "transforms": ros2.TransformStamped
     }  # fmt: skip
     if name in inner:
         return filled(inner[name], rng)
@@ -72,23 +74,23 @@ def plain(value):
 
 
 @pytest.mark.parametrize("kind", OWN, ids=named)
-def test_a_message_of_ros_2_has_the_bytes_that_another_program_reads(kind):
-    fields = [name for name, _ in JUDGE.get_msgdef(named(kind)).fields]
+def test_messages_of_ros_2_have_the_bytes_of_another_implementation(kind):
+    fields = [name for name, _ in REFERENCE.get_msgdef(named(kind)).fields]
     assert [one.name for one in dataclasses.fields(kind)] == fields
     rng = np.random.default_rng(5)
     for message in (kind(), *(filled(kind, rng) for _ in range(5))):
         data = message.serialize(use_version_2=False)
-        theirs = JUDGE.deserialize_cdr(data, named(kind))
+        theirs = REFERENCE.deserialize_cdr(data, named(kind))
         assert plain(theirs) == plain(message)
         # Some senders fill up the last word, some do not.
-        again = bytes(JUDGE.serialize_cdr(theirs, named(kind)))
+        again = bytes(REFERENCE.serialize_cdr(theirs, named(kind)))
         assert again.rstrip(b"\0") == data.rstrip(b"\0")
         assert plain(kind.deserialize(again)) == plain(message)
 
 
-@pytest.mark.parametrize("kind", [ros2_messages.Time, ros2_messages.Duration])
+@pytest.mark.parametrize("kind", [ros2.Time, ros2.Duration])
 @pytest.mark.parametrize("seconds", [0.0, 0.25, 1.9999999999, 1.7e9 + 0.125, -0.25, -3.0])
-def test_seconds_come_back(kind, seconds):
+def test_seconds_survive_a_round_trip(kind, seconds):
     made = kind.from_sec(seconds)
     assert isinstance(made, kind)
     assert 0 <= made.nanosec < 10**9
@@ -96,7 +98,7 @@ def test_seconds_come_back(kind, seconds):
 
 
 @needs_ros1
-def test_pr2s_gripper_needs_no_package():
+def test_the_gripper_message_of_the_pr2_has_its_checksum():
     messages = ros1_message_classes()
     gripper = read_topics(load_robot("pr2"), 1).gripper
     kind = ros_messages.gripper_type(messages, gripper)
@@ -106,14 +108,14 @@ def test_pr2s_gripper_needs_no_package():
     assert ros_messages.gripper_command(messages, gripper, "close").max_effort == 100.0
 
 
-def test_a_gripper_is_understood_at_the_other_end(messages, version, robot):
-    gripper = read_topics(robot, version).gripper
+def test_grips_survive_a_round_trip(messages, version):
+    gripper = read_topics(load_robot("hsr"), version).gripper
     for grip in ("open", "close"):
         message = ros_messages.gripper_command(messages, gripper, grip)
         assert ros_messages.from_gripper(gripper, message) == grip
 
 
-def test_a_target_is_understood_at_the_other_end(messages):
+def test_targets_survive_a_round_trip(messages):
     way = ros_messages.path(ros_messages.trajectory(messages, {"a": 0.5, "b": -1.0}, 0.25))
     assert way.joints == ("a", "b")
     np.testing.assert_array_equal(way.times, [0.25])
@@ -121,7 +123,7 @@ def test_a_target_is_understood_at_the_other_end(messages):
 
 
 @pytest.mark.parametrize("stamp", [None, 12.5])
-def test_a_velocity_is_understood_at_the_other_end(messages, stamp):
+def test_velocities_survive_a_round_trip(messages, stamp):
     command = ros_messages.drive_command(messages, np.array([0.1, -0.2, 0.3]), stamp)
     np.testing.assert_array_equal(ros_messages.velocity(command), [0.1, -0.2, 0.3])
     assert isinstance(command, messages.Twist if stamp is None else messages.TwistStamped)
@@ -129,7 +131,7 @@ def test_a_velocity_is_understood_at_the_other_end(messages, stamp):
         assert command.header.stamp.to_sec() == stamp
 
 
-def test_a_broken_way_is_none(messages):
+def test_an_invalid_trajectory_is_none(messages):
     def way(**positions):
         return ros_messages.trajectory(messages, positions, 0.25)
 
@@ -152,15 +154,76 @@ def test_joint_states_may_lack_velocities_but_not_positions(messages):
     assert reading.stamp is None
 
 
-def test_pr2s_own_gripper_message_is_refused_in_ros_2(tmp_path):
-    robot = load_robot("pr2")
-    path = tmp_path / "topics.yaml"
-    path.write_text(
-        "base: {command: /cmd_vel}\ngripper: {command: /gripper, kind: pr2}\njoints:\n"
-        "  measured: /joint_states\n  controllers:\n  - command: /arm\n    joints: ["
-        + ", ".join(joint.name for joint in robot.arm)
-        + "]\n"
-    )
-    assert read_topics(robot, 1, str(path)).gripper.kind == "pr2"
-    with pytest.raises(KinfeasError, match=r"topics\.yaml: 'gripper\.kind' must be trajectory in"):
-        read_topics(robot, 2, str(path))
+def transforms(*edges):
+    """Return a TFMessage of (parent, child, pose, stamp)."""
+    made = []
+    for parent, child, pose, stamp in edges:
+        header = ros2.Header(ros2.Time.from_sec(stamp), parent)
+        transform = ros2.Transform(ros2.Vector3(*pose[:3]), ros2.Quaternion(*pose[3:]))
+        made.append(ros2.TransformStamped(header, child, transform))
+    return ros2.TFMessage(made)
+
+
+def pose(x=0.0, y=0.0, yaw=0.0):
+    return spatial.planar_pose(*np.array([x, y, yaw])).tolist()
+
+
+@pytest.fixture
+def time():
+    return Time()
+
+
+@pytest.fixture
+def tree(time):
+    return ros_messages.TfTree("map", "/base", now=time.clock.monotonic)
+
+
+def test_tf_composes_the_transforms_to_the_world(tree):
+    map_odom, odom_base = pose(1.0, -2.0, 2.0), pose(0.5, 0.25, 1.5)
+    tree.take(transforms(("/odom", "base", odom_base, 7.0)))
+    assert tree.reading() is None
+    tree.take(transforms(("map", "odom", map_odom, 5.0), ("base", "base_link", pose(), 7.0)))
+    reading = tree.reading()
+    expected = spatial.compose(np.array(map_odom), np.array(odom_base))
+    np.testing.assert_allclose([reading.x, reading.y], expected[:2])
+    assert reading.yaw == pytest.approx(float(spatial.yaw(expected)))
+    assert (reading.stamp, reading.velocity) == (7.0, None)
+
+
+def test_tf_is_as_old_as_its_oldest_transform(tree, time):
+    tree.take(transforms(("map", "odom", pose(), 1.0)))
+    time.passes(3.0)
+    tree.take(transforms(("odom", "base", pose(), 4.0)))
+    assert tree.reading().age == pytest.approx(3.0)
+    tree.take(transforms(("map", "odom", pose(), 4.0)))
+    assert tree.reading().age == 0.0
+    time.passes(2.0)
+    tree.take(transforms(("odom", "base", pose(), 4.0)))  # sent again
+    assert tree.reading().age == pytest.approx(2.0)
+
+
+def test_a_queue_of_tf_that_falls_behind_shows_as_age(tree, time):
+    tree.take(transforms(("odom", "base", pose(), 0.0)))
+    for number in range(1, 11):  # sent at 10 Hz, read at 5 Hz
+        time.passes(0.2)
+        tree.take(transforms(("map", "odom", pose(), 0.1 * number)))
+        tree.take(transforms(("odom", "base", pose(), 0.0)))
+    assert tree.reading().age == pytest.approx(0.9, rel=0.01)
+
+
+def test_static_transforms_do_not_age_and_a_cycle_has_no_pose(tree, time):
+    tree.take(transforms(("map", "odom", pose(), 0.0)), static=True)
+    time.passes(50.0)
+    tree.take(transforms(("odom", "base", pose(), 0.0)))
+    assert (tree.reading().age, tree.reading().stamp) == (0.0, None)
+    tree.take(transforms(("base", "odom", pose(), 1.0)))
+    assert tree.reading() is None
+
+
+def test_a_planar_pose_has_no_tilt_and_needs_a_unit_quaternion():
+    tilted = spatial.rotation(np.array(pose(yaw=0.7))) * Rotation.from_euler("x", 0.02)
+    x, y, yaw = ros_messages.planar(spatial.make_pose(np.array([1.0, 2.0, 0.3]), tilted))
+    assert (x, y) == (1.0, 2.0)
+    assert yaw == pytest.approx(0.7)
+    for quaternion in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.5), (np.nan,) * 4):
+        assert np.isnan(ros_messages.planar(np.array([1.0, 2.0, 0.0, *quaternion]))).all()

@@ -1,16 +1,29 @@
-"""A link without a bus, for tests: what is sent is kept, what arrives is said by the test."""
+"""Test doubles: simulated clocks, and a link that keeps what is sent."""
 
 import numpy as np
 
+from kinfeas.core.errors import Fault
+from kinfeas.sim2real.deploy.rate import Clock
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
-from kinfeas.sim2real.link.fault import Fault
+
+
+class Time:
+    """Clocks that a test advances; sleeping does so, too."""
+
+    def __init__(self):
+        self.monotonic = self.wall = 1000.0
+        self.clock = Clock(lambda: self.monotonic, lambda: self.wall, self.passes)
+
+    def passes(self, seconds):
+        self.monotonic += seconds
+        self.wall += seconds
 
 
 class MemoryLink:
-    """Keeps what is sent; hands on what `answer` says as soon as it is opened."""
+    """A link whose robot sends the readings of `answer` when it is opened, and on request."""
 
-    base_source, joint_source = "the odometer", "the encoders"
+    base_source, joint_source = "/odometer", "/encoders"
 
     def __init__(self, answer=lambda readings: None, deaf=None):
         self.answer, self.deaf, self.broken = answer, deaf, None
@@ -41,7 +54,7 @@ class MemoryLink:
 
 
 def joints_at(robot, positions=None, **others):
-    """Return positions by name, the arm at home by default."""
+    """Return a reading of all joints, the arm at home by default."""
     values = robot.home["home"] if positions is None else positions
     named = dict(zip((joint.name for joint in robot.arm), np.asarray(values).tolist(), strict=True))
     return JointReading({**robot.fixed_joints, **named, **others})
@@ -57,9 +70,9 @@ def present(robot, x=1.0, y=2.0, yaw=0.5, **base):
     return answer
 
 
-def connected(robot, **where):
-    """Return a backend, and its link, of a robot that has answered."""
-    link = MemoryLink(present(robot, **where))
-    backend = LinkBackend(robot, link)
+def connected(robot, time=None, **where):
+    """Return a backend, after its reset, and its link."""
+    link, clock = MemoryLink(present(robot, **where)), None if time is None else time.clock
+    backend = LinkBackend(robot, link, clock=clock)
     backend.reset(None, None)
     return backend, link

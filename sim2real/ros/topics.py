@@ -1,4 +1,4 @@
-"""The names of a robot on ROS: topics, frames, controllers and joints, from YAML."""
+"""Names of a robot on ROS from YAML: topics, frames, controllers and joints."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -15,15 +15,15 @@ from kinfeas.sim2real.ros.bus import Version
 
 @dataclass(frozen=True)
 class BaseTopics:
-    """Of the base.
+    """Topics and frames of the base.
 
     Attributes:
         command: Topic of geometry_msgs/Twist in the base frame.
-        stamped: Whether it takes TwistStamped instead, as controllers of newer ROS 2 do.
-        measured_by: Whether its pose comes from `odometry` or from `tf`.
+        stamped: Whether it is of TwistStamped, as for controllers of newer ROS 2.
+        measured_by: Source of the base pose.
         odometry: Topic of nav_msgs/Odometry.
-        world_frame: Frame in which poses are wanted from tf.
-        frame: Frame of the base: the URDF's root.
+        world_frame: World frame for `tf`.
+        frame: Base frame: the root of the URDF.
     """
 
     command: str
@@ -36,11 +36,11 @@ class BaseTopics:
 
 @dataclass(frozen=True)
 class Controller:
-    """One trajectory controller.
+    """A trajectory controller.
 
     Attributes:
         command: Topic of trajectory_msgs/JointTrajectory.
-        joints: Its joints by the robot's names; it always gets all of them.
+        joints: Its joints by the robot's names; each message has all of them.
     """
 
     command: str
@@ -49,12 +49,12 @@ class Controller:
 
 @dataclass(frozen=True)
 class JointTopics:
-    """Of the arm.
+    """Topics of the arm.
 
     Attributes:
         measured: Topic of sensor_msgs/JointState.
-        controllers: They share the arm's joints among them.
-        names: The robot's names of joints that are named otherwise in its URDF.
+        controllers: Controllers that have each joint of the arm once.
+        names: The robot's names of joints, where the URDF has others.
     """
 
     measured: str
@@ -64,17 +64,16 @@ class JointTopics:
 
 @dataclass(frozen=True)
 class GripperTopics:
-    """Of the gripper.
+    """Topic of the gripper.
 
     Attributes:
-        command: Topic to command.
-        kind: Whether it takes trajectory_msgs/JointTrajectory or, in ROS 1, PR2's
-            Pr2GripperCommand.
-        joints: Of the trajectory; every one goes to the same position.
-        closed: Position, radians or metres.
-        open: The same.
-        seconds: That a trajectory takes.
-        max_effort: Of PR2's command, N; below 0 for no limit.
+        command: Topic.
+        kind: Message: trajectory_msgs/JointTrajectory or, in ROS 1, PR2's Pr2GripperCommand.
+        joints: Joints of the trajectory, which all go to the same position.
+        closed: Closed position, radians or metres.
+        open: Open position.
+        seconds: Duration of a trajectory.
+        max_effort: Force of PR2's command, N; below 0 for no limit.
     """
 
     command: str
@@ -88,7 +87,7 @@ class GripperTopics:
 
 @dataclass(frozen=True)
 class Topics:
-    """All of them; without a gripper, none is commanded."""
+    """All names of a robot; the gripper is optional."""
 
     base: BaseTopics
     joints: JointTopics
@@ -104,15 +103,14 @@ def read_topics(
     """Return the names of a robot.
 
     Args:
-        robot: Whose arm the controllers must move.
-        version: Of ROS.
-        name: Path of a YAML file, or the name of one that comes with the package; the robot's
-            own name by default.
-        option: How the user names a file, for the error.
+        robot: Robot with the arm that the controllers move.
+        version: Version of ROS.
+        name: Path of a YAML file, or name of a shipped one; the robot's own by default.
+        option: Option that names a file, for errors.
 
     Raises:
-        KinfeasError: If there is no such file, it is broken, or its controllers do not share the
-            arm's joints among them.
+        KinfeasError: If the file is missing or invalid, or its controllers do not have each joint
+            of the arm once.
     """
     path = _find(robot.name if name is None else name, version, option)
     topics = config.load(Topics, path)

@@ -1,0 +1,180 @@
+"""The newest measurements of a robot, merged from messages and with their ages by our own clock."""
+
+import math
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from kinfeas.control.drive import world_twist
+from kinfeas.core.backend import RobotState
+from kinfeas.core.spatial import Array, planar_pose, wrap
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.link import BaseReading, JointReading, Readings
+
+DRIFT = 1e-3
+"""Default of the fraction by which a robot's clock may be slow: twice the rate at which NTP slews
+a clock at most."""
+
+_REORDERED = 0.1
+"""Seconds by which a stamp may precede the last one: messages may overtake each other."""
+
+
+class TransportDelay:
+    """Estimates when stamped measurements were sent, by our clock.
+
+    The smallest difference of arrival and stamp so far is taken as the offset of the two clocks. A
+    message that waited in a queue, or is sent again, is as old as its stamp plus this offset tells.
+    Neither a constant offset nor a stamp that jumps ahead makes a measurement old. A robot's clock
+    that is slower than `drift` allows shows as a growing delay.
+
+    Attributes:
+        last: Newest stamp, seconds.
+    """
+
+    def __init__(self, drift: float = DRIFT) -> None:
+        """Start without a message; the robot's clock may be slow by the fraction `drift`, < 1."""
+        self.last, self._offset = -math.inf, math.inf
+        self._lag = drift / (1.0 - drift)  # per second of the robot's clock
+
+    def sent(self, stamp: float, arrival: float) -> float:
+        """Return when a measurement was sent, seconds of our clock and at most `arrival`.
+
+        Args:
+            stamp: By the robot's clock, seconds.
+            arrival: By our clock, seconds.
+        """
+        slower = self._lag * (stamp - self.last)
+        self.last, self._offset = stamp, min(arrival - stamp, self._offset + slower)
+        return min(arrival, stamp + self._offset)
+
+
+class Inbox:
+    """Merges measurements that arrive from other threads, in any order and in parts.
+
+    Each part, the base and every joint, has an age of its own on the monotonic clock. Setting a
+    clock, here or on the robot, does not make old measurements new; nor does a driver that repeats
+    its last message or a queue that falls behind. Measurements that are not finite or older than
+    the last one of the same part are dropped.
+
+    Attributes:
+        fault: Why measurements cannot be used any more, until `forget`: a number that is not finite
+            or a stamp that went back by far. None otherwise.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        names: dict[str, str],
+        drift: float = DRIFT,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Start empty.
+
+        Args:
+            robot: Robot with the arm.
+            names: The robot's own name of each arm joint.
+            drift: Fraction by which the robot's clock may be slower than ours.
+            now: Clock in seconds.
+        """
+        self.fault: str | None = None
+        self._robot, self._now = robot, now
+        self._names = [names[joint.name] for joint in robot.arm]
+        self._changed = threading.Condition()
+        self._base: tuple[BaseReading, float] | None = None
+        self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, sent
+        self._delays: defaultdict[str, TransportDelay] = defaultdict(partial(TransportDelay, drift))
+
+    def readings(self) -> Readings:
+        """Return the callbacks for a transport."""
+        return Readings(self._take_base, self._take_joints)
+
+    def forget(self) -> None:
+        """Drop everything."""
+        with self._changed:
+            self._base, self.fault = None, None
+            self._joints.clear()
+            self._delays.clear()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for all parts, `seconds` at most; return whether all have arrived."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not any(self._missing()), seconds)
+
+    def missing(self) -> tuple[bool, list[str]]:
+        """Return whether the base pose is missing, and the names of the missing arm joints."""
+        with self._changed:
+            return self._missing()
+
+    def positions(self) -> dict[str, float]:
+        """Return the newest positions of all joints by name, of the arm and others."""
+        with self._changed:
+            return {name: values[0] for name, values in self._joints.items()}
+
+    def arm(self) -> Array:
+        """Return the arm's positions as measured, with the turns of continuous joints, (j,)."""
+        with self._changed:
+            return np.array([self._joints[name][0] for name in self._names])
+
+    def state(self) -> RobotState:
+        """Return the newest state as a batch of one; nothing may be missing."""
+        with self._changed:
+            assert self._base is not None
+            (base, sent), joints = self._base, [self._joints[name] for name in self._names]
+        position, velocity, joint_sent = np.array(joints).T
+        pose = planar_pose(*np.array([[base.x], [base.y], [base.yaw]]))
+        twist = None
+        if base.velocity is not None:
+            twist = world_twist(self._robot.base, pose, base.velocity[np.newaxis], 0.0)
+        return RobotState(
+            base_pose=pose,
+            joint_positions=np.where(self._robot.continuous, wrap(position), position)[np.newaxis],
+            base_twist=twist,
+            joint_velocities=velocity[np.newaxis] if np.isfinite(velocity).all() else None,
+            age=np.array([self._now() - min(sent, joint_sent.min())]),
+        )
+
+    def _missing(self) -> tuple[bool, list[str]]:
+        return self._base is None, [name for name in self._names if name not in self._joints]
+
+    def _take_base(self, reading: BaseReading) -> None:
+        now = self._now()
+        with self._changed:
+            if not np.isfinite([reading.x, reading.y, reading.yaw, reading.age]).all():
+                self._fail("the measured base pose is not finite")
+            elif (sent := self._sent("the base", reading.stamp, now)) is not None:
+                self._base = reading, min(sent, now - reading.age)
+                self._changed.notify_all()
+
+    def _take_joints(self, reading: JointReading) -> None:
+        now = self._now()
+        with self._changed:
+            for name, position in reading.positions.items():
+                if math.isfinite(position):
+                    if (sent := self._sent(name, reading.stamp, now)) is not None:
+                        velocity = reading.velocities.get(name, np.nan)
+                        self._joints[name] = position, velocity, sent
+                elif name in self._names:
+                    self._fail(f"the measured position of joint {name} is not finite")
+            self._changed.notify_all()
+
+    def _fail(self, reason: str) -> None:
+        self.fault = self.fault or reason
+
+    def _sent(self, part: str, stamp: float | None, arrival: float) -> float | None:
+        """Return when a measurement of a part was sent; None if it is to be dropped."""
+        if stamp is None:
+            return arrival
+        if not math.isfinite(stamp):
+            self._fail(f"a stamp of {part} is not finite")
+            return None
+        delay = self._delays[part]
+        if stamp < delay.last - _REORDERED:
+            self._fail(
+                f"the stamps of {part} went back by {delay.last - stamp:.2f} s: the robot's clock "
+                "was set, or two robots report"
+            )
+        return None if stamp < delay.last else delay.sent(stamp, arrival)

@@ -1,0 +1,215 @@
+"""ROS 1: a node in this process, its topics, and a connection that shows whether the master lives.
+
+This module imports nothing heavy, since the process of the watchdog uses it.
+"""
+
+import os
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.sim2real.ros.bus import Messages, Publisher
+
+_DEBIAN = "/usr/lib/python3/dist-packages", "/opt/ros/noetic/lib/python3/dist-packages"
+_CONNECT_TIMEOUT = 2.0  # s, for the master
+_FLUSH = 0.05  # s for rospy's writing threads before their connections are closed
+_LOCAL = {"localhost", "127.0.0.1", "::1"}
+
+_lock = threading.Lock()
+
+
+class Ros1Bus:
+    """Topics of ROS 1.
+
+    Attributes:
+        messages: Message classes, after `open`.
+    """
+
+    messages: Messages
+
+    def __init__(self) -> None:
+        """Prepare a bus; `open` connects."""
+        self._master: MasterWatch | None = None
+        self._topics: list[Any] = []
+
+    def open(self, name: str) -> None:
+        """Make this process a node; raise KinfeasError without ROS 1 or its master."""
+        start_node(name)
+        self._master, self.messages = MasterWatch(), ros1_message_classes()
+
+    def publisher(self, topic: str, kind: Any) -> Publisher:
+        """Return a sender of the newest message, which a thread of rospy writes."""
+        made = ros("rospy").Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
+        self._topics.append(made)
+        return _Ros1Publisher(made)
+
+    def subscribe(
+        self, topic: str, kind: Any, take: Callable[[Any], None], *, every: bool = False
+    ) -> None:
+        """Pass messages to `take`, from a thread: `every` one, or the newest."""
+        queue = None if every else 1
+        subscriber = ros("rospy").Subscriber(topic, kind, take, queue_size=queue, tcp_nodelay=True)
+        self._topics.append(subscriber)
+
+    def check(self) -> None:
+        """Raise Fault if the node was shut down or the master has died."""
+        self.check_sending()
+        if self._master is not None:
+            self._master.check()
+
+    def check_sending(self) -> None:
+        """Raise Fault if the node was shut down: rospy then drops messages without an error."""
+        if ros("rospy").is_shutdown():
+            raise Fault("this node was shut down, as rosnode kill does it")
+
+    def close(self) -> None:
+        """Deliver what was sent and release the topics; the node stays."""
+        if self._master is None:
+            return
+        time.sleep(_FLUSH)
+        if self._master.alive():  # or unregistering would block
+            for one in self._topics:
+                one.unregister()
+        self._master.close()
+        self._master, self._topics = None, []
+
+
+class _Ros1Publisher:
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def publish(self, message: Any) -> None:
+        self._publisher.publish(message)
+
+    def listeners(self) -> int:
+        count: int = self._publisher.get_num_connections()
+        return count
+
+
+def ros1_message_classes() -> Messages:
+    """Return the message classes of ROS 1; raise KinfeasError if one is not installed."""
+    geometry, trajectory, rospy = ros("geometry_msgs.msg"), ros("trajectory_msgs.msg"), ros("rospy")
+    # Debian has no package of PR2's messages.
+    gripper = "pr2_controllers_msgs/Pr2GripperCommand"
+    made = ros("genpy.dynamic").generate_dynamic(gripper, "float64 position\nfloat64 max_effort\n")
+    return Messages(
+        Twist=geometry.Twist,
+        TwistStamped=geometry.TwistStamped,
+        Odometry=ros("nav_msgs.msg").Odometry,
+        JointState=ros("sensor_msgs.msg").JointState,
+        JointTrajectory=trajectory.JointTrajectory,
+        JointTrajectoryPoint=trajectory.JointTrajectoryPoint,
+        TFMessage=ros("tf2_msgs.msg").TFMessage,
+        TransformStamped=geometry.TransformStamped,
+        Time=rospy.Time,
+        Duration=rospy.Duration,
+        Pr2GripperCommand=made[gripper],
+    )
+
+
+def ros(module: str) -> Any:
+    """Return a module of ROS 1, such as `rospy` or `geometry_msgs.msg`.
+
+    It is searched on the path, then among the system's packages, which come last on the path so
+    that they replace none of ours.
+
+    Raises:
+        KinfeasError: If it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        sys.path.extend(path for path in _DEBIAN if path not in sys.path and Path(path).is_dir())
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = "python3-" + module.split(".")[0].replace("_", "-")
+        raise KinfeasError(
+            f"ROS 1 is not installed, {module} is missing: apt install {package}, or source the "
+            "setup.bash of your ROS"
+        ) from error
+
+
+def start_node(name: str) -> None:
+    """Make this process a node whose name begins with `name`, unless it is one already.
+
+    Raises:
+        KinfeasError: If ROS 1 is not installed or there is no master.
+    """
+    rospy = ros("rospy")
+    with _lock:
+        if rospy.core.is_initialized():
+            return
+        MasterWatch().close()  # rospy would wait for the master without end
+        config = Path(__file__).with_name("ros1_logging.yaml")
+        os.environ.setdefault("ROS_PYTHON_LOG_CONFIG_FILE", str(config))
+        rospy.init_node(
+            name,
+            argv=[name],
+            anonymous=True,
+            disable_signals=True,
+            disable_rosout=True,
+            disable_rostime=True,
+        )
+        threading.Thread(target=_shut_down_at_exit, args=(rospy,), daemon=True).start()
+
+
+def _shut_down_at_exit(rospy: Any) -> None:
+    """Shut the node down after the main thread: its threads would keep the process alive."""
+    threading.main_thread().join()
+    rospy.signal_shutdown("the program ended")
+
+
+class MasterWatch:
+    """An idle connection to the ROS master, which closes when the master dies."""
+
+    def __init__(self) -> None:
+        """Connect to the master of ROS_MASTER_URI; raise KinfeasError if there is none."""
+        self.uri = os.environ.get("ROS_MASTER_URI") or "http://localhost:11311"
+        parts = urlsplit(self.uri)
+        try:
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host = port = None
+        if not host or not port:
+            raise KinfeasError(f"ROS_MASTER_URI must be like http://HOST:11311, not {self.uri!r}")
+        if host in _LOCAL and not {"ROS_IP", "ROS_HOSTNAME"} & set(os.environ):
+            # A host's own name is often not resolved, and nodes would not find each other.
+            os.environ["ROS_IP"] = "127.0.0.1"
+        try:
+            self._socket = socket.create_connection((host, port), _CONNECT_TIMEOUT)
+        except OSError as error:
+            raise KinfeasError(
+                f"there is no ROS master at {self.uri} ({error}): start roscore or the robot, or "
+                "set ROS_MASTER_URI"
+            ) from error
+        self._socket.setblocking(False)
+        # A cable that is pulled closes no connection: probe it every second.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
+            self._socket.setsockopt(socket.IPPROTO_TCP, option, 1)
+
+    def check(self) -> None:
+        """Raise Fault if the master has died."""
+        if not self.alive():
+            raise Fault(f"the ROS master at {self.uri} died")
+
+    def alive(self) -> bool:
+        """Return whether the master lives."""
+        try:
+            return self._socket.recv(1, socket.MSG_PEEK) != b""
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Disconnect; it may be called twice."""
+        self._socket.close()

@@ -1,0 +1,275 @@
+"""A simulated robot in PyBullet that listens to the topics of a real one, in real time."""
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinfeas.backends.pybullet.backend import PyBulletBackend
+from kinfeas.backends.pybullet.robot_body import PLANAR_JOINTS
+from kinfeas.control.drive import base_velocity, world_twist
+from kinfeas.core import registry
+from kinfeas.core.backend import Grip, RobotState, build_backend
+from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.core.spatial import Array, planar_pose
+from kinfeas.core.start import episode_rng
+from kinfeas.envs.world import evaluation_world
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import read_scene
+from kinfeas.sim2real.deploy.rate import Clock, Rate
+from kinfeas.sim2real.link import BaseReading, Hosted, JointPath, JointReading, Orders, RobotLink
+from kinfeas.tasks.task import Task
+
+_CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
+_LINGER = 2.0  # s that a robot goes on without its bus
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """Settings of a simulated robot.
+
+    Attributes:
+        rate: Simulation steps and measurements per second, Hz.
+        command_timeout: Seconds without a command after which the base stops.
+        seconds: Duration; unlimited if None.
+    """
+
+    rate: float = 100.0
+    command_timeout: float = 0.25
+    seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """Statistics of a simulated robot.
+
+    Attributes:
+        seconds: Duration.
+        base_commands: Number of commands to the base.
+        joint_commands: Number of trajectories for the arm.
+        timeouts: How often the base stopped for lack of commands.
+        period_p99: 99th percentile of the period of a simulation step, seconds.
+        longest: Longest period, seconds.
+    """
+
+    seconds: float
+    base_commands: int
+    joint_commands: int
+    timeouts: int
+    period_p99: float
+    longest: float
+
+
+class JointSetpoints:
+    """Setpoints of joints over time, as trajectory controllers have them.
+
+    A trajectory starts at the present setpoint, and its last point holds.
+    """
+
+    def __init__(self, positions: Mapping[str, float]) -> None:
+        """Hold positions, by joint."""
+        self._paths = {name: (np.zeros(1), np.array([at])) for name, at in positions.items()}
+
+    def follow(self, path: JointPath, time: float) -> None:
+        """Start a trajectory at a time in seconds; unknown joints are ignored."""
+        times: Array = np.concatenate([[time], time + np.maximum(path.times, 1e-9)])
+        for column, name in enumerate(path.joints):
+            if name in self._paths:
+                start = np.interp(time, *self._paths[name])
+                values = np.concatenate([[start], path.positions[:, column]])
+                self._paths[name] = times, values
+
+    def at(self, time: float) -> dict[str, float]:
+        """Return the setpoints at a time in seconds, by joint."""
+        return {name: float(np.interp(time, *path)) for name, path in self._paths.items()}
+
+
+class SimulatedRobot:
+    """A robot in PyBullet that executes orders.
+
+    Attributes:
+        config: Settings.
+        clock: Clocks.
+        base_commands: Number of commands to the base.
+        joint_commands: Number of trajectories for the arm.
+        timeouts: How often the base stopped for lack of commands.
+    """
+
+    def __init__(
+        self,
+        backend: PyBulletBackend,
+        state: RobotState,
+        config: SimulationConfig,
+        clock: Clock | None = None,
+    ) -> None:
+        """Start at rest in `state` of a world; the clocks are the system's by default."""
+        self.base_commands = self.joint_commands = self.timeouts = 0
+        self.config, self.clock = config, clock or Clock()
+        self._backend, self._state = backend, state
+        self._robot, self._simulation = backend.robot, backend.sims[0]
+        self._arm = [joint.name for joint in self._robot.arm]
+        arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
+        self._setpoints = JointSetpoints(arm)
+        self._velocity, self._commanded = np.zeros(3), -math.inf
+        self._grip: Grip | None = None
+        self._lock = threading.Lock()
+
+    def orders(self) -> Orders:
+        """Return the callbacks for commands."""
+        return Orders(self._drive, self._move, self._take_grip)
+
+    def step(self, dt: float) -> None:
+        """Execute the orders for `dt` seconds."""
+        now = self.clock.monotonic()
+        with self._lock:
+            if now - self._commanded > self.config.command_timeout:
+                self.timeouts += bool(self._velocity.any())
+                self._velocity = np.zeros(3)
+            velocity, grip, self._grip = self._velocity, self._grip, None
+            # The motors reach a target after their horizon.
+            targets = self._setpoints.at(now + self._simulation.physics.config.arm_horizon)
+        if grip is not None:
+            self._backend.grip(grip, np.array([0]))
+        joints = np.array([[targets[name] for name in self._arm]])
+        pose = self._state.base_pose
+        twist = world_twist(self._robot.base, pose, velocity[np.newaxis], dt)
+        self._state = self._backend.step(twist, joints, dt)
+
+    def measure(self) -> tuple[BaseReading, JointReading]:
+        """Return the measurements of base and joints; raise KinfeasError if the world is gone."""
+        with self._simulation.physics.connected():
+            body, stamp = self._simulation.body, self.clock.wall()
+            x, y, yaw = body.planar()
+            twist = self._state.base_twist
+            assert twist is not None
+            velocity = base_velocity(self._robot.base, self._state.base_pose, twist, 0.0)[0]
+            joints = {name: at for name, at in body.joints.items() if name not in PLANAR_JOINTS}
+            states = body.physics.client.getJointStates(body.body, list(joints.values()))
+            positions = dict(self._robot.fixed_joints)
+            positions |= {name: one[0] for name, one in zip(joints, states, strict=True)}
+            velocities = {name: one[1] for name, one in zip(joints, states, strict=True)}
+            base = BaseReading(x, y, yaw, velocity, stamp)
+            return base, JointReading(positions, velocities, stamp)
+
+    def _drive(self, velocity: Array) -> None:
+        with self._lock:
+            self._velocity, self._commanded = velocity, self.clock.monotonic()
+            self.base_commands += 1
+
+    def _move(self, path: JointPath) -> None:
+        with self._lock:
+            self._setpoints.follow(path, self.clock.monotonic())
+            self.joint_commands += 1
+
+    def _take_grip(self, grip: Grip) -> None:
+        with self._lock:
+            self._grip = grip
+
+
+def simulate(
+    robot: SimulatedRobot, link: RobotLink, on_ready: Callable[[], None]
+) -> SimulationResult:
+    """Run a simulated robot for its duration or until Ctrl-C; return the statistics.
+
+    Args:
+        robot: Simulated robot.
+        link: Its end of a transport, which is opened and closed here.
+        on_ready: Called once it listens.
+
+    Raises:
+        KinfeasError: If there is no bus, or, after 2 s that let deployments notice it, if the bus
+            has broken.
+    """
+    link.open(robot.orders())
+    config, clock = robot.config, robot.clock
+    dt, start = 1.0 / config.rate, clock.monotonic()
+    rate, broken = Rate(dt, clock), None
+    end = math.inf if config.seconds is None else start + config.seconds
+    try:
+        on_ready()
+        while clock.monotonic() < end:
+            link.report(*robot.measure())
+            late = round(rate.wait() * config.rate)
+            for _ in range(min(max(late, 1), _CATCH_UP)):
+                robot.step(dt)
+            if broken is None:
+                try:
+                    link.check()
+                except Fault as fault:
+                    broken, end = fault, clock.monotonic() + _LINGER
+    except KeyboardInterrupt:
+        pass  # the usual end
+    finally:
+        link.close()
+    if broken is not None:
+        raise broken
+    timing, seconds = rate.timing(), clock.monotonic() - start
+    counts = robot.base_commands, robot.joint_commands, robot.timeouts
+    return SimulationResult(seconds, *counts, timing.p99, timing.longest)
+
+
+def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:
+    """Return the robot's end of the transport of a backend.
+
+    Args:
+        backend: Entry-point name in the group kinfeas.backends.
+        robot: Simulated robot.
+        topics: Name or path of the file with the names on the bus; the robot's by default.
+
+    Raises:
+        KinfeasError: If the backend is unknown or has no transport, or the names are invalid.
+    """
+    kind = registry.load("kinfeas.backends", backend)
+    if not isinstance(kind, Hosted):
+        raise KinfeasError(f"backend {backend!r} has no transport for a simulated robot")
+    return kind.robot_link(robot, topics)
+
+
+def spawn(
+    robot: Robot,
+    task: Task | None = None,
+    scene: str | None = None,
+    *,
+    seed: int = 1,
+    episode: int = 0,
+    gui: bool = False,
+) -> tuple[PyBulletBackend, RobotState]:
+    """Return a world and the robot's state in it: at the origin, or as an episode of a task begins.
+
+    Args:
+        robot: Robot model.
+        task: Task, with a scene of its own.
+        scene: Scene without a task; an empty floor by default.
+        seed: Seed of the task's episodes.
+        episode: Number of the episode.
+        gui: Whether to show a window.
+
+    Raises:
+        KinfeasError: If PyBullet is not installed, the scene is unknown or invalid, or an object
+            stands at the origin.
+    """
+    around = read_scene(scene) if scene is not None else None
+    parameters = evaluation_world("pybullet", robot.name).backend_parameters
+    backend = build_backend("pybullet", {**parameters, "gui": gui}, robot=robot, scene=around)
+    assert isinstance(backend, PyBulletBackend)
+    if task is not None:
+        start = backend.stage(task).sample(IkSolver(robot), episode_rng(seed, episode))
+        base, joints = start.base_pose, start.joint_positions
+        return backend, backend.reset(base[np.newaxis], joints[np.newaxis])
+    state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
+    simulation = backend.sims[0]
+    if around is not None and not simulation.free():
+        found = simulation.contacts()
+        things = simulation.furniture.bodies if simulation.furniture else {}
+        bodies = {number: repr(name) for name, number in things.items()}
+        touched = {body for _, body, _ in found.base | found.arm}
+        names = sorted(bodies.get(one, "the floor") for one in touched)
+        backend.close()
+        raise KinfeasError(
+            f"scene {around.name}: robot {robot.name!r} begins at the origin and would touch "
+            f"{', '.join(names)}"
+        )
+    return backend, state

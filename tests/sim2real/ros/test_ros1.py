@@ -1,0 +1,76 @@
+import os
+import select
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.sim2real.ros import ros1
+from kinfeas.sim2real.ros.ros1 import MasterWatch
+
+
+@pytest.fixture
+def server(monkeypatch):
+    """A socket that listens, as a master does."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{listening.getsockname()[1]}")
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    yield listening
+    listening.close()
+
+
+def test_notices_that_the_master_died(server):
+    watch = MasterWatch()
+    connection, _ = server.accept()
+    watch.check()
+    connection.shutdown(socket.SHUT_RDWR)
+    select.select([watch._socket], [], [], 60.0)
+    with pytest.raises(Fault, match="master"):
+        watch.check()
+    connection.close()
+    watch.close()
+    watch.close()
+
+
+def test_no_master_is_an_error(server):
+    server.close()
+    with pytest.raises(KinfeasError, match=r"no ROS master at http://127\.0\.0\.1"):
+        MasterWatch()
+
+
+@pytest.mark.parametrize("uri", ["nonsense", "http://", "http://host", "http://host:port"])
+def test_an_invalid_address_is_an_error(monkeypatch, uri):
+    monkeypatch.setenv("ROS_MASTER_URI", uri)
+    with pytest.raises(KinfeasError, match="ROS_MASTER_URI"):
+        MasterWatch()
+
+
+def test_nodes_on_one_machine_use_an_address_that_works(server, monkeypatch):
+    monkeypatch.delenv("ROS_IP")
+    monkeypatch.delenv("ROS_HOSTNAME", raising=False)
+    MasterWatch().close()
+    assert os.environ["ROS_IP"] == "127.0.0.1"
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    monkeypatch.setattr(ros1, "_DEBIAN", ())
+    with pytest.raises(KinfeasError, match="apt install python3-imaginary-msgs"):
+        ros1.ros("imaginary_msgs.msg")
+
+
+def test_packages_of_the_system_come_last_on_the_path(monkeypatch, tmp_path):
+    (tmp_path / "imaginary_msgs.py").write_text("HERE = True\n")
+    (tmp_path / "json.py").write_text("raise AssertionError\n")
+    monkeypatch.setattr(ros1, "_DEBIAN", (str(tmp_path), str(tmp_path / "absent")))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    assert ros1.ros("imaginary_msgs").HERE
+    assert sys.path[-1] == str(tmp_path)
+
+
+def test_the_watchdog_imports_little():
+    imported = "kinfeas.sim2real.ros.ros1, kinfeas.sim2real.deploy.watchdog"
+    code = f"import sys, {imported}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"numpy", "rospy", "cyclonedds"} & set(done.stdout.split())

@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+
+from kinfeas.core.errors import Fault, KinfeasError
+from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.link import JointPath
+from kinfeas.tasks.loading import load_task
+from tests.sim2real.doubles import Time
+
+pytest.importorskip("pybullet")
+
+from kinfeas.sim2real.simulator.simulation import (
+    JointSetpoints,
+    SimulatedRobot,
+    SimulationConfig,
+    robot_link,
+    simulate,
+    spawn,
+)
+
+TICK = 0.01
+
+
+def path(joints, *points):
+    """Return a trajectory of (time, positions)."""
+    times, positions = zip(*points, strict=True)
+    return JointPath(joints, np.array(times), np.array(positions, dtype=float))
+
+
+def test_setpoints_pass_the_points_in_order_and_hold_the_last():
+    setpoints = JointSetpoints({"a": 0.0, "b": 4.0, "c": 7.0})
+    setpoints.follow(path(("b", "a", "unknown"), (1.0, [4, 1, 9]), (3.0, [0, -1, 9])), 10.0)
+    for time, a, b in ((10.0, 0.0, 4.0), (10.5, 0.5, 4.0), (11.0, 1.0, 4.0), (12.0, 0.0, 2.0)):
+        assert setpoints.at(time) == pytest.approx({"a": a, "b": b, "c": 7.0})
+    assert setpoints.at(13.0) == setpoints.at(99.0) == {"a": -1.0, "b": 0.0, "c": 7.0}
+
+
+def test_a_new_trajectory_starts_at_the_present_setpoint():
+    setpoints = JointSetpoints({"a": 0.0})
+    setpoints.follow(path(("a",), (2.0, [2.0])), 0.0)
+    setpoints.follow(path(("a",), (1.0, [0.0])), 1.0)
+    for time, a in ((1.0, 1.0), (1.5, 0.5), (2.0, 0.0)):
+        assert setpoints.at(time)["a"] == pytest.approx(a)
+
+
+@pytest.fixture(scope="module")
+def world():
+    backend, state = spawn(load_robot("hsr"))
+    yield backend, state
+    backend.close()
+
+
+@pytest.fixture
+def time():
+    return Time()
+
+
+@pytest.fixture
+def player(world, time):
+    """A robot at home, at the origin."""
+    backend, state = world
+    backend.reset(state.base_pose, state.joint_positions)
+    return SimulatedRobot(backend, state, SimulationConfig(command_timeout=5.0), time.clock)
+
+
+@pytest.fixture
+def advance(player, time):
+    def advanced(steps):
+        for _ in range(steps):
+            player.step(TICK)
+            time.passes(TICK)
+
+    return advanced
+
+
+def test_drives_in_the_base_frame_until_commands_cease(player, advance, time):
+    for velocity, steps in (([0.0, 0.0, 0.4], 200), ([0.2, 0.0, 0.0], 60)):
+        player.orders().drive(np.array(velocity))
+        advance(steps)
+    base, _ = player.measure()
+    assert base.yaw == pytest.approx(0.8, abs=0.15)
+    assert np.arctan2(base.y, base.x) == pytest.approx(base.yaw, abs=0.1)
+    np.testing.assert_allclose(base.velocity, [0.2, 0.0, 0.0], atol=0.02)
+    time.passes(5.0)
+    advance(40)
+    assert player.timeouts == 1
+    np.testing.assert_allclose(player.measure()[0].velocity, 0.0, atol=0.005)
+
+
+def test_joints_follow_their_trajectories_and_are_reported_by_name(player, advance):
+    robot = load_robot("hsr")
+    name, home = robot.arm[-1].name, robot.home["home"]
+    _, before = player.measure()
+    assert before.positions[name] == pytest.approx(home[-1], abs=1e-6)
+    assert set(robot.fixed_joints) <= set(before.positions)
+    assert not any(joint.startswith("planar") for joint in before.positions)
+    goal = home[-1] + 0.3
+    player.orders().move(path((name,), (0.01, [goal])))
+    advance(60)
+    _, after = player.measure()
+    assert after.positions[name] == pytest.approx(goal, abs=0.02)
+    assert after.positions[robot.arm[0].name] == pytest.approx(home[0], abs=0.02)
+
+
+def test_grips(player, advance):
+    gripper = load_robot("hsr").gripper
+    openings = []
+    for grip in ("open", "close"):
+        player.orders().grip(grip)
+        advance(150)
+        openings.append(player.measure()[1].positions[gripper.fingers[0]])
+    assert openings[0] == pytest.approx(gripper.open, rel=0.1)
+    assert openings[1] < 0.5 * openings[0]
+
+
+class Memory:
+    """A transport that keeps reports, and breaks after some of them."""
+
+    def __init__(self, breaks=10**9):
+        self.reports, self.closed, self.breaks = [], 0, breaks
+
+    def open(self, orders):
+        self.orders = orders
+
+    def check(self):
+        if len(self.reports) > self.breaks:
+            raise Fault("gone")
+
+    def report(self, base, joints):
+        self.reports.append((base, joints))
+
+    def close(self):
+        self.closed += 1
+
+
+def test_runs_in_real_time(world, time):
+    memory, ready, start = Memory(), [], time.monotonic
+    robot = SimulatedRobot(*world, SimulationConfig(rate=50.0, seconds=0.5), time.clock)
+    result = simulate(robot, memory, lambda: ready.append(True))
+    assert time.monotonic - start == pytest.approx(0.5, abs=0.03)
+    assert result.seconds == pytest.approx(0.5, abs=0.03)
+    assert (ready, memory.closed) == ([True], 1)
+    assert len(memory.reports) == pytest.approx(25, abs=2)
+    stamps = [base.stamp for base, _ in memory.reports]
+    assert stamps == sorted(stamps)
+
+
+def test_goes_on_for_a_while_without_its_bus(world, time):
+    memory = Memory(breaks=5)
+    robot = SimulatedRobot(*world, SimulationConfig(rate=50.0), time.clock)
+    with pytest.raises(KinfeasError, match="gone"):
+        simulate(robot, memory, lambda: None)
+    assert len(memory.reports) > 50
+    assert memory.closed == 1
+
+
+@pytest.mark.parametrize("backend", ["analytic", "ros3"])
+def test_a_backend_without_a_transport_is_an_error(backend):
+    with pytest.raises(KinfeasError, match=backend):
+        robot_link(backend, load_robot("hsr"))
+
+
+def test_starts_as_an_episode_of_a_task():
+    robot, task = load_robot("hsr"), load_task("drawer", {})
+    places = []
+    for episode in (0, 0, 1):
+        backend, state = spawn(robot, task, seed=1, episode=episode)
+        assert backend.sims[0].furniture is not None
+        places.append(state.base_pose[0, 0])
+        backend.close()
+    assert places[0] == places[1] != places[2]
