@@ -19,7 +19,7 @@ from typing import Any
 
 from PIL import Image
 
-from kinfeas.benchmark.plot import table_figure
+from kinfeas.benchmark.pictures import table_figure
 from kinfeas.benchmark.table import Cell
 from kinfeas.policies.loading import BASELINES
 from kinfeas.viz.style import png
@@ -32,48 +32,44 @@ TASKS = ("ggr", "ggr_restricted", "pick_place", "door", "drawer")
 RANDOM = ("ggr", "ggr_restricted")
 ROBOTS = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 FILTERS = {
-    "pr2": ("feasibility filter", "feasibility_filter:pretrained"),
-    "tiago": (
-        "rollout planner and feasibility filter",
-        "rollout_planner:feasibility_filter:pretrained",
-    ),
-    "hsr": ("rollout planner", "rollout_planner:sac"),
+    "pr2": ("pretrained", "feasibility filter"),
+    "tiago": ("pretrained", "rollout planner and feasibility filter"),
+    "hsr": ("sac", "rollout planner"),
 }
-"""The best filters of each robot, in words, and the policy with them."""
+"""Policy and row of the best filters of each robot."""
 ROWS = {
-    "**{}**, ours": ("sac", "success"),
-    "**{}**, {filters}": ("", "success"),
-    "{}, paper": ("sac", "paper_success"),
-    "{}, `whole_body_qp`": ("whole_body_qp", "success"),
-    "{}, ceiling": ("sac", "ceiling"),
+    "**{}**, ours": ("sac", "", "success"),
+    "{}, paper": ("sac", "", "paper_success"),
+    "{}, `whole_body_qp`": ("whole_body_qp", "", "success"),
+    "{}, ceiling": ("sac", "", "ceiling"),
 }
-"""Policies and figures of the README's rows by their heads; no policy: the one with filters."""
+"""Policy, row and metric of the README's rows by their heads."""
 LEARNED = {
-    "sac": "SAC, 3 seeds",
-    "rollout_planner:sac": "SAC, 3 seeds, rollout planner",
-    "td3": "TD3, 3 seeds",
-    "pretrained": "pretrained",
-    "feasibility_filter:pretrained": "pretrained, feasibility filter",
-    "rollout_planner:feasibility_filter:pretrained": "pretrained, both filters",
+    ("sac", ""): "SAC, 3 seeds",
+    ("sac", "rollout planner"): "SAC, 3 seeds, rollout planner",
+    ("td3", ""): "TD3, 3 seeds",
+    ("pretrained", ""): "pretrained",
+    ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
+    ("pretrained", "rollout planner and feasibility filter"): "pretrained, both filters",
 }
 """Rows of learned policies in docs/results.md."""
 PHYSICS = {
-    ("head_start", "pretrained"): "{}, 3 s head start",
-    ("", "pretrained"): "{}",
-    ("", "rollout_planner:pretrained"): "{}, rollout planner",
-    ("no_objects", "pretrained"): "{}, no objects",
-    ("", "follow_ee"): "{}, `follow_ee`",
-    ("", "follow_ee_feedback"): "{}, `follow_ee_feedback`",
-    ("", "geometric_modulation"): "{}, `geometric_modulation`",
-    ("", "demonstrated_base"): "{}, `demonstrated_base`",
+    ("pretrained", "head_start"): "{}, 3 s head start",
+    ("pretrained", ""): "{}",
+    ("pretrained", "rollout planner"): "{}, rollout planner",
+    ("pretrained", "no_objects"): "{}, no objects",
+    ("follow_ee", ""): "{}, `follow_ee`",
+    ("follow_ee_feedback", ""): "{}, `follow_ee_feedback`",
+    ("geometric_modulation", ""): "{}, `geometric_modulation`",
+    ("demonstrated_base", ""): "{}, `demonstrated_base`",
 }
-"""Rows of docs/physics.md, by variant and policy."""
+"""Rows of docs/physics.md, by policy and row."""
 IN_PYBULLET = {
-    "pr2": ("head_start", "pretrained"),
-    "tiago": ("", "rollout_planner:pretrained"),
-    "hsr": ("", "pretrained"),
+    "pr2": ("pretrained", "head_start"),
+    "tiago": ("pretrained", "rollout planner"),
+    "hsr": ("pretrained", ""),
 }
-"""Variant and policy of the README's rows with physics."""
+"""Policy and row of the README's rows with physics."""
 JUMPS = "Steps in which an arm joint would exceed its velocity limit."
 PICTURES = ("learning_curves", "examples-tiago", "workspace")
 COLOURS = 128
@@ -81,32 +77,36 @@ COLOURS = 128
 Entry = dict[str, Any]
 """A cell as `table.json` has it."""
 
-Cells = dict[tuple[str, str, str], Entry]
-"""Cells of one variant, by robot, task and policy."""
+Cells = dict[tuple[str, str, str, str], Entry]
+"""Cells without a variant, by robot, task, policy and row."""
 
 
 def merged(record: Sequence[Entry], found: Sequence[Entry]) -> list[Entry]:
     """Return a record with the cells of a study in place of its own or, if new, at its end."""
 
     def key(cell: Entry) -> tuple[str, ...]:
-        return cell["robot"], cell["variant"], cell["task"], cell["policy"]
+        return cell["robot"], cell["variant"], cell["task"], cell["policy"], cell["row"]
 
     return list({key(cell): cell for cell in (*record, *found)}.values())
 
 
-def of_variant(record: Sequence[Entry], variant: str) -> Cells:
-    """Return the cells of a record that are of one variant."""
+def plain(record: Sequence[Entry]) -> Cells:
+    """Return the cells of a record without a variant."""
     return {
-        (cell["robot"], cell["task"], cell["policy"]): cell
+        (cell["robot"], cell["task"], cell["policy"], cell["row"]): cell
         for cell in record
-        if cell["variant"] == variant
+        if not cell["variant"]
     }
 
 
 def shown(record: Sequence[Entry]) -> list[Cell]:
     """Return the cells of a record as tables show them: learned ones first, the paper's once."""
     cells = [Cell(**cell) for cell in record]
-    trained = {(cell.robot, cell.variant, cell.task) for cell in cells if cell.policy == "sac"}
+    trained = {
+        (cell.robot, cell.variant, cell.task)
+        for cell in cells
+        if cell.policy == "sac" and not cell.row
+    }
     once = [
         replace(cell, paper_success=None, paper_within_5cm=None)
         if cell.policy == "pretrained" and (cell.robot, cell.variant, cell.task) in trained
@@ -119,29 +119,29 @@ def shown(record: Sequence[Entry]) -> list[Cell]:
 def fill_results(page: str, record: Sequence[Entry]) -> str:
     """Return the page of results with the tables of a record."""
     lines: list[str] = []
+    cells = plain(record)
     for robot, title in ROBOTS.items():
-        cells = of_variant(record, "")
-        rows = [(name, policy, "success") for policy, name in LEARNED.items()]
+        rows = [(name, *chosen, "success") for chosen, name in LEARNED.items()]
         for policy in BASELINES:
-            rows.append((f"`{policy}`", policy, "success"))
-        rows.insert(1, ("*paper, SAC*", "sac", "paper_success"))
+            rows.append((f"`{policy}`", policy, "", "success"))
+        rows.insert(1, ("*paper, SAC*", "sac", "", "paper_success"))
         rows += [
-            (f"*paper, `{policy}`*", policy, "paper_success")
+            (f"*paper, `{policy}`*", policy, "", "paper_success")
             for policy in ("follow_ee", "geometric_modulation", "demonstrated_base")
         ]
-        rows.append(("**ceiling**", "sac", "ceiling"))
+        rows.append(("**ceiling**", "sac", "", "ceiling"))
         table = [
-            (name, [_success(cells.get((robot, task, policy)), key) for task in TASKS])
-            for name, policy, key in rows
+            (name, [_success(cells.get((robot, task, policy, row)), key) for task in TASKS])
+            for name, policy, row, key in rows
         ]
         lines += [f"### {title}", "", *_table("success, %", TASKS, table), ""]
     lines += ["### Other starts and goals", ""]
     lines += _table("success, %", ("policy", "success", "ceiling"), list(_variants(record)))
     lines += ["", "### Joint jumps per episode", "", JUMPS, ""]
     jumps = [
-        (f"{title}, {name}", [_jumps(cells.get((robot, task, policy))) for task in TASKS])
+        (f"{title}, {name}", [_jumps(cells.get((robot, task, *chosen))) for task in TASKS])
         for robot, title in ROBOTS.items()
-        for policy, name in {**LEARNED, "whole_body_qp": "`whole_body_qp`"}.items()
+        for chosen, name in {**LEARNED, ("whole_body_qp", ""): "`whole_body_qp`"}.items()
     ]
     lines += _table("robot, policy", TASKS, jumps)
     place = re.compile(r"(?<=\n)### PR2\n.*?(?=\n\n## Learning curves)", re.DOTALL)
@@ -151,28 +151,38 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
 
 def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) -> str:
     """Return the README with the rows of its tables filled anew."""
+    analytic, with_physics = plain(record), plain(physics)
     for robot, name in ROBOTS.items():
-        filters, filtered = FILTERS[robot]
-        cells = of_variant(record, "")
-        for head, (policy, key) in ROWS.items():
-            values = [_share(cells[robot, task, policy or filtered], key) for task in TASKS]
-            page = _fill(page, head.format(name, filters=filters), values)
-        variant, policy = IN_PYBULLET[robot]
-        cells = of_variant(physics, variant)
-        head = PHYSICS[variant, policy].format(f"**{name}** in PyBullet")
-        for row, key in ((head, "success"), (f"{name} in PyBullet, paper", "paper_success")):
-            page = _fill(page, row, [_share(cells[robot, task, policy], key) for task in TASKS])
+        rows = {head.format(name): chosen for head, chosen in ROWS.items()}
+        policy, row = FILTERS[robot]
+        rows[f"**{name}**, {row}"] = policy, row, "success"
+        for head, (*chosen, key) in rows.items():
+            values = [_share(analytic[robot, task, *chosen], key) for task in TASKS]
+            page = _fill(page, head, values)
+        chosen = IN_PYBULLET[robot]
+        best = PHYSICS[chosen].format(f"**{name}** in PyBullet")
+        for head, key in ((best, "success"), (f"{name} in PyBullet, paper", "paper_success")):
+            values = [_share(with_physics[robot, task, *chosen], key) for task in TASKS]
+            page = _fill(page, head, values)
     return page
 
 
 def fill_physics(page: str, record: Sequence[Entry]) -> str:
     """Return the page of physics with the tables of a record."""
+    cells = plain(record)
     rows = [
-        (name.format(title), robot, policy, of_variant(record, variant))
+        (
+            name.format(title),
+            {
+                task: cells[robot, task, *chosen]
+                for task in TASKS
+                if (robot, task, *chosen) in cells
+            },
+        )
         for robot, title in ROBOTS.items()
-        for (variant, policy), name in PHYSICS.items()
+        for chosen, name in PHYSICS.items()
     ]
-    main = [row for row in rows if row[2] not in BASELINES and "no objects" not in row[0]]
+    main = [one for one in rows if "`" not in one[0] and "no objects" not in one[0]]
     physical = TASKS[2:]
     lines = _physics_table("success, % (analytic; paper)", rows, TASKS, _with_paper)
     lines += ["", *_physics_table("within 5 cm, % (paper)", main, TASKS, _within), ""]
@@ -194,13 +204,13 @@ def _table(head: str, columns: Sequence[str], rows: Sequence[tuple[str, list[str
 
 def _physics_table(
     head: str,
-    rows: Sequence[tuple[str, str, str, Cells]],
+    rows: Sequence[tuple[str, dict[str, Entry]]],
     tasks: Sequence[str],
     text: Callable[[Entry], str],
 ) -> list[str]:
     table = []
-    for name, robot, policy, cells in rows:
-        found = [cells.get((robot, task, policy)) for task in tasks]
+    for name, cells in rows:
+        found = [cells.get(task) for task in tasks]
         episodes = [cell["episodes_per_seed"] for cell in found if cell]
         values = ["" if cell is None else text(cell) for cell in found]
         table.append((name, [f"{min(episodes)}+" if episodes else "", *values]))
@@ -211,7 +221,7 @@ def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
     for cell in record:
         if cell["variant"]:
             where = f"{ROBOTS[cell['robot']]}, `{cell['task']}`, {cell['variant']}"
-            name = LEARNED.get(cell["policy"], f"`{cell['policy']}`")
+            name = LEARNED.get((cell["policy"], cell["row"]), f"`{cell['policy']}`")
             yield where, [name, _success(cell, "success"), f"{100 * cell['ceiling']:.1f}"]
 
 

@@ -29,7 +29,7 @@ def test_every_row_of_the_readme_is_filled():
     assert "| **PR2** in PyBullet, 3 s head start | **12.3** |" in filled
     assert "| **TIAGo** in PyBullet, rollout planner | **12.3** |" in filled
     for robot, name in SCRIPT["ROBOTS"].items():
-        filters, _ = SCRIPT["FILTERS"][robot]
+        _, filters = SCRIPT["FILTERS"][robot]
         assert f"| **{name}**, ours | **12.3** |" in filled
         assert f"| **{name}**, {filters} | **12.3** |" in filled
         assert f"| {name}, `whole_body_qp` | 12.3 |" in filled

@@ -1,14 +1,23 @@
-"""The training runs that a benchmark stands on: made where they are missing, else taken up."""
+"""Training runs of a benchmark, and the best of them made ready to be shipped."""
 
-from collections.abc import Callable, Sequence
+import json
+import shlex
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from kinfeas import config
+from kinfeas import __version__, config
+from kinfeas.benchmark.config import BenchmarkConfig, Training
+from kinfeas.config.recipes import load_recipe, load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import worker_pool
+from kinfeas.io.files import write_folder
+from kinfeas.io.policy_metadata import Trained, policy_folder, read_best, write_trained
+from kinfeas.policies import pretrained
+from kinfeas.policies.network import WEIGHTS
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
@@ -18,10 +27,10 @@ if TYPE_CHECKING:
     from kinfeas.training.train import Report
 
 CORES = 2
-"""That a training run keeps busy: one for the world, one for the learner."""
+"""Cores that a training run uses: one for the world, one for the learner."""
 
 Plan = tuple[TrainConfig, Path]
-"""The settings of a training run, and its folder."""
+"""Settings and folder of a training run."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +38,11 @@ class Run:
     """A training run.
 
     Attributes:
-        folder: Where it lies.
+        folder: Its folder.
         robot: Name of its robot.
         algorithm: `sac` or `td3`.
         seed: Its training seed.
-        task: Name of what it was trained on.
+        task: Name of the task.
     """
 
     folder: Path
@@ -44,7 +53,7 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Return what a run's `config.yaml` says of it.
+    """Return the training run of a folder.
 
     Raises:
         KinfeasError: If the folder is no run.
@@ -57,7 +66,7 @@ def read_run(folder: Path) -> Run:
 
 
 def find_runs(folders: Sequence[Path]) -> list[Run]:
-    """Return the runs that `folders` are or hold, by robot, algorithm and seed.
+    """Return the runs in `folders` and one level below, by robot, algorithm and seed.
 
     Raises:
         KinfeasError: If a folder holds none, or two runs share robot, algorithm and seed.
@@ -67,41 +76,61 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
         for place in [folder] if (folder / "config.yaml").is_file() or not below else below:
             run = read_run(place)
-            key = (run.robot, run.algorithm, run.seed)
-            if (other := found.setdefault(key, run)).folder != run.folder:
+            other = found.setdefault((run.robot, run.algorithm, run.seed), run)
+            if other.folder != run.folder:
                 raise KinfeasError(
-                    f"{other.folder} and {run.folder} both hold {run.robot} learned by "
-                    f"{run.algorithm} with seed {run.seed}: leave one of them out"
+                    f"{other.folder} and {run.folder}: both {run.algorithm} on {run.robot} with "
+                    f"seed {run.seed}"
                 )
     return [found[key] for key in sorted(found)]
 
 
+def takes_pretrained(study: BenchmarkConfig, robot: str) -> bool:
+    """Return whether a benchmark takes the shipped policy of a robot."""
+    if study.policies == "train":
+        return False
+    return study.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
+
+
+def plan_runs(study: BenchmarkConfig, out: Path) -> list[Plan]:
+    """Return settings and folder of each training run of a benchmark.
+
+    Raises:
+        KinfeasError: If a robot without a policy has no entry in `trainings`, two runs share robot,
+            algorithm and seed, or settings are invalid.
+    """
+    if study.policies == "pretrained":
+        return []
+    wanted = [robot for robot in study.robots if not takes_pretrained(study, robot)]
+    for robot in wanted:
+        if robot not in {training.robot for training in study.trainings}:
+            raise KinfeasError(f"'trainings' has no entry for {robot}")
+    plans = {}
+    for training in study.trainings:
+        for seed in study.seeds if training.robot in wanted else ():
+            settings = _settings(training, seed)
+            name = f"{load_robot(settings.robot).name}-{settings.learner.algorithm}-{seed}"
+            if name in plans:
+                raise KinfeasError(f"'trainings' has two runs {name}")
+            plans[name] = settings, out / "runs" / name
+    return list(plans.values())
+
+
 def is_missing(settings: TrainConfig, folder: Path) -> bool:
-    """Return whether there is anything left to train.
+    """Return whether a run is still to be trained or resumed.
 
     Raises:
         KinfeasError: If the folder holds a run of other settings, or a broken one.
     """
     if not (folder / "config.yaml").is_file():
         return True
-    there = config.to_mapping(config.load(TrainConfig, folder / "config.yaml"))
-    for key, value in config.to_mapping(settings).items():
-        if there[key] != value:
-            raise KinfeasError(
-                f"{folder}: a run with another {key!r} than the study's: {there[key]} instead of "
-                f"{value}; remove it, or choose another --out"
-            )
+    if config.load(TrainConfig, folder / "config.yaml") != settings:
+        raise KinfeasError(f"{folder}: a run of other settings; remove it, or use another --out")
     return finished(folder) is None
 
 
 def finish(settings: TrainConfig, folder: Path, report: "Report | None" = None) -> None:
-    """Train a run to its end, from its last checkpoint if there is one.
-
-    Args:
-        settings: What to do.
-        folder: Of the run.
-        report: Called every few seconds.
-    """
+    """Train a run to its end, from its last checkpoint if there is one."""
     from kinfeas.training.train import resume, train
 
     if (folder / "config.yaml").is_file():
@@ -113,11 +142,6 @@ def finish(settings: TrainConfig, folder: Path, report: "Report | None" = None) 
 def finish_all(plans: Sequence[Plan], at_once: int, on_done: Callable[[], None]) -> None:
     """Train several runs to their ends, each in a process of its own.
 
-    Args:
-        plans: What to do and where.
-        at_once: How many of them run at the same time.
-        on_done: Called after each of them.
-
     Raises:
         KinfeasError: If one of them cannot be trained, or its process dies.
     """
@@ -125,3 +149,84 @@ def finish_all(plans: Sequence[Plan], at_once: int, on_done: Callable[[], None])
         for future in as_completed([pool.submit(finish, *plan) for plan in plans]):
             future.result()
             on_done()
+
+
+def publish(
+    runs: Sequence[Run], metrics: Mapping[Path, Mapping[str, Any]], folder: Path
+) -> list[Path]:
+    """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
+
+    The best one has the highest success in the evaluation that selected its checkpoint; `metrics`
+    come from other episodes.
+
+    Args:
+        runs: Runs to choose from.
+        metrics: Metrics by task for the folder of each run, written into `policy.json`.
+        folder: Folder to write to, such as `kinfeas/policies/pretrained`.
+
+    Raises:
+        KinfeasError: If a run has no policy, or a file cannot be written.
+    """
+    found = [(run, read_best(run.folder)) for run in runs]
+    published = []
+    for robot in dict.fromkeys(run.robot for run in runs):
+        own = [(run, trained) for run, trained in found if run.robot == robot]
+        run, trained = max(own, key=lambda one: one[1].evaluation["success"])
+        command = train_command(config.from_mapping(TrainConfig, trained.config, str(run.folder)))
+        about = replace(
+            trained,
+            seed=run.seed,
+            version=__version__,
+            command=command,
+            benchmark=dict(metrics.get(run.folder, {})),
+        )
+        published.append(_copy(policy_folder(run.folder), about, folder / robot))
+    return published
+
+
+def train_command(settings: TrainConfig) -> str:
+    """Return the command of a run: its changes of the robot's default recipe."""
+    plain = config.to_mapping(load_section(TrainConfig, "train", Path(settings.robot).stem))
+    changed = _changes(config.to_mapping(settings), {**plain, "robot": settings.robot})
+    words = ["kinfeas", "train", "--robot", settings.robot, "--seed", str(settings.seed)]
+    for key, value in changed.items():
+        if key != "seed":
+            words += ["--set", f"{key}={json.dumps(value)}"]
+    return shlex.join(words)
+
+
+def _settings(training: Training, seed: int) -> TrainConfig:
+    said: dict[str, object] = {
+        "robot": training.robot,
+        "seed": seed,
+        "learner.algorithm": training.algorithm,
+    }
+    if training.steps is not None or training.minutes is not None:
+        said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
+    assignments = [f"{key}={json.dumps(value)}" for key, value in said.items()]
+    assignments += training.settings
+    if training.recipe is not None:
+        return load_recipe(TrainConfig, training.recipe, "train", assignments)
+    return load_section(TrainConfig, "train", load_robot(training.robot).name, assignments)
+
+
+def _changes(
+    settings: Mapping[str, object], plain: Mapping[str, object], above: str = ""
+) -> dict[str, object]:
+    found: dict[str, object] = {}
+    for key, value in settings.items():
+        usual = plain.get(key)
+        if isinstance(value, Mapping) and isinstance(usual, Mapping) and usual:
+            found |= _changes(value, usual, f"{above}{key}.")
+        elif value != usual:
+            found[f"{above}{key}"] = value
+    return found
+
+
+def _copy(place: Path, about: Trained, target: Path) -> Path:
+    def fill(folder: Path) -> None:
+        shutil.copyfile(place / WEIGHTS, folder / WEIGHTS)
+        write_trained(about, folder)
+
+    write_folder(target, fill)
+    return target

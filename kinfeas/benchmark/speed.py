@@ -1,27 +1,30 @@
 """How fast everything is, measured in one run on one machine."""
 
+import os
+import resource
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from kinfeas.benchmark import peers
-from kinfeas.benchmark.ik_speed import (
-    IkTiming,
-    Targets,
-    cold_targets,
-    time_ours,
-    time_peer,
-    warm_targets,
-)
-from kinfeas.benchmark.timing import best_of, one_core, peak_memory_mb
+from kinfeas.config.recipes import load_section
 from kinfeas.control import drive, observation
-from kinfeas.core import registry
+from kinfeas.core import registry, spatial
 from kinfeas.core.policy import Policy
+from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
@@ -29,6 +32,32 @@ from kinfeas.robots.robot import Robot
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the steps that they are timed over."""
+
+
+@dataclass(frozen=True)
+class Targets:
+    """n problems of inverse kinematics.
+
+    Attributes:
+        pose: EE poses in the base frame, shape (n, 7).
+        seed: Where the arm is, shape (n, v).
+    """
+
+    pose: Array
+    seed: Array
+
+
+@dataclass(frozen=True)
+class IkTiming:
+    """What a solver needs and what it finds.
+
+    Attributes:
+        microseconds: Per target, found or not.
+        solved: Share of targets with a solution that is exact and within the limits, 0-1.
+    """
+
+    microseconds: float
+    solved: float
 
 
 @dataclass(frozen=True)
@@ -160,12 +189,12 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     evaluation at the end and checkpoints are included.
     """
     # Not at the top, for they load torch.
-    from kinfeas.benchmark.study import Training
-    from kinfeas.benchmark.trainings import settings_of
+    from kinfeas.training.config import TrainConfig
     from kinfeas.training.train import train
 
-    recipe = Training(robot, minutes=effort.train_minutes, settings=("schedule.evaluations=1",))
-    config = settings_of(recipe, seed=0)
+    schedule = ["schedule.evaluations=1", f"schedule.minutes={effort.train_minutes}"]
+    name = load_robot(robot).name
+    config = load_section(TrainConfig, "train", name, [f"robot={robot}", *schedule])
     with tempfile.TemporaryDirectory() as folder:
         progress = train(config, Path(folder) / "run")
     rate = progress.steps / progress.seconds
@@ -210,3 +239,135 @@ def _drive(world: World, policy: Policy, steps: int) -> None:
         ended = np.flatnonzero(transition.done)
         if ended.size:
             world.start(range(len(transition.done), len(transition.done) + ended.size), ended)
+
+
+METRES, RADIANS = 1e-4, 1e-3
+"""How near to its target a solution has to be."""
+
+_EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
+"""What moves in one step of the loop at most: the EE, metres and radians, and the base, metres."""
+
+
+def cold_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
+    """Return poses of random configurations, each with an unrelated random seed."""
+    solver = IkSolver(robot)
+    goal, seed = (_free_configurations(solver, count, rng) for _ in range(2))
+    return Targets(forward(solver.chain, goal), seed)
+
+
+def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
+    """Return poses one step of the loop away from where the arm is.
+
+    The EE moves by 1 cm and 0.01 rad, the base under it by up to 2 cm, all in random directions.
+    Steps that no configuration follows are left out; a robot with pose tolerance, whose joints are
+    too few to follow any step exactly, gets the pose that it comes to, unless that is where it is.
+    """
+    solver, poses, seeds, found = IkSolver(robot), [], [], 0
+    while found < count:
+        seed = _free_configurations(solver, count, rng)
+        solution = solver.solve(_one_step(forward(solver.chain, seed), rng), seed)
+        moved = solution.feasible & np.any(solution.joint_positions != seed, axis=1)
+        poses.append(forward(solver.chain, solution.joint_positions[moved]))
+        seeds.append(seed[moved])
+        found += len(seeds[-1])
+    return Targets(np.concatenate(poses)[:count], np.concatenate(seeds)[:count])
+
+
+def time_ours(robot: Robot, targets: Targets, self_collision: bool, repeats: int = 5) -> IkTiming:
+    """Return the timing of our solver on `targets`, without pose tolerance."""
+    solver = IkSolver(robot, IkOptions(self_collision=self_collision, pose_tolerance=False))
+    solution = solver.solve(targets.pose, targets.seed)
+    seconds = best_of(repeats, lambda: solver.solve(targets.pose, targets.seed))
+    good = solution.feasible & _verified(solver, targets, solution.joint_positions)
+    return IkTiming(seconds / len(good) * 1e6, float(good.mean()))
+
+
+def time_peer(robot: Robot, peer: peers.Peer, targets: Targets, repeats: int = 2) -> IkTiming:
+    """Return what another solver makes of `targets`; our own kinematics checks its solutions."""
+    problems = [peer.prepare(pose) for pose in targets.pose]
+    seeds = list(targets.seed)
+
+    def solve() -> list[Array]:
+        return [peer.solve(problem, seed) for problem, seed in zip(problems, seeds, strict=True)]
+
+    joints = np.array(solve())
+    seconds = best_of(repeats, solve)
+    good = _verified(IkSolver(robot), targets, joints)
+    return IkTiming(seconds / len(good) * 1e6, float(good.mean()))
+
+
+def _verified(solver: IkSolver, targets: Targets, joints: Array) -> NDArray[np.bool_]:
+    metres, radians = spatial.distance(forward(solver.chain, joints), targets.pose)
+    lower, upper = solver.robot.joint_limits
+    within: NDArray[np.bool_] = np.all((joints >= lower - 1e-9) & (joints <= upper + 1e-9), axis=1)
+    return within & (metres <= METRES) & (radians <= RADIANS)
+
+
+def _free_configurations(solver: IkSolver, count: int, rng: np.random.Generator) -> Array:
+    """Return random configurations free of self-collision, shape (count, v)."""
+    lower, upper = solver.robot.finite_joint_limits
+    kept = np.empty((0, len(lower)))
+    while len(kept) < count:
+        joints = rng.uniform(lower, upper, (count, len(lower)))
+        kept = np.concatenate([kept, joints[~self_collides(solver.collision, joints)]])
+    return kept[:count]
+
+
+def _one_step(ee_pose: Array, rng: np.random.Generator) -> Array:
+    """Return the poses, shape (n, 7), that the EE has to come to in the base frame."""
+    count = len(ee_pose)
+    moved = ee_pose[:, :3] + _EE_STEP * _directions(rng, count, 3)
+    moved[:, :2] -= rng.uniform(0.0, _BASE_STEP, (count, 1)) * _directions(rng, count, 2)
+    turn = Rotation.from_rotvec(_EE_TURN * _directions(rng, count, 3))
+    return spatial.make_pose(moved, turn * spatial.rotation(ee_pose))
+
+
+def _directions(rng: np.random.Generator, count: int, axes: int) -> Array:
+    vectors = rng.normal(size=(count, axes))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def best_of(repeats: int, work: Callable[[], object], at_least: float = 0.3) -> float:
+    """Return the seconds that the quickest of several runs of `work` took.
+
+    Whatever else runs on the machine only ever adds time.
+
+    Args:
+        repeats: Runs at least.
+        work: What to run.
+        at_least: Seconds for which quick work is run again and again.
+    """
+    seconds: list[float] = []
+    while len(seconds) < repeats or sum(seconds) < at_least:
+        seconds.append(_seconds(work))
+    return min(seconds)
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Keep this process and its libraries' threads on a single core, where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process or a child has held so far, 10^6 bytes."""
+    most = max(
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    # Linux counts kibibytes, macOS bytes.
+    return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun

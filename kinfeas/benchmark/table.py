@@ -1,61 +1,76 @@
-"""The table of a benchmark: all training seeds put together, beside the paper and the ceiling."""
+"""The results table of a benchmark: training seeds together, beside ceiling and paper."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from kinfeas.benchmark.cells import Result
-from kinfeas.benchmark.job import CEILING, Job
+from kinfeas.benchmark.jobs import CEILING, Job, Result
 from kinfeas.core.metrics import Share, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
 from kinfeas.policies import pretrained
-from kinfeas.robots.loading import load_robot
 
-WORLD = "analytic"
-
-_IN_PAPER = {"sac": LEARNED, pretrained.NAME: LEARNED}
-"""Ours that the paper calls otherwise; its table is of SAC."""
+_MEANS = (
+    "success", "within_5cm", "ik_failures_per_episode", "mean_deviation_m",
+    "joint_jumps_per_episode", "task_success", "base_collisions", "arm_collisions",
+    "collision_free_rate",
+)  # fmt: skip
+"""Metrics that are means over episodes."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What is known of one policy of one robot on one task; shares in 0-1, distances in metres.
+    """Results of one policy of one robot on one task; shares in 0-1, distances in metres.
 
     Attributes:
         robot: Name of the robot.
-        variant: What is different about the task; empty if nothing is.
-        task: Name of the task; of a YAML file, what the file is called without its suffix.
-        policy: `sac`, `td3`, `pretrained`, or a baseline; `feasibility_filter:sac` with the
-            feasibility filter, `rollout_planner:sac` with the rollout planner,
-            `rollout_planner:feasibility_filter:sac` with both.
-        world: Where it was measured.
-        seeds: How many policies, each from another training seed, it is the mean of.
-        training_seeds: These seeds, as far as they are known.
-        episodes_per_seed: Of each of them.
-        success: Share of episodes that reach the goal without a kinematic failure.
-        success_std: Standard deviation of it over the training seeds; null for one.
-        success_low: Lower end of its 95 % interval, as `interval` has it.
+        variant: Label of a further table; else empty.
+        task: Name of the task.
+        policy: `sac`, `td3`, `pretrained` or a baseline.
+        row: Label of a further row of the policy; else empty.
+        world: Backend.
+        filters: Names of the command filters.
+        time_scale: Speed of the EE motions as a share of the planned one.
+        head_start: Seconds that the EE rests at first.
+        seeds: Number of policies, each from another training seed.
+        training_seeds: These seeds, as far as known.
+        episodes_per_seed: Episodes of each of them.
+        success: Share of episodes that reach the goal without an IK failure.
+        success_std: Standard deviation over the training seeds; null for one.
+        success_low: Lower end of the 95 % interval, see `interval`.
         success_high: Upper end.
-        within_5cm: Share in which the EE never strays more than 5 cm.
+        within_5cm: Share of episodes with an EE deviation below 5 cm throughout.
         within_5cm_std: As above.
-        ik_failures_per_episode: Kinematic failures an episode.
-        mean_deviation_m: Mean distance of the EE from where it should be.
-        joint_jumps_per_episode: Steps in which an arm joint has to move faster than it can.
+        ik_failures_per_episode: Mean number of steps without an IK solution.
+        mean_deviation_m: Mean distance of the EE from the desired position.
+        joint_jumps_per_episode: Mean number of steps beyond a joint velocity limit.
         ceiling: Share of the goals that some base pose reaches.
         ceiling_low: Lower end of its Wilson interval.
         ceiling_high: Upper end.
-        paper_success: The paper's share; null where it has none.
+        paper_success: Success in the paper; null if it has none.
         paper_within_5cm: Likewise.
+        task_success: Share of tasks done; null if the backend cannot tell.
+        task_success_low: Lower end of its interval.
+        task_success_high: Upper end.
+        base_collisions: Collisions of the base per episode; null if the backend cannot tell.
+        arm_collisions: Collisions of the arm per episode.
+        collision_free_rate: Share of episodes without a collision.
+        analytic_success: Success in the analytic world, beside another backend.
+        analytic_within_5cm: Likewise.
     """
 
     robot: str
     variant: str
     task: str
     policy: str
+    row: str
     world: str
+    filters: tuple[str, ...]
+    time_scale: float
+    head_start: float
     seeds: int
     training_seeds: tuple[int, ...]
     episodes_per_seed: int
@@ -65,59 +80,64 @@ class Cell:
     success_high: float
     within_5cm: float
     within_5cm_std: float | None
-    ik_failures_per_episode: float
-    mean_deviation_m: float
+    ik_failures_per_episode: float | None
+    mean_deviation_m: float | None
     joint_jumps_per_episode: float
     ceiling: float
     ceiling_low: float
     ceiling_high: float
-    paper_success: float | None
-    paper_within_5cm: float | None
-
-    @property
-    def group(self) -> tuple[str, str]:
-        """What it stands in one table with: the cells of a robot and a variant."""
-        return self.robot, self.variant
-
-    @property
-    def row(self) -> tuple[str, str]:
-        """What it stands in one row of that table with: its policy, and what else is told."""
-        return self.policy, ""
+    paper_success: float | None = None
+    paper_within_5cm: float | None = None
+    task_success: float | None = None
+    task_success_low: float | None = None
+    task_success_high: float | None = None
+    base_collisions: float | None = None
+    arm_collisions: float | None = None
+    collision_free_rate: float | None = None
+    analytic_success: float | None = None
+    analytic_within_5cm: float | None = None
 
     @property
     def learned(self) -> bool:
-        """Whether it is of a learned policy."""
-        return self.policy.rpartition(":")[2] in ("sac", "td3", pretrained.NAME)
+        """Whether the policy is a learned one."""
+        return self.policy in ("sac", "td3", pretrained.NAME)
 
 
-def tabulate(jobs: Sequence[Job], results: Sequence[Result]) -> list[Cell]:
-    """Return the cells that results come to, in the order of the jobs.
+def tabulate(jobs: Sequence[Job], results: Sequence[Result], backend: str) -> list[Cell]:
+    """Return the cells of a benchmark, learned policies first if there is physics.
 
     Args:
         jobs: Policies on tasks, and the ceiling of each task.
-        results: What each of them found.
+        results: Their results.
+        backend: Backend of the table; jobs in the analytic world beside it are its references.
     """
-    groups: dict[tuple[str, str, str, str], list[tuple[Job, Result]]] = {}
+    groups: dict[tuple[str, ...], list[tuple[Job, Result]]] = {}
     for job, result in zip(jobs, results, strict=True):
-        groups.setdefault((job.robot, job.variant, job.task, job.policy), []).append((job, result))
-    ceilings = {key[:3]: group[0][1] for key, group in groups.items() if key[3] == CEILING}
-    return [
-        _cell(group, ceilings[key[:3]]["figures"])
-        for key, group in groups.items()
-        if key[3] != CEILING
-    ]
+        key = (job.robot, job.variant, job.task, job.policy, job.row, job.backend)
+        groups.setdefault(key, []).append((job, result))
+    cells = []
+    for (robot, variant, task, policy, row, world), group in groups.items():
+        if policy == CEILING or world != backend:
+            continue
+        ((_, ceiling),) = groups[robot, variant, task, CEILING, "", "analytic"]
+        beside = groups.get((robot, variant, task, policy, row, "analytic"), [])
+        analytic = [] if backend == "analytic" else [result for _, result in beside]
+        cells.append(_cell(group, ceiling, analytic))
+    if backend == "analytic":
+        return cells
+    robots = list(dict.fromkeys(cell.robot for cell in cells))
+    return sorted(cells, key=lambda cell: (robots.index(cell.robot), not cell.learned))
 
 
 def interval(shares: Sequence[float], episodes: int) -> Share:
     """Return the mean of the shares of several training seeds with a 95 % interval.
 
-    It is the wider one of two on each side: Student's t over the seeds, which says how much a
-    training more or less matters, and Wilson's for `episodes`, which says how well these episodes,
-    the same for all seeds, stand for all.
+    On each side the wider one of two: Student's t over the seeds, and Wilson's for `episodes`,
+    which are the same for all seeds.
 
     Args:
-        shares: Of each training seed, 0-1.
-        episodes: Of each.
+        shares: Share of each training seed, 0-1.
+        episodes: Episodes of each.
     """
     mean = float(np.mean(shares))
     centre = wilson(round(mean * episodes), episodes)
@@ -129,69 +149,92 @@ def interval(shares: Sequence[float], episodes: int) -> Share:
     return Share(mean, low, high)
 
 
-def to_json(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """Return cells as the list that `table.json` holds."""
-    return [asdict(cell) for cell in cells]
+def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """Return the means over the episodes of all parts; None where a backend cannot tell."""
+    episodes = sum(part["episodes"] for part in parts)
+    means: dict[str, float | None] = {"episodes": episodes}
+    for key in _MEANS:
+        values = [part[key] for part in parts]
+        known = None not in values
+        total = sum(v * part["episodes"] for v, part in zip(values, parts, strict=True) if known)
+        means[key] = total / episodes if known else None
+    return means
 
 
-def _cell(group: Sequence[tuple[Job, Result]], ceiling: dict[str, float]) -> Cell:
-    job = group[0][0]
-    figures = [result["figures"] for _, result in group]
-    # A variant is not what the paper measured.
-    known = {} if job.variant else paper_figures(load_robot(job.robot).name, job.task)
-    paper = known.get(_IN_PAPER.get(job.policy, job.policy))
-    seeds = [one.training_seed for one, _ in group]
-    return Cell(**common(job, figures, seeds, ceiling, paper), world=WORLD)
+def _cell(group: Sequence[tuple[Job, Result]], ceiling: Result, analytic: Sequence[Result]) -> Cell:
+    job, first = group[0]
+    ordered = sorted(group, key=lambda one: one[0].source)
+    by_source = [list(own) for _, own in groupby(ordered, key=lambda one: one[0].source)]
+    metrics = [merged([result for _, result in own]) for own in by_source]
+    seeds = sorted({one.training_seed for one, _ in group if one.training_seed is not None})
+    episodes = int(metrics[0]["episodes"] or 0)
+    success = interval([_known(one, "success") for one in metrics], episodes)
+    done = _task_success(metrics, episodes)
+    paper = _paper(job)
+    return Cell(
+        robot=job.robot_name,
+        variant=job.variant,
+        task=job.task_name,
+        policy=job.policy,
+        row=job.row,
+        world=job.backend,
+        filters=tuple(first["filters"]),
+        time_scale=first["time_scale"],
+        head_start=first["head_start"],
+        seeds=len(metrics),
+        training_seeds=tuple(seeds),
+        episodes_per_seed=episodes,
+        success=success.value,
+        success_std=_deviation(metrics, "success"),
+        success_low=success.low,
+        success_high=success.high,
+        within_5cm=_mean(metrics, "within_5cm") or 0.0,
+        within_5cm_std=_deviation(metrics, "within_5cm"),
+        ik_failures_per_episode=_mean(metrics, "ik_failures_per_episode"),
+        mean_deviation_m=_mean(metrics, "mean_deviation_m"),
+        joint_jumps_per_episode=_mean(metrics, "joint_jumps_per_episode") or 0.0,
+        ceiling=ceiling["success"],
+        ceiling_low=ceiling["success_low"],
+        ceiling_high=ceiling["success_high"],
+        paper_success=paper.success if paper else None,
+        paper_within_5cm=paper.within_5cm if paper else None,
+        task_success=done.value if done else None,
+        task_success_low=done.low if done else None,
+        task_success_high=done.high if done else None,
+        base_collisions=_mean(metrics, "base_collisions"),
+        arm_collisions=_mean(metrics, "arm_collisions"),
+        collision_free_rate=_mean(metrics, "collision_free_rate"),
+        analytic_success=_mean(analytic, "success"),
+        analytic_within_5cm=_mean(analytic, "within_5cm"),
+    )
 
 
-def common(
-    job: Job,
-    figures: Sequence[Mapping[str, Any]],
-    training_seeds: Sequence[int | None],
-    ceiling: dict[str, float],
-    paper: PaperFigures | None,
-) -> dict[str, Any]:
-    """Return the fields of a cell that are the same in every world, by name.
-
-    Args:
-        job: Whose robot, task, policy and number of episodes it is of.
-        figures: What was found of each training seed.
-        training_seeds: These seeds, null where they are not known.
-        ceiling: Figures of the task's ceiling.
-        paper: The paper's figures, if it has any.
-    """
-    success = interval([found["success"] for found in figures], job.episodes)
-    return {
-        "robot": load_robot(job.robot).name,
-        "variant": job.variant,
-        "task": job.task_name,
-        "policy": job.policy,
-        "seeds": len(figures),
-        "training_seeds": tuple(seed for seed in training_seeds if seed is not None),
-        "episodes_per_seed": job.episodes,
-        "success": success.value,
-        "success_std": _deviation(figures, "success"),
-        "success_low": success.low,
-        "success_high": success.high,
-        "within_5cm": mean_of(figures, "within_5cm"),
-        "within_5cm_std": _deviation(figures, "within_5cm"),
-        "ik_failures_per_episode": mean_of(figures, "ik_failures_per_episode"),
-        "mean_deviation_m": mean_of(figures, "mean_deviation_m"),
-        "joint_jumps_per_episode": mean_of(figures, "joint_jumps_per_episode"),
-        "ceiling": ceiling["success"],
-        "ceiling_low": ceiling["low"],
-        "ceiling_high": ceiling["high"],
-        "paper_success": paper.success if paper else None,
-        "paper_within_5cm": paper.within_5cm if paper else None,
-    }
-
-
-def mean_of(figures: Sequence[Mapping[str, Any]], key: str) -> float:
-    """Return the mean of a figure over the training seeds."""
-    return float(np.mean([found[key] for found in figures]))
-
-
-def _deviation(figures: Sequence[Mapping[str, Any]], key: str) -> float | None:
-    if len(figures) < 2:
+def _paper(job: Job) -> PaperFigures | None:
+    """Return the paper's figures in the same place; its learned policies are of SAC."""
+    if job.variant or job.policy == "td3":
         return None
-    return float(np.std([found[key] for found in figures], ddof=1))
+    world = "analytic" if job.backend == "analytic" else "physics"
+    known = paper_figures(job.robot_name, job.task, world)
+    if job.policy not in ("sac", pretrained.NAME):
+        return known.get(job.policy)
+    plain = None if job.row and world == "analytic" else known.get(LEARNED)
+    return known.get(job.row, plain)
+
+
+def _task_success(metrics: Sequence[Mapping[str, Any]], episodes: int) -> Share | None:
+    shares = [one["task_success"] for one in metrics]
+    return None if None in shares else interval(shares, episodes)
+
+
+def _known(metrics: Mapping[str, float | None], key: str) -> float:
+    return float(metrics[key] or 0.0)
+
+
+def _mean(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:
+    values = [one[key] for one in metrics]
+    return None if not values or None in values else float(np.mean(values))
+
+
+def _deviation(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:
+    values = [one[key] for one in metrics]
+    return None if len(values) < 2 else float(np.std(values, ddof=1))

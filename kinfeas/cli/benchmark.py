@@ -4,6 +4,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,9 +17,9 @@ from kinfeas.config.quantities import MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.benchmark.findings import Findings
+    from kinfeas.benchmark.config import BenchmarkConfig
+    from kinfeas.benchmark.jobs import Job, Result
     from kinfeas.benchmark.runs import Plan, Run
-    from kinfeas.benchmark.study import BenchmarkConfig
     from kinfeas.benchmark.table import Cell
 
 _RECIPES = {
@@ -83,91 +84,77 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Set policies side by side: tables, pictures and JSON; what is done is not done again.
+    """Compare policies in tables, pictures and JSON; existing results are kept.
 
-    Settings: every key of the study, such as episodes=100 or seeds=[0,1].
-    After a change of the program choose another --out: figures are told apart by robot,
-    task, policy, episodes and settings, and not by the code.
-    With physics they are kept in parts of 20 episodes, which more --episodes take up.
+    Settings: every key of the configuration, such as episodes=100 or
+    seeds=[0,1]. Results are identified by robot, task, policy, episodes and settings, not
+    by the code: use another --out after an update. With physics they are stored in parts
+    of 20 episodes.
     """
-    from kinfeas.benchmark.findings import check_out, write_pictures, write_tables
+    from kinfeas.benchmark.config import read_benchmark, restricted
+    from kinfeas.benchmark.runs import find_runs
+    from kinfeas.io.files import write_file, writing
 
     name = config or _RECIPES.get((world, quick), world)
     out = out or Path("runs/benchmark") / Path(name).stem
-    said = [] if episodes is None else [f"episodes={episodes}"]
-    study, taken = _read(name, policy, runs or [], [*said, *(overrides or [])])
-    _check_world(study, name, world)
-    plans = _plans(study, out, taken)
-    if publish is not None and world == "pybullet":
-        raise KinfeasError("--publish is for studies of the analytic world")
-    if publish is not None and not (taken or plans):
-        raise KinfeasError("--publish needs policies that were trained, by the study or by --runs")
-    check_out(out)
+    if policy not in (None, "pretrained") or (policy and runs):
+        raise KinfeasError("--policy can be pretrained only, and not beside --runs")
+    assignments = [*(["policies=pretrained"] if policy else []), *(overrides or [])]
+    assignments += [] if episodes is None else [f"episodes={episodes}"]
+    study, taken = read_benchmark(name, assignments), find_runs(runs or [])
+    if taken:
+        study = restricted(study, {run.robot for run in taken})
+    if study.backend != world:
+        raise KinfeasError(f"{name}: 'backend' must be {world!r} for --world {world}")
+    plans = [] if taken else _plans(study, out)
+    if publish is not None and (world != "analytic" or not (taken or plans)):
+        raise KinfeasError("--publish needs trained policies in the analytic world")
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
     cores = processes or os.cpu_count() or 1
     try:
         taken = taken or _train(study, plans, cores)
-        findings = _compute(study, taken, out / "cells", cores)
+        found = _compute(study, taken, out / "cells", cores)
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted: what is done is kept, the same command goes on from there\n")
+        sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
+    from kinfeas.benchmark.markdown import to_markdown
+    from kinfeas.benchmark.pictures import draw_pictures
+    from kinfeas.benchmark.table import tabulate
+
+    cells = tabulate([job for job, _ in found], [result for _, result in found], study.backend)
     with status("drawing"):
-        pictures = write_pictures(findings, out)
-    write_tables(findings, [_command()], pictures, out)
-    policies = (
-        []
-        if findings.physics
-        else _publish(findings, [out / "pretrained", *([publish] if publish else [])])
-    )
+        pictures = draw_pictures(study, taken, found, cells)
+    files = {f"{key}.png": picture for key, picture in pictures.items()}
+    files["table.md"] = to_markdown(cells, study.note, [_command()], list(files)).encode()
+    for key, content in files.items():
+        write_file(out / key, content)
+    entries = [asdict(cell) for cell in cells]
+    write_json(entries, out / "table.json")
     if json is not None:
-        _write_json(findings, json)
-    _show(findings)
-    for path in (out / "table.md", out / "table.json", *pictures, *policies):
+        write_json(entries, json)
+    folders = [out / "pretrained", *([publish] if publish else [])] if plans or runs else []
+    published = _publish(taken, found, folders if world == "analytic" else [])
+    _show(cells, study.note)
+    for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
 
 
-def _read(
-    name: str,
-    policy: str | None,
-    folders: Sequence[Path],
-    overrides: Sequence[str],
-) -> tuple["BenchmarkConfig", list["Run"]]:
-    """Return the study that the options ask for, and the runs that it is to take."""
-    from kinfeas.benchmark.runs import find_runs
-    from kinfeas.benchmark.study import read_benchmark, restricted
-
-    if policy not in (None, "pretrained") or (policy and folders):
-        raise KinfeasError("--policy can be pretrained only, and not beside --runs")
-    said = ["policies=pretrained"] if policy else []
-    study = read_benchmark(name, [*said, *overrides])
-    runs = find_runs(folders)
-    return (restricted(study, {run.robot for run in runs}) if runs else study), runs
-
-
-def _check_world(study: "BenchmarkConfig", name: str, world: str) -> None:
-    if world == "pybullet" and study.physics is None:
-        raise KinfeasError(f"{name}: has no 'physics', which --world pybullet needs")
-    if world == "analytic" and study.physics is not None:
-        raise KinfeasError(f"{name}: has 'physics', which needs --world pybullet")
-
-
-def _plans(study: "BenchmarkConfig", out: Path, taken: Sequence["Run"]) -> list["Plan"]:
-    """Return the training runs that are to be there, after a check of all policies' names."""
-    from kinfeas.benchmark.trainings import to_train
+def _plans(study: "BenchmarkConfig", out: Path) -> list["Plan"]:
+    """Return the training runs of a benchmark, after a check that shipped policies exist."""
+    from kinfeas.benchmark.runs import plan_runs
     from kinfeas.policies import pretrained
     from kinfeas.robots.loading import load_robot
 
-    if taken:
-        return []
     if study.policies == "pretrained":
         for robot in study.robots:
             pretrained.find(load_robot(robot).name)
-    return to_train(study, out)
+    return plan_runs(study, out)
 
 
 def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
-    """Train what is missing and return all runs."""
-    from kinfeas.benchmark.cells import check_baselines
-    from kinfeas.benchmark.plan import plan_jobs
+    """Train the missing runs and return all runs."""
+    from kinfeas.benchmark.jobs import check_baselines, plan_jobs
     from kinfeas.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
 
     missing = [plan for plan in plans if is_missing(*plan)]
@@ -187,57 +174,52 @@ def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> lis
 
 def _compute(
     study: "BenchmarkConfig", runs: Sequence["Run"], folder: Path, processes: int
-) -> "Findings":
-    from kinfeas.benchmark.cells import run_jobs
-    from kinfeas.benchmark.findings import Findings
-    from kinfeas.benchmark.plan import PART, plan_jobs
+) -> list[tuple["Job", "Result"]]:
+    from kinfeas.benchmark.jobs import plan_jobs, run_jobs
 
     jobs = plan_jobs(study, runs)
-    kind = "cells" if study.physics is None else f"cells and parts of up to {PART} episodes"
-    with progress(f"{len(jobs)} {kind}", len(jobs)) as advance:
-        results = run_jobs(jobs, folder, processes, lambda _: advance(1.0))
-    return Findings(study, runs, jobs, results)
+    names = {job.name for job in jobs}
+    missing = sum(not (folder / f"{name}.json").exists() for name in names)
+    with progress(f"{missing} of {len(names)} jobs", missing) as advance:
+        results = run_jobs(jobs, folder, processes, lambda: advance(1.0))
+    return list(zip(jobs, results, strict=True))
 
 
-def _publish(findings: "Findings", folders: Sequence[Path]) -> list[Path]:
-    """Copy each robot's best policy into each of `folders`; return where they lie now."""
-    from kinfeas.benchmark.findings import figures_of_runs
-    from kinfeas.benchmark.publish import publish
+def _publish(
+    runs: Sequence["Run"], found: Sequence[tuple["Job", "Result"]], folders: Sequence[Path]
+) -> list[Path]:
+    """Copy each robot's best policy into each of `folders`; return their folders."""
+    from kinfeas.benchmark.runs import publish
 
-    figures = figures_of_runs(findings)
-    return [
-        place for folder in folders for place in publish(findings.runs, figures, folder).values()
-    ]
-
-
-def _write_json(findings: "Findings", path: Path) -> None:
-    from kinfeas.benchmark.table import to_json
-
-    write_json(to_json(findings.physics or findings.cells), path)
+    metrics: dict[Path, dict[str, object]] = {}
+    for job, result in found:
+        if job.training_seed is not None and not (job.variant or job.row):
+            told = {key: value for key, value in result.items() if key != "workspace"}
+            metrics.setdefault(Path(job.source), {})[job.task_name] = told
+    return [place for folder in folders for place in publish(runs, metrics, folder)]
 
 
 def _command() -> str:
     return shlex.join(["kinfeas", *sys.argv[1:]])
 
 
-def _show(findings: "Findings") -> None:
-    from kinfeas.benchmark.text import groups, label, title
+def _show(cells: Sequence["Cell"], note: str) -> None:
+    from kinfeas.benchmark.markdown import groups, label, rows_of, title
 
-    cells: Sequence[Cell] = findings.physics or findings.cells
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     rows = []
-    for group in groups(cells):
-        own = [cell for cell in cells if cell.group == group]
-        for row in dict.fromkeys(cell.row for cell in own):
-            by_task = {cell.task: cell for cell in own if cell.row == row}
-            entries = [_entry(by_task.get(task)) for task in tasks]
-            rows.append([title(*group), label(next(iter(by_task.values()))), *entries])
+    for robot, variant in groups(cells):
+        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
+        for row in rows_of(own):
+            entries = [_entry(row.get(task)) for task in tasks]
+            rows.append([title(robot, variant), label(next(iter(row.values()))), *entries])
         ceilings = {cell.task: f"{100 * cell.ceiling:.1f}" for cell in own}
-        rows.append([title(*group), "ceiling", *(ceilings.get(task, "-") for task in tasks)])
+        names = (ceilings.get(task, "-") for task in tasks)
+        rows.append([title(robot, variant), "ceiling", *names])
     heads = ["robot", "policy", *(f" {task}" for task in tasks)]
-    print_table("% of episodes without a kinematic failure", heads, rows)
-    if findings.study.note:
-        typer.echo(findings.study.note)
+    print_table("% of episodes without an IK failure", heads, rows)
+    if note:
+        typer.echo(note)
 
 
 def _entry(cell: "Cell | None") -> str:

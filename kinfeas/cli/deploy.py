@@ -279,7 +279,7 @@ def _record_path(about: "About") -> Path:
 
 
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
-    from kinfeas.benchmark.timing import peak_memory_mb
+    from kinfeas.benchmark.speed import peak_memory_mb
     from kinfeas.io.run_log import TASK_DONE
 
     timing = outcome.timing

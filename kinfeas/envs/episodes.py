@@ -16,9 +16,8 @@ from kinfeas.core.backend import BatchLimited, SupportsContacts
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, join
 from kinfeas.core.policy import Policy
-from kinfeas.envs.world import Transition, World, WorldConfig
-from kinfeas.robots.robot import Robot
-from kinfeas.tasks.task import ReportsTaskSuccess, Task
+from kinfeas.envs.world import Transition, World
+from kinfeas.tasks.task import ReportsTaskSuccess
 
 BATCH = 256
 """Episodes side by side in a process, unless the backend limits them; no result depends on it."""
@@ -75,43 +74,37 @@ def run_episodes(
     return tally.records()
 
 
-def evaluate_episodes(  # noqa: PLR0913, PLR0917 - a world and how to run it
-    robot: Robot,
-    task: Task,
-    config: WorldConfig,
-    seed: int,
+def evaluate_episodes(
+    build: Callable[[], World],
     policy: Policy,
-    episodes: int,
+    episodes: range,
     processes: int = 1,
     on_done: OnDone | None = None,
+    watch: Watch | None = None,
 ) -> EpisodeRecords:
-    """Return the records of episodes 0 to `episodes - 1` of a seed, in worlds built for them.
+    """Return the records of a range of episodes, in worlds built for them.
 
     Args:
-        robot: Robot that moves.
-        task: Task that draws the episodes.
-        config: Settings of the worlds.
-        seed: Seed of the episodes.
+        build: Returns a world; picklable for more than one process.
         policy: Policy that commands the base.
-        episodes: How many to run.
+        episodes: Numbers of the episodes, at least one.
         processes: Processes that share the episodes; no result depends on it.
         on_done: Called with the number of episodes that have just ended.
+        watch: Called after each step, in one process only.
 
     Raises:
         KinfeasError: If a world cannot be built, or a worker process dies.
     """
-    build = partial(World, robot, task, config, seed)
     if processes == 1:
-        return _run_part(build, policy, 0, episodes, on_done)
+        return _run_part(build, policy, episodes, on_done, watch)
     world = build()
-    rounds = math.ceil(episodes / (processes * _batch(world)))
+    rounds = math.ceil(len(episodes) / (processes * _batch(world)))
     world.close()
-    size = math.ceil(episodes / (processes * rounds))
-    firsts = range(0, episodes, size)
-    counts = [min(size, episodes - first) for first in firsts]
+    size = math.ceil(len(episodes) / (processes * rounds))
+    shares = [episodes[at : at + size] for at in range(0, len(episodes), size)]
     parts = []
-    with worker_pool(min(processes, len(firsts))) as pool:
-        for part in pool.map(partial(_run_part, build, policy), firsts, counts):
+    with worker_pool(min(processes, len(shares))) as pool:
+        for part in pool.map(partial(_run_part, build, policy), shares):
             parts.append(part)
             if on_done is not None:
                 on_done(len(part.reached))
@@ -145,13 +138,13 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 def _run_part(
     build: Callable[[], World],
     policy: Policy,
-    first: int,
-    count: int,
+    episodes: range,
     on_done: OnDone | None = None,
+    watch: Watch | None = None,
 ) -> EpisodeRecords:
     world = build()
     try:
-        return run_episodes(world, policy, count, on_done, first=first)
+        return run_episodes(world, policy, len(episodes), on_done, watch, episodes.start)
     finally:
         world.close()
 

@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.core.backend import build_backend
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, summarize
 from kinfeas.core.policy import Policy
-from kinfeas.envs.episodes import OnDone, evaluate_episodes
-from kinfeas.envs.world import WorldConfig, evaluation_section, evaluation_world
+from kinfeas.envs.episodes import OnDone, Watch, evaluate_episodes
+from kinfeas.envs.world import World, WorldConfig, evaluation_section, evaluation_world
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
@@ -42,9 +43,11 @@ class EvalConfig:
     Attributes:
         robot: Robot that moves.
         task: Task that draws the episodes.
-        episodes: Number of episodes, at least 1: numbers 0 to `episodes` - 1 of the seed.
+        episodes: Number of episodes, at least 1: numbers `first` to
+            `first + episodes - 1` of the seed.
         seed: Seed of all episodes.
         world: Settings of the world.
+        first: Number of the first episode.
     """
 
     robot: Robot
@@ -52,6 +55,7 @@ class EvalConfig:
     episodes: int = 500
     seed: int = 1
     world: WorldConfig = field(default_factory=evaluation_world)
+    first: int = 0
 
     def within(self, adapters: Sequence[PluginSpec]) -> "EvalConfig":
         """Return the evaluation with more adapters around its own."""
@@ -133,13 +137,14 @@ def check_adapters(adapters: Sequence[PluginSpec], robot: Robot) -> None:
     wrap(build_backend("analytic", {}), adapters, robot)
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     chosen: EvalConfig,
     policy: Policy,
     name: str = "",
     ceiling: Share | None = None,
     processes: int = 1,
     on_done: OnDone | None = None,
+    watch: Watch | None = None,
 ) -> Summary:
     """Return the metrics of a policy: shares in 0-1, distances in metres.
 
@@ -150,8 +155,9 @@ def evaluate(
         ceiling: Share of reachable goals, from `reachability_of`; null in the summary by default.
         processes: Processes that share the episodes; no result depends on it.
         on_done: Called with the number of episodes that have just ended.
+        watch: Called after each step, in one process only.
     """
-    records = run(chosen, policy, processes, on_done)
+    records = run(chosen, policy, processes, on_done, watch)
     world = chosen.world
     execution = execution_of(
         wrap(build_backend("analytic", {}), world.adapters, chosen.robot), world.execution
@@ -174,19 +180,16 @@ def evaluate(
 
 
 def run(
-    chosen: EvalConfig, policy: Policy, processes: int = 1, on_done: OnDone | None = None
+    chosen: EvalConfig,
+    policy: Policy,
+    processes: int = 1,
+    on_done: OnDone | None = None,
+    watch: Watch | None = None,
 ) -> EpisodeRecords:
     """Return the record of each episode; arguments as in `evaluate`."""
-    return evaluate_episodes(
-        chosen.robot,
-        chosen.task,
-        chosen.world,
-        chosen.seed,
-        policy,
-        chosen.episodes,
-        processes,
-        on_done,
-    )
+    build = partial(World, chosen.robot, chosen.task, chosen.world, chosen.seed)
+    episodes = range(chosen.first, chosen.first + chosen.episodes)
+    return evaluate_episodes(build, policy, episodes, processes, on_done, watch)
 
 
 def reachability_of(chosen: EvalConfig, on_done: Callable[[float], None] | None = None) -> Share:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from kinfeas.core.metrics import EpisodeRecords
 from kinfeas.envs.episodes import evaluate_episodes
@@ -54,7 +55,7 @@ def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> Pe
     robot, task = load_robot(config.robot), load_task(config.task, config.task_parameters)
 
     def evaluated(network: Network, episodes: int) -> EpisodeRecords:
-        seed = config.seed + offset
-        return evaluate_episodes(robot, task, world, seed, network, episodes, config.processes)
+        build = partial(World, robot, task, world, config.seed + offset)
+        return evaluate_episodes(build, network, range(episodes), config.processes)
 
     return evaluated

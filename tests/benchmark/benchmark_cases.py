@@ -1,89 +1,90 @@
-"""Small studies, and cells as a benchmark finds them, made up."""
+"""Small benchmarks, and made-up results of one."""
 
 from kinfeas import config
-from kinfeas.benchmark.job import CEILING, Job
-from kinfeas.benchmark.plan import PART, plan_jobs
-from kinfeas.benchmark.study import BenchmarkConfig
+from kinfeas.benchmark.config import BenchmarkConfig
+from kinfeas.benchmark.jobs import CEILING, Job
 from kinfeas.benchmark.table import tabulate
-from kinfeas.envs.world import evaluation_world
 
 SMALL = {
-    "robots": ["pr2", "hsr"],
+    "robots": ["hsr", "tiago"],
     "tasks": ["ggr", "pick_place"],
     "baselines": {"follow_ee": ["ggr"]},
     "policies": "pretrained",
-    "episodes": 2,
-    "world": {"max_seconds": 2.5},
+    "rows": [{"label": "feasibility filter", "filters": ["feasibility"], "robots": ["tiago"]}],
     "variants": [
         {"label": "low", "task": "ggr", "parameters": {"heights": [0.5, 0.6]}, "robots": ["hsr"]}
+    ],
+    "episodes": 2,
+    "settings": ["world.max_seconds=2.5"],
+}
+
+PYBULLET = {
+    "robots": ["pr2", "tiago"],
+    "tasks": ["ggr", "door"],
+    "policies": "pretrained",
+    "baselines": {"follow_ee": ["ggr"]},
+    "episodes": 43,
+    "backend": "pybullet",
+    "rows": [
+        {"label": "head_start", "settings": ["world.head_start=3"], "robots": ["pr2"]},
+        {
+            "label": "no_objects",
+            "settings": ["world.backend_parameters.objects=false"],
+            "tasks": ["door"],
+        },
     ],
 }
 
 
-def small_study(*overrides):
-    """Return a study of two robots and two tasks."""
-    return config.from_mapping(BenchmarkConfig, SMALL, "small", overrides)
+def study(data=None, *overrides):
+    return config.from_mapping(BenchmarkConfig, data or {}, "study", overrides)
 
 
-PHYSICS_STUDY = {
-    "robots": ["pr2", "hsr"],
-    "tasks": ["ggr", "door"],
-    "policies": "pretrained",
-    "baselines": {"follow_ee": ["ggr"]},
-    "episodes": 2 * PART + 3,
-    "physics": {
-        "rows": {
-            "plain": {},
-            "head_start": {"settings": ["world.head_start=3"], "robots": ["pr2"]},
-            "no_objects": {"settings": ["world.objects=false"], "tasks": ["door"]},
-        }
-    },
-}
-
-
-def physics_plan(*overrides):
-    """Return the jobs of a study with physics."""
-    return plan_jobs(config.from_mapping(BenchmarkConfig, PHYSICS_STUDY, "study", overrides), [])
-
-
-def job(robot, task, policy, seed=None, variant=""):
-    return Job(robot, task, {}, variant, policy, policy, seed, 100, 1, evaluation_world())
-
-
-def figures(success):
-    return {
-        "episodes": 100,
+def result(success, *, episodes=100, learned=False, **changes):
+    found = {
+        "episodes": episodes,
         "success": success,
         "within_5cm": success,
         "ik_failures_per_episode": 2.0,
         "mean_deviation_m": 0.001,
         "joint_jumps_per_episode": 0.5,
         "mean_steps": 400.0,
+        "task_success": None,
+        "base_collisions": None,
+        "arm_collisions": None,
+        "collision_free_rate": None,
+        "filters": [],
+        "time_scale": 1.0,
+        "head_start": 0.0,
+        **changes,
     }
-
-
-def result(success, learned=False):
-    found = {"figures": figures(success)}
     points = {"feasible": [[0.5, 0.1, 0.8]] * 9, "infeasible": [[0.2, 0.0, 0.5]]}
     return {**found, "workspace": points} if learned else found
 
 
 def findings():
-    """Return jobs and results: two robots, two tasks, three seeds, one baseline, a variant."""
-    ceiling = {"figures": {"success": 0.98, "low": 0.93, "high": 1.0}}
-    jobs, results = [], []
-    trials = [("pr2", "ggr", ""), ("pr2", "door", ""), ("hsr", "ggr", "")]
-    for robot, task, variant in [*trials, ("pr2", "ggr", "goals up to 1.4 m")]:
-        jobs.append(job(robot, task, CEILING, variant=variant))
-        results.append(ceiling)
-        for seed, success in ((0, 0.90), (1, 0.92), (2, 0.94)):
-            jobs.append(job(robot, task, "sac", seed, variant))
-            results.append(result(success, learned=True))
-        jobs.append(job(robot, task, "follow_ee", variant=variant))
-        results.append(result(0.6))
-    return jobs, results
+    """Return jobs and results: two robots, two tasks, three seeds, a row, a baseline, a variant."""
+    found = []
+    for robot, task, variant in (
+        ("pr2", "ggr", ""), ("pr2", "door", ""), ("hsr", "ggr", ""),
+        ("pr2", "ggr", "goals up to 1.4 m"),
+    ):  # fmt: skip
+
+        def job(policy, seed=None, row="", robot=robot, place=(robot, task, variant)):
+            source = f"runs/{seed}" if seed is not None else policy
+            return Job(robot, *place[:2], policy, source, 100, 1, seed, row=row, variant=place[2])
+
+        ceiling = {"success": 0.98, "success_low": 0.93, "success_high": 1.0}
+        found.append((job(CEILING), ceiling))
+        found += [
+            (job("sac", seed), result(success, learned=True))
+            for seed, success in enumerate((0.90, 0.92, 0.94))
+        ]
+        found.append((job("sac", 0, "feasibility filter"), result(0.97, filters=["feasibility"])))
+        found.append((job("follow_ee"), result(0.6)))
+    return found
 
 
 def cells():
-    """Return the table of `findings`."""
-    return tabulate(*findings())
+    found = findings()
+    return tabulate([job for job, _ in found], [one for _, one in found], "analytic")

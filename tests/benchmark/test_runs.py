@@ -1,72 +1,138 @@
+import json
+import shlex
 import shutil
+from pathlib import Path
 
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.runs import find_runs, finish, is_missing, read_run
+from kinfeas.benchmark.runs import (
+    Run,
+    find_runs,
+    finish,
+    is_missing,
+    plan_runs,
+    publish,
+    read_run,
+    train_command,
+)
+from kinfeas.benchmark.speed import random_network
 from kinfeas.core.errors import KinfeasError
-from kinfeas.training import train as training
+from kinfeas.policies import pretrained
+from kinfeas.policies.network import read_network, write_network
+from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
+from tests.benchmark.benchmark_cases import study
 from tests.training.conftest import TINY
+
+OUT = Path("out")
+TWO = ("robots=[pr2,hsr]", "trainings=[{robot: pr2, steps: 64}, {robot: pr2, algorithm: td3}]")
 
 
 def tiny(*overrides):
-    return config.from_mapping(TrainConfig, TINY, "tiny", ["schedule.steps=400", *overrides])
+    return config.from_mapping(TrainConfig, TINY, "tiny", overrides)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "pr2-sac-0"
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
     finish(tiny(), folder)
     return folder
 
 
-def test_a_run_is_read(run):
+def test_runs_are_found_and_not_trained_again(run, tmp_path):
     found = read_run(run)
-    assert (found.robot, found.algorithm, found.seed, found.task) == ("pr2", "sac", 0, "ggr")
-
-
-def test_a_run_on_a_task_by_path_goes_by_its_name(tmp_path):
-    config.dump(tiny("task=/my/fetch.yaml"), tmp_path / "config.yaml")
-    assert read_run(tmp_path).task == "fetch"
-
-
-def test_a_finished_run_is_not_trained_again(run):
+    assert (found.robot, found.algorithm, found.seed) == ("hsr", "sac", tiny().seed)
+    assert find_runs([run]) == find_runs([run.parent]) == find_runs([run, run]) == [found]
     assert not is_missing(tiny(), run)
-
-
-def test_a_run_is_found_by_itself_and_below_a_folder(run):
-    assert find_runs([run]) == find_runs([run.parent]) == find_runs([run, run]) == [read_run(run)]
-
-
-def test_two_runs_of_one_seed_are_an_error(run, tmp_path):
+    assert is_missing(tiny(), tmp_path / "none")
+    with pytest.raises(KinfeasError, match="tiny"):
+        is_missing(tiny("seed=77"), run)
     shutil.copytree(run, tmp_path / "other")
-    with pytest.raises(KinfeasError, match="both hold pr2 learned by sac with seed 0"):
+    with pytest.raises(KinfeasError, match="other"):
         find_runs([run, tmp_path])
+    with pytest.raises(KinfeasError, match=r"config\.yaml"):
+        find_runs([tmp_path / "none"])
 
 
-def test_a_folder_that_is_no_run(tmp_path):
-    with pytest.raises(KinfeasError, match="not a training run"):
-        find_runs([tmp_path])
+def test_a_run_for_each_training_and_seed():
+    plans = plan_runs(study({}, *TWO, "robots=[pr2]", "seeds=[0,3]"), OUT)
+    assert [folder for _, folder in plans] == [
+        OUT / "runs" / name for name in ("pr2-sac-0", "pr2-sac-3", "pr2-td3-0", "pr2-td3-3")
+    ]
+    for settings, folder in plans:
+        assert folder.name == f"{settings.robot}-{settings.learner.algorithm}-{settings.seed}"
 
 
-def test_a_run_of_other_settings_is_not_taken(run):
-    with pytest.raises(KinfeasError, match="another 'seed' than the study's: 0 instead of 1"):
-        is_missing(tiny("seed=1"), run)
+def test_settings_of_a_training():
+    entry = "trainings=[{robot: pr2, recipe: paper/td3, settings: ['num_envs=8'], minutes: 2}]"
+    ((settings, _),) = plan_runs(study({}, "robots=[pr2]", entry, "seeds=[5]"), OUT)
+    assert (settings.seed, settings.num_envs, settings.learner.net_arch) == (5, 8, (400, 300))
+    assert (settings.schedule.steps, settings.schedule.minutes) == (None, 2.0)
+    assert settings.learner.algorithm == "sac"
 
 
-def test_an_interrupted_run_is_taken_up(tmp_path, monkeypatch):
-    folder, steps, step = tmp_path / "run", [], training._Run._step
-    assert is_missing(tiny(), folder)
+@pytest.mark.parametrize(
+    ("overrides", "named"),
+    [
+        (TWO, "hsr"),
+        (("robots=[pr2]", "trainings=[{robot: pr2, steps: 1}, {robot: pr2, steps: 2}]"), "pr2-sac"),
+        (("robots=[pr2]", "trainings=[{robot: pr2, settings: ['hldd=4']}]"), "hldd"),
+    ],
+)
+def test_invalid_trainings(overrides, named):
+    with pytest.raises(KinfeasError, match=named):
+        plan_runs(study({}, *overrides), OUT)
 
-    def interrupted(one):
-        steps.append(step(one))
-        if len(steps) == 20:
-            raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(training._Run, "_step", interrupted)
-        finish(tiny(), folder)
-    assert is_missing(tiny(), folder)
-    finish(tiny(), folder)
-    assert not is_missing(tiny(), folder)
+def test_shipped_policies_are_not_trained(monkeypatch):
+    monkeypatch.setattr(pretrained, "robots", lambda root=None: ["hsr"])
+    assert plan_runs(study({}, *TWO, "policies=pretrained"), OUT) == []
+    either = plan_runs(study({}, *TWO, "policies=either"), OUT)
+    assert {settings.robot for settings, _ in either} == {"pr2"}
+
+
+def made(folder, seed, success):
+    robot, settings = load_robot("hsr"), tiny(f"seed={seed}")
+    best = folder / f"run-{seed}" / "checkpoints" / "best"
+    best.mkdir(parents=True)
+    metrics = {"episodes": 9, "success": success, "success_low": 0.0, "success_high": 1.0}
+    about = {"config": config.to_mapping(settings), "steps": 9, "evaluation": metrics}
+    write_network(random_network(robot, width=4 + seed), best, robot, about)
+    return Run(folder / f"run-{seed}", "hsr", "sac", seed, "ggr")
+
+
+def test_the_best_seed_is_published(tmp_path):
+    runs = [made(tmp_path, seed, success) for seed, success in enumerate((0.8, 0.9, 0.9))]
+    metrics = {runs[1].folder: {"ggr": {"success": 0.91}}}
+    target = tmp_path / "pretrained"
+    for _ in range(2):
+        assert publish(runs, metrics, target) == [target / "hsr"]
+    assert read_network(target / "hsr", load_robot("hsr")).weights[0].shape[1] == 5
+    about = json.loads((target / "hsr" / "policy.json").read_text())
+    assert about["seed"] == about["config"]["seed"] == 1
+    assert about["benchmark"] == {"ggr": {"success": 0.91}}
+    assert about["command"].startswith("kinfeas train --robot hsr --seed 1")
+    (runs[0].folder / "checkpoints/best/policy.json").unlink()
+    with pytest.raises(KinfeasError, match="run-0"):
+        publish(runs[:1], {}, tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        ["robot=hsr", "seed=4", "schedule.steps=2000", "schedule.minutes=null"],
+        ["learner.algorithm=td3", "learner.net_arch=[400, 300]", "world.adapters=[]"],
+        ["world.adapters=[{name: base_noise, parameters: {linear: 0.15}}]", "task=door"],
+    ],
+)
+def test_the_command_has_all_settings(overrides):
+    from kinfeas.config.recipes import load_section
+
+    settings = config.from_mapping(TrainConfig, {}, "test", overrides)
+    words = shlex.split(train_command(settings))
+    assert words[:2] == ["kinfeas", "train"]
+    (_, robot), (_, seed), *changes = zip(words[2::2], words[3::2], strict=True)
+    assignments = [f"robot={robot}", f"seed={seed}", *(value for _, value in changes)]
+    assert load_section(TrainConfig, "train", robot, assignments) == settings

@@ -1,61 +1,87 @@
 import json
+from dataclasses import asdict, replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.benchmark.table import interval, tabulate, to_json
+from kinfeas.benchmark.jobs import CEILING, Job
+from kinfeas.benchmark.markdown import to_markdown
+from kinfeas.benchmark.table import interval, merged, tabulate
 from kinfeas.core.metrics import wilson
-from tests.benchmark.benchmark_cases import cells, findings
+from tests.benchmark.benchmark_cases import cells, result
 
-ASKED = {
-    "robot", "task", "policy", "world", "seeds", "episodes_per_seed", "success", "success_std",
-    "within_5cm", "joint_jumps_per_episode", "ceiling", "paper_success", "paper_within_5cm",
-}  # fmt: skip
+PHYSICAL = {"base_collisions": 1.0, "arm_collisions": 0.0, "collision_free_rate": 0.5}
 
 
-def cell(robot, task, policy, variant=""):
+def cell(robot, task, policy, variant="", row=""):
     (found,) = (
         one
         for one in cells()
-        if (one.robot, one.task, one.policy, one.variant) == (robot, task, policy, variant)
+        if (one.robot, one.task, one.policy, one.variant, one.row)
+        == (robot, task, policy, variant, row)
     )
     return found
 
 
-def test_seeds_come_together():
+def physical():
+    """Return the cells of a PyBullet benchmark with two parts of a policy's episodes."""
+    job = Job("pr2", "pr2", "door", "pretrained", "pretrained", 100, 1)
+    parts = [replace(job, backend="pybullet", first=at, episodes=20) for at in (0, 20)]
+    head_start = replace(parts[0], row="head_start")
+    found = [
+        (replace(job, policy=CEILING), {"success": 0.9, "success_low": 0.8, "success_high": 1.0}),
+        (job, result(0.75)),
+        (parts[0], result(0.8, episodes=20, task_success=0.5, **PHYSICAL)),
+        (parts[1], result(0.6, episodes=20, task_success=0.7, **PHYSICAL)),
+        (replace(job, row="head_start"), result(0.75)),
+        (head_start, result(1.0, episodes=20, task_success=1.0, head_start=3.0, **PHYSICAL)),
+    ]
+    return tabulate([one for one, _ in found], [one for _, one in found], "pybullet")
+
+
+def test_seeds_are_averaged():
     learned = cell("pr2", "ggr", "sac")
     assert (learned.seeds, learned.training_seeds) == (3, (0, 1, 2))
     assert learned.success == pytest.approx(0.92)
     assert learned.success_std == pytest.approx(0.02)
     assert (learned.ceiling, learned.episodes_per_seed, learned.world) == (0.98, 100, "analytic")
+    assert cell("pr2", "ggr", "sac", row="feasibility filter").filters == ("feasibility",)
 
 
-def test_one_seed_has_no_deviation():
+def test_one_seed_has_wilson_s_interval():
     simple = cell("pr2", "ggr", "follow_ee")
     assert (simple.seeds, simple.training_seeds, simple.success_std) == (1, (), None)
     expected = wilson(60, 100)
     assert (simple.success_low, simple.success_high) == (expected.low, expected.high)
 
 
-def test_the_papers_figures_stand_beside():
+def test_figures_of_the_paper():
     assert cell("pr2", "ggr", "sac").paper_success == 0.902
     assert cell("hsr", "ggr", "follow_ee").paper_within_5cm == 0.074
-    assert cell("pr2", "door", "follow_ee").paper_success is None, "it reports demonstrated_base"
+    assert cell("pr2", "door", "follow_ee").paper_success is None
     assert cell("pr2", "ggr", "sac", "goals up to 1.4 m").paper_success is None
+    assert cell("pr2", "ggr", "sac", row="feasibility filter").paper_success is None
+    assert [one.paper_success for one in physical()] == [0.88, 0.942]
 
 
-def test_json_holds_what_is_asked_for():
-    entries = to_json(cells())
-    assert len(entries) == 8
-    assert all(entry.keys() >= ASKED for entry in entries)
+def test_parts_are_joined_beside_the_analytic_world():
+    plain, head_start = physical()
+    assert (plain.success, plain.task_success) == (pytest.approx(0.7), pytest.approx(0.6))
+    assert (plain.episodes_per_seed, plain.analytic_success) == (40, 0.75)
+    assert (plain.base_collisions, plain.collision_free_rate) == (1.0, 0.5)
+    assert head_start.head_start == 3.0
+    expected = wilson(28, 40)
+    assert (plain.success_low, plain.success_high) == (expected.low, expected.high)
+
+
+def test_a_metric_that_a_part_lacks_is_unknown():
+    assert merged([result(0.5, task_success=0.1), result(0.5)])["task_success"] is None
+
+
+def test_cells_are_json():
+    entries = [asdict(one) for one in (*cells(), *physical())]
     assert json.loads(json.dumps(entries, allow_nan=False))[0]["robot"] == "pr2"
-
-
-def test_a_task_without_a_ceiling_is_a_mistake():
-    jobs, results = findings()
-    with pytest.raises(KeyError):
-        tabulate(jobs[1:2], results[1:2])
 
 
 @given(st.lists(st.integers(0, 50).map(lambda hits: hits / 50.0), min_size=1, max_size=6))
@@ -71,3 +97,23 @@ def test_seeds_that_differ_widen_the_interval():
     apart, alike = interval([0.5, 0.9], 10_000), interval([0.7, 0.7], 10_000)
     assert apart.high - apart.low > 0.9
     assert alike.high - alike.low < 0.02
+
+
+def test_markdown():
+    text = to_markdown(cells(), "Small.", ["kinfeas benchmark"], ["table.png"])
+    assert "**Small.**" in text
+    assert "**92.0 ± 2.0** (92.0)" in text
+    assert "*90.2 (91.2)*" in text
+    assert "98.0 (93.0 - 100.0)" in text
+    assert "*paper: geometric_modulation*" in text
+    assert "## PR2, goals up to 1.4 m" in text
+    assert text.index("## HSR") < text.index("## PR2, goals")
+    assert "Collisions" not in text
+    assert "![Episodes without a failure](table.png)" in text
+
+
+def test_markdown_of_a_physical_world():
+    text = to_markdown(physical(), "", ["kinfeas benchmark"])
+    for entry in ("**70.0** (70.0)", "75.0 (75.0)", "1.00 / 0.00 (50.0)", "*94.2 (95.0)*"):
+        assert entry in text
+    assert text.count("&nbsp;without physics") == 1

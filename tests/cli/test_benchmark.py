@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from kinfeas.benchmark import cells
+from kinfeas.benchmark import jobs
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.loading import BASELINES
@@ -17,7 +17,7 @@ trainings:
   - {{robot: pr2, steps: 64, settings: {json.dumps(list(TINY[1::2]))}}}
 seeds: [0, 1]
 episodes: 2
-world: {{max_seconds: 2.5}}
+settings: ["world.max_seconds=2.5"]
 """
 
 
@@ -52,7 +52,7 @@ def test_a_study_is_trained_judged_and_published(kinfeas, study, tmp_path, monke
     assert about["benchmark"]["ggr"]["episodes"] == 2
 
     # A second time nothing is computed, and a run can be judged without the study that made it.
-    monkeypatch.setattr(cells, "compute", None)
+    monkeypatch.setattr(jobs, "compute", None)
     before = (out / "table.json").read_bytes()
     again = run(kinfeas, "--config", study)
     assert again.code == 0, again.err
@@ -66,10 +66,10 @@ def test_interruption_says_how_to_go_on(kinfeas, study, monkeypatch):
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cells, "compute", interrupted)
+    monkeypatch.setattr(jobs, "compute", interrupted)
     outcome = run(kinfeas, "--config", study, "--set", "seeds=[0]")
     assert outcome.code == 130
-    assert outcome.err.endswith("the same command goes on from there\n")
+    assert outcome.err.endswith("the same command continues\n")
     assert "Traceback" not in outcome.err
 
 

@@ -64,7 +64,7 @@ IK = {"restarts": 2, "pose_tolerance": False, "self_collision": False, "position
 @pytest.mark.parametrize("backend", ["analytic", "pybullet"])
 def test_an_evaluation_keeps_the_tolerances_and_filters_of_its_run(monkeypatch, backend):
     used = []
-    monkeypatch.setattr(worlds, "evaluate_episodes", lambda *given: used.append(given[2]))
+    monkeypatch.setattr(worlds, "evaluate_episodes", lambda build, *_: used.append(build.args[2]))
     told = {"backend": backend, "ik": IK, "filters": ["feasibility"], "max_failures": 3}
     told["adapters"] = [{"name": "base_noise"}]
     settings = config.from_mapping(TrainConfig, {"robot": "hsr", "world": told}, "told")

@@ -1,0 +1,170 @@
+"""Configuration of a benchmark: robots, tasks, policies, and further rows and tables of them."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
+
+from kinfeas import config
+from kinfeas.config import Interval, PluginSpec
+from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
+from kinfeas.config.recipes import find_recipe
+from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.evaluation.evaluate import read_settings
+from kinfeas.policies.loading import BASELINES
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task, task_name
+from kinfeas.tasks.task import build_subgoals
+
+Seed = Annotated[int, Interval(low=0)]
+
+
+@dataclass(frozen=True)
+class Training:
+    """Training of one robot's policies, one for each training seed.
+
+    Attributes:
+        robot: Name or YAML file.
+        algorithm: `sac` or `td3`.
+        recipe: Name or file; the section `train` of the robot by default.
+        settings: Assignments `a.b=c` on top of the recipe.
+        steps: Environment steps in all; the recipe's schedule if neither is set.
+        minutes: Wall-clock time in all.
+    """
+
+    robot: str
+    algorithm: Literal["sac", "td3"] = "sac"
+    recipe: str | None = None
+    settings: tuple[str, ...] = ()
+    steps: Count | None = None
+    minutes: Positive | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """A further row of the learned policies; of several algorithms that of SAC only.
+
+    Attributes:
+        label: Name of the row; the paper's `head_start` and `no_objects` have its figures beside.
+        filters: Command filters of this row; those of the world by default.
+        settings: Assignments to the world, such as `world.head_start=3`.
+        robots: Robots that have it; all by default.
+        tasks: Tasks that have it; all by default.
+    """
+
+    label: str
+    filters: tuple[PluginSpec, ...] | None = None
+    settings: tuple[str, ...] = ()
+    robots: tuple[str, ...] | None = None
+    tasks: tuple[str, ...] | None = None
+
+    def has(self, robot: str, task: str) -> bool:
+        """Return whether a robot has the row on a task."""
+        of_robot = self.robots is None or robot in self.robots
+        return of_robot and (self.tasks is None or task in self.tasks)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A task with other parameters, in a table of its own.
+
+    Attributes:
+        label: Title of the table, such as `goals up to 1.4 m`.
+        task: Name or YAML file.
+        parameters: Its keyword parameters.
+        robots: Robots that have it.
+    """
+
+    label: str
+    task: str
+    parameters: dict[str, object]
+    robots: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class BenchmarkConfig:
+    """The schema of `configs/benchmark/*.yaml`, except for `paper.yaml`.
+
+    Rows, variants, trainings and baselines of other robots and tasks are left out, so that `robots`
+    and `tasks` can be shortened.
+
+    Attributes:
+        note: A sentence above the tables.
+        robots: Names or YAML files.
+        tasks: Names or YAML files.
+        baselines: Tasks of each baseline.
+        rows: Further rows of the learned policies.
+        policies: Whether to `train` the learned policies, to take the shipped ones (`pretrained`),
+            or to train only robots without a shipped one (`either`).
+        trainings: Training of the policies.
+        seeds: Training seeds of each.
+        episodes: Episodes of each policy on each task.
+        evaluation_seed: Seed of these episodes, the same for all.
+        variants: Further tables, in the analytic world only.
+        backend: Entry point in the group kinfeas.backends. Beside any but `analytic` the tables
+            have the same policies in the analytic world.
+        settings: Assignments to the world of all rows, such as `world.time_scale=1`.
+    """
+
+    note: str = ""
+    robots: tuple[str, ...] = ("pr2", "tiago", "hsr")
+    tasks: tuple[str, ...] = ("ggr", "ggr_restricted")
+    baselines: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    rows: tuple[Row, ...] = ()
+    policies: Literal["train", "pretrained", "either"] = "train"
+    trainings: tuple[Training, ...] = ()
+    seeds: tuple[Seed, ...] = (0,)
+    episodes: Annotated[int, Interval(low=1, high=MOST_EPISODES)] = 500
+    evaluation_seed: Seed = 1
+    variants: tuple[Variant, ...] = ()
+    backend: str = "analytic"
+    settings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the names of the baselines and that no row of a table is there twice."""
+        for name in self.baselines:
+            if name not in BASELINES:
+                raise ValueError(f"'baselines': unknown {name!r}{no_such(name, BASELINES)}")
+        for key in ("robots", "tasks", "seeds"):
+            entries = getattr(self, key)
+            if not entries or len(set(entries)) < len(entries):
+                raise ValueError(f"{key!r} must hold at least one entry, and none twice")
+        rows = [(r, t, row.label) for row in self.rows for r in self.robots for t in self.tasks
+                if row.has(r, t)]  # fmt: skip
+        variants = [(r, one.task, one.label) for one in self.variants for r in one.robots]
+        for key, names in (("rows", rows), ("variants", variants)):
+            if len(set(names)) < len(names) or not all(label.strip() for *_, label in names):
+                raise ValueError(f"{key!r}: each needs a 'label', another one for a robot and task")
+
+
+def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
+    """Return a benchmark by its recipe's name or file.
+
+    Raises:
+        KinfeasError: If there is none; or if a key, a robot, a task, its motion or a setting is
+            invalid; or if two robots or tasks have the same name.
+    """
+    study = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), overrides)
+    robots = [load_robot(robot).name for robot in study.robots]
+    for kind, names in (("robots", robots), ("tasks", [task_name(task) for task in study.tasks])):
+        if len(set(names)) < len(names):
+            raise KinfeasError(f"{kind!r} must not hold two of one name: {', '.join(names)}")
+    plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in study.tasks]
+    for task, parameters in [*plain, *((one.task, one.parameters) for one in study.variants)]:
+        build_subgoals(load_task(task, parameters).subgoals)
+    for robot in robots:
+        for settings in (study.settings, *((*study.settings, *row.settings) for row in study.rows)):
+            read_settings(robot, study.backend, settings)
+    return study
+
+
+def restricted(study: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfig:
+    """Return a benchmark of those of its robots that have one of `names`.
+
+    Raises:
+        KinfeasError: If it lacks one of these robots.
+    """
+    robots = {load_robot(robot).name: robot for robot in study.robots}
+    for name in names:
+        if name not in robots:
+            raise KinfeasError(f"the benchmark has no robot {name!r}{no_such(name, robots)}")
+    return replace(study, robots=tuple(robot for name, robot in robots.items() if name in names))

@@ -1,0 +1,292 @@
+"""Jobs of a benchmark: what to compute, and results in one JSON file a job."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinfeas import config
+from kinfeas.benchmark.config import BenchmarkConfig
+from kinfeas.benchmark.runs import Run, takes_pretrained
+from kinfeas.config import PluginSpec
+from kinfeas.control.loop import Rows
+from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.envs.episodes import worker_pool
+from kinfeas.envs.world import Transition, World
+from kinfeas.evaluation.evaluate import evaluate, prepare, read_settings
+from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.io.files import write_file, writing
+from kinfeas.io.policy_metadata import policy_folder
+from kinfeas.policies import pretrained
+from kinfeas.policies.loading import BASELINES, load_policy
+from kinfeas.policies.network import WEIGHTS, Network
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task, task_name
+
+CEILING = "ceiling"
+"""Policy of a job that measures the reachability of a task's goals."""
+
+PART = 20
+"""Episodes of a job with physics: the most that an interruption loses."""
+
+Result = dict[str, Any]
+"""The summary of an evaluation, with points of the `workspace` for a learned policy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One evaluation of a policy on a task, or the ceiling of the task.
+
+    Attributes:
+        robot: Name or YAML file.
+        robot_name: Name of the robot.
+        task: Name or YAML file.
+        policy: Name in the table: `sac`, `td3`, `pretrained`, a baseline or `ceiling`.
+        source: Name for `load_policy`.
+        training_seed: Seed of the training, if known.
+        episodes: Number of episodes.
+        seed: Seed of the episodes.
+        first: Number of the first episode.
+        backend: Entry point in the group kinfeas.backends.
+        settings: Assignments to the settings of the evaluation.
+        row: Label of the further row that it belongs to.
+        variant: Label of the further table that it belongs to.
+        parameters: Keyword parameters of the task.
+    """
+
+    robot: str
+    robot_name: str
+    task: str
+    policy: str
+    source: str
+    episodes: int
+    seed: int
+    training_seed: int | None = None
+    first: int = 0
+    backend: str = "analytic"
+    settings: tuple[str, ...] = ()
+    row: str = ""
+    variant: str = ""
+    parameters: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def task_name(self) -> str:
+        """Name of the task in tables."""
+        return task_name(self.task)
+
+    @property
+    def name(self) -> str:
+        """Name of its file: readable, and different for jobs with different results."""
+        told = [
+            self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
+            self.first, self.backend, self.settings, self.parameters,
+        ]  # fmt: skip
+        digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:10]
+        return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
+
+
+def plan_jobs(study: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
+    """Return the jobs of a benchmark: ceiling and policies of each robot and task.
+
+    Args:
+        study: The benchmark.
+        runs: Training runs of the learned policies; a robot without any has the shipped policy, if
+            the benchmark takes it, or none.
+    """
+    names = {robot: load_robot(robot).name for robot in study.robots}
+    numbers = study.episodes, study.evaluation_seed
+    trials = [
+        Job(robot, name, task, CEILING, CEILING, *numbers)
+        for robot, name in names.items()
+        for task in study.tasks
+    ]
+    trials += [
+        Job(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
+            parameters=one.parameters)
+        for one in study.variants
+        for robot in one.robots
+        if robot in names and one.task in study.tasks and study.backend == "analytic"
+    ]  # fmt: skip
+    return [job for trial in trials for job in _of_task(study, runs, trial)]
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    folder: Path,
+    processes: int = 1,
+    on_done: Callable[[], None] | None = None,
+) -> list[Result]:
+    """Return the result of each job; existing files in `folder` are kept.
+
+    Args:
+        jobs: What to compute.
+        folder: Folder of the results, each written as soon as it is there.
+        processes: Processes that share the work; no result depends on it.
+        on_done: Called for each new result.
+
+    Raises:
+        KinfeasError: If a job is invalid, a file is broken or cannot be written, or a worker dies.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    names = [job.name for job in jobs]
+    missing = {
+        name: job
+        for name, job in zip(names, jobs, strict=True)
+        if not (folder / f"{name}.json").exists()
+    }
+    check_baselines(list(missing.values()))
+
+    def keep(name: str, result: Result) -> None:
+        content = json.dumps(result, allow_nan=False).encode()
+        write_file(folder / f"{name}.json", content)
+        if on_done is not None:
+            on_done()
+
+    if processes == 1 or len(missing) < 2:
+        for name, job in missing.items():
+            keep(name, compute(job))
+    else:
+        with worker_pool(min(processes, len(missing))) as pool:
+            futures = {pool.submit(compute, job): name for name, job in missing.items()}
+            for future in as_completed(futures):
+                keep(futures[future], future.result())
+    return [_read(folder / f"{name}.json") for name in names]
+
+
+def check_baselines(jobs: Sequence[Job]) -> None:
+    """Build the baselines of jobs, so that a missing extra is an error before hours of work.
+
+    Raises:
+        KinfeasError: If one needs a package that is not installed, or does not suit its robot.
+    """
+    for source, robot in dict.fromkeys((job.source, job.robot) for job in jobs):
+        if source in BASELINES:
+            load_policy(source, load_robot(robot))
+
+
+def compute(job: Job) -> Result:
+    """Return the result of a job."""
+    if job.policy == CEILING:
+        robot, task = load_robot(job.robot), load_task(job.task, job.parameters)
+        ik = read_settings(robot.name, job.backend, job.settings).world.ik
+        share = measure_reachability(robot, task, job.episodes, job.seed, ik).share
+        return {"success": share.value, "success_low": share.low, "success_high": share.high}
+    parameters = [f"task.{key}={json.dumps(value)}" for key, value in job.parameters.items()]
+    chosen, policy = prepare(
+        job.source,
+        job.robot,
+        job.task,
+        job.backend,
+        episodes=job.episodes,
+        seed=job.seed,
+        overrides=[*job.settings, *parameters],
+    )
+    sampled = job.backend == "analytic" and isinstance(policy, Network)
+    samples = WorkspaceSamples() if sampled else None
+    summary = evaluate(replace(chosen, first=job.first), policy, job.policy, watch=samples)
+    return {**summary, "workspace": samples.kept()} if samples else dict(summary)
+
+
+class WorkspaceSamples:
+    """Desired EE positions in the base frame: of every failure, and of some feasible steps."""
+
+    EVERY, MOST = 20, 2000
+    """Steps of an episode between two feasible points, and points of each kind that are kept."""
+
+    def __init__(self) -> None:
+        self._points: dict[str, list[Array]] = {"feasible": [], "infeasible": []}
+
+    def __call__(self, world: World, transition: Transition, rows: Rows, _: Rows) -> None:
+        """Take in one step; called as `episodes.Watch`."""
+        loop, good = world.loop, transition.step.feasible[rows]
+        due = rows[good & (world.steps[rows] % self.EVERY == 0)]
+        for kind, which in (("infeasible", rows[~good]), ("feasible", due)):
+            inside = spatial.relative(loop.desired[which], loop.state.base_pose[which])
+            self._points[kind].append(inside[:, :3])
+
+    def kept(self) -> dict[str, list[list[float]]]:
+        """Return the points x, y, z of both kinds, metres, rounded to the millimetre."""
+        return {
+            kind: np.round(thinned(np.concatenate(points), self.MOST), 3).tolist()
+            for kind, points in self._points.items()
+        }
+
+
+def thinned(points: Array, most: int) -> Array:
+    """Return at most `most` of the points, shape (k, 3), evenly spread over all."""
+    return points[np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)]
+
+
+def _of_task(study: BenchmarkConfig, runs: Sequence[Run], job: Job) -> list[Job]:
+    """Return the jobs beside that of a ceiling: learned policies, rows and baselines."""
+    base = replace(job, settings=study.settings)
+    own = [run for run in runs if run.robot == job.robot_name]
+    learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
+               for run in own]  # fmt: skip
+    if not own and takes_pretrained(study, job.robot):
+        learned = [replace(base, policy=pretrained.NAME, source=pretrained.NAME)]
+    rows = []
+    for row in study.rows if not job.variant else ():
+        if row.has(job.robot, job.task):
+            settings = (*study.settings, *row.settings, *_filters(row.filters))
+            rows += [
+                replace(one, row=row.label, settings=settings)
+                for one in learned
+                if one.policy != "td3"
+            ]
+    baselines = [replace(base, policy=name, source=name)
+                 for name, on in study.baselines.items() if job.task in on]  # fmt: skip
+    policies = [*learned, *rows, *baselines]
+    if study.backend != "analytic":
+        beside = [_without_physics(study, one) for one in policies]
+        policies = [*beside, *(part for one in policies for part in _parts(study, one))]
+    settings = study.settings if study.backend == "analytic" else ()
+    return [replace(job, settings=settings), *policies]
+
+
+def _without_physics(study: BenchmarkConfig, job: Job) -> Job:
+    """Return a job with the same filters in the analytic world, which has no obstacles."""
+    used = read_settings(job.robot_name, study.backend, job.settings).world.filters
+    filters = tuple(one for one in used if one.name != "obstacle_distance")
+    return replace(job, settings=_filters(filters))
+
+
+def _parts(study: BenchmarkConfig, job: Job) -> list[Job]:
+    return [
+        replace(job, backend=study.backend, first=at, episodes=min(PART, job.episodes - at))
+        for at in range(0, job.episodes, PART)
+    ]
+
+
+def _filters(filters: tuple[PluginSpec, ...] | None) -> tuple[str, ...]:
+    """Return filters as an assignment; none if they are to stay."""
+    if filters is None:
+        return ()
+    return (f"world.filters={json.dumps([config.to_mapping(one) for one in filters])}",)
+
+
+def _weights(job: Job) -> str:
+    """Return the digest of a learned policy, which may be trained anew in the same folder."""
+    if job.source == CEILING or job.source in BASELINES:
+        return ""
+    shipped = job.source == pretrained.NAME
+    folder = pretrained.find(job.robot_name) if shipped else Path(job.source)
+    place = policy_folder(folder) / WEIGHTS
+    return hashlib.sha256(place.read_bytes()).hexdigest()
+
+
+def _read(path: Path) -> Result:
+    try:
+        result: Result = json.loads(path.read_text(encoding="utf-8"))
+        float(result["success"])
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise KinfeasError(f"{path}: broken; remove it to compute it again") from error
+    return result

@@ -1,0 +1,247 @@
+"""The results table of a benchmark in Markdown: `table.md`."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from kinfeas.benchmark.table import Cell
+from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
+
+NOTHING = "-"
+"""Entry of a table where nothing was measured."""
+
+_INDENT = "&nbsp;&nbsp;"
+
+_LEARNED = {"sac": "learned, SAC", "td3": "learned, TD3", "pretrained": "learned, pretrained"}
+
+_HOW = """\
+Each cell is the percentage of episodes that reach the goal **without an IK failure**. In \
+brackets: EE deviation below 5 cm throughout, and goal reached. `±` is the standard deviation over \
+training seeds. The *ceiling* is the percentage of goals that are reachable from at least one base \
+pose, with its 95 % interval. Rows in italics are the paper's figures, from its own program"""
+
+_ANALYTIC = """\
+. Its `ggr_restricted` has harder start configurations: in self-collision at these heights, and \
+any others beyond them. Tables "any start" use these starts, too."""
+
+_PHYSICS = """\
+ and simulator. *without physics*: the same policy in the same episodes of the analytic world. \
+*head start*: the base moves for 3 s before the EE; *no objects*: an empty floor."""
+
+_JUMPS = "Steps in which an arm joint would exceed its velocity limit."
+
+_DONE = """\
+Percentage of episodes in which the objects end as the task asks for, with 95 % intervals: the \
+box is on the place table, the door open beyond 60 degrees, the drawer beyond 0.15 m. Tasks \
+without objects count the goals reached."""
+
+_COLLISIONS = """\
+Collisions of the base / the arm per episode; in brackets the percentage of episodes without any. \
+The policy does not observe obstacles."""
+
+_DEVIATION = "Mean distance of the EE from the desired position, mm."
+
+_CAPTIONS = {
+    "table.png": "Episodes without a failure",
+    "learning_curves.png": "Learning curves: mean and standard deviation over the training seeds",
+    "workspace.png": "Where in the base frame the end-effector goes, from above and from the side",
+}
+
+_PAPER_ROWS = ("head_start", "no_objects")
+"""Rows that are the plain one without physics."""
+
+Entry = Callable[[Cell], str]
+
+
+def to_markdown(
+    cells: Sequence[Cell], note: str, commands: Sequence[str], pictures: Sequence[str] = ()
+) -> str:
+    """Return the tables of a benchmark as Markdown.
+
+    Args:
+        cells: The results.
+        note: A sentence above the tables; may be empty.
+        commands: Commands that produce them.
+        pictures: Files to show, relative to the text.
+    """
+    world = cells[0].world
+    lines = [f"# Benchmark{'' if world == 'analytic' else f' in {world}'}", ""]
+    lines += [f"**{note}**", ""] if note else []
+    lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), "", _effort(cells), ""]
+    for robot, variant in groups(cells):
+        own = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
+        lines += [f"## {title(robot, variant)}", "", *_success_table(own), ""]
+    for heading, about, entry in _METRICS:
+        if any(entry(cell) != NOTHING for cell in cells):
+            lines += [f"## {heading}", "", about, "", *_metric_table(cells, entry), ""]
+    for name in pictures:
+        caption = _CAPTIONS.get(name, "An episode of each task")
+        lines += [f"![{caption}]({name})", "", f"*{caption}.*", ""]
+    return "\n".join([*lines, "## How to make it again", "", "```sh", *commands, "```", ""])
+
+
+def groups(cells: Sequence[Cell]) -> list[tuple[str, str]]:
+    """Return robots and variants of `cells`, each once, those without a variant first."""
+    found = dict.fromkeys((cell.robot, cell.variant) for cell in cells)
+    return sorted(found, key=lambda group: bool(group[1]))
+
+
+def title(robot: str, variant: str) -> str:
+    """Return the title of a robot's table."""
+    name = TITLES.get(robot, robot)
+    return f"{name}, {variant}" if variant else name
+
+
+def label(cell: Cell) -> str:
+    """Return the name of the row of a cell: its policy and the label of the row."""
+    told = [_LEARNED.get(cell.policy, cell.policy), cell.row.replace("_", " ")]
+    return ", ".join(part for part in told if part)
+
+
+def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:
+    """Return the rows of a table in order: the cells of each by task."""
+    rows: dict[tuple[str, str], dict[str, Cell]] = {}
+    for cell in cells:
+        rows.setdefault((cell.policy, cell.row), {})[cell.task] = cell
+    return list(rows.values())
+
+
+def _effort(cells: Sequence[Cell]) -> str:
+    seeds = sorted({cell.seeds for cell in cells if cell.learned})
+    policies = f"{_or(seeds)} training seed{'s' * (seeds != [1])} a policy, " if seeds else ""
+    episodes = f"{_or(sorted({cell.episodes_per_seed for cell in cells}))} episodes of each"
+    return f"World: {cells[0].world}; {policies}{episodes}, the same for all policies."
+
+
+def _or(numbers: Sequence[int]) -> str:
+    return " or ".join(f"{number:,}" for number in numbers)
+
+
+def _success_table(cells: Sequence[Cell]) -> list[str]:
+    tasks = list(dict.fromkeys(cell.task for cell in cells))
+    rows: list[list[str]] = []
+    for own in rows_of(cells):
+        first = next(iter(own.values()))
+        seeds = f", {first.seeds} seeds" if first.seeds > 1 else ""
+        name = f"**{label(first)}**{seeds}" if first.learned else label(first)
+        rows.append([name, *_entries(own, tasks, _ours)])
+        for text, entry in ((f"{_INDENT}*paper*", _papers), (f"{_INDENT}without physics", _beside)):
+            entries = _entries(own, tasks, entry)
+            if set(entries) != {NOTHING} and not (entry is _beside and first.row in _PAPER_ROWS):
+                rows.append([text, *entries])
+    rows += _unmatched(cells, tasks)
+    ceilings = {cell.task: cell for cell in cells}
+    rows.append(["**ceiling**", *_entries(ceilings, tasks, _ceiling)])
+    return table(["", *tasks], rows)
+
+
+def _unmatched(cells: Sequence[Cell], tasks: Sequence[str]) -> list[list[str]]:
+    """Return rows of the paper's figures that no row of ours has beside it."""
+    robot, variant, world = cells[0].robot, cells[0].variant, cells[0].world
+    if variant or world != "analytic":
+        return []
+    known = {task: paper_figures(robot, task, world) for task in tasks}
+    rows = []
+    for name in dict.fromkeys(name for figures in known.values() for name in figures):
+        shown = {
+            cell.task
+            for cell in cells
+            if (LEARNED if cell.learned else cell.policy) == name and cell.paper_success is not None
+        }
+        entries = [
+            f"*{_percent(figures.success, figures.within_5cm)}*"
+            if (figures := known[task].get(name)) and task not in shown
+            else NOTHING
+            for task in tasks
+        ]
+        if set(entries) != {NOTHING}:
+            rows.append([f"*paper: {'learned' if name == LEARNED else name}*", *entries])
+    return rows
+
+
+def _metric_table(cells: Sequence[Cell], entry: Entry) -> list[str]:
+    tasks = list(dict.fromkeys(cell.task for cell in cells))
+    rows = []
+    for robot, variant in groups(cells):
+        group = [cell for cell in cells if (cell.robot, cell.variant) == (robot, variant)]
+        for own in rows_of(group):
+            first = next(iter(own.values()))
+            rows.append([title(robot, variant), label(first), *_entries(own, tasks, entry)])
+    return table(["robot", "policy", *tasks], rows, names=2)
+
+
+def _entries(cells: Mapping[str, Cell], tasks: Sequence[str], entry: Entry) -> list[str]:
+    return [entry(cells[task]) if task in cells else NOTHING for task in tasks]
+
+
+def _percent(success: float, within: float) -> str:
+    return f"{100 * success:.1f} ({100 * within:.1f})"
+
+
+def _ours(cell: Cell) -> str:
+    value = f"{100 * cell.success:.1f}"
+    if cell.success_std is not None:
+        value += f" ± {100 * cell.success_std:.1f}"
+    value = f"**{value}**" if cell.learned else value
+    return f"{value} ({100 * cell.within_5cm:.1f})"
+
+
+def _papers(cell: Cell) -> str:
+    if cell.paper_success is None or cell.paper_within_5cm is None:
+        return NOTHING
+    return f"*{_percent(cell.paper_success, cell.paper_within_5cm)}*"
+
+
+def _beside(cell: Cell) -> str:
+    if cell.analytic_success is None or cell.analytic_within_5cm is None:
+        return NOTHING
+    return _percent(cell.analytic_success, cell.analytic_within_5cm)
+
+
+def _ceiling(cell: Cell) -> str:
+    ends = f"{100 * cell.ceiling_low:.1f} - {100 * cell.ceiling_high:.1f}"
+    return f"{100 * cell.ceiling:.1f} ({ends})"
+
+
+def _done(cell: Cell) -> str:
+    low, high = cell.task_success_low, cell.task_success_high
+    if cell.task_success is None or low is None or high is None:
+        return NOTHING
+    return f"{100 * cell.task_success:.1f} ({100 * low:.1f} - {100 * high:.1f})"
+
+
+def _collisions(cell: Cell) -> str:
+    if cell.collision_free_rate is None:
+        return NOTHING
+    free = f"({100 * cell.collision_free_rate:.1f})"
+    return f"{cell.base_collisions:.2f} / {cell.arm_collisions:.2f} {free}"
+
+
+def _deviation(cell: Cell) -> str:
+    if cell.world == "analytic" or cell.mean_deviation_m is None:
+        return NOTHING
+    return f"{1000 * cell.mean_deviation_m:.1f}"
+
+
+_METRICS: tuple[tuple[str, str, Entry], ...] = (
+    ("Joint jumps per episode", _JUMPS, lambda cell: f"{cell.joint_jumps_per_episode:.2f}"),
+    ("Tasks done", _DONE, _done),
+    ("Collisions", _COLLISIONS, _collisions),
+    ("Deviation", _DEVIATION, _deviation),
+)
+"""Heading, explanation and entry of the tables below those of success."""
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
+    """Return the lines of an aligned Markdown table: `names` columns left, others right."""
+    widths = [max(len(row[i]) for row in (heads, *rows)) for i in range(len(heads))]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [
+            text.ljust(width) if i < names else text.rjust(width)
+            for i, (text, width) in enumerate(zip(cells, widths, strict=True))
+        ]
+        return f"| {' | '.join(padded)} |"
+
+    rules = [
+        "-" * width if i < names else f"{'-' * (width - 1)}:" for i, width in enumerate(widths)
+    ]
+    return [line(heads), line(rules), *(line(row) for row in rows)]

@@ -1,0 +1,387 @@
+"""Pictures of a benchmark: success, learning curves, workspace and example episodes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import fill
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from matplotlib.ticker import PercentFormatter
+from scipy.spatial import ConvexHull
+
+from kinfeas.benchmark.config import BenchmarkConfig
+from kinfeas.benchmark.jobs import Job, Result, thinned
+from kinfeas.benchmark.markdown import groups, label, rows_of, title
+from kinfeas.benchmark.runs import Run
+from kinfeas.benchmark.table import Cell
+from kinfeas.core.spatial import IDENTITY, Array
+from kinfeas.envs.world import World
+from kinfeas.evaluation.evaluate import read_settings
+from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
+from kinfeas.evaluation.recording import Recording, record_episodes
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import Robot
+from kinfeas.tasks.loading import load_task
+from kinfeas.viz.drawing import corners, robot_solids
+from kinfeas.viz.episodes import episodes_figure
+from kinfeas.viz.plots import apart, read_metrics
+from kinfeas.viz.style import BASE, BODY, EE, FAILURE, FAINT, GOAL, INK, STYLE, failures_text, png
+
+_COLOURS = {"sac": EE, "td3": BASE}
+_POINTS = 200
+_CURVE_INCHES = 4.9
+_MARGIN = 0.15
+_POINTS_SHOWN = 3000
+"""Points of a kind that are drawn; more hide each other."""
+
+_VIEWS = (([0, 1], "y (m)"), ([0, 2], "z (m)"))
+
+_BEYOND = "#e4e7eb"
+_ROW_INCHES, _PANEL_INCHES = 0.27, 2.35
+_LEGEND_INCHES = (7.4, 9.0)
+
+
+def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
+    """Return the picture of success: ours with its interval, the paper's, and the ceiling.
+
+    Args:
+        cells: The results.
+        note: A sentence above it; may be empty.
+    """
+    tasks = list(dict.fromkeys(cell.task for cell in cells))
+    tables = {
+        group: rows_of([cell for cell in cells if (cell.robot, cell.variant) == group])
+        for group in groups(cells)
+    }
+    heights = [_ROW_INCHES * (len(rows) + 1.0) for rows in tables.values()]
+    beside = any(cell.analytic_success is not None for cell in cells)
+    with rc_context(STYLE):
+        width = max(_LEGEND_INCHES[beside], 1.9 + _PANEL_INCHES * len(tasks))
+        height = 1.1 + sum(heights) + 0.3 * len(tables)
+        figure = Figure(figsize=(width, height), layout="constrained")
+        panels = figure.subplots(len(tables), len(tasks), squeeze=False, height_ratios=heights)
+        for line, (group, rows) in zip(panels, tables.items(), strict=True):
+            names = [label(next(iter(row.values()))) for row in rows]
+            for axes, task in zip(line, tasks, strict=True):
+                _draw_panel(axes, [row.get(task) for row in rows], names, first=axes is line[0])
+            line[0].set_title(title(*group))
+        for column, task in enumerate(tasks):
+            panels[0, column].set_title(task, loc="center", fontweight="normal")
+            _label_lowest(list(panels[:, column]))
+        legend = _table_legend(beside=beside)
+        figure.legend(handles=legend, loc="outside lower center", ncols=6, fontsize=9.5)
+        if note:
+            figure.suptitle(fill(note, int(13 * width)), fontsize=9.5, x=0.01, ha="left")
+    return figure
+
+
+def _draw_panel(
+    axes: Axes, cells: Sequence[Cell | None], names: Sequence[str], *, first: bool
+) -> None:
+    axes.set_xlim(0.0, 100.0)
+    axes.set_ylim(len(names) - 0.45, -0.55)
+    axes.set_yticks(range(len(names)), names if first else [""] * len(names))
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="y", visible=False)
+    axes.spines["left"].set_visible(False)
+    known = [cell for cell in cells if cell is not None]
+    if not known:  # the names of the rows stay
+        axes.xaxis.set_visible(False)
+        axes.spines["bottom"].set_visible(False)
+        return
+    ceiling = 100.0 * known[0].ceiling
+    axes.axvspan(ceiling, 100.0, color=_BEYOND, lw=0.0, zorder=0.5)
+    axes.axvline(ceiling, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=2)
+    for place, cell in enumerate(cells):
+        if cell is not None:
+            _draw_row(axes, place, cell)
+
+
+def _draw_row(axes: Axes, place: int, cell: Cell) -> None:
+    value, colour = 100.0 * cell.success, EE if cell.learned else BASE
+    axes.plot(
+        [100.0 * cell.success_low, 100.0 * cell.success_high], [place, place],
+        color=colour, lw=4.5, alpha=0.35, solid_capstyle="butt", zorder=3,
+    )  # fmt: skip
+    axes.plot([value], [place], "o", color=colour, ms=6.5, mec="white", mew=0.8, zorder=5,
+              clip_on=False)  # fmt: skip
+    if cell.analytic_success is not None:
+        axes.plot([100.0 * cell.analytic_success], [place], "|", color=colour, mew=2.2, ms=11,
+                  zorder=4.5, clip_on=False)  # fmt: skip
+    if cell.paper_success is not None:
+        axes.plot([100.0 * cell.paper_success], [place], "D", color="none", mec=GOAL, mew=1.7,
+                  ms=6.5, zorder=4, clip_on=False)  # fmt: skip
+    axes.annotate(
+        f"{value:.1f}", (1.0, place), xytext=(9, 0), xycoords=("axes fraction", "data"),
+        textcoords="offset points", va="center", fontsize=8.5, color=colour,
+        fontweight="bold" if cell.learned else "normal", annotation_clip=False,
+    )  # fmt: skip
+
+
+def _label_lowest(panels: Sequence[Axes]) -> None:
+    """Write the axis below the lowest panel of a column that shows anything."""
+    shown = [axes for axes in panels if axes.xaxis.get_visible()]
+    for axes in shown[:-1]:
+        axes.tick_params(axis="x", labelbottom=False)
+    shown[-1].set_xlabel("% of episodes without a failure", fontsize=9)
+
+
+def _table_legend(*, beside: bool) -> list[Line2D]:
+    handles = [
+        Line2D([], [], color=EE, lw=0, marker="o", ms=7, label="learned"),
+        Line2D([], [], color=BASE, lw=0, marker="o", ms=7, label="baseline"),
+        Line2D([], [], color=BASE, lw=4.5, alpha=0.35, label="95 % interval"),
+        Line2D([], [], color="none", lw=0, marker="D", mec=GOAL, mew=1.7, ms=7, label="paper"),
+        Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)),
+               label="ceiling"),
+    ]  # fmt: skip
+    if beside:
+        handles.append(
+            Line2D([], [], color=INK, lw=0, marker="|", mew=2.2, ms=11, label="without physics")
+        )
+    return handles
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Success over the environment steps of several runs.
+
+    Attributes:
+        steps: Shape (k,); as far as the shortest run goes.
+        mean: Over the runs, 0-1, shape (k,); NaN where not all of them have a value.
+        deviation: Standard deviation over the runs, shape (k,).
+    """
+
+    steps: Array
+    mean: Array
+    deviation: Array
+
+
+def training_curve(metrics: Sequence[Mapping[str, Array]]) -> Curve:
+    """Return how success in the training episodes went, put on common steps."""
+    end = min(float(one["steps"][-1]) for one in metrics)
+    steps = np.linspace(0.0, end, _POINTS)
+    values = []
+    for one in metrics:
+        known = np.isfinite(one["train/success"])
+        # A short run may end before its first training episode does.
+        at, seen = (
+            one[key][known] if known.any() else [np.nan] for key in ("steps", "train/success")
+        )
+        values.append(np.interp(steps, at, seen, left=np.nan))
+    return _curve(steps, np.array(values))
+
+
+def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> Curve:
+    """Return how the evaluations along the way went: the first of all runs, the second and on."""
+    judged = [np.isfinite(one["evaluation/success"]) for one in metrics]
+    count = min(int(rows.sum()) for rows in judged)
+    steps, values = (
+        np.array([one[key][rows][:count] for one, rows in zip(metrics, judged, strict=True)])
+        for key in ("steps", "evaluation/success")
+    )
+    return _curve(steps.mean(axis=0), values)
+
+
+def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]) -> Figure:
+    """Return the picture of all runs' learning curves.
+
+    Args:
+        runs: At least one.
+        levels: For each robot shares in 0-1 to compare with, by name.
+    """
+    robots = list(dict.fromkeys(run.robot for run in runs))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(0.6 + _CURVE_INCHES * len(robots), 4.3), layout="constrained")
+        panels = figure.subplots(1, len(robots), squeeze=False, sharey=True)[0]
+        for axes, robot in zip(panels, robots, strict=True):
+            own = [run for run in runs if run.robot == robot]
+            for algorithm in dict.fromkeys(run.algorithm for run in own):
+                _draw_curves(axes, algorithm, [run for run in own if run.algorithm == algorithm])
+            _draw_levels(axes, levels.get(robot, {}))
+            axes.set_title(f"{TITLES.get(robot, robot)}, {own[0].task}")
+            axes.set_xlabel("environment steps (thousands)")
+            axes.set_xlim(left=0.0)
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=9)
+        panels[0].set_ylabel("episodes without a failure")
+        panels[0].set_ylim(0.0, 1.02)
+        panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
+    return figure
+
+
+def _curve(steps: Array, values: Array) -> Curve:
+    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(len(steps))
+    return Curve(steps, values.mean(axis=0), deviation)
+
+
+def _draw_curves(axes: Axes, algorithm: str, runs: Sequence[Run]) -> None:
+    metrics = [read_metrics(run.folder) for run in runs]
+    colour, name = _COLOURS.get(algorithm, INK), algorithm.upper()
+    seeds = f", mean and std of {len(runs)} seeds" if len(runs) > 1 else ", 1 seed"
+    training, judged = training_curve(metrics), evaluation_curve(metrics)
+    steps = training.steps / 1000.0
+    low, high = training.mean - training.deviation, training.mean + training.deviation
+    axes.fill_between(steps, low.clip(0.0), high.clip(max=1.0), color=colour, alpha=0.2, lw=0.0)
+    axes.plot(steps, training.mean, color=colour, lw=1.8, label=f"{name} training{seeds}")
+    axes.errorbar(
+        judged.steps / 1000.0, judged.mean, yerr=judged.deviation if len(runs) > 1 else None,
+        fmt="o", color=colour, ms=6.5, mec="white", capsize=3, elinewidth=1.4, zorder=4,
+        label=f"{name} evaluation, without noise",
+    )  # fmt: skip
+
+
+def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
+    """Draw lines to compare with, their names beside the axes and apart from each other."""
+    ordered = sorted(levels.items(), key=lambda item: item[1])
+    places = apart([value for _, value in ordered], 0.05)
+    for (name, value), y in zip(ordered, places, strict=True):
+        axes.axhline(value, color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
+        axes.annotate(
+            f"{name} {value:.1%}", (1.015, y), xycoords=("axes fraction", "data"), fontsize=8.5,
+            va="center", color=INK, annotation_clip=False,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """Where the EE was asked to be in one robot's episodes.
+
+    Attributes:
+        robot: Whose.
+        feasible: Points in the base frame where IK found it, shape (k, 3), metres.
+        infeasible: Points where it did not, shape (m, 3), metres.
+        failed: Share of all steps that were infeasible, 0-1.
+    """
+
+    robot: Robot
+    feasible: Array
+    infeasible: Array
+    failed: float
+
+
+def covered(robot: Robot, results: Sequence[Result]) -> Covered:
+    """Return the workspace of a robot's learned policies together, from at least one result."""
+    points = {
+        kind: thinned(np.concatenate([np.reshape(one["workspace"][kind], (-1, 3))
+                                      for one in results]), _POINTS_SHOWN)
+        for kind in ("feasible", "infeasible")
+    }  # fmt: skip
+    failures, steps = (
+        sum(one[key] * one["episodes"] for one in results)
+        for key in ("ik_failures_per_episode", "mean_steps")
+    )
+    return Covered(robot, **points, failed=failures / steps)
+
+
+def workspace_figure(robots: Sequence[Covered]) -> Figure:
+    """Return the picture: a column for each robot, seen from above and from the side."""
+    with rc_context(STYLE):
+        width = max(0.4 + 4.3 * len(robots), 5.4)  # what the legend needs
+        figure = Figure(figsize=(width, 8.3), layout="constrained")
+        panels = figure.subplots(2, len(robots), squeeze=False)
+        for column, one in zip(panels.T, robots, strict=True):
+            for axes, (shown, across) in zip(column, _VIEWS, strict=True):
+                _draw_workspace(axes, one, shown)
+                axes.set(xlabel="x, ahead of the base (m)", ylabel=across)
+            name = TITLES.get(one.robot.name, one.robot.name)
+            column[0].set_title(f"{name}: {one.failed:.2%} of all steps infeasible")
+        columns = 3 if len(robots) > 2 else 1
+        figure.legend(handles=_workspace_legend(), loc="outside lower center", ncols=columns)
+    return figure
+
+
+def _draw_workspace(axes: Axes, one: Covered, shown: list[int]) -> None:
+    solids = robot_solids(one.robot, IDENTITY, one.robot.home["home"])
+    body = [corners([solid])[:, shown] for solid in solids if solid.colour == BODY]
+    for points in body:
+        outline = points[ConvexHull(points).vertices]
+        axes.add_patch(Polygon(outline, facecolor=BODY, edgecolor="#9aa2ad", lw=0.4, zorder=3))
+    feasible, infeasible = one.feasible[:, shown], one.infeasible[:, shown]
+    axes.plot(*feasible.T, "o", color=EE, ms=2.0, mew=0.0, alpha=0.35, zorder=5)
+    axes.plot(*infeasible.T, "o", color=FAILURE, ms=2.6, mew=0.0, alpha=0.7, zorder=6)
+    seen = np.concatenate([feasible, *body])
+    # What was lost far from the base would make all else small.
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    half = float(np.max(high - low)) / 2.0 + _MARGIN
+    (left, bottom), (right, top) = (low + high) / 2.0 - half, (low + high) / 2.0 + half
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+
+
+def _workspace_legend() -> list[Line2D]:
+    return [
+        Line2D([], [], color=EE, lw=0, marker="o", ms=6, label="EE, some of the feasible steps"),
+        Line2D([], [], color=FAILURE, lw=0, marker="o", ms=6,
+               label="where it should have been, infeasible steps; some lie outside"),
+        Line2D([], [], color=BODY, lw=0, marker="s", ms=9, label="the robot without its arm"),
+    ]  # fmt: skip
+
+
+def draw_pictures(
+    study: BenchmarkConfig,
+    runs: Sequence[Run],
+    found: Sequence[tuple[Job, Result]],
+    cells: Sequence[Cell],
+) -> dict[str, bytes]:
+    """Return the pictures of a benchmark as PNG files, by name.
+
+    `table`; in the analytic world also `learning_curves` if there are runs, and `workspace` and
+    `examples-ROBOT` if there are learned policies.
+    """
+    pictures = {"table": png(table_figure(cells, study.note), 110)}
+    if study.backend != "analytic":
+        return pictures
+    if runs:
+        names = [load_robot(robot).name for robot in study.robots]
+        ordered = sorted(runs, key=lambda run: names.index(run.robot))
+        pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
+    spaces = []
+    for robot in study.robots:
+        own = [(job, result) for job, result in found
+               if job.robot == robot and "workspace" in result and not job.variant]  # fmt: skip
+        own = [(job, result) for job, result in own if job.policy == own[0][0].policy]
+        if not own:
+            continue
+        known = load_robot(robot)
+        spaces.append(covered(known, [result for _, result in own]))
+        shown = _examples(known, [job for job, _ in own])
+        titles = [_example_title(task, recording) for task, recording in shown.items()]
+        figure = episodes_figure(known, list(shown.values()), titles)
+        pictures[f"examples-{known.name}"] = png(figure, 80)
+    if spaces:
+        pictures["workspace"] = png(workspace_figure(spaces), 90)
+    return pictures
+
+
+def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, float]]:
+    """Return the shares to compare the learning curves of each robot with."""
+    levels: dict[str, dict[str, float]] = {}
+    trained = {run.robot: run.task for run in runs}
+    for cell in cells:
+        if trained.get(cell.robot) == cell.task and not cell.variant:
+            levels[cell.robot] = {"ceiling": cell.ceiling}
+            if paper := paper_figures(cell.robot, cell.task).get(LEARNED):
+                levels[cell.robot]["paper"] = paper.success
+    return levels
+
+
+def _examples(robot: Robot, jobs: Sequence[Job]) -> dict[str, Recording]:
+    """Return an episode of each task: number 0 of the first one, 1 of the second and so on."""
+    shown: dict[str, Recording] = {}
+    for job in jobs:
+        if job.task_name not in shown:
+            config = read_settings(robot.name, job.backend, job.settings).world
+            world = World(robot, load_task(job.task, job.parameters), config, job.seed)
+            policy = load_policy(job.source, robot)
+            (shown[job.task_name],) = record_episodes(world, policy, 1, first=len(shown))
+    return shown
+
+
+def _example_title(task: str, recording: Recording) -> str:
+    end = "goal reached" if recording.reached else "goal missed"
+    failures = failures_text(int(np.sum(~recording.feasible)))
+    return f"{task}: {end}, {failures}, {(len(recording.feasible) - 1) * recording.dt:.0f} s"

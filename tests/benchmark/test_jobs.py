@@ -1,0 +1,160 @@
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from kinfeas.benchmark import jobs as module
+from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs, thinned
+from kinfeas.benchmark.runs import Run
+from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.ggr import ggr
+from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
+
+
+def small(*overrides):
+    return plan_jobs(study(SMALL, *overrides), [])
+
+
+def test_plan():
+    told = [(job.robot, job.task, job.variant, job.policy, job.row) for job in small()]
+    assert told == [
+        ("hsr", "ggr", "", CEILING, ""),
+        ("hsr", "ggr", "", "pretrained", ""),
+        ("hsr", "ggr", "", "follow_ee", ""),
+        ("hsr", "pick_place", "", CEILING, ""),
+        ("hsr", "pick_place", "", "pretrained", ""),
+        ("tiago", "ggr", "", CEILING, ""),
+        ("tiago", "ggr", "", "pretrained", ""),
+        ("tiago", "ggr", "", "pretrained", "feasibility filter"),
+        ("tiago", "ggr", "", "follow_ee", ""),
+        ("tiago", "pick_place", "", CEILING, ""),
+        ("tiago", "pick_place", "", "pretrained", ""),
+        ("tiago", "pick_place", "", "pretrained", "feasibility filter"),
+        ("hsr", "ggr", "low", CEILING, ""),
+        ("hsr", "ggr", "low", "pretrained", ""),
+        ("hsr", "ggr", "low", "follow_ee", ""),
+    ]
+
+
+def test_rows_are_of_sac_and_runs_replace_the_shipped_policy(tmp_path):
+    runs = [Run(tmp_path / name, "tiago", name, 3, "ggr") for name in ("sac", "td3")]
+    told = [(job.policy, job.row) for job in plan_jobs(study(SMALL), runs)
+            if (job.robot, job.task) == ("tiago", "pick_place")]  # fmt: skip
+    assert told == [(CEILING, ""), ("sac", ""), ("td3", ""), ("sac", "feasibility filter")]
+
+
+def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():
+    planned = plan_jobs(study(PYBULLET), [])
+    parts = [job for job in planned if job.backend == "pybullet"]
+    one = [job for job in parts if (job.robot, job.task, job.policy, job.row)
+           == ("pr2", "ggr", "pretrained", "head_start")]  # fmt: skip
+    assert [(job.first, job.episodes) for job in one] == [(0, PART), (PART, PART), (2 * PART, 3)]
+    assert one[0].settings == ("world.head_start=3",)
+    rows = Counter((job.robot, job.task, job.row) for job in parts if job.first == 0)
+    assert rows["tiago", "ggr", "head_start"] == rows["pr2", "ggr", "no_objects"] == 0
+    assert rows["tiago", "door", "no_objects"] == 1
+    beside = [job for job in planned if job.backend == "analytic" and job.policy == "pretrained"]
+    assert {job.settings for job in beside} == {
+        ('world.filters=[{"name": "feasibility", "parameters": {}}]',)
+    }
+
+
+def test_jobs_with_other_results_have_other_files():
+    one = small()
+    assert len({job.name for job in one}) == len(one)
+    assert [job.name for job in small()] == [job.name for job in one]
+    for other in ("episodes=3", "evaluation_seed=2", "settings=['world.max_seconds=3']"):
+        assert not {job.name for job in small(other)} & {job.name for job in one}
+    physics, faster = (
+        {job.name for job in plan_jobs(study(PYBULLET, *more), [])}
+        for more in ((), ("settings=['world.time_scale=1']",))
+    )
+    assert len(physics & faster) < len(physics) / 2
+
+
+def test_a_policy_trained_anew_is_evaluated_anew(tmp_path, monkeypatch):
+    (tmp_path / module.WEIGHTS).write_bytes(b"one")
+    run = Run(tmp_path, "hsr", "sac", 0, "ggr")
+
+    def name():
+        return next(job.name for job in plan_jobs(study(SMALL), [run]) if job.policy == "sac")
+
+    before = name()
+    (tmp_path / module.WEIGHTS).write_bytes(b"two")
+    assert name() != before
+
+
+def test_results_are_those_of_an_evaluation_and_are_kept(tmp_path, monkeypatch):
+    few = [job for job in small("robots=[hsr]", "tasks=[ggr]") if job.policy != "pretrained"][:2]
+    done = []
+    first = run_jobs(few, tmp_path, on_done=lambda: done.append(1))
+    assert len(done) == 2
+    chosen, policy = prepare(
+        "follow_ee", "hsr", "ggr", episodes=2, overrides=["world.max_seconds=2.5"]
+    )
+    assert first[1] == evaluate(chosen, policy, "follow_ee")
+    assert first[0].keys() == {"success", "success_low", "success_high"}
+    monkeypatch.setattr(module, "compute", None)
+    assert run_jobs(few, tmp_path) == first
+    (tmp_path / f"{few[1].name}.json").write_text('{"success":')
+    with pytest.raises(KinfeasError, match="follow_ee"):
+        run_jobs(few, tmp_path)
+
+
+def test_an_interruption_keeps_finished_jobs(tmp_path, monkeypatch):
+    few, compute = small("robots=[hsr]", "tasks=[ggr]")[:3], module.compute
+
+    def interrupted(job):
+        if job.policy == "follow_ee":
+            raise KeyboardInterrupt
+        return {"success": 0.5}
+
+    monkeypatch.setattr(module, "compute", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(few, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.setattr(module, "compute", compute)
+    assert run_jobs(few, tmp_path)[0] == {"success": 0.5}
+
+
+@pytest.mark.slow
+def test_processes_change_nothing(tmp_path):
+    few = small("robots=[hsr]")
+    alone, shared = run_jobs(few, tmp_path / "one"), run_jobs(few, tmp_path / "two", 2)
+    assert json.dumps(alone) == json.dumps(shared)
+
+
+def test_workspace_samples():
+    robot = load_robot("tiago")
+    world = World(robot, ggr(), WorldConfig(max_failures=9, max_seconds=10.0), seed=1)
+    samples = WorkspaceSamples()
+    records = run_episodes(world, FollowEe(robot.base), 6, watch=samples)
+    kept = {kind: np.array(points) for kind, points in samples.kept().items()}
+    assert len(kept["infeasible"]) == records.failures.sum() > 0
+    assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
+    assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)
+
+
+@pytest.mark.parametrize(("count", "kept"), [(0, 0), (1, 1), (7, 7), (30, 10)])
+def test_thinning_spreads_evenly(count, kept):
+    points = np.repeat(np.arange(count, dtype=float)[:, np.newaxis], 3, axis=1)
+    thin = thinned(points, 10)
+    assert thin.shape == (kept, 3)
+    assert kept < 2 or (thin[0, 0], thin[-1, 0]) == (0.0, count - 1.0)
+
+
+def test_baselines_are_built_first(monkeypatch):
+    def missing(name, robot):
+        raise KinfeasError("needs a package")
+
+    monkeypatch.setattr(module, "load_policy", missing)
+    with pytest.raises(KinfeasError, match="package"):
+        module.check_baselines(small())
+    assert load_policy("follow_ee", load_robot("hsr"))
