@@ -1,4 +1,4 @@
-"""Judges that share no code with the kernels: Pinocchio for poses, draws within the limits."""
+"""References that share no code with the kernels: Pinocchio, and draws within the limits."""
 
 import math
 from pathlib import Path
@@ -13,8 +13,8 @@ from kinfeas.robots.loading import read_robot
 from kinfeas.robots.robot import Robot
 
 
-class Judge:
-    """What Pinocchio says of one robot's EE and links."""
+class Pinocchio:
+    """Pinocchio's poses of the EE and the links of a robot."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -23,7 +23,7 @@ class Judge:
         self.frame = self.model.getFrameId(robot.ee_frame)
 
     def place(self, joint_positions: Array) -> None:
-        """Move all links to where the arm's joint positions, shape (v,), put them."""
+        """Move all links to the arm's joint positions, shape (v,)."""
         self.q = pinocchio.neutral(self.model)
         for joint in self.robot.urdf.joints.values():
             if joint.moves:
@@ -72,10 +72,7 @@ class Judge:
         self.q[joint.idx_q : joint.idx_q + joint.nq] = values
 
     def miss(self, ee_pose: Array, joint_positions: Array) -> Array:
-        """Return how far EE poses, (n, 7), lie from where joints put it: (n, 2), metres, radians.
-
-        The angle comes from the sine as well as the cosine, so that tiny ones keep their digits.
-        """
+        """Return the errors of joint positions (n, v) for EE poses (n, 7): (n, 2), metres, rad."""
         turns = Rotation.from_quat(ee_pose[:, 3:]).as_matrix()
         found = np.empty((len(ee_pose), 2))
         for i, joints in enumerate(joint_positions):
@@ -87,26 +84,21 @@ class Judge:
 
 @pytest.fixture(scope="session")
 def odd_robot() -> Robot:
-    """A robot with skewed axes, mimic joints within the chain and an axis that slides askew."""
+    """A robot with skewed axes and mimic joints, prismatic ones too."""
     return read_robot(Path(__file__).parent / "odd_robot.yaml")
 
 
 @pytest.fixture(scope="session")
 def judge(robot):
-    return Judge(robot)
+    return Pinocchio(robot)
 
 
 @pytest.fixture(scope="session")
 def odd_judge(odd_robot):
-    return Judge(odd_robot)
+    return Pinocchio(odd_robot)
 
 
-@pytest.fixture(scope="session")
-def draw():
-    """Return a function that draws n configurations within the limits of a robot, shape (n, v)."""
-
-    def within_limits(robot: Robot, n: int, seed: int = 0) -> Array:
-        lower, upper = robot.finite_joint_limits
-        return np.random.default_rng(seed).uniform(lower, upper, (n, len(lower)))
-
-    return within_limits
+def draw(robot: Robot, n: int, seed: int = 0) -> Array:
+    """Return n random configurations within the limits of a robot, shape (n, v)."""
+    lower, upper = robot.finite_joint_limits
+    return np.random.default_rng(seed).uniform(lower, upper, (n, len(lower)))

@@ -8,15 +8,14 @@ from scipy.spatial.transform import Rotation
 from kinfeas.kinematics.convex import BOX, CYLINDER, SPHERE, closer_than
 
 MARGIN = 1e-3
-SETTLED = 1e-5
-"""Metres beyond the margin from which a verdict of near is a false alarm."""
+SETTLED = 1e-5  # m beyond the margin, where the answer must be exact
 
 KINDS = {BOX: "box", CYLINDER: "cylinder", SPHERE: "sphere"}
 PAIRS = [pytest.param(*pair, id="-".join(KINDS[k] for k in pair)) for pair in product(KINDS, KINDS)]
 
 
 class Solid:
-    """A shape for both: the kernel under test and FCL."""
+    """A shape for the kernel and for FCL."""
 
     def __init__(self, kind, size, turn, position):
         self.kind, self.size, self.turn = kind, np.array(size, dtype=float), turn
@@ -56,10 +55,9 @@ def collide(a, b):
 
 
 def apart(rng, a, b, gap):
-    """Return `b` shifted to lie `gap` metres from `a`, in some direction.
+    """Return `b` shifted so that it is `gap` metres away from `a`.
 
-    Between convex shapes, a shift along the line through their nearest points changes the
-    distance by just its length.
+    A shift along the line through the nearest points changes the distance by its length.
     """
     direction = rng.normal(size=3)
     far = b.at(a.position + 5.0 * direction / np.linalg.norm(direction))
@@ -71,39 +69,31 @@ def apart(rng, a, b, gap):
     return far.at(far.position + (start - end) * (1.0 - gap / distance))
 
 
-def test_never_free_where_fcl_sees_contact(record_property):
-    rng = np.random.default_rng(0)
-    touching = 0
+def test_contacts_of_fcl_are_never_missed_in_any_order():
+    rng, touching = np.random.default_rng(0), 0
     for first, second in product(KINDS, KINDS):
-        for _ in range(400):
+        for _ in range(300):
             a, b = random_solid(rng, first), random_solid(rng, second)
             b = b.at(a.position + rng.normal(scale=0.3, size=3))
+            assert near(a, b) == near(b, a)
             if collide(a, b):
                 touching += 1
                 assert near(a, b)
-    record_property("touching", int(touching))
     assert touching > 1000
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_distance_decides_near_the_margin(record_property, first, second):
+def test_the_distance_decides_near_the_margin(first, second):
     rng = np.random.default_rng(1)
     gaps = [0.0, 2e-4, 9e-4, MARGIN - SETTLED, MARGIN + SETTLED, 1.2e-3, 5e-3, 0.1, 1.0]
-    false_alarms = 0
-    for i in range(450):
+    for i in range(300):
         a, b = random_solid(rng, first), random_solid(rng, second)
         gap = gaps[i % len(gaps)]
-        b = apart(rng, a, b, gap)
-        if gap < MARGIN:
-            assert near(a, b), gap
-        elif near(a, b):
-            false_alarms += 1
-    record_property("false_alarms", int(false_alarms))
-    assert false_alarms == 0
+        assert near(a, apart(rng, a, b, gap)) == (gap < MARGIN), gap
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_deep_within_each_other(first, second):
+def test_shapes_inside_each_other_touch(first, second):
     rng = np.random.default_rng(2)
     for _ in range(100):
         a, b = random_solid(rng, first), random_solid(rng, second)
@@ -113,13 +103,11 @@ def test_deep_within_each_other(first, second):
         direction = rng.normal(size=3)
         direction *= 0.9 * inner / np.linalg.norm(direction)
         assert near(a, tiny.at(a.position + direction))
-        assert near(tiny.at(a.position + direction), a)
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 @pytest.mark.parametrize("gap", [-0.2, -1e-4, 0.0, 5e-4, 1.1e-3, 2e-3, 0.3])
 def test_parallel_faces(first, second, gap):
-    # Stacked along each axis, aligned and shifted sideways: faces, edges and corners meet flat.
     rng = np.random.default_rng(3)
     world = Rotation.random(rng=rng).as_matrix()
     sizes = {BOX: (0.3, 0.2, 0.25), CYLINDER: (0.2, 0.2, 0.3), SPHERE: (0.22, 0.22, 0.22)}
@@ -130,11 +118,9 @@ def test_parallel_faces(first, second, gap):
         b = Solid(second, sizes[second], world, world @ offset)
         if collide(a, b):
             assert near(a, b)
-        # A round side that is met beside its middle lies further off than its extent.
-        flat = sideways == 0.0 or BOX == first == second
-        if flat:
-            assert near(a, b) == (gap < MARGIN)
-            assert near(b, a) == (gap < MARGIN)
+        # Beside the middle of a round side the gap is larger.
+        if sideways == 0.0 or BOX == first == second:
+            assert near(a, b) == near(b, a) == (gap < MARGIN)
 
 
 def test_needles_plates_and_dust():
@@ -144,24 +130,9 @@ def test_needles_plates_and_dust():
         CYLINDER: [(1e-3, 1e-3, 1.0), (1.0, 1.0, 1e-3)],
         SPHERE: [(1e-4, 1e-4, 1e-4), (2.0, 2.0, 2.0)],
     }
-    false_alarms = 0
     for first, second in product(KINDS, KINDS):
         for one, other in product(sizes[first], sizes[second]):
             for gap in (0.0, 9e-4, 1.1e-3, 0.01):
                 a = Solid(first, one, Rotation.random(rng=rng).as_matrix(), np.zeros(3))
                 b = Solid(second, other, Rotation.random(rng=rng).as_matrix(), np.zeros(3))
-                b = apart(rng, a, b, gap)
-                if gap < MARGIN:
-                    assert near(a, b)
-                else:
-                    false_alarms += near(a, b)
-    assert false_alarms == 0
-
-
-def test_order_of_the_two_does_not_matter():
-    rng = np.random.default_rng(5)
-    for _ in range(500):
-        first, second = rng.integers(3, size=2)
-        a, b = random_solid(rng, first), random_solid(rng, second)
-        b = b.at(a.position + rng.normal(scale=0.4, size=3))
-        assert near(a, b) == near(b, a)
+                assert near(a, apart(rng, a, b, gap)) == (gap < MARGIN)

@@ -13,15 +13,11 @@ from kinfeas.kinematics.self_collision import (
     checked_links,
     self_collides,
 )
-
-
-@pytest.fixture(scope="session")
-def model(robot):
-    return build_collision_model(robot)
+from tests.kinematics.conftest import draw
 
 
 class Solids:
-    """FCL's exact primitives of one robot, placed by Pinocchio, over the pairs that are checked."""
+    """FCL's primitives of a robot, placed by Pinocchio, and the checked pairs."""
 
     def __init__(self, robot, judge):
         self.judge = judge
@@ -43,7 +39,7 @@ class Solids:
         self.radius = np.array([_radius(shape) for _, shape in self.shapes])
 
     def touch(self, joint_positions):
-        """Return whether any pair does; spheres around them spare FCL those that are far apart."""
+        """Return whether any pair touches; bounding spheres rule most of them out."""
         self.judge.place(joint_positions)
         centres = np.empty((len(self.shapes), 3))
         for i, (link, shape) in enumerate(self.shapes):
@@ -66,33 +62,30 @@ def _radius(shape):
     return np.linalg.norm(sizes[shape.kind])
 
 
-def compare(robot, model, solids, joints):
-    """Return how many are free to both, touch to both, and are rejected needlessly."""
-    fast = self_collides(model, joints)
+def compare(robot, judge, count):
+    """Return how many configurations are free, touching and needlessly rejected."""
+    joints, solids = draw(robot, count), Solids(robot, judge)
+    fast = self_collides(build_collision_model(robot), joints)
     exact = np.array([solids.touch(positions) for positions in joints])
-    assert not np.any(exact & ~fast), "called free, but FCL's primitives touch"
+    assert not np.any(exact & ~fast), "free, but FCL's primitives touch"
     return np.sum(~exact & ~fast), np.sum(exact & fast), np.sum(fast & ~exact)
 
 
-def test_free_is_free_for_fcl(robot, model, judge, draw, record_property):
-    free, touching, needless = compare(robot, model, Solids(robot, judge), draw(robot, 3000))
-    share = needless / (free + needless)
-    record_property("needlessly_rejected", float(share))
-    print(f"{robot.name}: needlessly rejected {share:.2%} of {free + needless} free configurations")  # noqa: T201
-    assert share < 0.01  # 3 % is the promise, and the margin of 1 mm takes about 0.1 %
-    assert touching > 30
+def test_free_configurations_are_free_for_fcl(robot, judge):
+    free, touching, needless = compare(robot, judge, 1500)
+    assert needless / (free + needless) < 0.01  # the margin of 1 mm takes about 0.1 %
+    assert touching > 15
+    homes = np.array(list(robot.home.values()))
+    assert not np.any(self_collides(build_collision_model(robot), homes))
 
 
-def test_followers_carry_their_shapes(odd_robot, odd_judge, draw):
-    model = build_collision_model(odd_robot)
-    free, touching, _ = compare(
-        odd_robot, model, Solids(odd_robot, odd_judge), draw(odd_robot, 1000)
-    )
+def test_mimic_joints_carry_their_shapes(odd_robot, odd_judge):
+    free, touching, _ = compare(odd_robot, odd_judge, 1000)
     assert free > 100
     assert touching > 10
 
 
-def test_links_may_hang_on_each_other_as_deep_as_they_like(odd_robot):
+def test_chains_of_links_may_be_long(odd_robot):
     urdf, hand = odd_robot.urdf, odd_robot.ee_frame
     mount = next(joint for joint in urdf.joints.values() if joint.kind == "fixed")
     ends = [hand, *(f"frame_{i}" for i in range(1500))]
@@ -106,8 +99,7 @@ def test_links_may_hang_on_each_other_as_deep_as_they_like(odd_robot):
     np.testing.assert_array_equal(pairs, build_collision_model(odd_robot).pairs)
 
 
-def test_what_is_checked(robot, judge, draw):
-    """The pairs are those that the arm moves against each other, less the neighbours."""
+def test_checked_pairs_are_those_that_the_arm_moves_less_adjacent_ones(robot, judge):
     rigid = _constant_to(robot, judge, draw(robot, 5))
     joined = {
         frozenset(_rigid_root(robot, link) for link in (joint.parent, joint.child))
@@ -126,7 +118,7 @@ def test_what_is_checked(robot, judge, draw):
 
 
 def _constant_to(robot, judge, joints):
-    """Return a function: do two links stand still to each other, wherever the arm is?"""
+    """Return a function: is the relative pose of two links constant?"""
     poses = {name: [] for name in robot.urdf.links}
     for positions in joints:
         judge.place(positions)
@@ -151,41 +143,28 @@ def _rigid_root(robot, link):
     return robot.urdf.root
 
 
-def test_homes_are_free_to_spare(robot, model):
-    assert not np.any(self_collides(model, np.array(list(robot.home.values()))))
-
-
-def test_shapes_and_rows_do_not_depend_on_the_batch(robot, model, draw):
-    joints = draw(robot, 300)
+def test_rows_do_not_depend_on_the_batch(odd_robot):
+    model, joints = build_collision_model(odd_robot), draw(odd_robot, 300)
     together = self_collides(model, joints)
     assert 0 < together.sum() < 300
-    assert together.dtype == np.bool_
     one_by_one = [bool(self_collides(model, positions)) for positions in joints]
     np.testing.assert_array_equal(together, one_by_one)
-    np.testing.assert_array_equal(
-        self_collides(model, joints.reshape(2, 150, -1)), together.reshape(2, 150)
-    )
-    assert self_collides(model, joints[0]).shape == ()
+    folded = self_collides(model, joints.reshape(2, 150, -1))
+    np.testing.assert_array_equal(folded, together.reshape(2, 150))
     assert self_collides(model, joints[:0]).shape == (0,)
+    for shape in ((2,), (), (5, 99)):
+        with pytest.raises(KinfeasError, match="joint positions"):
+            self_collides(model, np.zeros(shape))
 
 
-def test_margin_is_kept(odd_robot, odd_judge, draw):
-    """What is called free is free by nearly the margin."""
+def test_free_configurations_keep_the_margin(odd_robot, odd_judge):
     model, solids = build_collision_model(odd_robot), Solids(odd_robot, odd_judge)
     joints = draw(odd_robot, 2000, seed=1)
     closest = np.inf
-    for positions in joints[~self_collides(model, joints)][:300]:
+    for positions in joints[~self_collides(model, joints)][:150]:
         solids.touch(positions)
         for i, k in solids.pairs:
             request, result = fcl.DistanceRequest(), fcl.DistanceResult()
             gap = fcl.distance(solids.solids[i], solids.solids[k], request, result)
             closest = min(closest, gap)
     assert closest > MARGIN - 1e-5
-
-
-@pytest.mark.parametrize("shape", [(2,), (3, 2), (), (0, 1), (5, 99)])
-def test_another_number_of_joints_is_refused(model, shape):
-    with pytest.raises(
-        KinfeasError, match=r"^joint positions must be of shape \(\.\.\., \d\), not"
-    ):
-        self_collides(model, np.zeros(shape))
