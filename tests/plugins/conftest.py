@@ -1,11 +1,11 @@
-"""Demonstrations of a door, and the models learned from them."""
+"""Demonstrations of a door, models learned from them, and runs of generators."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import compose, distance, integrate, make_pose, planar_pose
-from kinfeas.io.demonstrations import Demonstration
+from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.plugins.fit import fit, write_model
 from kinfeas.plugins.path import below
 
@@ -13,11 +13,20 @@ KINDS = ("imitation", "gaussian_mixture")
 DT = 0.1
 RADIUS, ANGLE = 0.312, np.deg2rad(96.0)
 
+WAYPOINTS = np.array(
+    [
+        [-0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0],
+        [-0.15, 0.1, 0.25, 0.0, np.sin(0.3), 0.0, np.cos(0.3)],
+        [-0.1, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0],
+        [0.0, 0.05, 0.0, 0.0, 0.0, np.sin(0.5), np.cos(0.5)],
+    ]
+)
+
 
 def door_demonstrations(n=6, seed=0, scatter=1.0, base=True):
-    """Return demonstrations of a hand that opens a door, which turns about the object's z axis.
+    """Return demonstrations of an EE that opens a door, which turns about the object's z axis.
 
-    `scatter` scales how differently the hand holds on; the way itself is the same.
+    `scatter` scales the differences of the grasps; the motion itself is the same.
     """
     rng = np.random.default_rng(seed)
     return [_door_demonstration(rng, scatter, base) for _ in range(n)]
@@ -41,19 +50,29 @@ def _door_demonstration(rng, scatter, base):
     return Demonstration(time, compose(door, ee), stood, door)
 
 
+SHOWN = door_demonstrations(1)[0]
+
+
 def random_poses(n, seed, reach=2.0):
-    """Return poses within `reach` metres of the origin, turned any way, shape (n, 7)."""
+    """Return poses within `reach` metres of the origin, in any orientation, shape (n, 7)."""
     rng = np.random.default_rng(seed)
     way = rng.normal(size=(n, 3))
     way *= (reach * rng.uniform(size=n) / np.linalg.norm(way, axis=1))[:, np.newaxis]
     return make_pose(way, Rotation.from_quat(rng.normal(size=(n, 4))))
 
 
+def starts_and_targets(n, seed):
+    """Return starts up to 3 m away from the targets, and the targets, in any orientation."""
+    targets, away = random_poses(n, seed), random_poses(n, seed + 1, reach=3.0)
+    away[:, :3] += targets[:, :3]
+    return away, targets
+
+
 def run(generator, start, target, duration, dt=DT):
     """Return poses, shape (steps + 1, n, 7), twists, (steps, n, 6), and the last state."""
     state, poses, twists = generator.start(start, target, [None] * len(start)), [start], []
     for _ in range(round(duration / dt)):
-        twist, state = generator.twist(state, poses[-1], target, np.full(len(poses[-1]), dt))
+        twist, state = generator.twist(state, poses[-1], target, np.full(len(start), dt))
         poses.append(integrate(poses[-1], twist, dt))
         twists.append(twist)
     return np.stack(poses), np.stack(twists), state
@@ -68,12 +87,30 @@ def speeds(twists):
     return np.linalg.norm(twists[..., :3], axis=-1), np.linalg.norm(twists[..., 3:], axis=-1)
 
 
+def write_waypoints(path, poses=WAYPOINTS, time=None):
+    """Write waypoints as CSV and return the path."""
+    rows = [",".join(map(repr, row)) for row in np.asarray(poses).tolist()]
+    header = "x,y,z,qx,qy,qz,qw"
+    if time is not None:
+        header, rows = f"{header},time", [f"{row},{t}" for row, t in zip(rows, time, strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return str(path)
+
+
 @pytest.fixture(scope="session")
 def models(tmp_path_factory):
-    """Paths of a door's models, by kind; `nobase` has an imitation model without the base."""
+    """Paths of a door's models, by kind; `nobase` is an imitation model without the base."""
     folder, shown = tmp_path_factory.mktemp("models"), door_demonstrations()
-    paths = {name: str(folder / f"{name}.yaml") for name in (*KINDS, "nobase")}
     for kind in KINDS:
         write_model(fit(shown, kind, command="kinfeas fit").model, folder / f"{kind}.yaml")
     write_model(fit(door_demonstrations(base=False)).model, folder / "nobase.yaml")
-    return paths
+    return {name: str(folder / f"{name}.yaml") for name in (*KINDS, "nobase")}
+
+
+@pytest.fixture(scope="session")
+def files(tmp_path_factory):
+    """Paths of a demonstration and of waypoints."""
+    folder = tmp_path_factory.mktemp("files")
+    write_demonstration(SHOWN, folder / "shown.csv")
+    waypoints = write_waypoints(folder / "waypoints.csv")
+    return {"shown": str(folder / "shown.csv"), "waypoints": waypoints}

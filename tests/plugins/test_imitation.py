@@ -1,196 +1,205 @@
-"""The imitation motion comes to its path from anywhere, follows it and ends where it was shown."""
+"""Learned motions and their model files."""
 
-import inspect
-import time
+import copy
+import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
 
-from kinfeas.core import registry
+from kinfeas import config
+from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Demonstrated
-from kinfeas.core.spatial import compose, make_pose, relative
-from kinfeas.plugins.imitation import Imitation, learned_path, read_model, shipped_models
-from kinfeas.testing import check_motion_generator
-from tests.plugins.conftest import DT, apart, random_poses, run, speeds
+from kinfeas.core.spatial import compose, distance, planar_pose, relative, yaw
+from kinfeas.plugins.fit import write_model
+from kinfeas.plugins.imitation import (
+    GaussianMixture,
+    Imitation,
+    Model,
+    learned_path,
+    read_model,
+    regress,
+)
+from kinfeas.plugins.path import below
+from tests.plugins.conftest import DT, KINDS, apart, random_poses, run, starts_and_targets
 
-GROUP = "kinfeas.motion_generators"
+
+@pytest.fixture(params=KINDS)
+def model(request, models):
+    return read_model(models[request.param], request.param)
 
 
 @pytest.fixture(scope="module")
-def generator(models):
+def imitation(models):
     return Imitation(model=models["imitation"])
 
 
-def starts_and_targets(n, seed):
-    """Return starts up to 3 m away from the targets, and the targets, turned any way."""
-    targets, away = random_poses(n, seed), random_poses(n, seed + 1, reach=3.0)
-    away[:, :3] += targets[:, :3]
-    return away, targets
+@pytest.fixture(scope="module")
+def mixture(models):
+    return GaussianMixture(model=models["gaussian_mixture"])
 
 
-@pytest.mark.parametrize(
-    "parameters", [{}, {"max_velocity": 0.05, "max_angular_velocity": 0.3}, {"gain": 20.0}]
-)
-def test_keeps_the_contract(parameters, models):
-    limit = parameters.get("max_angular_velocity", 0.1)
-    generator = Imitation(model=models["imitation"], **parameters)
-    check_motion_generator(generator, max_angular_velocity=limit)
-    assert isinstance(generator, Demonstrated)
+def test_regression_is_the_mean_of_the_conditional_density(model):
+    index = np.array([0.0, 0.31, 0.77, 1.0])
+    for row, at in zip(regress(model, index), index, strict=True):
+        likely, expected = [], []
+        for component in model.components:
+            mean, covariance = np.array(component.mean), np.array(component.covariance)
+            likely.append(component.weight * multivariate_normal(mean[0], covariance[0, 0]).pdf(at))
+            expected.append(mean[1:] + covariance[1:, 0] / covariance[0, 0] * (at - mean[0]))
+        assert np.allclose(row, np.average(expected, axis=0, weights=likely), atol=1e-12)
 
 
-def test_hundreds_of_motions_from_up_to_3_m_away_arrive_within_their_limits(generator):
-    start, target = starts_and_targets(400, 0)
-    poses, twists, state = run(generator, start, target, 60.0)
-    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
-    assert metres.max() < 0.01
-    assert np.rad2deg(radians.max()) < 3.0
-    linear, angular = speeds(twists)
-    assert linear.max() <= 0.1 * (1.0 + 1e-9)
-    assert angular.max() <= 0.1 * (1.0 + 1e-9)
+def test_paths_are_smooth_even_between_knots_and_end_at_the_goal(model):
+    path = learned_path(model)
+    metres, radians = distance(path.knots[-1], np.array(model.goal))
+    assert max(metres, radians) < 1e-7
+    fine = path.at(np.linspace(0.0, 1.0, 4 * (len(path.knots) - 1) + 1))
+    assert np.abs(fine[::4] - path.knots).max() < 1e-12
+    metres = distance(fine[:-1], fine[1:])[0].reshape(-1, 4)
+    assert np.allclose(metres, metres[:, :1], atol=1e-12)
+    # Drawn to the goal without a bend: a segment is 2 to 4 mm long.
+    assert np.abs(np.diff(path.segments[:, :3], axis=0)).max() < 3e-4
 
 
-@given(st.integers(0, 2**32 - 2), st.sampled_from([0.02, 0.1, 0.5]))
-@settings(max_examples=10)
-def test_arrives_from_anywhere_at_any_rate(generator, seed, dt):
-    start, target = starts_and_targets(8, seed)
-    poses, twists, state = run(generator, start, target, 80.0, dt)
-    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
-    assert max(metres.max(), radians.max()) < 1e-6
-    linear, angular = speeds(twists)
-    assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
+def test_the_base_moves_as_demonstrated(model):
+    path, index = learned_path(model), np.array([0.0, 1.0])
+    door = planar_pose(np.array([1.0, 1.0]), np.array([2.0, 2.0]), np.array([0.5, 0.5]))
+    door[:, 2] = 0.7
+    shown = planar_pose(np.array([-0.7, -1.0]), np.array([0.0, 0.3]), np.pi + np.array([0.0, 0.5]))
+    metres, radians = distance(path.base_at(index, door), compose(below(door), shown))
+    assert metres.max() < 0.02
+    assert radians.max() < 0.03
 
 
-def test_ends_at_the_learned_end_in_the_frame_of_the_object(generator, models):
-    start, target = starts_and_targets(20, 5)
-    goal = generator.goal_pose(generator.start(start, target, []), target)
-    learned = np.array(read_model(models["imitation"], "imitation").goal)
-    metres, radians = apart(relative(goal, target), learned)
-    assert max(metres.max(), radians.max()) < 1e-7
+def test_generators_return_the_base_or_nan(models, imitation, mixture):
+    start, target = starts_and_targets(3, 3)
+    for generator in (imitation, mixture):
+        assert isinstance(generator, Demonstrated)
+        _, _, state = run(generator, start, target, 100.0)
+        first = generator.base_pose(generator.start(start, target, []), target)
+        last = generator.base_pose(state, target)
+        assert np.allclose(apart(first, last)[0], np.hypot(0.3, 0.3), atol=0.03)
+        assert np.all(last[:, 2] == 0.0)
+    bare = Imitation(model=models["nobase"])
+    assert np.isnan(bare.base_pose(bare.start(start, target, []), target)).all()
 
 
-def test_turns_with_the_object(generator):
-    start, target = starts_and_targets(6, 7)
-    moved = np.repeat(make_pose(np.array([[1.0, -2.0, 0.3]]), Rotation.random(1, rng=3)), 6, axis=0)
-    here, _, _ = run(generator, start, target, 40.0)
-    there, _, _ = run(generator, compose(moved, start), compose(moved, target), 40.0)
-    metres, radians = apart(there, compose(moved, here))
-    assert metres.max() < 1e-9
-    assert radians.max() < 1e-7
+def test_the_frame_below_a_pose_keeps_position_and_heading():
+    poses = random_poses(50, 1)
+    floor = below(poses)
+    assert np.array_equal(floor[:, :2], poses[:, :2])
+    assert np.all(floor[:, 2:5] == 0.0)
+    ahead = Rotation.from_quat(poses[:, 3:]).apply([1.0, 0.0, 0.0])
+    assert np.allclose(yaw(floor), np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
-def test_comes_to_the_beginning_before_it_goes_on(generator, models):
-    path = learned_path(read_model(models["imitation"], "imitation"))
+def test_imitation_first_comes_to_the_beginning_then_follows_the_path(imitation):
+    path = imitation.path
     start, target = starts_and_targets(20, 9)
-    poses, _, _ = run(generator, start, target, 60.0)
-    begin = compose(target, np.repeat(path.knots[:1], 20, axis=0))
-    metres, radians = apart(poses, begin)
+    poses, _, state = run(imitation, start, target, 100.0)
+    metres, radians = apart(poses, compose(target, np.repeat(path.knots[:1], 20, axis=0)))
     # The phase begins to move within a fraction of its scales, 5 cm and 0.3 rad.
     assert np.all((metres < 0.08).any(axis=0))
     assert np.all((radians < 0.4).any(axis=0))
-
-
-def test_follows_the_path_that_was_shown(generator, models):
-    path = learned_path(read_model(models["imitation"], "imitation"))
-    start = path.knots[:1]
-    poses, _, _ = run(generator, start, np.eye(1, 7, 6), 30.0)
+    assert np.array_equal(state["phase"], np.ones(20))
+    poses, _, _ = run(imitation, path.knots[:1], np.eye(1, 7, 6), 30.0)
     metres = np.linalg.norm(poses[:, 0, np.newaxis, :3] - path.knots[:, :3], axis=-1)
     assert metres.min(axis=1).max() < 4e-3
     assert metres.min(axis=0).max() < 1e-2
 
 
-def test_phase_waits_for_a_hand_that_is_held(generator):
+def test_imitation_waits_for_an_ee_that_is_held(imitation):
     start, target = starts_and_targets(4, 11)
-    state = generator.start(start, target, [])
+    state = imitation.start(start, target, [])
     for _ in range(200):
-        _, state = generator.twist(state, start, target, np.full(len(start), DT))
+        _, state = imitation.twist(state, start, target, np.full(4, DT))
     assert state["phase"].max() < 1e-3
 
 
-def test_a_hand_that_is_pushed_comes_back(generator):
-    start, target = starts_and_targets(4, 13)
-    poses, _, state = run(generator, start, target, 45.0)
-    ee = poses[-1] + np.array([0.3, -0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
-    ee, goal = ee[np.newaxis], generator.goal_pose(state, target)
-    twist, _ = generator.twist(state, ee[0], target, np.full(len(ee[0]), DT))
-    assert np.all(np.sum(twist[:, :3] * (goal - ee[0])[:, :3], axis=1) > 0.0)
+def test_gaussian_mixture_keeps_its_time_or_runs_ahead(mixture):
+    target = random_poses(3, 0)
+    start = compose(target, np.repeat(mixture.path.knots[:1], 3, axis=0))
+    poses, _, state = run(mixture, start, target, 30.0)
+    for share in (0.25, 0.5, 1.0):
+        now = relative(poses[round(300 * share)], target)
+        metres, radians = distance(now, mixture.path.at(np.full(3, share)))
+        assert metres.max() < 1e-3
+        assert radians.max() < 0.02
+    assert np.allclose(state["phase"], 1.0)
+    far = target + np.array([2.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    poses, _, state = run(mixture, far, target, 10.0)
+    reference = compose(target, mixture.path.at(state["phase"]))
+    assert distance(reference, poses[-1])[0].min() > 0.5
 
 
-def test_is_at_rest_at_the_end(generator):
-    start, target = starts_and_targets(5, 15)
-    _, twists, state = run(generator, start, target, 100.0)
-    assert np.abs(twists[-1]).max() < 1e-9
-    assert np.array_equal(state["phase"], np.ones(5))
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_model_written_again_is_the_same_file(kind, models, tmp_path):
+    path = tmp_path / "again.yaml"
+    write_model(read_model(models[kind], kind), path)
+    assert path.read_text() == Path(models[kind]).read_text()
+    assert path.stat().st_size < 30_000
 
 
-def test_the_base_goes_along(generator):
-    start, target = starts_and_targets(5, 17)
-    _, _, state = run(generator, start, target, 100.0)
-    first = generator.base_pose(generator.start(start, target, []), target)
-    last = generator.base_pose(state, target)
-    assert first.shape == last.shape == (5, 7)
-    assert np.allclose(apart(first, last)[0], np.hypot(0.3, 0.3), atol=0.03)
-    assert np.all(last[:, 2] == 0.0)
-
-
-def test_the_base_is_not_known_if_not_shown(models):
-    generator = Imitation(model=models["nobase"])
-    start, target = starts_and_targets(2, 0)
-    assert np.isnan(generator.base_pose(generator.start(start, target, []), target)).all()
-
-
-def test_a_row_has_the_same_bits_in_any_batch(generator):
-    start, target = starts_and_targets(37, 0)
-    poses, twists, state = run(generator, start, target, 50.0)
-    base = generator.base_pose(state, target)
-    for rows in (slice(0, 1), slice(36, 37), slice(3, 20), slice(0, 37, 3)):
-        some_poses, some_twists, some = run(generator, start[rows], target[rows], 50.0)
-        assert np.array_equal(some_poses, poses[:, rows])
-        assert np.array_equal(some_twists, twists[:, rows])
-        assert np.array_equal(generator.base_pose(some, target[rows]), base[rows])
-
-
-def test_no_motions_are_motions_too(generator):
-    none = np.zeros((0, 7))
-    twist, state = generator.twist(
-        generator.start(none, none, []), none, none, np.full(len(none), DT)
-    )
-    assert twist.shape == (0, 6)
-    assert generator.goal_pose(state, none).shape == (0, 7)
-    assert generator.base_pose(state, none).shape == (0, 7)
+def test_models_are_found_by_name_and_path_and_have_a_kind(models):
+    assert read_model("door_open", "imitation").has_base
+    assert not read_model(models["nobase"], "imitation").has_base
+    for missing, named in (
+        (None, "door_grasp, door_open"),
+        ("door_opn", "'door_open'"),
+        ("here.yaml", r"here\.yaml"),
+    ):
+        with pytest.raises(KinfeasError, match=named):
+            read_model(missing, "imitation")
+    with pytest.raises(KinfeasError, match="'kind'"):
+        GaussianMixture(model=models["imitation"])
 
 
 @pytest.mark.parametrize(
-    "name", ["gain", "position_scale", "rotation_scale", "max_velocity", "max_angular_velocity"]
+    ("key", "value"),
+    [
+        ("format", 2),
+        ("kind", "spline"),
+        ("colour", "red"),
+        ("duration", 0.0),
+        ("duration", math.nan),
+        ("goal", [0.0] * 6),
+        ("goal.6", 2.0),
+        ("goal.0", 1e9),
+        ("mean_orientation", [0.0] * 4),
+        ("fitted_from.demonstrations", 0),
+        ("components", []),
+        ("components.0.covariance.0.0", 0.0),
+        ("components.0.weight", 0.9),
+        ("components.0.weight", -0.1),
+        ("components.1.mean.2", math.inf),
+        ("components.1.mean", [0.0] * 8),
+        ("components.1.covariance", [[1.0]]),
+        ("components.1.covariance.3.3", "wide"),
+    ],
 )
-@pytest.mark.parametrize("value", [0.0, -0.1, np.nan, "fast"])
-def test_refuses_numbers_that_are_not_positive(name, value, models):
-    with pytest.raises(KinfeasError, match=f"^{name} must be a positive number, not "):
-        Imitation(model=models["imitation"], **{name: value})
+def test_wrong_models_raise(key, value, models, tmp_path):
+    entry = broken = strict_yaml.read(Path(models["imitation"]))
+    *above, last = (int(part) if part.isdigit() else part for part in key.split("."))
+    for part in above:
+        entry = entry[part]
+    entry[last] = value
+    path = tmp_path / "broken.yaml"
+    strict_yaml.write(broken, path)
+    with pytest.raises(KinfeasError, match=f"^{path}: .*{key.split('.')[0]}"):
+        read_model(str(path), "imitation")
 
 
-def test_says_which_models_there_are():
-    known = ", ".join(shipped_models()) or "none"
-    with pytest.raises(KinfeasError, match=f"path of a file or a shipped one: {known}"):
-        registry.build(GROUP, "imitation", {})
-    with pytest.raises(KinfeasError, match=f"unknown model 'dor'.*known are {known}"):
-        registry.build(GROUP, "imitation", {"model": "dor"})
-
-
-def test_takes_keywords_only():
-    kinds = {p.kind for p in inspect.signature(Imitation).parameters.values()}
-    assert kinds == {inspect.Parameter.KEYWORD_ONLY}
-
-
-def test_a_step_of_128_motions_is_quick(generator):
-    start, target = starts_and_targets(128, 0)
-    state = generator.start(start, target, [])
-    seconds = []
-    for _ in range(20):
-        began = time.perf_counter()
-        generator.twist(state, start, target, np.full(len(start), DT))
-        seconds.append(time.perf_counter() - began)
-    assert min(seconds) / 128 < 10e-6  # measured: 1.4 us
+def test_components_are_of_one_size_and_only_their_first_column_counts(models):
+    plain = strict_yaml.read(Path(models["imitation"]))
+    bare = copy.deepcopy(plain)
+    for component in bare["components"]:
+        component["covariance"] = [[row[0]] + [0.0] * 9 for row in component["covariance"]]
+    paths = [learned_path(config.from_mapping(Model, one, "model")) for one in (plain, bare)]
+    assert np.array_equal(paths[0].knots, paths[1].knots)
+    bare["components"][0] |= {"mean": [0.0] * 7, "covariance": np.eye(7).tolist()}
+    with pytest.raises(KinfeasError, match="'components'"):
+        config.from_mapping(Model, bare, "model")

@@ -1,4 +1,4 @@
-"""A replay repeats a recording in its own time, wherever it is put, from any start."""
+"""The `replay` motion and the recordings that it reads."""
 
 from dataclasses import replace
 
@@ -6,82 +6,67 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, compose, relative
+from kinfeas.core.spatial import IDENTITY
 from kinfeas.io.demonstrations import write_demonstration
-from kinfeas.plugins.replay import Replay
-from tests.plugins.conftest import DT, apart, door_demonstrations, run, speeds
-from tests.plugins.properties import (
-    check_everything,
-    check_moves_with_target,
-    check_numbers,
-    starts_and_targets,
-)
+from kinfeas.io.run_log import About, Moment, Recorder
+from kinfeas.plugins.replay import Replay, read_recording, resampled
+from tests.plugins.conftest import DT, SHOWN, apart, random_poses, run, speeds
 
-SHOWN = door_demonstrations(1)[0]
-SLOW = replace(SHOWN, time=SHOWN.time * 20.0)
-FRAMES = ("goal", "object", "world")
+HEADER = "time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw\n"
+ABOUT = About("pr2", "ggr", "follow_ee", "analytic", 0.1, ("a", "b"), "2026-01-01T00:00:00+00:00")
 
 
-@pytest.fixture(scope="module")
-def file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("replay") / "shown.csv"
-    write_demonstration(SHOWN, path)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def slow(tmp_path_factory):
-    path = tmp_path_factory.mktemp("replay") / "slow.npz"
-    write_demonstration(SLOW, path)
-    return str(path)
-
-
-@pytest.mark.parametrize("frame", FRAMES)
-def test_does_what_every_motion_has_to(file, frame):
-    check_everything(Replay(file=file, frame=frame))
-
-
-@pytest.mark.parametrize("frame", ["goal", "object"])
-def test_moves_with_the_target(file, frame):
-    check_moves_with_target(Replay(file=file, frame=frame))
-
-
-def test_repeats_a_slow_recording_to_the_moment(slow):
-    generator = Replay(file=slow, frame="world")
-    poses, _, _ = run(generator, SLOW.ee_pose[:1], IDENTITY[np.newaxis], SLOW.time[-1])
-    for i in range(0, len(SLOW.time), 10):
-        metres, radians = apart(poses[round(SLOW.time[i] / DT), 0], SLOW.ee_pose[i])
+def test_repeats_a_slow_recording_to_the_moment(tmp_path):
+    slow = replace(SHOWN, time=SHOWN.time * 20.0)
+    write_demonstration(slow, tmp_path / "slow.npz")
+    generator = Replay(file=str(tmp_path / "slow.npz"), frame="world")
+    poses, _, _ = run(generator, slow.ee_pose[:1], IDENTITY[np.newaxis], slow.time[-1])
+    for i in range(0, len(slow.time), 10):
+        metres, radians = apart(poses[round(slow.time[i] / DT), 0], slow.ee_pose[i])
         assert metres < 6e-3  # half a step, at most
         assert radians < 2e-2
 
 
-def test_a_fast_recording_is_slowed_down_but_not_bent(file):
-    generator = Replay(file=file, frame="world")
+def test_slows_a_fast_recording_down_without_bending_it(files):
+    generator = Replay(file=files["shown"], frame="world")
     poses, twists, _ = run(generator, SHOWN.ee_pose[:1], IDENTITY[np.newaxis], 40.0)
     assert speeds(twists)[0].max() <= 0.1 * (1.0 + 1e-9)
     metres = np.linalg.norm(poses[:, 0, np.newaxis, :3] - SHOWN.ee_pose[:, :3], axis=-1)
     assert metres.min(axis=1).max() < 6e-3
 
 
-def test_frames_say_where_it_takes_place(file):
-    start, target = starts_and_targets(5, 1)
-    end, begin = SHOWN.ee_pose[-1:], SHOWN.object_pose[:1]
-    for frame, expected in (
-        ("goal", target),
-        ("object", compose(target, np.repeat(relative(end, begin), 5, axis=0))),
-        ("world", np.repeat(end, 5, axis=0)),
-    ):
-        generator = Replay(file=file, frame=frame)
-        goal = generator.goal_pose(generator.start(start, target, []), target)
-        assert np.allclose(relative(goal, expected), IDENTITY, atol=1e-9)
+def test_reads_an_ee_without_base_and_object(tmp_path):
+    path = tmp_path / "hand.csv"
+    path.write_text(HEADER + "0,1,2,3,0,0,0,1\n0.5,1,2,4,0,0,0,1\n")
+    time, ee_pose, object_pose = read_recording(path, "goal")
+    assert time.tolist() == [0.0, 0.5]
+    assert ee_pose[:, 2].tolist() == [3.0, 4.0]
+    assert np.isnan(object_pose).all()
+    with pytest.raises(KinfeasError, match=r"hand\.csv.*object_x"):
+        read_recording(path, "object")
 
 
-def test_refuses_what_it_cannot_follow(file):
-    with pytest.raises(KinfeasError, match=r"unknown frame 'goals'.*did you mean 'goal'"):
-        Replay(file=file, frame="goals")
-    with pytest.raises(KinfeasError, match=r"none\.csv: cannot be read: No such file"):
-        Replay(file="none.csv")
-    with pytest.raises(KinfeasError, match=r"must be a \.csv or \.npz file"):
-        Replay(file="shown.txt")
-    names = ["gain", "max_velocity", "max_angular_velocity"]
-    check_numbers(lambda **given: Replay(file=file, **given), names)
+def write_run(path, desired, times):
+    with Recorder(path, ABOUT) as recorder:
+        for time, pose in zip(times, desired, strict=True):
+            two, twist = np.zeros(2), np.zeros(6)
+            recorder.write(Moment(time, np.nan, IDENTITY, two, pose, IDENTITY, twist, two, True, 0))
+    return path
+
+
+@pytest.mark.parametrize("name", ["run.csv", "RUN.CSV"])
+def test_reads_the_desired_motion_of_a_run(tmp_path, name):
+    desired = random_poses(5, 0)
+    path = write_run(tmp_path / name, desired, [0.0, 0.1, 0.2, 0.3, 0.3])
+    time, ee_pose, _ = read_recording(path, "world")
+    assert np.allclose(time, [0.0, 0.1, 0.2, 0.3])
+    assert np.allclose(ee_pose, desired[:4], atol=1e-7)
+    for frame, times in (("object", np.arange(5)), ("goal", [0.1] * 5), ("goal", [0, 2, 1, 1, 1])):
+        with pytest.raises(KinfeasError, match=name):
+            read_recording(write_run(path, desired, times), frame)
+
+
+def test_resampling_meets_the_samples():
+    shares = (SHOWN.time - SHOWN.time[0]) / (SHOWN.time[-1] - SHOWN.time[0])
+    assert np.allclose(resampled(SHOWN.time, SHOWN.ee_pose, shares), SHOWN.ee_pose, atol=1e-9)
+    assert resampled(SHOWN.time, SHOWN.ee_pose, np.array([0.0, 1.0])).shape == (2, 7)

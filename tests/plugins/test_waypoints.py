@@ -1,135 +1,103 @@
-"""The motion through waypoints comes to the first one and through all, smoothly and to time."""
+"""The `waypoints` motion and its files."""
 
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, compose, relative
-from kinfeas.plugins.waypoints import Waypoints
-from tests.plugins.conftest import DT, apart, run, speeds
-from tests.plugins.properties import (
-    check_everything,
-    check_moves_with_target,
-    check_numbers,
-    starts_and_targets,
-)
+from kinfeas.core.spatial import IDENTITY
+from kinfeas.plugins.waypoints import Waypoints, read_waypoints
+from tests.plugins.conftest import DT, WAYPOINTS, apart, run, speeds, write_waypoints
 
-POSES = np.array(
-    [
-        [-0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0],
-        [-0.15, 0.1, 0.25, 0.0, np.sin(0.3), 0.0, np.cos(0.3)],
-        [-0.1, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0],
-        [0.0, 0.05, 0.0, 0.0, 0.0, np.sin(0.5), np.cos(0.5)],
-    ]
-)
 TIME = [0.0, 6.0, 16.0, 40.0]
+YAML = "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n- [1, 2, 4, 0, 0, 0.7071, 0.7071]\n"
+CSV = "x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n1,2,4,0,0,0.7071,0.7071\n"
+TIMED = "note,qw,x,y,z,qx,qy,qz,time\na,1,1,2,3,0,0,0,0.5\nb,0.7071,1,2,4,0,0,0.7071,2\n"
 
 
-def write(path, poses=POSES, time=None):
-    rows = [",".join(map(repr, row)) for row in np.asarray(poses).tolist()]
-    path.write_text("x,y,z,qx,qy,qz,qw\n" + "\n".join(rows) + "\n")
-    if time is not None:
-        rows = [f"{row},{t}" for row, t in zip(rows, time, strict=True)]
-        path.write_text("x,y,z,qx,qy,qz,qw,time\n" + "\n".join(rows) + "\n")
-    return str(path)
-
-
-@pytest.fixture(scope="module")
-def file(tmp_path_factory):
-    return write(tmp_path_factory.mktemp("waypoints") / "w.csv")
-
-
-@pytest.fixture(scope="module")
-def timed(tmp_path_factory):
-    return write(tmp_path_factory.mktemp("waypoints") / "timed.csv", time=TIME)
-
-
-@pytest.mark.parametrize("frame", ["object", "world"])
-def test_does_what_every_motion_has_to(file, frame):
-    check_everything(Waypoints(file=file, frame=frame))
-
-
-def test_moves_with_the_target(file):
-    check_moves_with_target(Waypoints(file=file))
-
-
-def on_the_path(generator, duration):
+def from_the_first(generator, duration, poses=WAYPOINTS):
     """Return poses and twists of a motion that begins at the first waypoint; target: origin."""
-    poses, twists, _ = run(generator, POSES[:1], IDENTITY[np.newaxis], duration)
-    return poses[:, 0], twists[:, 0]
+    path, twists, _ = run(generator, poses[:1], IDENTITY[np.newaxis], duration)
+    return path[:, 0], twists[:, 0]
 
 
-def test_passes_every_waypoint(file):
-    poses, _ = on_the_path(Waypoints(file=file), 60.0)
-    for waypoint in POSES:
-        metres, radians = apart(poses, waypoint)
-        assert (metres + radians).min() < 0.03
-
-
-def test_goes_at_full_speed_between_gentle_ends(tmp_path):
-    file = write(tmp_path / "w.csv", POSES[[0, 2]] * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0]))
-    poses, twists, _ = run(
-        Waypoints(file=file, ramp=2.0), 2.0 * POSES[:1], IDENTITY[np.newaxis], 20.0
-    )
-    linear, _ = speeds(twists[:, 0])
-    way = 2.0 * np.linalg.norm(POSES[2, :3] - POSES[0, :3])
-    duration = way / 0.1 + 2.0
-    assert linear[0] < 0.005
-    assert np.allclose(linear[21 : round((duration - 2.0) / DT) - 1], 0.1, atol=1e-3)
-    assert np.all(apart(poses[round(duration / DT) + 1 :, 0], poses[-1, 0])[0] < 1e-6)
-
-
-def test_is_smooth(file):
-    _, twists = on_the_path(Waypoints(file=file), 60.0)
-    # Where the turn goes back, the motion would jerk by 0.1 rad/s if it only kept to its limits.
+def test_passes_every_waypoint_smoothly(files):
+    poses, twists = from_the_first(Waypoints(file=files["waypoints"]), 60.0)
+    for waypoint in WAYPOINTS:
+        assert np.add(*apart(poses, waypoint)).min() < 0.03
+    # Where the turn reverses, the motion would jerk by 0.1 rad/s if it only kept to its limits.
     assert np.abs(np.diff(twists, axis=0)).max() < 0.05
 
 
-def test_keeps_to_the_times_of_the_file(timed):
-    poses, _ = on_the_path(Waypoints(file=timed, max_angular_velocity=10.0), 50.0)
-    for moment, waypoint in zip(TIME, POSES, strict=True):
+def test_moves_straight_at_full_speed_between_gentle_ends(tmp_path):
+    ends = WAYPOINTS[[0, 2]] * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0])
+    file = write_waypoints(tmp_path / "w.csv", ends)
+    poses, twists = from_the_first(Waypoints(file=file, ramp=2.0), 20.0, ends)
+    linear, _ = speeds(twists)
+    way = ends[1, :3] - ends[0, :3]
+    duration = np.linalg.norm(way) / 0.1 + 2.0
+    assert linear[0] < 0.005
+    assert np.allclose(linear[21 : round((duration - 2.0) / DT) - 1], 0.1, atol=1e-3)
+    assert np.all(apart(poses[round(duration / DT) + 1 :], poses[-1])[0] < 1e-6)
+    assert np.linalg.norm(np.cross(poses[:, :3] - ends[0, :3], way), axis=-1).max() < 1e-9
+
+
+def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
+    file = write_waypoints(tmp_path / "timed.csv", time=TIME)
+    poses, _ = from_the_first(Waypoints(file=file, max_angular_velocity=10.0), 50.0)
+    for moment, waypoint in zip(TIME, WAYPOINTS, strict=True):
         metres, radians = apart(poses[round(moment / DT)], waypoint)
         assert metres < 2e-3
         assert radians < 1e-2
+    rest = WAYPOINTS[[0, 0, 1]]
+    file = write_waypoints(tmp_path / "rest.csv", rest, [0.0, 5.0, 20.0])
+    assert apart(from_the_first(Waypoints(file=file), 4.0)[0], rest[0])[0].max() < 0.02
+    with pytest.raises(KinfeasError, match="waypoint 2"):
+        Waypoints(file=write_waypoints(tmp_path / "untimed.csv", rest))
 
 
-def test_a_repeated_waypoint_with_times_is_a_rest(tmp_path):
-    file = write(tmp_path / "w.csv", POSES[[0, 0, 1]], [0.0, 5.0, 20.0])
-    poses, _ = on_the_path(Waypoints(file=file), 4.0)
-    assert apart(poses, POSES[0])[0].max() < 0.02
-
-
-def test_frames_say_what_the_path_moves_with(file):
-    start, target = starts_and_targets(5, 1)
-    for frame, end in (
-        ("object", compose(target, np.repeat(POSES[-1:], 5, axis=0))),
-        ("goal", target),
-        ("world", np.repeat(POSES[-1:], 5, axis=0)),
-    ):
-        generator = Waypoints(file=file, frame=frame)
-        goal = generator.goal_pose(generator.start(start, target, []), target)
-        assert np.allclose(relative(goal, end), IDENTITY, atol=1e-9)
-
-
-def test_two_waypoints_make_a_straight_line(tmp_path):
-    file = write(tmp_path / "w.csv", POSES[[0, 2]])
-    poses, _ = on_the_path(Waypoints(file=file), 10.0)
-    way = POSES[2, :3] - POSES[0, :3]
-    assert np.linalg.norm(np.cross(poses[:, :3] - POSES[0, :3], way), axis=-1).max() < 1e-9
-
-
-def test_a_ramp_longer_than_the_path_is_all_of_it(file):
-    knots = [Waypoints(file=file, ramp=ramp).path.knots for ramp in (1e3, 1e9)]
+def test_a_ramp_longer_than_the_path_is_all_of_it(files):
+    knots = [Waypoints(file=files["waypoints"], ramp=ramp).path.knots for ramp in (1e3, 1e9)]
     assert np.array_equal(*knots)
 
 
-def test_refuses_what_it_cannot_follow(tmp_path, file):
-    with pytest.raises(KinfeasError, match="waypoint 2: must differ from the one before"):
-        Waypoints(file=write(tmp_path / "w.csv", POSES[[0, 0, 1]]))
-    with pytest.raises(KinfeasError, match="unknown frame 'room'; known are goal, object, world"):
-        Waypoints(file=file, frame="room")
-    with pytest.raises(KinfeasError, match=r"motion generator 'waypoints'.*'file' is missing"):
-        registry.build("kinfeas.motion_generators", "waypoints", {})
-    names = ["ramp", "gain", "max_velocity", "max_angular_velocity"]
-    check_numbers(lambda **given: Waypoints(file=file, **given), names)
+@pytest.mark.parametrize(
+    ("name", "text", "time"),
+    [
+        ("w.yaml", YAML, None),
+        ("w.yml", YAML + "time: [0.5, 2]\n", [0.5, 2.0]),
+        ("w.csv", CSV, None),
+        ("W.CSV", TIMED, [0.5, 2.0]),
+    ],
+)
+def test_files_are_yaml_or_csv(tmp_path, name, text, time):
+    (tmp_path / name).write_text(text)
+    poses, read = read_waypoints(tmp_path / name)
+    half = np.sqrt(0.5)
+    assert np.allclose(poses, [[1, 2, 3, 0, 0, 0, 1], [1, 2, 4, 0, 0, half, half]], atol=1e-15)
+    assert (None if read is None else read.tolist()) == time
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "named"),
+    [
+        ("w.txt", CSV, "csv"),
+        ("w.yaml", "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n", "1 waypoints"),
+        ("w.yaml", "poses: []\n", "0 waypoints"),
+        ("w.yaml", "poses:\n- [1, 2, 3]\n", r"'poses\.0"),
+        ("w.yaml", YAML + "speed: 2\n", "'speed'"),
+        ("w.yaml", YAML + "time: [1]\n", "'time'"),
+        ("w.yaml", YAML + "time: [1, 1]\n", "waypoint 2"),
+        ("w.yaml", YAML + "time: [0, 1e300]\n", "waypoint 2"),
+        ("w.yaml", YAML.replace("0.7071]", "0.9]"), "waypoint 2"),
+        ("w.csv", "x,y,z,qx,qy,qz\n", "'qw'"),
+        ("w.csv", CSV.replace("4,0", "far,0"), "line 3, z"),
+        ("w.csv", CSV.replace("4,0", "inf,0"), "waypoint 2"),
+        ("w.csv", CSV.replace("4,0", "4e6,0"), "waypoint 2"),
+        ("w.csv", TIMED.replace(",2\n", ",nan\n"), "waypoint 2"),
+    ],
+)
+def test_wrong_files_raise(tmp_path, name, text, named):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(KinfeasError, match=f"{path}.*{named}"):
+        read_waypoints(path)

@@ -1,0 +1,213 @@
+"""Properties of all built-in generators: arrival, limits, rates, batches, frames, parameters."""
+
+import inspect
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core import registry
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, compose, integrate, make_pose, relative
+from kinfeas.plugins.limits import norm, positive, slowed
+from kinfeas.testing import check_motion_generator
+from tests.plugins.conftest import (
+    DT,
+    SHOWN,
+    WAYPOINTS,
+    apart,
+    random_poses,
+    run,
+    speeds,
+    starts_and_targets,
+)
+
+GROUP = "kinfeas.motion_generators"
+TARGET_FRAMES = ("goal", "object")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A generator, its parameters, and the fixtures of those that name files."""
+
+    name: str
+    frame: str = ""
+    model: str = ""
+    file: str = ""
+
+    def __str__(self):
+        return f"{self.name} {self.frame}".strip()
+
+
+CASES = [
+    Case("linear"),
+    Case("minimum_jerk"),
+    Case("imitation", model="imitation"),
+    Case("gaussian_mixture", model="gaussian_mixture"),
+    *(Case("waypoints", frame, file="waypoints") for frame in (*TARGET_FRAMES, "world")),
+    *(Case("replay", frame, file="shown") for frame in (*TARGET_FRAMES, "world")),
+    *(Case("dmp", frame, file="shown") for frame in TARGET_FRAMES),
+]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=str)
+def case(request):
+    if request.param.name == "dmp":
+        pytest.importorskip("movement_primitives.dmp", reason="built from source")
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def make(case, models, files):
+    """A function that builds the generator with further parameters."""
+    given = {"model": models.get(case.model), "file": files.get(case.file), "frame": case.frame}
+    given = {key: value for key, value in given.items() if value}
+    return lambda **more: registry.build(GROUP, case.name, {**given, **more})
+
+
+@pytest.fixture(scope="module")
+def generator(make):
+    return make()
+
+
+def test_keeps_the_contract(generator, case):
+    check_motion_generator(generator)
+    kinds = {p.kind for p in inspect.signature(registry.load(GROUP, case.name)).parameters.values()}
+    assert kinds == {inspect.Parameter.KEYWORD_ONLY}
+
+
+@pytest.mark.parametrize(("dt", "n"), [(0.02, 10), (0.1, 200), (0.5, 10)])
+def test_arrives_from_anywhere_within_its_limits_at_any_rate(generator, dt, n):
+    start, target = starts_and_targets(n, 0)
+    poses, twists, state = run(generator, start, target, 130.0, dt)
+    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
+    assert max(metres.max(), radians.max()) < 1e-6
+    linear, angular = speeds(twists)
+    assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
+    assert max(linear.max(), angular.max()) > 0.099
+    assert np.abs(twists[-1]).max() < 1e-6
+
+
+def test_motions_do_not_depend_on_the_rate(generator):
+    start, target = starts_and_targets(6, 2)
+    fine, coarse = (run(generator, start, target, 40.0, dt)[0] for dt in (0.02, 0.1))
+    metres, radians = apart(fine[::5], coarse)
+    assert metres.max() < 0.1
+    assert radians.max() < 0.3
+
+
+def test_a_motion_has_the_same_bits_whatever_the_others_and_their_rates_are(generator):
+    start, target = starts_and_targets(6, 5)
+    start[4] = target[4]
+    dt, steps = np.array([0.1, 0.02, 0.1, 0.5, 0.02, 0.1]), 100
+    state, poses = generator.start(start, target, [None] * 6), [start]
+    for _ in range(steps):
+        twist, state = generator.twist(state, poses[-1], target, dt)
+        poses.append(integrate(poses[-1], twist, dt))
+    for row, seconds in enumerate(dt.tolist()):
+        one = slice(row, row + 1)
+        alone, _, after = run(generator, start[one], target[one], steps * seconds, seconds)
+        assert np.array_equal(alone[:, 0], np.stack(poses)[:, row])
+        assert all(np.array_equal(after[key][0], values[row]) for key, values in state.items())
+    none = np.zeros((0, 7))
+    twist, state = generator.twist(generator.start(none, none, []), none, none, np.zeros(0))
+    assert twist.shape == (0, 6)
+    assert generator.goal_pose(state, none).shape == (0, 7)
+
+
+def test_moves_with_its_target_or_stays_in_the_world(generator, case):
+    start, target = starts_and_targets(6, 7)
+    turn = make_pose(np.array([1.0, -2.0, 0.3]), Rotation.random(rng=3))
+    moved = np.repeat(turn[np.newaxis], 6, axis=0)
+    state = generator.start(start, target, [None] * 6)
+    if case.frame == "world":
+        goals = [generator.goal_pose(state, poses) for poses in (target, compose(moved, target))]
+        assert np.array_equal(*goals)
+        return
+    here, _, _ = run(generator, start, target, 30.0)
+    there, _, _ = run(generator, compose(moved, start), compose(moved, target), 30.0)
+    metres, radians = apart(there, compose(moved, here))
+    assert metres.max() < 1e-8
+    assert radians.max() < 1e-6
+    # A target that moves during the motion is followed to where it stops.
+    for i in range(1300):
+        now = target + min(i, 100) * np.array([0.005, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        twist, state = generator.twist(state, start, now, np.full(6, DT))
+        start = integrate(start, twist, DT)
+    metres, radians = apart(start, generator.goal_pose(state, now))
+    assert max(metres.max(), radians.max()) < 1e-6
+
+
+def test_a_pushed_ee_comes_back(generator):
+    start, target = starts_and_targets(4, 13)
+    poses, _, state = run(generator, start, target, 130.0)
+    pushed = poses[-1] + np.array([0.3, -0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
+    goal = generator.goal_pose(state, target)
+    twist, _ = generator.twist(state, pushed, target, np.full(4, DT))
+    assert np.all(np.sum(twist[:, :3] * (goal - pushed)[:, :3], axis=1) > 0.0)
+
+
+ENDS = {"waypoints": WAYPOINTS[-1], "replay": SHOWN.ee_pose[-1], "dmp": SHOWN.ee_pose[-1]}
+
+
+def test_frames_place_the_end(generator, case):
+    start, target = starts_and_targets(5, 1)
+    goal = generator.goal_pose(generator.start(start, target, [None] * 5), target)
+    if case.frame in ("", "goal"):
+        expected = target if not case.model else goal
+    elif case.frame == "world":
+        expected = np.repeat(ENDS[case.name][np.newaxis], 5, axis=0)
+    else:
+        end, origin = ENDS[case.name], SHOWN.object_pose[0]
+        in_object = end if case.name == "waypoints" else relative(end, origin)
+        expected = compose(target, np.repeat(in_object[np.newaxis], 5, axis=0))
+    assert np.allclose(relative(goal, expected), IDENTITY, atol=1e-9)
+
+
+NUMBERS = {
+    "linear": ("gain", "min_velocity"),
+    "minimum_jerk": ("min_duration",),
+    "imitation": ("gain", "position_scale", "rotation_scale"),
+    "waypoints": ("gain", "ramp"),
+    "replay": ("gain",),
+}
+
+
+def test_wrong_parameters_raise(make, case):
+    for name in (*NUMBERS.get(case.name, ()), "max_velocity", "max_angular_velocity"):
+        for value in (0.0, -0.1, np.nan, "fast"):
+            with pytest.raises(KinfeasError, match=name):
+                make(**{name: value})
+    if case.frame:
+        with pytest.raises(KinfeasError, match=r"'goals'.*'goal'"):
+            make(frame="goals")
+        with pytest.raises(KinfeasError, match=r"none\.csv"):
+            make(file="none.csv")
+
+
+def test_limits_scale_twists_and_waste_nothing():
+    rng = np.random.default_rng(0)
+    twist = rng.normal(size=(500, 6)) * 10.0 ** rng.uniform(-9.0, 9.0, (500, 1))
+    share = slowed(twist, 0.1, 0.3)
+    linear, angular = norm((twist * share[:, np.newaxis])[:, :3]), norm(twist[:, 3:]) * share
+    assert np.all(linear <= 0.1 * (1.0 + 1e-12))
+    assert np.all(angular <= 0.3 * (1.0 + 1e-12))
+    full = np.maximum(linear / 0.1, angular / 0.3) >= 1.0 - 1e-12
+    assert np.all(full | (share == 1.0))
+    assert np.array_equal(slowed(np.zeros((2, 6)), 0.1, 0.1), [1.0, 1.0])
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan, 1e300, 1e-300, "1", None, True])
+def test_parameters_must_be_positive(value):
+    with pytest.raises(KinfeasError, match=r"^gain"):
+        positive("gain", value)
+
+
+@pytest.mark.parametrize("name", ["linear", "minimum_jerk"])
+def test_quaternions_of_either_sign_are_the_same(name):
+    generator, start, goal = registry.build(GROUP, name, {}), random_poses(3, 0), random_poses(3, 1)
+    signs = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0])
+    _, (twist,), _ = run(generator, start, goal, DT)
+    for a, b in ((start * signs, goal), (start, goal * signs), (start * signs, goal * signs)):
+        assert np.allclose(run(generator, a, b, DT)[1][0], twist, atol=1e-9)

@@ -1,0 +1,126 @@
+"""The `linear` and `minimum_jerk` motions."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import IDENTITY, distance, integrate, make_pose, rotation, twist_between
+from kinfeas.plugins.linear import Linear
+from kinfeas.plugins.minimum_jerk import MinimumJerk
+from tests.plugins.conftest import DT, apart, run, speeds, starts_and_targets
+
+
+def pair(path, turn):
+    """Return a start and a goal that are a path (metres) and a rotation vector (rad) apart."""
+    start = make_pose(np.array([0.3, -1.0, 0.7]), Rotation.from_rotvec([0.3, -0.2, 0.9]))
+    goal = make_pose(start[:3] + path, Rotation.from_rotvec(turn) * rotation(start))
+    return start[np.newaxis], goal[np.newaxis]
+
+
+def first_twist(generator, start, goal, dt=DT):
+    state = generator.start(start, goal, [])
+    return generator.twist(state, start, goal, np.full(len(start), dt))[0]
+
+
+def test_linear_follows_the_straight_line_and_the_slerp_in_step():
+    start, goal = starts_and_targets(20, 0)
+    poses, _, _ = run(Linear(), start, goal, 120.0)
+    whole = np.linalg.norm((goal - start)[:, :3], axis=-1)
+    covered = np.linalg.norm((poses - start)[..., :3], axis=-1) / whole
+    assert np.all(np.diff(covered, axis=0) >= -1e-12)
+    line = start[:, :3] + covered[..., np.newaxis] * (goal - start)[:, :3]
+    assert np.allclose(poses[..., :3], line, atol=1e-12)
+    for row in range(20):
+        ends = Rotation.from_quat([start[row, 3:], goal[row, 3:]])
+        on_the_way = Slerp([0.0, 1.0], ends)(np.clip(covered[:, row], 0.0, 1.0))
+        assert (on_the_way.inv() * rotation(poses[:, row])).magnitude().max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("metres", "radians", "twist"),
+    [
+        (3.0, 0.0, (0.1, 0.0)),
+        (0.5, 0.0, (0.05, 0.0)),
+        (0.05, 0.0, (0.005, 0.0)),
+        (0.004, 0.0, (0.001, 0.0)),
+        (0.5, 2.0, (0.025, 0.1)),
+        (0.0, 2.0, (0.0, 0.1)),
+        (0.0, 0.5, (0.0, 0.05)),
+        (0.0, 0.004, (0.0, 0.001)),
+    ],
+)
+def test_linear_speed_follows_distance_and_angle(metres, radians, twist):
+    start, goal = pair(np.array([metres, 0.0, 0.0]), np.array([0.0, 0.0, radians]))
+    expected = [[twist[0], 0.0, 0.0, 0.0, 0.0, twist[1]]]
+    assert np.allclose(first_twist(Linear(), start, goal), expected, atol=1e-12)
+
+
+def test_linear_has_no_angular_limit_with_none():
+    start, goal = pair(np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 2.0]))
+    unlimited = first_twist(Linear(max_angular_velocity=None), start, goal)
+    assert np.allclose(unlimited, [[0.05, 0.0, 0.0, 0.0, 0.0, 0.2]])
+    with pytest.raises(KinfeasError, match="min_velocity"):
+        Linear(min_velocity=0.2)
+
+
+def test_linear_takes_37_seconds_for_the_last_metre():
+    start, goal = pair(np.array([0.0, 1.0, 0.0]), np.zeros(3))
+    poses, _, _ = run(Linear(), start, goal, 60.0)
+    metres = apart(poses[:, 0], goal[0])[0]
+    assert np.argmax(metres < 0.025) * DT == pytest.approx(37.0, abs=0.5)
+
+
+@pytest.mark.parametrize("metres", [0.0, 1e-17, 1e-7, 2e-6, 0.01])
+@pytest.mark.parametrize("radians", [0.0, 1e-9, 0.005, np.pi])
+def test_linear_arrives_over_tiny_paths_with_large_turns(metres, radians):
+    start, goal = pair(np.array([0.0, 0.6, 0.8]) * metres, np.array([0.0, 0.0, 1.0]) * radians)
+    poses, twists, _ = run(Linear(), start, goal, 90.0)
+    left, turn_left = distance(poses[-1], goal)
+    assert max(left[0], turn_left[0]) < 1e-12
+    assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
+    if radians:  # half a turn keeps its direction
+        turning = twists[:, 0, 3:][speeds(twists)[1][:, 0] > 1e-6]
+        assert np.all(turning @ turning[:1].T > 0.0)
+
+
+def test_linear_depends_on_the_current_poses_alone_and_never_passes_the_goal():
+    start, goal = pair(np.array([1e-3, 0.0, 0.0]), np.array([0.0, 0.0, 0.05]))
+    assert Linear().start(start, goal, []) == {}
+    twist = first_twist(Linear(), start, goal, 10.0)
+    metres, radians = distance(integrate(start, twist, 10.0), goal)
+    assert max(metres[0], radians[0]) < 1e-12
+    Linear().goal_pose({}, goal)[:] = 0.0
+    assert goal.any()
+
+
+def test_minimum_jerk_follows_the_quintic_in_the_shortest_time():
+    goal = np.array([[0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    poses, _, state = run(MinimumJerk(), IDENTITY[np.newaxis], goal, 10.0)
+    assert state["duration"] == pytest.approx(1.875 * 0.4 / 0.1)
+    s = np.minimum(np.arange(len(poses)) * DT / state["duration"], 1.0)
+    expected = 0.4 * (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5)
+    assert np.allclose(poses[:, 0, 0], expected, atol=1e-12)
+    short = MinimumJerk(min_duration=3.0).start(IDENTITY[np.newaxis], goal * 1e-4, [])
+    assert short["duration"] == 3.0
+
+
+def test_minimum_jerk_reaches_a_limit_halfway_and_keeps_position_and_orientation_in_step():
+    start, target = starts_and_targets(50, 0)
+    poses, twists, _ = run(MinimumJerk(), start, target, 90.0)
+    linear, angular = speeds(twists)
+    assert np.allclose(np.maximum(linear, angular).max(axis=0), 0.1, rtol=1e-2)
+    metres, radians = apart(poses, target)
+    assert np.allclose(metres / metres[0], radians / radians[0], atol=1e-6)
+
+
+def test_minimum_jerk_waits_for_an_ee_that_is_held():
+    start, target = starts_and_targets(4, 2)
+    generator = MinimumJerk()
+    state = generator.start(start, target, [])
+    held = start + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for _ in range(100):
+        twist, state = generator.twist(state, held, target, np.full(4, DT))
+    assert state["time"].max() < 0.5
+    back = twist_between(held, start, 1.0)
+    assert np.all(np.sum(twist[:, :3] * back[:, :3], axis=1) > 0.0)
