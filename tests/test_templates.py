@@ -29,7 +29,7 @@ def test_each_kind_passes_the_test_that_comes_with_it(kind, tmp_path, offer):
     "name", ["My", "my-motion", "1st", "a__b", "_a", "a_", "class", "none", ""]
 )
 def test_names_that_cannot_be(name, tmp_path):
-    with pytest.raises(KinfeasError, match="cannot be a name: it must be of lower-case letters"):
+    with pytest.raises(KinfeasError, match="cannot be a name"):
         write_distribution("motion_generator", name, tmp_path / "new")
     assert not (tmp_path / "new").exists()
 

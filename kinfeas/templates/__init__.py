@@ -1,14 +1,13 @@
-"""Templates: small distributions that work at once, for plugins of one's own.
+"""Templates of distributions with a plugin.
 
-Here is only what there are templates of: the command line reads it for its help, and must not load
-more than that.
+The help of the command line imports this module, so it imports nothing else.
 """
 
 from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """What a distribution may offer."""
+    """Kinds of plugins with a template."""
 
     MOTION_GENERATOR = "motion_generator"
     ROBOT = "robot"
@@ -25,5 +24,5 @@ class Kind(StrEnum):
 
     @property
     def target(self) -> str:
-        """Class or function in its module, with $Class and $name for what it is called."""
+        """Class or function in the module, with the placeholders $Class and $name."""
         return "$name" if self in (Kind.ROBOT, Kind.TASK) else "$Class"

@@ -13,21 +13,20 @@ from kinfeas.io.files import writing
 from kinfeas.templates import Kind
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
-# What is written carries no template's suffix, or tools would take a template for its contents.
+# The suffix hides templates from tools that check Python files.
 _SUFFIX, _PLACEHOLDER = ".txt", "NAME"
 
 
 def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
-    """Return the files of a new distribution that offers one plugin.
+    """Write a new distribution with one plugin and return its files.
 
     Args:
         kind: One of `Kind`.
         name: Name of the plugin, in lower case.
-        folder: Where to write it; it must be empty or not there.
+        folder: Folder of the distribution, empty or missing.
 
     Raises:
-        KinfeasError: If the name cannot be used or is taken, there is something in the folder, or
-            it cannot be written.
+        KinfeasError: If the name is invalid or taken, or the folder is not empty or not writable.
     """
     kinds = {known.value: known for known in Kind}
     if kind not in kinds:
@@ -49,8 +48,8 @@ def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
 def _check_name(group: str, name: str) -> None:
     if not _NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.iskeyword(_class(name)):
         raise KinfeasError(
-            f"{name!r} cannot be a name: it must be of lower-case letters, digits and single _, "
-            "begin with a letter and be no word of Python, such as my_motion"
+            f"{name!r} cannot be a name: use lower-case letters, digits and single _, first a "
+            "letter, and no keyword of Python; such as my_motion"
         )
     taken = [plugin for plugin in registry.plugins(group) if plugin.name == name]
     if taken:
@@ -68,7 +67,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _files(kind: str) -> Iterator[tuple[Path, str]]:
-    """Yield the template of each file with the path of what becomes of it."""
+    """Yield the template and the relative path of each file."""
     for place in ("common", kind):
         root = Path(__file__).parent / place
         for source in sorted(root.rglob(f"*{_SUFFIX}")):
@@ -76,7 +75,7 @@ def _files(kind: str) -> Iterator[tuple[Path, str]]:
 
 
 def _words(kind: Kind, name: str) -> dict[str, str]:
-    """Return what stands for the words that begin with $."""
+    """Return the values of the placeholders."""
     names = {"name": name, "Class": _class(name), "dashed": name.replace("_", "-")}
     target = Template(kind.target).substitute(names)
     what = registry.GROUPS[kind.group]

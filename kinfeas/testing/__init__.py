@@ -24,12 +24,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of one rule.
+    """Result of one rule.
 
     Attributes:
-        rule: Its short name, a key of `RULES`.
-        broken: How it is broken, a sentence that names the generator; None if it was not seen to.
-        checked: Whether all that belongs to it was looked at; a grave fault ends the test.
+        rule: Key of `RULES`.
+        broken: Description of a violation; None if none was found.
+        checked: Whether the rule was checked completely; severe violations end the test.
     """
 
     rule: str
@@ -38,11 +38,11 @@ class Finding:
 
     @property
     def kept(self) -> bool:
-        """Whether all was looked at and nothing found."""
+        """Whether the rule was checked completely without a violation."""
         return self.checked and self.broken is None
 
 
-def check_motion_generator(  # noqa: PLR0913  knobs of a test: by keyword, each with a default
+def check_motion_generator(  # noqa: PLR0913 - keywords with defaults
     generator: MotionGenerator,
     *,
     target_poses: Array | None = None,
@@ -52,19 +52,19 @@ def check_motion_generator(  # noqa: PLR0913  knobs of a test: by keyword, each 
     max_velocity: float | None = 0.1,
     max_angular_velocity: float | None = 0.1,
 ) -> None:
-    """Raise if `generator` breaks the contract of `MotionGenerator`; takes about a second.
+    """Check that a generator fulfils the contract of `MotionGenerator`; takes about a second.
 
     Args:
-        generator: What to check.
-        target_poses: World poses to start toward, shape (m, 7), m >= 1; 8 random ones by default.
-        seed: Seed of the random poses and of the randomness that the generator is given.
-        duration: Time in seconds within which every motion has to arrive.
+        generator: The motion generator.
+        target_poses: World target poses, shape (m, 7), m >= 1; 8 random ones by default.
+        seed: Seed of the random poses and of the generator's random numbers.
+        duration: Time limit of each motion in seconds.
         dt: Duration of a step in seconds.
-        max_velocity: Speed that no twist may exceed, m/s; None lifts the limit.
-        max_angular_velocity: Angular speed that no twist may exceed, rad/s; None lifts the limit.
+        max_velocity: Maximum speed, m/s; None for no limit.
+        max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
 
     Raises:
-        ConformanceError: Names the generator and the first rule it was seen to break.
+        ConformanceError: At the first violation.
     """
     trial = Trial(target_poses, seed, duration, dt, max_velocity, max_angular_velocity)
     run_trial(Probe(CheckedMotion(generator, every_step=True), trial))
@@ -76,13 +76,13 @@ def examine(
     name: str = "",
     on_step: Callable[[], None] | None = None,
 ) -> list[Finding]:
-    """Return what became of each of `RULES`, in their order; `check_motion_generator` as a list.
+    """Return the result of each of `RULES`, in order.
 
     Args:
-        generator: What to check.
-        trial: What it is put to.
-        name: What to call it; its class by default.
-        on_step: Called after each of the trial's steps.
+        generator: The motion generator.
+        trial: Motions and limits of the test.
+        name: Name in messages; the class by default.
+        on_step: Called after each step of the trial.
     """
     found: dict[str, str] = {}
     subject = f"motion generator {name or type(generator).__name__}"

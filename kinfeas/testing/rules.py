@@ -1,4 +1,4 @@
-"""The rules that every motion generator keeps, and the trial that shows whether it does."""
+"""Rules of motion generators and the trial that checks them."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -14,35 +14,35 @@ from kinfeas.testing.trial import Trial
 _ARRIVED_METRES, _ARRIVED_DEGREES = 0.01, 3.0
 _NEAR = 1e-9  # for the same motion in another batch, where sums may round in another order
 _ROUNDING = 1e-6
-_LOOKS = 10  # steps of each motion at which every rule is checked; the cheap ones are at each
+_FULL_CHECKS = 10  # steps at which all rules are checked; cheap ones are checked at each step
 
 RULES = {
-    "form": "states, poses and twists have the right form, poses and twists finite numbers",
-    "quaternions": "goal poses have quaternions of unit length",
-    "copies": "what is passed in is neither written into nor kept",
-    "layout": "a state keeps its keys, shapes and types",
-    "repeatable": "the same question gets the same answer",
-    "rows": "a motion is the same alone as in a batch",
-    "restart": "single motions of a batch can start again",
-    "velocity": "the speed keeps to its limit",
-    "angular_velocity": "the angular speed keeps to its limit",
-    "goal": "the goal stays where it is while the target does",
-    "arrival": "every motion arrives in time",
+    "form": "states, poses and twists have the right shapes; poses and twists are finite",
+    "quaternions": "goal poses have unit quaternions",
+    "copies": "arguments are neither modified nor kept",
+    "layout": "the keys, shapes and types of a state are constant",
+    "repeatable": "equal calls return equal values",
+    "rows": "a motion does not depend on the batch",
+    "restart": "single motions of a batch can restart",
+    "velocity": "the speed is within its limit",
+    "angular_velocity": "the angular speed is within its limit",
+    "goal": "the goal is constant while the target is",
+    "arrival": "every motion reaches its goal in time",
 }
-"""What is checked, by short names."""
+"""Descriptions of the rules."""
 
-# Beyond these nothing more can be learned.
+# Violations that end the test.
 _FATAL = ("form", "quaternions", "copies", "layout")
 
 
 @dataclass(frozen=True)
 class Probe:
-    """A generator whose every answer is checked for its form and its limits.
+    """A generator with its trial and the violations found so far.
 
     Attributes:
-        motion: Who answers.
-        trial: What it is put to.
-        found: Where to note a broken rule that lets the test go on; None ends it at the first.
+        motion: The motion generator.
+        trial: Motions and limits of the test.
+        found: Violations by rule; None to raise at the first one.
     """
 
     motion: CheckedMotion
@@ -50,7 +50,7 @@ class Probe:
     found: dict[str, str] | None = None
 
     def require(self, holds: object, rule: str, broken: str) -> None:
-        """Note or raise the sentence `broken`, which has the generator as its subject."""
+        """Record or raise a violation unless `holds`."""
         if holds:
             return
         error = self.motion.error(broken, rule)
@@ -59,7 +59,7 @@ class Probe:
         self.found.setdefault(rule, str(error))
 
     def start(self, ee_pose: Array, target_pose: Array, rows: Sequence[int]) -> State:
-        """Return the start of the motions `rows`, each with its own randomness."""
+        """Return the start state of the motions `rows`, each with its own random numbers."""
         rngs = [np.random.default_rng([self.trial.seed, row]) for row in rows]
         return self.motion.start(ee_pose, target_pose, rngs)
 
@@ -82,33 +82,33 @@ class Probe:
 
 
 def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
-    """Put a generator to its trial.
+    """Run the trial of a generator.
 
     Args:
-        probe: The generator, the trial and where to note what is broken.
+        probe: The generator and its trial.
         on_step: Called after each step.
 
     Raises:
-        ConformanceError: If a rule is broken, and it is grave or there is nowhere to note it.
+        ConformanceError: At a severe violation, or the first one if `probe` records none.
     """
     ee_pose, targets = probe.trial.poses()
-    state, seen = _check_start(probe, ee_pose, targets), []
+    state, steps_seen = _check_start(probe, ee_pose, targets), []
     steps = probe.trial.steps
-    looks = set((np.geomspace(1, steps, _LOOKS).astype(int) - 1).tolist())
+    full = set((np.geomspace(1, steps, _FULL_CHECKS).astype(int) - 1).tolist())
     for step in range(steps):
-        if step in looks:
-            seen.append(_check_step(probe, state, ee_pose, targets))
-            _check_restart(probe, seen, targets)
+        if step in full:
+            steps_seen.append(_check_step(probe, state, ee_pose, targets))
+            _check_restart(probe, steps_seen, targets)
         twist, state = probe.twist(state, ee_pose, targets)
         ee_pose = integrate(ee_pose, twist, probe.trial.dt)
         if on_step is not None:
             on_step()
-    _check_arrival(probe, ee_pose, targets, (seen[0].state, state))
+    _check_arrival(probe, ee_pose, targets, (steps_seen[0].state, state))
 
 
 @dataclass(frozen=True)
 class _Step:
-    """What a generator was asked and what it answered, in copies of their own."""
+    """Copies of the arguments and the twist of a step."""
 
     state: State
     ee_pose: Array
@@ -116,48 +116,46 @@ class _Step:
 
 
 def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
-    """Return the state in which all motions start."""
+    """Return the start state after checking `start`."""
     rows = range(len(ee_pose))
     given = ee_pose.copy(), targets.copy()
     state = probe.start(*given, rows)
     kept = np.array_equal(given[0], ee_pose) and np.array_equal(given[1], targets)
-    probe.require(kept, "copies", "writes into the poses that start is given")
+    probe.require(kept, "copies", "modifies the poses passed to start")
     shared = any(np.may_share_memory(v, pose) for v in state.values() for pose in given)
     probe.require(
-        not shared, "copies", "keeps the poses that start is given in its state; it must copy them"
+        not shared, "copies", "keeps the poses passed to start in its state; it must copy them"
     )
     again = probe.start(ee_pose.copy(), targets.copy(), rows)
     same = _close(state, again, 0.0)
-    probe.require(
-        same, "repeatable", "starts differently the second time, from the same poses and rngs"
-    )
+    probe.require(same, "repeatable", "returns another state from start for equal poses and rngs")
     for row in _some(rows):
         one = slice(row, row + 1)
         alone = probe.start(ee_pose[one].copy(), targets[one].copy(), [row])
         same = _close(alone, _rows(state, one), _NEAR)
-        probe.require(same, "rows", "starts a motion differently alone than in a batch")
+        probe.require(same, "rows", "starts a motion differently alone and in a batch")
     return state
 
 
 def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _Step:
-    """Return the step from `state`, which must be a function of what twist is given."""
+    """Return the step from `state` after checking `twist`."""
     step_state, step_pose = copy.deepcopy(state), ee_pose.copy()
     given, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
     twist, after = copy.deepcopy(probe.twist(state, ee_pose, given, dt))
     kept = _close(state, step_state, 0.0)
-    probe.require(kept, "copies", "writes into the state that twist is given")
+    probe.require(kept, "copies", "modifies the state passed to twist")
     kept = np.array_equal(ee_pose, step_pose)
-    probe.require(kept, "copies", "writes into the ee_pose that twist is given")
+    probe.require(kept, "copies", "modifies the ee_pose passed to twist")
     kept = np.array_equal(given, targets)
-    probe.require(kept, "copies", "writes into the target_pose that twist is given")
+    probe.require(kept, "copies", "modifies the target_pose passed to twist")
     kept = bool(np.all(dt == probe.trial.dt))
-    probe.require(kept, "copies", "writes into the dt that twist is given")
+    probe.require(kept, "copies", "modifies the dt passed to twist")
     again, after_again = probe.twist(state, ee_pose, targets)
     same = np.array_equal(twist, again) and _close(after, after_again, 0.0)
     probe.require(
         same,
         "repeatable",
-        "answers the same twist call differently twice; what changes belongs into the state",
+        "returns other values from an equal call of twist; the state must hold all that changes",
     )
     uneven = dt * np.resize([1.0, 0.5], len(dt))
     mixed, after_mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
@@ -165,22 +163,21 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
         one = slice(row, row + 1)
         alone, after_alone = _alone(probe, state, ee_pose, targets, dt, one)
         same = _near(alone, twist[one]) and _close(after_alone, _rows(after, one), _NEAR)
-        probe.require(same, "rows", "moves a motion differently alone than in a batch")
+        probe.require(same, "rows", "moves a motion differently alone and in a batch")
         alone, after_alone = _alone(probe, state, ee_pose, targets, uneven, one)
         same = _near(alone, mixed[one]) and _close(after_alone, _rows(after_mixed, one), _NEAR)
-        probe.require(same, "rows", "moves a motion differently if the others have another dt")
+        probe.require(same, "rows", "moves a motion differently if other rows have another dt")
     return _Step(step_state, step_pose, twist)
 
 
 def _alone(
     probe: Probe, state: State, ee_pose: Array, targets: Array, dt: Array, one: slice
 ) -> tuple[Array, State]:
-    """Return the step of a single motion."""
     return probe.twist(_rows(state, one), ee_pose[one].copy(), targets[one].copy(), dt[one].copy())
 
 
 def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
-    """Check that one motion can start again while the others go on."""
+    """Check that one motion can restart while the others continue."""
     first, now = seen[0], seen[-1]
     row = len(seen) % len(targets)
     one = slice(row, row + 1)
@@ -195,15 +192,15 @@ def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:
     probe.require(
         _near(twist, expected),
         "restart",
-        "moves differently once a single motion of the batch starts again; "
-        "what changes belongs into the state",
+        "moves differently after a single motion of the batch restarts; "
+        "the state must hold all that changes",
     )
 
 
 def _check_arrival(
     probe: Probe, ee_pose: Array, targets: Array, states: tuple[State, State]
 ) -> None:
-    """Check that the motions end at the goal that was named at the start."""
+    """Check that the motions end at the goal of their start."""
     announced, final = (probe.motion.goal_pose(state, targets) for state in states)
     metres, radians = distance(announced, final)
     fixed = metres.max() < _NEAR and radians.max() < np.sqrt(_NEAR)

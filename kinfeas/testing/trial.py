@@ -1,4 +1,4 @@
-"""Sample motions: what a motion generator is put to, and what it makes of that."""
+"""Trials of motion generators, and the motions of a trial."""
 
 import traceback
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ _MOST_STEPS = 1_000_000
 
 @dataclass(frozen=True)
 class Trial:
-    """What a motion generator is put to.
+    """Motions and limits of a test.
 
     Attributes:
-        target_poses: World poses to start toward, shape (m, 7), m >= 1; 8 random ones by default.
-        seed: Seed of the random poses and of the randomness that the generator is given.
-        duration: Time in seconds within which every motion has to arrive.
+        target_poses: World target poses, shape (m, 7), m >= 1; 8 random ones by default.
+        seed: Seed of the random poses and of the generator's random numbers.
+        duration: Time limit of each motion in seconds.
         dt: Duration of a step in seconds.
-        max_velocity: Speed that no twist may exceed, m/s; None lifts the limit.
-        max_angular_velocity: Angular speed that no twist may exceed, rad/s; None lifts the limit.
+        max_velocity: Maximum speed, m/s; None for no limit.
+        max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
 
     Raises:
         KinfeasError: If the times are not positive, or make more than a million steps.
@@ -40,7 +40,7 @@ class Trial:
     max_angular_velocity: float | None = 0.1
 
     def __post_init__(self) -> None:
-        """Check that the steps can be counted."""
+        """Check times and count of steps."""
         if not (0.0 < self.duration <= LONGEST and 0.0 < self.dt <= LONGEST):
             raise KinfeasError(
                 f"duration and dt must be times in (0, {LONGEST:g}] s, "
@@ -53,17 +53,18 @@ class Trial:
 
     @property
     def steps(self) -> int:
-        """How many steps it takes."""
+        """Count of steps."""
         return max(1, round(self.duration / self.dt))
 
     def poses(self) -> tuple[Array, Array]:
-        """Return where its motions start and what they head for, each of shape (m + 4, 7).
+        """Return starts and targets of the motions, each of shape (m + 4, 7).
 
-        A motion to each target from a random pose up to 2 m away, and four special ones: from the
-        target itself, a half turn on the spot, a path without a turn, a turn with almost no path.
+        One motion to each target from a random pose up to 2 m away, and four special ones: from the
+        target itself, half a turn on the spot, a path without rotation, a rotation almost on the
+        spot.
 
         Raises:
-            KinfeasError: If `target_poses` has a wrong shape, or poses that are none.
+            KinfeasError: If `target_poses` has a wrong shape or invalid poses.
         """
         rng = np.random.default_rng(self.seed)
         given = self.target_poses
@@ -77,13 +78,13 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The motions of a trial, step by step: t steps of n motions.
+    """Steps of the motions of a trial: t steps of n motions.
 
     Attributes:
-        ee_pose: World poses, the first and the last included, shape (t + 1, n, 7).
-        twist: What led from one to the next, shape (t, n, 6), m/s and rad/s.
-        goal: Where the motions are to end, shape (n, 7).
-        broken: Why they were not followed to their end; None if they were.
+        ee_pose: World poses, including first and last, shape (t + 1, n, 7).
+        twist: Twists between them, shape (t, n, 6), m/s and rad/s.
+        goal: World goal poses, shape (n, 7).
+        broken: Error that ended the motions; None if there was none.
     """
 
     ee_pose: Array
@@ -93,11 +94,7 @@ class Samples:
 
 
 def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
-    """Return the motions of a trial, as far as they can be followed.
-
-    Raises:
-        KinfeasError: If they cannot even be started.
-    """
+    """Return the motions of a trial up to the first error of a step."""
     ee_pose, targets = trial.poses()
     rngs = [np.random.default_rng([trial.seed, row]) for row in range(len(targets))]
     state = motion.start(ee_pose.copy(), targets.copy(), rngs)
@@ -136,6 +133,6 @@ def _trials(rng: np.random.Generator, targets: Array) -> tuple[Array, Array]:
 
 
 def _random_poses(rng: np.random.Generator, n: int) -> Array:
-    """Return poses in a room of 4 x 4 m, turned any way, shape (n, 7)."""
+    """Return poses in a room of 4 x 4 m with any orientation, shape (n, 7)."""
     position = rng.uniform([-2.0, -2.0, 0.3], [2.0, 2.0, 1.2], (n, 3))
     return make_pose(position, Rotation.from_quat(rng.normal(size=(n, 4))))
