@@ -17,27 +17,6 @@ def test_wilson_is_scipys(share, trials):
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
-def test_wilson_of_another_confidence():
-    found = wilson(45, 50, z=2.5758293035489)
-    expected = binomtest(45, 50).proportion_ci(0.99, method="wilson")
-    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
-
-
-def test_wilson_stays_within_shares_and_narrows():
-    widths = []
-    for trials in (1, 10, 100, 1000):
-        for hits in range(0, trials + 1, max(1, trials // 10)):
-            found = wilson(hits, trials)
-            assert 0.0 <= found.low <= found.value <= found.high <= 1.0
-        widths.append(wilson(trials // 2, trials).high - wilson(trials // 2, trials).low)
-    assert widths == sorted(widths, reverse=True)
-
-
-def test_wilson_needs_a_trial():
-    with pytest.raises(ValueError, match="at least one trial"):
-        wilson(0, 0)
-
-
 def records():
     """Four episodes: perfect; one failure; strayed but reached; never arrived."""
     return EpisodeRecords(

@@ -153,18 +153,6 @@ def test_parameters_are_converted_to_their_annotations(sound):
     assert given == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
 
 
-def test_annotations_may_be_text(install):
-    source = """
-        from __future__ import annotations
-        class Late:
-            def __init__(self, lag: float = 0.1, *, first: int | None = None):
-                pass
-    """
-    install("late", "late_module", source, {MOTIONS: ["late = late_module:Late"]})
-    assert registry.build(MOTIONS, "late", {"lag": 1, "first": None})
-    assert "lag" in message(registry.build, MOTIONS, "late", {"lag": "x"})
-
-
 @pytest.mark.parametrize("kind", ["tasks", "adapters", "backends"])
 def test_objects_need_the_methods_of_their_group(install, kind):
     group = f"kinfeas.{kind}"
@@ -209,27 +197,11 @@ def test_names_in_two_distributions(install, tmp_path):
     assert registry.names(MOTIONS).count("wave") == 1
 
 
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_load_robot_by_name_and_by_file(name):
-    path = Path(registry.load(ROBOTS, name)())
-    assert load_robot(name).name == load_robot(str(path)).name == load_robot(path).name == name
-
-
-@pytest.mark.parametrize("use", [load_robot, lambda name: registry.load(ROBOTS, name)])
-@pytest.mark.parametrize("name", [None, 3, ["pr2"]])
-def test_names_must_be_text(use, name):
-    assert "pr2" in message(use, name)
-
-
 @pytest.mark.parametrize("name", ["absent.yaml", "./pr2", "bots/a.urdf.xacro", "my bot.URDF"])
 def test_load_robot_takes_a_path_for_a_file(name):
     text = message(load_robot, name)
     assert name.removeprefix("./") in text
     assert ("kinfeas robot import" in text) == ("urdf" in name.lower())
-
-
-def test_load_robot_reads_the_file_of_an_outside_plugin(sound):
-    assert "my_robot.yaml" in message(load_robot, "mine")
 
 
 class LicenceError(Exception):

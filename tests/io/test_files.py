@@ -1,4 +1,3 @@
-import fcntl
 import os
 import shutil
 import stat
@@ -89,17 +88,6 @@ def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
-    (tmp_path / "folder").mkdir()
-    target, link = tmp_path / "folder" / "target", tmp_path / "link"
-    link.symlink_to("folder/target")
-    for content in (b"1", b"22"):
-        write_file(link, content)
-        assert target.read_bytes() == content
-        assert link.readlink() == Path("folder/target")
-    assert list(target.parent.iterdir()) == [target]
-
-
 def test_a_pipe_is_written_to(tmp_path):
     path, heard = tmp_path / "pipe", []
     os.mkfifo(path)
@@ -111,30 +99,12 @@ def test_a_pipe_is_written_to(tmp_path):
     assert stat.S_ISFIFO(path.stat().st_mode)
 
 
-@pytest.mark.parametrize("folder", ["/dev/fd", "/proc/self/fd"])
-def test_an_open_file_is_written_on_where_it_stands(tmp_path, folder):
-    with (tmp_path / "log").open("wb", buffering=0) as file:
-        file.write(b"before, ")
-        write_file(Path(folder, str(file.fileno())), b"content")
-        file.write(b", after")
-    assert (tmp_path / "log").read_bytes() == b"before, content, after"
-    assert [path.name for path in tmp_path.iterdir()] == ["log"]
-
-
 def test_standard_output_is_written_to(capfd):
     # Not by the names of its device files, which a mistake here would replace.
     write_file(Path("/dev/fd/1"), b"content")
     write_file(Path("/dev/fd/2"), b"error")
     assert capfd.readouterr() == ("content", "error")
     assert replaced(Path("/dev/stdout")) is replaced(Path("/dev/stderr")) is None
-
-
-def test_rights_are_kept(tmp_path):
-    path = tmp_path / "file"
-    path.write_bytes(b"1")
-    path.chmod(0o640)
-    write_file(path, b"2")
-    assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
 def test_what_is_write_protected_stays(tmp_path, monkeypatch):
@@ -152,15 +122,6 @@ def test_a_pipe_or_a_device_is_not_read(tmp_path):
     for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null")):
         with pytest.raises(KinfeasError, match="cannot be read: it is not a regular file"):
             read_file(path, 10)
-
-
-def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with (
-        pytest.raises(KinfeasError, match=f"^none: cannot be read: .* in {tmp_path}$"),
-        reading(Path("none")),
-    ):
-        Path("none").read_bytes()
 
 
 class Killed(BaseException):
@@ -253,15 +214,6 @@ def test_locks_of_folders(tmp_path):
         pass
 
 
-def test_file_systems_without_locks(tmp_path, monkeypatch):
-    def fail(*_):
-        raise OSError(9, "Bad file descriptor")
-
-    monkeypatch.setattr(fcntl, "flock", fail)
-    with alone(tmp_path), alone(tmp_path):
-        pass
-
-
 def test_the_lock_of_a_killed_process_ends(tmp_path):
     use = f"""
 import time
@@ -278,3 +230,16 @@ with alone(Path({str(tmp_path)!r})):
         other.kill()
     with alone(tmp_path):
         pass
+
+
+def test_links_and_rights_are_kept(tmp_path):
+    (tmp_path / "folder").mkdir()
+    target, link = tmp_path / "folder" / "target", tmp_path / "link"
+    target.write_bytes(b"old")
+    target.chmod(0o640)
+    link.symlink_to("folder/target")
+    write_file(link, b"new")
+    assert target.read_bytes() == b"new"
+    assert link.readlink() == Path("folder/target")
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    assert list(target.parent.iterdir()) == [target]

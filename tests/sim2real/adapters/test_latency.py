@@ -127,15 +127,6 @@ def test_what_is_lost_leaves_the_last_command_active_shares(rig, drive):
     np.testing.assert_array_equal(lossy.passed[~came], held[~came])
 
 
-def test_losses_are_independent_of_each_other(rig, drive):
-    lossy = rig(DroppedCommands, n=200, share=0.5)
-    twists = drive(200, n=200)
-    lossy.run(twists)
-    came = np.all(lossy.passed == twists, axis=2).astype(float) - 0.5
-    assert abs(np.mean(came[1:] * came[:-1])) < 0.005
-    assert abs(np.mean(came[:, 1:] * came[:, :-1])) < 0.005
-
-
 @pytest.mark.parametrize("share", [-0.1, 1.1])
 def test_invalid_shares(pr2, share):
     with pytest.raises(KinfeasError, match="share"):

@@ -54,18 +54,6 @@ def test_salts_differ_by_name_and_number_and_none_keeps_the_seeds():
     assert len({int(salt(name, i)) for name in ("", "A", "B") for i in range(3)}) == 9
 
 
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        (2, Range(2.0, 2.0)),
-        (0.5, Range(0.5, 0.5)),
-        ([1, 3], Range(1.0, 3.0)),
-    ],
-)
-def test_a_number_is_a_range_of_no_width(value, expected):
-    assert read_range("x", value, Interval(low=0.0)) == expected
-
-
 def test_a_range_is_drawn_evenly():
     drawn = Range(2.0, 4.0).draw(per_episode(seeds(5000), 1)[:, 0])
     assert kstest(drawn, "uniform", args=(2.0, 2.0)).pvalue > 1e-3
