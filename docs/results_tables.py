@@ -141,7 +141,8 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
     jumps = [
         (f"{title}, {name}", [_jumps(cells.get((robot, task, *chosen))) for task in TASKS])
         for robot, title in ROBOTS.items()
-        for chosen, name in {**LEARNED, ("whole_body_qp", ""): "`whole_body_qp`"}.items()
+        for chosen, name in LEARNED.items()
+        if chosen[0] != "td3"
     ]
     lines += _table("robot, policy", TASKS, jumps)
     place = re.compile(r"(?<=\n)### PR2\n.*?(?=\n\n## Learning curves)", re.DOTALL)
@@ -219,9 +220,9 @@ def _physics_table(
 
 def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
     for cell in record:
-        if cell["variant"]:
+        name = LEARNED.get((cell["policy"], cell["row"]), f"`{cell['policy']}`")
+        if cell["variant"] and (name in LEARNED.values() or cell["policy"] == "whole_body_qp"):
             where = f"{ROBOTS[cell['robot']]}, `{cell['task']}`, {cell['variant']}"
-            name = LEARNED.get((cell["policy"], cell["row"]), f"`{cell['policy']}`")
             yield where, [name, _success(cell, "success"), f"{100 * cell['ceiling']:.1f}"]
 
 
