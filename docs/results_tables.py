@@ -125,10 +125,6 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
         for policy in BASELINES:
             rows.append((f"`{policy}`", policy, "", "success"))
         rows.insert(1, ("*paper, SAC*", "sac", "", "paper_success"))
-        rows += [
-            (f"*paper, `{policy}`*", policy, "", "paper_success")
-            for policy in ("follow_ee", "geometric_modulation", "demonstrated_base")
-        ]
         rows.append(("**ceiling**", "sac", "", "ceiling"))
         table = [
             (name, [_success(cells.get((robot, task, policy, row)), key) for task in TASKS])

@@ -54,7 +54,6 @@ def test_the_page(packages):
     for name, thing in runpy.run_path("arc/test_arc.py").items():
         if name.startswith("test_"):
             thing()
-    check_motion_generator(runpy.run_path("arc/kinfeas_arc/fast.py")["FastArc"]())
     command_filter = runpy.run_path("half_speed.py")["HalfSpeed"]()
 
     class Seen:
