@@ -57,11 +57,6 @@ PHYSICS = {
     ("pretrained", "head_start"): "{}, 3 s head start",
     ("pretrained", ""): "{}",
     ("pretrained", "rollout planner"): "{}, rollout planner",
-    ("pretrained", "no_objects"): "{}, no objects",
-    ("follow_ee", ""): "{}, `follow_ee`",
-    ("follow_ee_feedback", ""): "{}, `follow_ee_feedback`",
-    ("geometric_modulation", ""): "{}, `geometric_modulation`",
-    ("demonstrated_base", ""): "{}, `demonstrated_base`",
 }
 """Rows of docs/physics.md, by policy and row."""
 IN_PYBULLET = {
@@ -138,7 +133,7 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
         (f"{title}, {name}", [_jumps(cells.get((robot, task, *chosen))) for task in TASKS])
         for robot, title in ROBOTS.items()
         for chosen, name in LEARNED.items()
-        if chosen[0] != "td3"
+        if chosen not in {("td3", ""), ("pretrained", "")}
     ]
     lines += _table("robot, policy", TASKS, jumps)
     place = re.compile(r"(?<=\n)### PR2\n.*?(?=\n\n## Learning curves)", re.DOTALL)
@@ -179,11 +174,10 @@ def fill_physics(page: str, record: Sequence[Entry]) -> str:
         for robot, title in ROBOTS.items()
         for chosen, name in PHYSICS.items()
     ]
-    main = [one for one in rows if "`" not in one[0] and "no objects" not in one[0]]
     physical = TASKS[2:]
     lines = _physics_table("success, % (analytic; paper)", rows, TASKS, _with_paper)
-    lines += ["", *_physics_table("within 5 cm, % (paper)", main, TASKS, _within), ""]
-    lines += _physics_table("task success, %; arm collisions", main, physical, _physical)
+    lines += ["", *_physics_table("within 5 cm, % (paper)", rows, TASKS, _within), ""]
+    lines += _physics_table("task success, %; arm collisions", rows, physical, _physical)
     place = re.compile(r"\| success, % \(analytic; paper\).*?(?=\n\nPR2 also uses)", re.DOTALL)
     filled, count = place.subn(lambda _: "\n".join(lines), page, count=1)
     return _found(filled, count, "physics.md: no table of success before 'PR2'")
@@ -205,13 +199,11 @@ def _physics_table(
     tasks: Sequence[str],
     text: Callable[[Entry], str],
 ) -> list[str]:
-    table = []
-    for name, cells in rows:
-        found = [cells.get(task) for task in tasks]
-        episodes = [cell["episodes_per_seed"] for cell in found if cell]
-        values = ["" if cell is None else text(cell) for cell in found]
-        table.append((name, [f"{min(episodes)}+" if episodes else "", *values]))
-    return _table(head, ("episodes", *tasks), table)
+    table = [
+        (name, ["" if task not in cells else text(cells[task]) for task in tasks])
+        for name, cells in rows
+    ]
+    return _table(head, tasks, table)
 
 
 def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
@@ -223,11 +215,13 @@ def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _success(cell: Entry | None, key: str) -> str:
-    """Return a percentage; of success and the paper's, the one within 5 cm in brackets."""
+    """Return a percentage; for learned policies also the one within 5 cm, in brackets."""
     if cell is None or cell[key] is None:
         return ""
     if key == "ceiling":
         return f"{100 * cell[key]:.1f}"
+    if cell["policy"] in BASELINES:
+        return _share(cell, key)
     within = cell[key.replace("success", "within_5cm")]
     return f"{_share(cell, key)} ({100 * within:.1f})"
 
