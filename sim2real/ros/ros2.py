@@ -6,14 +6,12 @@ On DDS the topic `/joint_states` of ROS 2 is `rt/joint_states`, and its type is
 names, fields and defaults of ROS 2.
 """
 
-# mypy: disable-error-code="call-arg"
-# (cyclonedds has no types: the base class of messages is Any)
-
 import math
 import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from types import new_class
 from typing import Any
 
 from cyclonedds.core import DDSException, Listener, Policy, Qos
@@ -174,188 +172,85 @@ def ros2_message_classes() -> Messages:
     )
 
 
-def _split(seconds: float) -> tuple[int, int]:
-    """Return whole seconds and the remaining nanoseconds, at least 0."""
+def _message(name: str, methods: dict[str, Any] | None = None, /, **members: Any) -> Any:
+    """Return the class of a message, such as `std_msgs/Header`.
+
+    Args:
+        name: Package and name.
+        methods: Its methods.
+        members: Its fields: messages, or pairs of a type and a default factory.
+    """
+    package, short = name.split("/")
+    pairs = {key: one if isinstance(one, tuple) else (one, one) for key, one in members.items()}
+    space: dict[str, Any] = {key: field(default_factory=new) for key, (_, new) in pairs.items()}
+    space["__annotations__"] = {key: kind for key, (kind, _) in pairs.items()}
+    space |= {"__module__": __name__, **(methods or {})}
+    typename = {"typename": f"{package}::msg::dds_::{short}_"}
+    return dataclass(new_class(short, (IdlStruct,), typename, lambda made: made.update(space)))
+
+
+def _from_sec(kind: Any, seconds: float) -> Any:
     whole = math.floor(seconds)
     carry, nanosec = divmod(round((seconds - whole) * _NANO), _NANO)
-    return whole + carry, nanosec
+    return kind(whole + carry, nanosec)
 
 
-# A common base class of both would change their types on DDS.
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    """A time since 1970, or since the start of a clock."""
-
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-    @classmethod
-    def from_sec(cls, seconds: float) -> "Time":
-        """Return the message of a time in seconds."""
-        return cls(*_split(seconds))
-
-    def to_sec(self) -> float:
-        """Return the time in seconds."""
-        return self.sec + self.nanosec / _NANO
+def _to_sec(message: Any) -> float:
+    seconds: float = message.sec + message.nanosec / _NANO
+    return seconds
 
 
-@dataclass
-class Duration(IdlStruct, typename="builtin_interfaces::msg::dds_::Duration_"):
-    """A duration."""
+_STRING, _INT, _UINT, _FLOAT = (str, str), (int32, int), (uint32, int), (float64, float)
+_STRINGS, _FLOATS = (sequence[str], list), (sequence[float64], list)
+_COVARIANCE = (array[float64, 36], lambda: [0.0] * 36)
+_SECONDS = {"from_sec": classmethod(_from_sec), "to_sec": _to_sec}
 
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-    @classmethod
-    def from_sec(cls, seconds: float) -> "Duration":
-        """Return the message of a duration in seconds."""
-        return cls(*_split(seconds))
-
-    def to_sec(self) -> float:
-        """Return the duration in seconds."""
-        return self.sec + self.nanosec / _NANO
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    """Time and frame of a measurement."""
-
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
-
-
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    """A vector, m or rad, or per second."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
-    """A position, m."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    """An orientation."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
-    """A position and an orientation."""
-
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):
-    """A velocity, m/s and rad/s."""
-
-    linear: Vector3 = field(default_factory=Vector3)
-    angular: Vector3 = field(default_factory=Vector3)
-
-
-@dataclass
-class TwistStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TwistStamped_"):
-    """A velocity and the time of its command."""
-
-    header: Header = field(default_factory=Header)
-    twist: Twist = field(default_factory=Twist)
-
-
-def _no_covariance() -> list[float]:
-    return [0.0] * 36
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):
-    """A pose and its covariance."""
-
-    pose: Pose = field(default_factory=Pose)
-    covariance: array[float64, 36] = field(default_factory=_no_covariance)
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):
-    """A velocity and its covariance."""
-
-    twist: Twist = field(default_factory=Twist)
-    covariance: array[float64, 36] = field(default_factory=_no_covariance)
-
-
-@dataclass
-class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
-    """Base pose in the header's frame, and velocity in the frame of the base."""
-
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
-    twist: TwistWithCovariance = field(default_factory=TwistWithCovariance)
-
-
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
-    """Joint positions by name."""
-
-    header: Header = field(default_factory=Header)
-    name: sequence[str] = field(default_factory=list)
-    position: sequence[float64] = field(default_factory=list)
-    velocity: sequence[float64] = field(default_factory=list)
-    effort: sequence[float64] = field(default_factory=list)
-
-
-@dataclass
-class JointTrajectoryPoint(IdlStruct, typename="trajectory_msgs::msg::dds_::JointTrajectoryPoint_"):
-    """A point of a joint trajectory."""
-
-    positions: sequence[float64] = field(default_factory=list)
-    velocities: sequence[float64] = field(default_factory=list)
-    accelerations: sequence[float64] = field(default_factory=list)
-    effort: sequence[float64] = field(default_factory=list)
-    time_from_start: Duration = field(default_factory=Duration)
-
-
-@dataclass
-class JointTrajectory(IdlStruct, typename="trajectory_msgs::msg::dds_::JointTrajectory_"):
-    """A joint trajectory."""
-
-    header: Header = field(default_factory=Header)
-    joint_names: sequence[str] = field(default_factory=list)
-    points: sequence[JointTrajectoryPoint] = field(default_factory=list)
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
-    """A pose of one frame in another."""
-
-    translation: Vector3 = field(default_factory=Vector3)
-    rotation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
-    """A pose of a frame in the header's frame, and its time."""
-
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    transform: Transform = field(default_factory=Transform)
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
-    """Transforms of TF."""
-
-    transforms: sequence[TransformStamped] = field(default_factory=list)
+Time = _message("builtin_interfaces/Time", _SECONDS, sec=_INT, nanosec=_UINT)
+Duration = _message("builtin_interfaces/Duration", _SECONDS, sec=_INT, nanosec=_UINT)
+Header = _message("std_msgs/Header", stamp=Time, frame_id=_STRING)
+Vector3 = _message("geometry_msgs/Vector3", x=_FLOAT, y=_FLOAT, z=_FLOAT)
+Point = _message("geometry_msgs/Point", x=_FLOAT, y=_FLOAT, z=_FLOAT)
+Quaternion = _message(
+    "geometry_msgs/Quaternion", x=_FLOAT, y=_FLOAT, z=_FLOAT, w=(float64, lambda: 1.0)
+)
+Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
+Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
+TwistStamped = _message("geometry_msgs/TwistStamped", header=Header, twist=Twist)
+PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=_COVARIANCE)
+TwistWithCovariance = _message(
+    "geometry_msgs/TwistWithCovariance", twist=Twist, covariance=_COVARIANCE
+)
+Odometry = _message(
+    "nav_msgs/Odometry",
+    header=Header,
+    child_frame_id=_STRING,
+    pose=PoseWithCovariance,
+    twist=TwistWithCovariance,
+)
+JointState = _message(
+    "sensor_msgs/JointState",
+    header=Header,
+    name=_STRINGS,
+    position=_FLOATS,
+    velocity=_FLOATS,
+    effort=_FLOATS,
+)
+JointTrajectoryPoint = _message(
+    "trajectory_msgs/JointTrajectoryPoint",
+    positions=_FLOATS,
+    velocities=_FLOATS,
+    accelerations=_FLOATS,
+    effort=_FLOATS,
+    time_from_start=Duration,
+)
+JointTrajectory = _message(
+    "trajectory_msgs/JointTrajectory",
+    header=Header,
+    joint_names=_STRINGS,
+    points=(sequence[JointTrajectoryPoint], list),
+)
+Transform = _message("geometry_msgs/Transform", translation=Vector3, rotation=Quaternion)
+TransformStamped = _message(
+    "geometry_msgs/TransformStamped", header=Header, child_frame_id=_STRING, transform=Transform
+)
+TFMessage = _message("tf2_msgs/TFMessage", transforms=(sequence[TransformStamped], list))
