@@ -56,7 +56,8 @@ def _message(error: Exception) -> str:
         return error.format_message()
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
-    return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return "; ".join([text, *getattr(error, "__notes__", ())])  # notes name plugins
 
 
 def _print_version(wanted: bool) -> None:
