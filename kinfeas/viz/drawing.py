@@ -1,6 +1,7 @@
 """Robots, scenes and paths as 3-D pictures: primitive shapes drawn by matplotlib."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -14,7 +15,6 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
-from kinfeas.kinematics.forward import FIXED, Tree, build_tree
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import SceneObject, moving_joint
@@ -28,14 +28,14 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 
 _WOODS = ("#d3ad7a", "#c4503f", "#a2866a", "#c2a988", "#b3bcc4", "#aab692")
 _WALL, _LEAF, _HANDLE = "#ffffff", "#ecd5ab", "#434951"
 _DARKEST = 0.55
-_LIGHT_TURN = np.array([[0.7, -0.7], [0.7, 0.7]])  # 45 degrees to the side of the viewer
+_LIGHT = np.array([0.48, -0.36, 0.8])  # world direction to the light
 _FILL = 0.97  # share of the axes that is used
 
 
 class Part(NamedTuple):
-    """A shape in the frame of the moving joint that carries it; joint -1 is the base."""
+    """A shape in the frame of a link, and whether it belongs to the arm."""
 
-    joint: int
+    link: str
     shape: Shape
     arm: bool
 
@@ -58,57 +58,48 @@ def robot_solids(
         joint_positions: Arm joints, shape (j,).
         colours: Of the body, and of the arm with its hand.
     """
-    tree, parts = robot_parts(robot)
-    poses = compose(base_pose, joint_poses(tree, joint_positions))
-    return [Solid(_placed(part.shape, poses[part.joint]), colours[part.arm]) for part in parts]
+    poses = link_poses(robot, base_pose, joint_positions)
+    return [
+        Solid(replace(shape, pose=compose(poses[link], shape.pose)), colours[arm])
+        for link, shape, arm in robot_parts(robot)
+    ]
 
 
 @lru_cache(maxsize=8)
-def robot_parts(robot: Robot) -> tuple[Tree, list[Part]]:
-    """Return the tree of moving joints and the shapes that each joint carries.
-
-    Joints without shapes carry a thin box to each of their links.
-    """
-    tree, mounts = build_tree(robot)
+def robot_parts(robot: Robot) -> list[Part]:
+    """Return the shapes of a robot; thin boxes connect links without shapes."""
     path = robot.urdf.path_to(robot.ee_frame)
+    while len(path) > 1 and (not path[0].moves or path[0].name in robot.fixed_joints):
+        path = path[1:]
     arm = {joint.child for joint in path} | robot.urdf.below(path[-1].name)
-    poses = {
-        name: make_pose(mount.offset, Rotation.from_matrix(mount.rotation))
-        for name, mount in mounts.items()
-    }
+    links = robot.urdf.links
     parts = [
-        Part(mount.joint, _placed(shape, poses[name]), mount.joint != FIXED and name in arm)
-        for name, mount in mounts.items()
-        for shape in robot.urdf.links[name].shapes
+        Part(name, shape, name in arm) for name, link in links.items() for shape in link.shapes
     ]
-    shown = {part.joint for part in parts}
     for joint in robot.urdf.joints.values():
-        parent, child = mounts[joint.parent], mounts[joint.child]
-        carried = child.joint == parent.joint
-        end = child.offset if carried else tree.offset[child.joint]
-        lines = [(parent.offset, end)]
-        if not carried and tree.prismatic[child.joint]:
-            along = tree.rotation[child.joint][:, 2]
-            lines.append((end + joint.lower * along, end + joint.upper * along))
-        if parent.joint not in shown:
-            parts += [Part(parent.joint, one, joint.child in arm) for one in _sticks(lines)]
-    return tree, parts
+        length = float(np.linalg.norm(joint.origin[:3]))
+        if length > 1e-6 and not links[joint.parent].shapes and not links[joint.child].shapes:
+            turn, _ = Rotation.align_vectors(joint.origin[np.newaxis, :3], [[0.0, 0.0, 1.0]])
+            pose = make_pose(joint.origin[:3] / 2.0, turn)
+            shape = Shape("box", (_STICK, _STICK, length + _STICK), pose)
+            parts.append(Part(joint.parent, shape, joint.child in arm))
+    return parts
 
 
-def joint_poses(tree: Tree, joint_positions: Array) -> Array:
-    """Return the poses of all moving joints in the base frame, (m + 1, 7); the last is the base."""
-    count = len(tree.parent)
-    rotations, positions = np.tile(np.eye(3), (count + 1, 1, 1)), np.zeros((count + 1, 3))
-    values = tree.multiplier * joint_positions[tree.variable] + tree.bias
-    for i, parent in enumerate(tree.parent):
-        turned = rotations[parent] @ tree.rotation[i]
-        positions[i] = positions[parent] + rotations[parent] @ tree.offset[i]
-        if tree.prismatic[i]:
-            positions[i] += turned[:, 2] * values[i]
-            rotations[i] = turned
-        else:
-            rotations[i] = turned @ Rotation.from_rotvec([0.0, 0.0, values[i]]).as_matrix()
-    return make_pose(positions, Rotation.from_matrix(rotations))
+def link_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[str, Array]:
+    """Return the world poses (7,) of a robot's links by name; arguments as in `robot_solids`."""
+    urdf, names = robot.urdf, (joint.name for joint in robot.arm)
+    positions = {**robot.fixed_joints, **dict(zip(names, joint_positions.tolist(), strict=True))}
+    poses, links = {urdf.root: base_pose}, [urdf.root]
+    for link in links:
+        for joint in urdf.on[link]:
+            leader, multiplier, offset = urdf.followed(joint)
+            position = multiplier * positions.get(leader.name, 0.0) + offset
+            poses[joint.child] = compose(
+                poses[link], joint.pose_at(positions.get(joint.name, position))
+            )
+            links.append(joint.child)
+    return poses
 
 
 def scene_solids(scene: Scene) -> Iterator[tuple[str, Solid]]:
@@ -196,8 +187,6 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)
     toward = level + np.array([0.0, 0.0, np.sin(elevation)])
-    light = np.array([*(rotated @ level[:2] for rotated in _LIGHT_TURN), 0.9])
-    light /= np.linalg.norm(light)
     seen, colours = [], []
     for solid in solids:
         for face in faces(solid.shape):
@@ -205,7 +194,7 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
             if normal @ toward > 0.0:
                 # mplot3d needs the same number of corners everywhere.
                 seen.append(np.pad(face, ((0, _SIDES - len(face)), (0, 0)), mode="edge"))
-                brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * normal @ light)
+                brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * normal @ _LIGHT)
                 colours.append(brightness * np.array(to_rgb(solid.colour)))
     if seen:
         edges = [0.85 * colour for colour in colours]
@@ -228,20 +217,6 @@ def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0
     grid = Line3DCollection(lines, colors="#e3e6ea", linewidths=0.7, zorder=1)
     axes.add_collection(grid, autolim=False)
     return np.array([[*low, 0.0], [*high, 0.0]])
-
-
-def _placed(shape: Shape, pose: Array) -> Shape:
-    return Shape(shape.kind, shape.size, compose(pose, shape.pose))
-
-
-def _sticks(lines: Iterable[tuple[Array, Array]]) -> Iterator[Shape]:
-    for first, last in lines:
-        way = last - first
-        length = float(np.linalg.norm(way))
-        if 1e-6 < length < np.inf:
-            turn, _ = Rotation.align_vectors(way[np.newaxis], [[0.0, 0.0, 1.0]])
-            size = (_STICK, _STICK, length + _STICK)
-            yield Shape("box", size, make_pose((first + last) / 2.0, turn))
 
 
 def _lathed(radii: Array, heights: Array) -> list[Array]:

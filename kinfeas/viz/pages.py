@@ -10,13 +10,13 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, compose
+from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Joint, Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.drawing import joint_poses, robot_parts, scene_solids
+from kinfeas.viz.drawing import link_poses, robot_parts, scene_solids
 from kinfeas.viz.film import result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
 
@@ -130,15 +130,14 @@ def episode_html(
         _draw_paths(server, recording)
         if scene is not None:
             _draw_scene(server, scene)
-        tree, parts = robot_parts(robot)
         frames = _Frames(server, "robot")
-        for part in parts:
-            frames.draw(part.joint, part.shape, ARM if part.arm else BODY)
+        for link, shape, arm in robot_parts(robot):
+            frames.draw(link, shape, ARM if arm else BODY)
 
         def show(moment: int) -> None:
-            relative = joint_poses(tree, recording.joint_positions[moment])
-            poses = compose(recording.base_pose[moment], relative)
-            frames.place({joint: poses[joint] for joint in frames.handles})
+            posture = recording.base_pose[moment], recording.joint_positions[moment]
+            poses = link_poses(robot, *posture)
+            frames.place({link: poses[link] for link in frames.handles})
 
         return _play(server, recording.times if times is None else times, show)
 
@@ -149,14 +148,14 @@ def pybullet_html(film: "PyBulletFilm") -> str:
     Raises:
         KinfeasError: If viser is not installed.
     """
-    from kinfeas.backends.pybullet.camera import link_poses, show_moment, visual_shapes
+    from kinfeas.backends.pybullet import camera
 
     recording = film.recording
     with _serving(film.title) as server:
         _draw_paths(server, recording)
         server.initial_camera.position, server.initial_camera.look_at = film.eye[0], film.target[0]
         frames = _Frames(server, "world")
-        for one in visual_shapes(film.physics):
+        for one in camera.visual_shapes(film.physics):
             if one.shape.kind != "box" or max(one.shape.size) <= _WALL:
                 frames.draw((one.body, one.link), one.shape, one.colour)
         text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
@@ -165,8 +164,8 @@ def pybullet_html(film: "PyBulletFilm") -> str:
         links, last = list(frames.handles), len(film.moments) - 1
 
         def show(moment: int) -> None:
-            show_moment(film.physics, film.moments[moment])
-            frames.place(dict(zip(links, link_poses(film.physics, links), strict=True)))
+            camera.show_moment(film.physics, film.moments[moment])
+            frames.place(dict(zip(links, camera.link_poses(film.physics, links), strict=True)))
             label.visible = moment == last
 
         return _play(server, recording.times, show)

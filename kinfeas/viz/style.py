@@ -1,4 +1,4 @@
-"""What all pictures share: colours, words, the style of axes, and the way to a file."""
+"""Colours, the style of axes, and PNG files of figures."""
 
 import io
 from typing import Any
@@ -7,15 +7,14 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 BASE, EE, DESIRED, FAILURE, GOAL = "#1f5fa8", "#17906b", "#3a3f47", "#d62f3c", "#e69f00"
-"""The colours of base, achieved EE, desired EE, kinematic failure and goal in every picture."""
+"""Colours of base, achieved EE, desired EE, IK failure and goal."""
 
 BODY, ARM = "#c3c9d2", "#5b93cf"
-"""Of a robot's solids: what its arm does not move, and the arm with its hand."""
+"""Colours of a robot's body, and of its arm with the hand."""
 
 INK, FAINT = "#2b2f36", "#8a919c"
 
-# Any: matplotlib's types know each key by name, and no dict of strings is one of those.
-STYLE: Any = {
+STYLE: Any = {  # Any: matplotlib types each key by name
     "font.size": 10.0,
     "font.family": "DejaVu Sans",
     "text.color": INK,
@@ -37,7 +36,7 @@ STYLE: Any = {
 
 
 def failures_text(count: int) -> str:
-    """Return how often IK failed, in words."""
+    """Return a number of IK failures as a text."""
     return {0: "no failure", 1: "1 failure"}.get(count, f"{count} failures")
 
 
