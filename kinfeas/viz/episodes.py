@@ -58,7 +58,7 @@ def episodes_figure(
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
         for column, (recording, title) in enumerate(zip(recordings, titles, strict=True)):
             furniture = [] if scene is None else _furniture_near(scene, recording)
-            side = drawing.add_axes(figure, grid[0, column], _side(recording), _ELEVATION)
+            side = drawing.add_axes(figure, grid[0, column], side_heading(recording), _ELEVATION)
             _draw_side(side, robot, recording, [one for object_ in furniture for one in object_])
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
@@ -139,19 +139,13 @@ Camera = tuple[float, Array]
 """Heading to the right of the picture, and opposite corners (2, 3) of what is seen, metres."""
 
 
-def watch(base: Array, goal: Array, points: Array) -> Camera:
-    """Return a camera beside the path from `base` to `goal`.
-
-    Args:
-        base: World position of the base at the start, shape (3,), metres.
-        goal: World position of the EE's goal, shape (3,).
-        points: Further positions in view, shape (k, 3).
-    """
-    way = goal[:2] - base[:2]
-    around = np.concatenate([points, base[np.newaxis], goal[np.newaxis]])
+def watch(recording: Recording) -> Camera:
+    """Return a camera beside the path of an episode."""
+    points = [recording.base_pose, recording.desired, recording.goals]
+    around = np.concatenate([poses[:, :3] for poses in points])
     low, high = around.min(axis=0) - _AROUND, around.max(axis=0) + _AROUND
     low[2], high[2] = 0.0, max(high[2] - _AROUND, _HEIGHT)
-    return float(np.arctan2(way[1], way[0]) + _TURN), np.array([low, high])
+    return side_heading(recording), np.array([low, high])
 
 
 def moment_image(
@@ -182,13 +176,8 @@ class EpisodeFilm:
     def picture(self, moment: int) -> Image.Image:
         """Return the picture of one moment with the paths until then."""
         return Image.fromarray(
-            moment_image(self.robot, self.recording, _watch(self.recording), moment)
+            moment_image(self.robot, self.recording, watch(self.recording), moment)
         )
-
-
-def _watch(recording: Recording) -> Camera:
-    points = np.concatenate([recording.base_pose[:, :3], recording.desired[:, :3]])
-    return watch(recording.base_pose[0, :3], recording.goal[:3], points)
 
 
 def _title(recording: Recording) -> str:
@@ -220,8 +209,8 @@ def _furniture_near(scene: Scene, recording: Recording) -> list[list[drawing.Sol
     return list(near.values())
 
 
-def _side(recording: Recording) -> float:
-    """Return the heading of a side view on which the body hides little of the arm."""
+def side_heading(recording: Recording) -> float:
+    """Return the world heading to the right of a side view in which the arm is in front."""
     travel = recording.goal[:2] - recording.base_pose[0, :2]
     heading = float(np.arctan2(travel[1], travel[0]))
     arm = (recording.ee_pose[:, :2] - recording.base_pose[:, :2]).mean(axis=0)

@@ -13,7 +13,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.files import replacing
 from kinfeas.io.run_log import TASK_DONE
-from kinfeas.viz.style import DESIRED, EE, FAILURE, GOAL, INK, failures_text
+from kinfeas.viz.style import EE, FAILURE, INK, failures_text
 
 SUFFIXES = (".gif", ".mp4", ".png")
 SIZE = (480, 360)
@@ -21,7 +21,7 @@ SIZE = (480, 360)
 
 _GIF, _MP4 = (8.0, 56), (25.0, 300)  # pictures per second, largest number of pictures
 _REST_SECONDS = 1.5  # of the last picture
-_COLOURS = 72  # of a GIF
+_COLOURS = 128  # of a GIF
 _PANELS = (2, 2)  # of a PNG
 
 
@@ -143,16 +143,9 @@ def _write_png(pictures: Sequence[Image.Image], path: Path) -> None:
 
 
 def _write_gif(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
-    # One palette, so that the background does not flicker.
-    some = [*pictures[:: max(1, len(pictures) // 8)], pictures[-1]]
-    width, height = pictures[0].size
-    sheet = Image.new("RGB", (width, height * (len(some) + 1)), "white")
-    for number, picture in enumerate(some):
-        sheet.paste(picture, (0, number * height))
-    for number, colour in enumerate((EE, FAILURE, GOAL, DESIRED)):  # however small in the pictures
-        sheet.paste(colour, (0, len(some) * height + 60 * number, width, (len(some) + 1) * height))
-    palette = sheet.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT)
-    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    # The last picture has all colours; one palette keeps the background from flickering.
+    palette = pictures[-1].quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
     duration = [round(1000.0 / rate)] * len(flat)
     duration[-1] = round(1000.0 * _REST_SECONDS)
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=duration, loop=0)

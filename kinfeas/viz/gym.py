@@ -1,14 +1,11 @@
 """The analytic world as a Gymnasium environment with pictures."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import BaseMotionEnv, check_reset
-from kinfeas.envs.world import WorldConfig
 
 if TYPE_CHECKING:
     from kinfeas.viz.episodes import Camera
@@ -22,23 +19,7 @@ class RenderedMotionEnv(BaseMotionEnv):
         "render_fps": 10,  # with the control period that it has by default
     }
 
-    def __init__(
-        self,
-        robot: str = "pr2",
-        task: str = "ggr",
-        world: WorldConfig | None = None,
-        task_parameters: Mapping[str, object] | None = None,
-        render_mode: str | None = None,
-    ) -> None:
-        """Build the world; arguments as in `make_world`, `render_mode` is `rgb_array` or None.
-
-        Raises:
-            KinfeasError: If an argument is invalid.
-        """
-        if render_mode not in (None, "rgb_array"):
-            raise KinfeasError(f"render_mode must be rgb_array or None, not {render_mode!r}")
-        super().__init__(robot, task, world, task_parameters, render_mode=render_mode)
-        self._camera: Camera | None = None
+    _camera: "Camera | None" = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -66,6 +47,5 @@ class RenderedMotionEnv(BaseMotionEnv):
             np.array([True]), loop.goal[:1], reached=False, dt=loop.dt,
         )  # fmt: skip
         if self._camera is None:  # it stays when the base moves
-            ends = np.stack([loop.ee_pose[0, :3], loop.goal[0, :3]])
-            self._camera = watch(state.base_pose[0, :3], loop.goal[0, :3], ends)
+            self._camera = watch(now)
         return moment_image(self.world.solver.robot, now, self._camera, 0)

@@ -1,6 +1,6 @@
 """HTML pages of scenes and episodes in 3-D, made by viser; they need no server."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Joint, Shape
+from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.drawing import link_poses, robot_parts, scene_solids
@@ -31,8 +31,6 @@ _TURN = 3.0  # rad, range of a joint without limits
 _RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest number
 _STILL = 1e-4  # m, and of a quaternion
 _WALL = 4.0  # m; longer boxes hide the room
-
-Positions = dict[str, dict[str, float]]
 
 
 class ScenePage:
@@ -54,6 +52,13 @@ class ScenePage:
             "/floor", *scene.size, cell_size=1.0, plane_color=_FLOOR, plane_opacity=1
         )
         self.solids = _draw_scene(self._server, scene)
+        self._joints = {
+            (name, joint.name): (
+                one.joint_positions[joint.name], max(joint.lower, -_TURN), min(joint.upper, _TURN)
+            )
+            for name, one in scene.objects.items()
+            for joint in free_joints(one.urdf).values()
+        }  # fmt: skip
 
     @property
     def address(self) -> str:
@@ -63,14 +68,11 @@ class ScenePage:
     def html(self) -> str:
         """Return a page on which all joints open and close."""
         film = self._server.get_scene_serializer()
-        for frame in range(_SCENE_FRAMES if self._joints() else 0):
+        for frame in range(_SCENE_FRAMES if self._joints else 0):
             share = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
-            positions: Positions = {}
-            for name, joint in self._joints():
-                at = self._scene.objects[name].joint_positions[joint.name]
-                opened = at + share * (_range(joint)[1] - at)
-                positions.setdefault(name, {})[joint.name] = opened
-            self.move(positions)
+            self.move(
+                {key: at + share * (high - at) for key, (at, _, high) in self._joints.items()}
+            )
             film.insert_sleep(1.0 / _SCENE_RATE)
         html: str = film.as_html()
         return html
@@ -80,36 +82,27 @@ class ScenePage:
         sliders: dict[tuple[str, str], Any] = {}
 
         def follow(_: object) -> None:
-            positions: Positions = {}
-            for (name, joint), slider in sliders.items():
-                positions.setdefault(name, {})[joint] = slider.value
-            self.move(positions)
+            self.move({key: slider.value for key, slider in sliders.items()})
 
-        for name, joint in self._joints():
-            low, high = _range(joint)
-            at = self._scene.objects[name].joint_positions[joint.name]
+        for (name, joint), (at, low, high) in self._joints.items():
             step = (high - low) / 200.0
-            slider = self._server.gui.add_slider(f"{name}: {joint.name}", low, high, step, at)
+            slider = self._server.gui.add_slider(f"{name}: {joint}", low, high, step, at)
             slider.on_update(follow)
-            sliders[name, joint.name] = slider
+            sliders[name, joint] = slider
 
-    def move(self, positions: Mapping[str, Mapping[str, float]]) -> None:
+    def move(self, positions: Mapping[tuple[str, str], float]) -> None:
         """Move joints to positions, rad or m, by object and joint."""
-        moved = scene_solids(self._scene.with_joints(positions))
+        objects: dict[str, dict[str, float]] = {}
+        for (name, joint), position in positions.items():
+            objects.setdefault(name, {})[joint] = position
+        moved = scene_solids(self._scene.with_joints(objects))
         for drawn, (name, solid) in zip(self.solids, moved, strict=True):
-            if name in positions:
+            if name in objects:
                 _place(drawn, solid.shape.pose)
 
     def close(self) -> None:
         """Stop the server."""
         _stop(self._server)
-
-    def _joints(self) -> list[tuple[str, Joint]]:
-        return [
-            (name, joint)
-            for name, one in self._scene.objects.items()
-            for joint in free_joints(one.urdf).values()
-        ]
 
 
 def episode_html(
@@ -130,14 +123,16 @@ def episode_html(
         _draw_paths(server, recording)
         if scene is not None:
             _draw_scene(server, scene)
-        frames = _Frames(server, "robot")
-        for link, shape, arm in robot_parts(robot):
-            frames.draw(link, shape, ARM if arm else BODY)
+        parts = robot_parts(robot)
+        frames = _draw_frames(
+            server, ((one.link, one.shape, (BODY, ARM)[one.arm]) for one in parts)
+        )
 
         def show(moment: int) -> None:
             posture = recording.base_pose[moment], recording.joint_positions[moment]
             poses = link_poses(robot, *posture)
-            frames.place({link: poses[link] for link in frames.handles})
+            for link, frame in frames.items():
+                _place(frame, poses[link])
 
         return _play(server, recording.times if times is None else times, show)
 
@@ -154,18 +149,22 @@ def pybullet_html(film: "PyBulletFilm") -> str:
     with _serving(film.title) as server:
         _draw_paths(server, recording)
         server.initial_camera.position, server.initial_camera.look_at = film.eye[0], film.target[0]
-        frames = _Frames(server, "world")
-        for one in camera.visual_shapes(film.physics):
-            if one.shape.kind != "box" or max(one.shape.size) <= _WALL:
-                frames.draw((one.body, one.link), one.shape, one.colour)
+        shapes = [
+            ((one.body, one.link), one.shape, one.colour)
+            for one in camera.visual_shapes(film.physics)
+            if one.shape.kind != "box" or max(one.shape.size) <= _WALL
+        ]
+        frames = _draw_frames(server, shapes)
         text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
         position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
         label = server.scene.add_label("/result", text, position=position, visible=False)
-        links, last = list(frames.handles), len(film.moments) - 1
+        links, last = list(frames), len(film.moments) - 1
 
         def show(moment: int) -> None:
             camera.show_moment(film.physics, film.moments[moment])
-            frames.place(dict(zip(links, camera.link_poses(film.physics, links), strict=True)))
+            poses = camera.link_poses(film.physics, links)
+            for frame, pose in zip(frames.values(), poses, strict=True):
+                _place(frame, pose)
             label.visible = moment == last
 
         return _play(server, recording.times, show)
@@ -204,30 +203,16 @@ def _serving(title: str) -> Iterator[Any]:
         _stop(server)
 
 
-class _Frames:
-    """Moving frames with shapes, by key."""
-
-    def __init__(self, server: Any, name: str) -> None:
-        self._server, self._name = server, name
-        self.handles: dict[Any, Any] = {}
-        self._poses: dict[Any, Array] = {}
-        self._shapes = 0
-
-    def draw(self, key: Any, shape: Shape, colour: str | tuple[float, ...]) -> None:
-        """Draw a shape in the frame of a key."""
-        if key not in self.handles:
-            name = f"/{self._name}/{len(self.handles)}"
-            self.handles[key] = self._server.scene.add_frame(name, show_axes=False)
-            self._poses[key] = np.full(7, np.inf)
-        self._shapes += 1
-        _draw(self._server, f"{self.handles[key].name}/{self._shapes}", shape, colour)
-
-    def place(self, poses: Mapping[Any, Array]) -> None:
-        """Move the frames whose world pose (7,) has changed."""
-        for key, pose in poses.items():
-            if np.abs(pose - self._poses[key]).max() > _STILL:
-                _place(self.handles[key], pose)
-                self._poses[key] = pose
+def _draw_frames(
+    server: Any, shapes: Iterable[tuple[Any, Shape, str | tuple[float, ...]]]
+) -> dict[Any, Any]:
+    """Draw shapes in frames of their keys; return the frames."""
+    frames: dict[Any, Any] = {}
+    for number, (key, shape, colour) in enumerate(shapes):
+        if key not in frames:
+            frames[key] = server.scene.add_frame(f"/bodies/{len(frames)}", show_axes=False)
+        _draw(server, f"{frames[key].name}/{number}", shape, colour)
+    return frames
 
 
 def _play(server: Any, times: Array, show: Callable[[int], None]) -> str:
@@ -289,11 +274,9 @@ def _draw_paths(server: Any, recording: Recording) -> None:
 
 
 def _place(drawn: Any, pose: Array) -> None:
-    drawn.position, drawn.wxyz = pose[:3], np.roll(pose[3:], 1)
-
-
-def _range(joint: Joint) -> tuple[float, float]:
-    return max(joint.lower, -_TURN), min(joint.upper, _TURN)
+    wxyz = np.roll(pose[3:], 1)
+    if max(np.abs(drawn.position - pose[:3]).max(), np.abs(drawn.wxyz - wxyz).max()) > _STILL:
+        drawn.position, drawn.wxyz = pose[:3], wxyz  # each change is a message in the page
 
 
 def _rgb(colour: str | tuple[float, ...]) -> tuple[int, ...]:

@@ -37,7 +37,7 @@ def test_a_scene_page_is_self_contained(page):
 def test_joints_move_their_shapes(page):
     page.add_sliders()
     before = [np.array(solid.position) for solid in page.solids]
-    page.move({"drawer_shelf": {"slide": 0.3}})
+    page.move({("drawer_shelf", "slide"): 0.3})
     ways = [after.position - at for at, after in zip(before, page.solids, strict=True)]
     moved = [way for way in ways if np.any(way != 0.0)]
     assert len(moved) == 6  # five boards and the handle

@@ -1,19 +1,15 @@
 """Pictures of a PyBullet world without a screen, and its state at a moment."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.backends.pybullet.physics import ROOT, Physics
+from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.core.spatial import Array
 from kinfeas.robots.urdf import Shape
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # vertical
-LINK = 1 << 24
-"""PyBullet's factor of the link index in `Picture.seen`."""
-
 _NEAR, _FAR = 0.1, 40.0  # m
 _LIGHT = [2.0, -3.0, 8.0]
 _SIDE_VIEW = (480, 360)
@@ -26,26 +22,15 @@ Moment = tuple[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]], .
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What a camera sees.
-
-    Attributes:
-        colour: Shape (h, w, 3), 0-255.
-        depth: Distance along the line of sight, shape (h, w), metres.
-        seen: Body number plus `LINK` times (link index + 1) of each pixel, shape (h, w); -1 for
-            none.
-        view: World to camera, shape (4, 4).
-        projection: Camera to clip space, shape (4, 4).
-    """
+    """A picture, shape (h, w, 3), 0-255, and the matrices (4, 4) from world to clip space."""
 
     colour: NDArray[np.uint8]
-    depth: Array
-    seen: NDArray[np.intp]
     view: Array
     projection: Array
 
     def project(self, points: Array) -> Array:
         """Return pixel x and y and the depth of world points, (n, 3) to (n, 3)."""
-        height, width = self.depth.shape
+        height, width, _ = self.colour.shape
         whole = np.column_stack([points, np.ones(len(points))])
         camera = whole @ self.view.T
         clip = camera @ self.projection.T
@@ -69,18 +54,13 @@ def take_picture(physics: Physics, eye: Array, target: Array, size: tuple[int, i
         float(np.rad2deg(FIELD_OF_VIEW)), width / height, _NEAR, _FAR
     )
     # Its shadows darken everything within their reach.
-    _, _, colour, depth, seen = client.getCameraImage(
-        width, height, view, projection,
-        renderer=client.ER_TINY_RENDERER,
-        flags=client.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
-        shadow=0, lightDirection=_LIGHT, lightDistance=6.0,
+    _, _, colour, _, _ = client.getCameraImage(
+        width, height, view, projection, renderer=client.ER_TINY_RENDERER,
+        flags=client.ER_NO_SEGMENTATION_MASK, shadow=0, lightDirection=_LIGHT, lightDistance=6.0,
         lightAmbientCoeff=0.62, lightDiffuseCoeff=0.42, lightSpecularCoeff=0.02,
     )  # fmt: skip
-    nearness = np.reshape(np.asarray(depth, dtype=np.float64), (height, width))
     return Picture(
-        np.reshape(np.asarray(colour, dtype=np.uint8), (height, width, 4))[:, :, :3],
-        _FAR * _NEAR / (_FAR - (_FAR - _NEAR) * nearness),
-        np.reshape(np.asarray(seen, dtype=np.intp), (height, width)),
+        np.reshape(np.asarray(colour, dtype=np.uint8), (height, width, 4))[:, :, :3].copy(),
         np.reshape(np.array(view), (4, 4)).T,
         np.reshape(np.array(projection), (4, 4)).T,
     )
@@ -152,10 +132,3 @@ def visual_shapes(physics: Physics) -> list[VisualShape]:
 def link_poses(physics: Physics, links: list[tuple[int, int]]) -> Array:
     """Return the world poses (n, 7) of links, each a body number and a link index."""
     return np.stack([physics.link_pose(body, link) for body, link in links])
-
-
-def paint_floor(physics: Physics, texture: Path) -> None:
-    """Texture the floor with an image of two by two tiles of one metre."""
-    client = physics.client
-    number = client.loadTexture(str(texture))
-    client.changeVisualShape(physics.floor, ROOT, textureUniqueId=number)

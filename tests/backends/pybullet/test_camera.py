@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.pybullet.camera import (
-    LINK,
     keep_moment,
     link_poses,
     show_moment,
@@ -16,22 +15,16 @@ EYE, TARGET = np.array([2.5, -1.5, 1.8]), np.array([0.0, 0.0, 0.5])
 
 def test_a_picture_shows_the_target_in_its_middle(world, begin):
     begin()
-    picture = take_picture(world.sims[0].physics, EYE, TARGET, (80, 60))
-    assert picture.colour.shape == (60, 80, 3)
-    assert picture.depth.shape == picture.seen.shape == (60, 80)
-    assert picture.seen[30, 40] % LINK == world.sims[0].body.body
-    assert picture.depth[30, 40] < np.linalg.norm(EYE - TARGET)
-    x, y, depth = picture.project(TARGET[np.newaxis])[0]
+    physics = world.sims[0].physics
+    here = take_picture(physics, EYE, TARGET, (80, 60))
+    assert here.colour.shape == (60, 80, 3)
+    x, y, depth = here.project(TARGET[np.newaxis])[0]
     assert (x, y) == pytest.approx((40.0, 30.0), abs=1e-3)
     assert depth == pytest.approx(np.linalg.norm(EYE - TARGET), abs=1e-3)
-
-
-def test_depth_agrees_with_the_projection(world, begin):
     begin(x=5.0)
-    picture = take_picture(world.sims[0].physics, EYE, TARGET, (80, 60))
-    points = np.column_stack([np.random.default_rng(0).uniform(-0.4, 0.4, (50, 2)), np.zeros(50)])
-    x, y, depth = picture.project(points).T
-    np.testing.assert_allclose(picture.depth[y.astype(int), x.astype(int)], depth, atol=0.15)
+    away = take_picture(physics, EYE, TARGET, (80, 60))
+    changed = np.argwhere(np.any(here.colour != away.colour, axis=-1))
+    assert np.abs(np.median(changed, axis=0) - [30, 40]).max() < 8  # the robot was there
 
 
 def test_a_moment_is_restored(world, begin):
