@@ -40,25 +40,18 @@ class StateMonitor:
     """Checks one measurement after the other, and the clocks they are dated by."""
 
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        """Start without a measurement.
-
-        Args:
-            backend: Backend that measures.
-            robot: Robot that is measured.
-            guards: Limits.
-            clock: Clocks of the run.
-        """
+        """Start without a measurement of `robot` by `backend`."""
         self._source = f"backend {type(backend).__name__}"
         self._robot, self._guards, self._clock = robot, guards, clock
         self._needs_age = isinstance(backend, RealTimeBackend)
         self._start: Array | None = None
         self._last: Array = np.empty(7)
-        self._times = self._now()
+        self._times = np.empty(2)
 
     def begin(self, state: RobotState) -> None:
         """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
         self._start = None
-        self._times = self._now()
+        self._times = np.array([self._clock.monotonic(), self._clock.wall()])
         self.check(state)
         self._start = self._last
 
@@ -75,7 +68,7 @@ class StateMonitor:
         self._last = state.base_pose[0].copy()
 
     def _check_clocks(self) -> float:
-        before, self._times = self._times, self._now()
+        before, self._times = self._times, np.array([self._clock.monotonic(), self._clock.wall()])
         elapsed, wall = (self._times - before).tolist()
         _limit("the control period took {} s", elapsed, self._guards.max_period)
         skew = abs(wall - elapsed)
@@ -107,9 +100,6 @@ class StateMonitor:
         worst = int(np.argmax(outside))
         name, most = self._robot.arm[worst].name, self._guards.joint_tolerance
         _limit(f"joint {name} is measured {{}} beyond its limits", float(outside[worst]), most)
-
-    def _now(self) -> Array:
-        return np.array([self._clock.monotonic(), self._clock.wall()])
 
 
 class _Wrapper(BackendWrapper):
@@ -145,14 +135,7 @@ class SafetyFilter(_Wrapper):
     """
 
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        """Wrap a backend.
-
-        Args:
-            backend: Backend of one robot.
-            robot: Robot model.
-            guards: Limits.
-            clock: Clocks of the run.
-        """
+        """Wrap the backend of `robot`."""
         super().__init__(backend)
         self._robot, self._guards, self._clock = robot, guards, clock
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity
@@ -342,10 +325,7 @@ class Guarded(_Wrapper):
         return state
 
     def count(self, *, feasible: bool) -> None:
-        """Count the control periods in a row in which the arm could not follow.
-
-        Args:
-            feasible: Whether IK found a solution in this one.
+        """Count control periods in a row with the arm on hold or without an IK solution.
 
         Raises:
             Fault: If there were too many; the robot is stopped before.

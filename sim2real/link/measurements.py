@@ -72,14 +72,7 @@ class Inbox:
         drift: float = DRIFT,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start empty.
-
-        Args:
-            robot: Robot with the arm.
-            names: The robot's own name of each arm joint.
-            drift: Fraction by which the robot's clock may be slower than ours.
-            now: Clock in seconds.
-        """
+        """Start empty; `names` are the robot's own of its arm joints, `now` is a clock."""
         self.fault: str | None = None
         self._robot, self._now = robot, now
         self._names = [names[joint.name] for joint in robot.arm]

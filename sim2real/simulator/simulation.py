@@ -74,7 +74,7 @@ class JointSetpoints:
         self._paths = {name: (np.zeros(1), np.array([at])) for name, at in positions.items()}
 
     def follow(self, path: JointPath, time: float) -> None:
-        """Start a trajectory at a time in seconds; unknown joints are ignored."""
+        """Start a trajectory at a time in seconds; joints of others are ignored."""
         times: Array = np.concatenate([[time], time + np.maximum(path.times, 1e-9)])
         for column, name in enumerate(path.joints):
             if name in self._paths:
@@ -88,15 +88,7 @@ class JointSetpoints:
 
 
 class SimulatedRobot:
-    """A robot in PyBullet that executes orders.
-
-    Attributes:
-        config: Settings.
-        clock: Clocks.
-        base_commands: Number of commands to the base.
-        joint_commands: Number of trajectories for the arm.
-        timeouts: How often the base stopped for lack of commands.
-    """
+    """A robot in PyBullet that executes orders, and counts them as in `SimulationResult`."""
 
     def __init__(
         self,
@@ -176,8 +168,8 @@ def simulate(
 
     Args:
         robot: Simulated robot.
-        link: Its end of a transport, which is opened and closed here.
-        on_ready: Called once it listens.
+        link: Its end of a transport, which is opened and closed.
+        on_ready: Called once it receives commands.
 
     Raises:
         KinfeasError: If there is no bus, or, after 2 s that let deployments notice it, if the bus

@@ -99,9 +99,8 @@ def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path
     killed = robot.kill()
     assert bus.seconds_to_zero(killed) <= LIMIT
     assert deployment.end() == 3
-    old = "measurement"
-    assert old in deployment.output()
-    assert old in read_record(tmp_path / "record.csv").event[-1]
+    assert "measurement" in deployment.output()
+    assert "measurement" in read_record(tmp_path / "record.csv").event[-1]
 
 
 @of_ros1
