@@ -1,4 +1,4 @@
-"""Each distribution that `new` writes works, and what cannot be written is refused."""
+"""Distributions written by `kinfeas plugins new` work, and wrong requests raise."""
 
 import runpy
 
@@ -13,7 +13,7 @@ from kinfeas.templates.distribution import write_distribution
 
 
 @pytest.mark.parametrize("kind", Kind)
-def test_each_kind_passes_the_test_that_comes_with_it(kind, tmp_path, offer):
+def test_each_kind_passes_its_own_test(kind, tmp_path, offer):
     name = f"tried_{kind}"
     written = write_distribution(kind, name, tmp_path / "new")
     assert {path.suffix for path in written} >= {".toml", ".py", ".md"}
@@ -21,49 +21,32 @@ def test_each_kind_passes_the_test_that_comes_with_it(kind, tmp_path, offer):
     offer(tmp_path / "new")
     assert name in registry.names(kind.group)
     tests = runpy.run_path(str(tmp_path / "new" / f"test_{name}.py"))
-    ran = [thing() for name, thing in tests.items() if name.startswith("test_")]
-    assert ran
-
-
-@pytest.mark.parametrize(
-    "name", ["My", "my-motion", "1st", "a__b", "_a", "a_", "class", "none", ""]
-)
-def test_names_that_cannot_be(name, tmp_path):
-    with pytest.raises(KinfeasError, match="cannot be a name"):
-        write_distribution("motion_generator", name, tmp_path / "new")
-    assert not (tmp_path / "new").exists()
-
-
-def test_names_that_are_taken(tmp_path, monkeypatch):
-    with pytest.raises(KinfeasError, match=r"taken by motion generator 'linear' \(kinfeas"):
-        write_distribution("motion_generator", "linear", tmp_path / "new")
-    (tmp_path / "kinfeas_here.py").write_text("")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(KinfeasError, match="there is a package 'kinfeas_here' already"):
-        write_distribution("motion_generator", "here", tmp_path / "new")
-
-
-def test_folders_that_cannot_be_used(tmp_path):
-    (tmp_path / "file").write_text("")
-    for folder, sentence in {
-        tmp_path: "is not empty",
-        tmp_path / "file": "is a file",
-        tmp_path / "file" / "inner": "cannot be written",
-    }.items():
-        with pytest.raises(KinfeasError, match=sentence):
-            write_distribution("task", "mine", folder)
-    (tmp_path / "empty").mkdir()
-    assert write_distribution("task", "mine", tmp_path / "empty")
+    assert [thing() for name, thing in tests.items() if name.startswith("test_")]
 
 
 def test_there_is_a_template_for_every_group():
     assert {kind.group for kind in Kind} == set(GROUPS)
 
 
-def test_kinds_that_there_are_not(tmp_path):
-    with pytest.raises(KinfeasError, match=r"'polcy'.*policy"):
-        write_distribution("polcy", "mine", tmp_path / "new")
-    with pytest.raises(KinfeasError, match=r"'robt' \(did you mean 'robot'\?\)"):
+@pytest.mark.parametrize(
+    "name", ["My", "my-motion", "1st", "a__b", "_a", "a_", "class", "none", "linear", "here"]
+)
+def test_names_that_are_invalid_or_taken_raise(name, tmp_path, monkeypatch):
+    (tmp_path / "kinfeas_here.py").write_text("")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(KinfeasError, match=name):
+        write_distribution("motion_generator", name, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_folders_and_kinds_that_are_invalid_raise(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path, tmp_path / "file", tmp_path / "file" / "inner"):
+        with pytest.raises(KinfeasError, match=str(folder)):
+            write_distribution("task", "mine", folder)
+    (tmp_path / "empty").mkdir()
+    assert write_distribution("task", "mine", tmp_path / "empty")
+    with pytest.raises(KinfeasError, match=r"'robt'.*'robot'"):
         write_distribution("robt", "mine", tmp_path / "new")
 
 
@@ -71,7 +54,7 @@ def test_a_backend_checks_its_own_numbers(tmp_path, offer):
     write_distribution("backend", "lagging", tmp_path / "new")
     offer(tmp_path / "new")
     for lag in (-0.1, float("inf"), float("nan")):
-        with pytest.raises(KinfeasError, match="lag must be a finite number >= 0, not"):
+        with pytest.raises(KinfeasError, match="lag"):
             registry.build("kinfeas.backends", "lagging", {"lag": lag})
     with pytest.raises(KinfeasError, match="lag"):
         registry.build("kinfeas.backends", "lagging", {"lag": "x"})
