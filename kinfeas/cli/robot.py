@@ -63,7 +63,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas robot import fetch.urdf --out robots --picture fetch.png
     """
     from kinfeas.core.errors import check_name
-    from kinfeas.importer.draft import DraftOptions, draft_robot
+    from kinfeas.importer.draft import draft_robot
     from kinfeas.io.files import write_file, writing
 
     called = urdf.stem if name is None else name
@@ -76,8 +76,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
         if path.exists():
             raise KinfeasError(f"{path}: exists; choose another --out or --name")
     with progress(f"reading {urdf.name}") as advance:
-        wishes = DraftOptions(called, ee, base, drive or DraftOptions.drive)
-        draft = draft_robot(urdf, wishes, advance)
+        draft = draft_robot(urdf, called, ee, base, drive or "differential", advance)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):

@@ -54,24 +54,6 @@ _POSE_TOLERANCE = PoseTolerance(position=0.1, rotation=0.2094)
 Band = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class DraftOptions:
-    """Choices for a draft.
-
-    Attributes:
-        name: Short name of the robot; by default that of the URDF file.
-        hand: Link that IK places; by default the end of the longest chain.
-        base: Link that becomes the root, with all that it carries; by default the root, or the link
-            behind planar joints.
-        drive: Drive of the base.
-    """
-
-    name: str | None = None
-    hand: str | None = None
-    base: str | None = None
-    drive: Drive = "differential"
-
-
 @dataclass(frozen=True, eq=False)
 class Draft:
     """A drafted robot.
@@ -96,13 +78,22 @@ class Draft:
 
 
 def draft_robot(
-    path: Path, options: DraftOptions, on_done: Callable[[float], None] | None = None
+    path: Path,
+    name: str,
+    hand: str | None = None,
+    base: str | None = None,
+    drive: Drive = "differential",
+    on_done: Callable[[float], None] | None = None,
 ) -> Draft:
     """Return the draft of a mobile manipulator.
 
     Args:
         path: Its URDF, with or without meshes.
-        options: Name, hand, base and drive.
+        name: Short name of the robot.
+        hand: Link that IK places; by default the end of the longest chain.
+        base: Link that becomes the root, with all that it carries; by default the root, or the link
+            behind planar joints.
+        drive: Drive of the base.
         on_done: Called with the share of all work, 0-1, that has just been done.
 
     Raises:
@@ -111,11 +102,11 @@ def draft_robot(
     """
     tell, source = on_done or (lambda share: None), str(path)
     links = len(read_robot_element(path).children("link"))
-    boxed = boxed_urdf(path, options.base, lambda _: tell(_BOXING / links))
-    arm = find_arm(_parsed(boxed, source), options.hand, source)
+    boxed = boxed_urdf(path, base, lambda _: tell(_BOXING / links))
+    arm = find_arm(_parsed(boxed, source), hand, source)
     text, lifted = on_the_floor(boxed, arm, source)
     urdf = _parsed(text, source)
-    spec = stated(options.name or path.stem, urdf, arm, read_hand(urdf, arm), options.drive)
+    spec = stated(name, urdf, arm, read_hand(urdf, arm), drive)
     robot = build_robot(spec, urdf, path, source)
     touching = built_to_touch(robot)
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None

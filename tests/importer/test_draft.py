@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
-from kinfeas.importer.draft import DraftOptions, bands, draft_robot, stated
+from kinfeas.importer.draft import bands, draft_robot, stated
 from kinfeas.importer.reach import (
     Heights,
     built_to_touch,
@@ -39,7 +39,8 @@ def few(monkeypatch):
 def test_a_draft_is_a_robot(changed, tmp_path, few):
     names = ('"lift"', '"on"'), ('"pan"', '"a: b"')  # YAML needs quotes around these
     path, shares = changed(*STUCK, *names, TOUCHING), []
-    draft = draft_robot(path, DraftOptions(name="my dolly", drive="omnidirectional"), shares.append)
+    given = {"name": "my dolly", "drive": "omnidirectional"}
+    draft = draft_robot(path, **given, on_done=shares.append)
     assert sum(shares) == pytest.approx(1.0)
     (tmp_path / "my dolly.urdf").write_text(draft.urdf)
     (tmp_path / "my dolly.yaml").write_text(draft.yaml)
@@ -53,14 +54,14 @@ def test_a_draft_is_a_robot(changed, tmp_path, few):
     np.testing.assert_array_equal(robot.home["home"], draft.spec.home["home"])
     solver, home = IkSolver(robot), robot.home["home"][np.newaxis]
     assert solver.solve(forward(solver.chain, home), home).feasible.all()
-    again = draft_robot(path, DraftOptions(name="my dolly", drive="omnidirectional"))
+    again = draft_robot(path, **given)
     assert (again.yaml, again.urdf) == (draft.yaml, draft.urdf)
 
 
 def test_errors_name_the_given_file(changed):
     path = changed(('<box size="0.04 0.1 0.04"/>', '<box size="0.04 0.1 9999999"/>'))
     with pytest.raises(KinfeasError, match=f"^{path}: "):
-        draft_robot(path, DraftOptions())
+        draft_robot(path, "dolly")
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,7 @@ def test_poses_of_the_arm_are_reachable(robot):
     found = reachable(solver, made_by_the_arm(solver, 30))
     assert found.reached.all()
     assert found.share.low < found.share.value == 1.0
+    assert found.convergence[0] > 0.9  # the best proposals come first
 
 
 def test_goals_have_the_tolerances_of_success(robot):
