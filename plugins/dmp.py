@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
 from kinfeas.plugins.limits import positive, slowed
-from kinfeas.plugins.path import checked_frame
 from kinfeas.plugins.replay import read_recording, resampled
 
 _RATE = 12.5  # of the spring's decay in each duration; half of the library's alpha
@@ -39,27 +38,24 @@ class Dmp:
         max_angular_velocity: Upper limit of the angular speed in rad/s.
 
     Raises:
-        KinfeasError: If `movement_primitives` is missing, the file is wrong, there is no such
-            frame or a number is not positive.
+        KinfeasError: If `movement_primitives` is missing, the file is wrong or a number
+            is not positive.
     """
 
     def __init__(
         self,
         *,
         file: str,
-        frame: str = "goal",
+        frame: Literal["goal", "object"] = "goal",
         basis_functions: int = 25,
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
         self._max_velocity = positive("max_velocity", max_velocity)
         self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
-        placed = checked_frame(frame)
-        if placed == "world":
-            raise KinfeasError("frame must be 'goal' or 'object' here, not 'world'")
-        time, ee_pose, object_pose = read_recording(Path(file), placed)
+        time, ee_pose, object_pose = read_recording(Path(file), frame)
         end = ee_pose[-1]
-        self._goal = relative(end, object_pose) if placed == "object" else IDENTITY
+        self._goal = relative(end, object_pose) if frame == "object" else IDENTITY
         self._duration = float(time[-1] - time[0])
         shown = relative(ee_pose, np.broadcast_to(end, ee_pose.shape))
         self._weights = learn(time, shown, basis_functions)

@@ -46,7 +46,7 @@ _METRES_PER_RADIAN = 0.2  # so that the index of `imitation` advances in a turn 
 _STILL = 1e-3  # metres, below which a demonstration has no motion to learn
 _MOST_TURN = 3.0  # radians from the mean orientation; at pi the rotation vector jumps
 _FARTHEST = 30.0  # metres from the object
-_REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the way
+_REGULARIZATION = 1e-6  # added to variances: a millimetre, a milliradian, a thousandth of the path
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class _Way:
+class _Path:
     """A demonstration in the frame of the object, at even steps of the index.
 
     Attributes:
@@ -115,21 +115,23 @@ def fit(
             f"components must be a number in [1, {MOST_COMPONENTS}], not {components}"
         )
     called = names or [f"demonstration {number}" for number in range(1, len(demonstrations) + 1)]
-    ways = [_way(shown, kind, name) for shown, name in zip(demonstrations, called, strict=True)]
-    duration = float(np.mean([way.duration for way in ways]))
-    goals = np.stack([way.ee_pose[-1] for way in ways])
-    mean_orientation = rotation(np.concatenate([way.ee_pose for way in ways])).mean()
+    paths = [
+        _sampled(shown, kind, name) for shown, name in zip(demonstrations, called, strict=True)
+    ]
+    duration = float(np.mean([path.duration for path in paths]))
+    goals = np.stack([path.ee_pose[-1] for path in paths])
+    mean_orientation = rotation(np.concatenate([path.ee_pose for path in paths])).mean()
     model = Model(
         format=1,
         kind=kind,
         duration=_plain(duration if kind == "imitation" else _CLOCK),
         goal=_plain(make_pose(goals[:, :3].mean(axis=0), rotation(goals).mean())),
         mean_orientation=_plain(canonical(mean_orientation.as_quat())),
-        fitted_from=Source(len(ways), command),
-        components=_mixture(_features(ways, mean_orientation), components, seed),
+        fitted_from=Source(len(paths), command),
+        components=_mixture(_features(paths, mean_orientation), components, seed),
     )
-    metres, radians = zip(*(_residual(model, way) for way in ways), strict=True)
-    length = float(np.mean([way.length for way in ways]))
+    metres, radians = zip(*(_residual(model, path) for path in paths), strict=True)
+    length = float(np.mean([path.length for path in paths]))
     return Fit(model, duration, length, metres, radians)
 
 
@@ -142,7 +144,7 @@ def write_model(model: Model, path: Path) -> None:
     strict_yaml.write(config.to_mapping(model), path, compact=True)
 
 
-def _way(shown: Demonstration, kind: Kind, name: str) -> _Way:
+def _sampled(shown: Demonstration, kind: Kind, name: str) -> _Path:
     """Return a demonstration at even steps of the index; `name` is its name in errors."""
     frame = shown.object_pose[:1]
     ee_pose = relative(shown.ee_pose, frame)
@@ -165,7 +167,7 @@ def _way(shown: Demonstration, kind: Kind, name: str) -> _Way:
     duration = float(shown.time[-1] - shown.time[0])
     if duration not in DURATIONS:
         raise KinfeasError(f"{name}: its seconds must be a number {DURATIONS}")
-    return _Way(make_pose(position, orientation), base, duration, float(metres.sum()))
+    return _Path(make_pose(position, orientation), base, duration, float(metres.sum()))
 
 
 def _planar(base_pose: Array, frame: Array) -> Array:
@@ -176,26 +178,26 @@ def _planar(base_pose: Array, frame: Array) -> Array:
     return np.stack([pose[:, 0], pose[:, 1], np.unwrap(yaw(pose))], axis=-1)
 
 
-def _features(ways: Sequence[_Way], mean_orientation: Rotation) -> Array:
-    """Return the data of the mixture, a row for each sample, shape (ways * m, 7 or 10)."""
-    ee_pose = np.concatenate([way.ee_pose for way in ways])
+def _features(paths: Sequence[_Path], mean_orientation: Rotation) -> Array:
+    """Return the data of the mixture, a row for each sample, shape (paths * m, 7 or 10)."""
+    ee_pose = np.concatenate([path.ee_pose for path in paths])
     turn = (mean_orientation.inv() * rotation(ee_pose)).as_rotvec()
     if np.linalg.norm(turn, axis=1).max() > _MOST_TURN:
         raise KinfeasError(
             f"the EE turns more than {_MOST_TURN:g} rad away from its mean orientation; "
             "cut the demonstrations into shorter ones"
         )
-    index = np.tile(np.linspace(0.0, 1.0, _SAMPLES), len(ways))
+    index = np.tile(np.linspace(0.0, 1.0, _SAMPLES), len(paths))
     features = np.concatenate([index[:, np.newaxis], ee_pose[:, :3], turn], axis=1)
-    base = _bases(ways)
+    base = _bases(paths)
     return features if np.isnan(base).any() else np.concatenate([features, base], axis=1)
 
 
-def _bases(ways: Sequence[_Way]) -> Array:
-    """Return x, y and yaw of the base, shape (ways * m, 3), with no yaws that lie a turn apart."""
-    began = np.array([way.base[0, 2] for way in ways])
+def _bases(paths: Sequence[_Path]) -> Array:
+    """Return x, y and yaw of the base, shape (paths * m, 3), with no yaws that lie a turn apart."""
+    began = np.array([path.base[0, 2] for path in paths])
     shift = wrap(began - began[0]) + began[0] - began
-    bases = np.stack([way.base for way in ways])
+    bases = np.stack([path.base for path in paths])
     bases[:, :, 2] += shift[:, np.newaxis]
     return bases.reshape(-1, 3)
 
@@ -214,10 +216,10 @@ def _mixture(features: Array, components: int, seed: int) -> tuple[Component, ..
     )
 
 
-def _residual(model: Model, way: _Way) -> tuple[float, float]:
-    """Return the mean distance of a way from the learned path, in metres and radians."""
+def _residual(model: Model, path: _Path) -> tuple[float, float]:
+    """Return the mean distance of a path from the learned path, in metres and radians."""
     learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
-    metres, radians = distance(learned, way.ee_pose)
+    metres, radians = distance(learned, path.ee_pose)
     return float(metres.mean()), float(radians.mean())
 
 

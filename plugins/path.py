@@ -3,12 +3,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import (
     IDENTITY,
@@ -139,18 +138,6 @@ class PathMotion:
     def _frame(self, target_pose: Array) -> Array:
         """Return the world poses of the frames that the path is in, shape (n, 7)."""
         return np.broadcast_to(IDENTITY, target_pose.shape) if self.in_world else target_pose
-
-
-def checked_frame(name: str) -> Frame:
-    """Return the frame of this name.
-
-    Raises:
-        KinfeasError: If there is none.
-    """
-    for frame in get_args(Frame):
-        if name == frame:
-            return frame
-    raise KinfeasError(f"unknown frame {name!r}{no_such(str(name), get_args(Frame))}")
 
 
 def in_frame(poses: Array, frame: Frame, object_pose: Array) -> Array:

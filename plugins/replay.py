@@ -9,7 +9,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, make_pose, rotation
 from kinfeas.io.demonstrations import read_demonstration
 from kinfeas.io.run_log import read_record
-from kinfeas.plugins.path import Frame, PathMotion, PosePath, checked_frame, even_moments, in_frame
+from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
 
 _RUN_LOG = b"# kinfeas record"  # first bytes of the CSV record of a run
 
@@ -30,26 +30,25 @@ class Replay(PathMotion):
         max_angular_velocity: Upper limit of the angular speed in rad/s.
 
     Raises:
-        KinfeasError: If the file is wrong, there is no such frame or a number is not positive.
+        KinfeasError: If the file is wrong, or a number is not positive.
     """
 
     def __init__(
         self,
         *,
         file: str,
-        frame: str = "goal",
+        frame: Frame = "goal",
         gain: float = 1.0,
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
-        placed = checked_frame(frame)
-        time, ee_pose, object_pose = read_recording(Path(file), placed)
+        time, ee_pose, object_pose = read_recording(Path(file), frame)
         duration = float(time[-1] - time[0])
-        knots = in_frame(resampled(time, ee_pose, even_moments(duration)), placed, object_pose)
+        knots = in_frame(resampled(time, ee_pose, even_moments(duration)), frame, object_pose)
         super().__init__(
             path=PosePath(knots),
             duration=duration,
-            in_world=placed == "world",
+            in_world=frame == "world",
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,

@@ -14,7 +14,7 @@ and a CSV file the same as columns, `time` being optional again::
     0.0,-0.3,0.0,0.2,0,0,0,1
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 from kinfeas.io.formats import read_csv
 from kinfeas.plugins.limits import norm, positive
-from kinfeas.plugins.path import PathMotion, PosePath, checked_frame, even_moments, in_frame
+from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _NOT_UNIT = 1e-3  # error of a quaternion's norm; rounding by hand makes 2e-4
@@ -55,20 +55,19 @@ class Waypoints(PathMotion):
         max_angular_velocity: Upper limit of the angular speed in rad/s.
 
     Raises:
-        KinfeasError: If the file is wrong, there is no such frame or a number is not positive.
+        KinfeasError: If the file is wrong or a number is not positive.
     """
 
     def __init__(
         self,
         *,
         file: str,
-        frame: str = "object",
+        frame: Frame = "object",
         ramp: float = 1.0,
         gain: float = 1.0,
         max_velocity: float = 0.1,
         max_angular_velocity: float = 0.1,
     ) -> None:
-        placed = checked_frame(frame)
         limits = (
             positive("max_velocity", max_velocity),
             positive("max_angular_velocity", max_angular_velocity),
@@ -78,27 +77,22 @@ class Waypoints(PathMotion):
             knots, duration = _at_full_speed(Path(file), poses, limits, positive("ramp", ramp))
         else:
             duration = float(time[-1] - time[0])
-            knots = _Spline(time, poses).at(time[0] + even_moments(duration) * duration)
+            knots = _spline(time, poses)(time[0] + even_moments(duration) * duration)
         super().__init__(
-            path=PosePath(in_frame(knots, placed, IDENTITY)),
+            path=PosePath(in_frame(knots, frame, IDENTITY)),
             duration=duration,
-            in_world=placed == "world",
+            in_world=frame == "world",
             gain=gain,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
 
 
-class _Spline:
-    """Twice differentiable poses over a parameter."""
-
-    def __init__(self, parameter: Array, poses: Array) -> None:
-        self.position = CubicSpline(parameter, poses[:, :3], bc_type="natural")
-        self.orientation = RotationSpline(parameter, rotation(poses))
-
-    def at(self, parameter: Array) -> Array:
-        """Return poses, shape (m,) -> (m, 7)."""
-        return make_pose(self.position(parameter), self.orientation(parameter))
+def _spline(parameter: Array, poses: Array) -> Callable[[Array], Array]:
+    """Return twice differentiable poses over a parameter, shape (m,) -> (m, 7)."""
+    position = CubicSpline(parameter, poses[:, :3], bc_type="natural")
+    orientation = RotationSpline(parameter, rotation(poses))
+    return lambda at: make_pose(position(at), orientation(at))
 
 
 def _at_full_speed(
@@ -111,16 +105,16 @@ def _at_full_speed(
             f"{path}, waypoint {int(np.argmax(repeated)) + 2}: must differ from the one before, "
             "unless the file has times"
         )
-    spline = _Spline(np.concatenate([[0.0], np.cumsum(apart)]), poses)
+    spline = _spline(np.concatenate([[0.0], np.cumsum(apart)]), poses)
     parameter = np.linspace(0.0, apart.sum(), max(_FINE, 20 * len(poses)) + 1)
-    seconds = _seconds(spline.at(parameter), limits)
+    seconds = _seconds(spline(parameter), limits)
     # The speed of the slowest moment nearby: where a turn reverses, the EE would jerk instead.
     nearby = max(1, round(min(ramp, 2.0 * parameter[-1]) / parameter[1]))
     spent = np.concatenate([[0.0], np.cumsum(maximum_filter1d(seconds, nearby))])
     ramp = min(ramp, spent[-1])
     duration = spent[-1] + ramp
     progress = _ramped(even_moments(duration) * duration, duration, ramp)
-    return spline.at(np.interp(progress, spent, parameter)), float(duration)
+    return spline(np.interp(progress, spent, parameter)), float(duration)
 
 
 def _seconds(poses: Array, limits: tuple[float, float]) -> Array:

@@ -180,7 +180,7 @@ def test_wrong_parameters_raise(make, case):
             with pytest.raises(KinfeasError, match=name):
                 make(**{name: value})
     if case.frame:
-        with pytest.raises(KinfeasError, match=r"'goals'.*'goal'"):
+        with pytest.raises(KinfeasError, match=r"'frame'.*'goal'.*'goals'"):
             make(frame="goals")
         with pytest.raises(KinfeasError, match=r"none\.csv"):
             make(file="none.csv")

@@ -52,11 +52,9 @@ def test_moves_as_the_library_does(library, files):
 
 
 @pytest.mark.parametrize("size", [1, 101, 2.5, "ten", True])
-def test_wrong_parameters_raise(files, size):
+def test_wrong_numbers_of_basis_functions_raise(files, size):
     with pytest.raises(KinfeasError, match="basis_functions"):
         Dmp(file=files["shown"], basis_functions=size)
-    with pytest.raises(KinfeasError, match="'world'"):
-        Dmp(file=files["shown"], frame="world")
 
 
 def test_a_missing_library_raises_with_the_extra_s_name(files, monkeypatch):
