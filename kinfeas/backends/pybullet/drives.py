@@ -57,12 +57,9 @@ class BaseDrive:
             heading = self._heading() + self._rotation * time
             x, y = math.cos(heading) * x, math.sin(heading) * x
         client.setJointMotorControlArray(
-            self._body.body,
-            self._body.base,
-            client.VELOCITY_CONTROL,
-            targetVelocities=[x, y, self._rotation],
-            forces=self._forces,
-        )
+            self._body.body, self._body.base, client.VELOCITY_CONTROL,
+            targetVelocities=[x, y, self._rotation], forces=self._forces,
+        )  # fmt: skip
 
     def _accelerated(self, largest: float) -> tuple[float, float]:
         """Return the velocity, changed toward the target by at most `largest`, m/s."""
@@ -140,14 +137,9 @@ class ArmDrive:
         # One by one: PyBullet's call for several joints ignores velocity limits.
         for (joint, effort, speed), position in zip(self._motors, self._path[step], strict=True):
             client.setJointMotorControl2(
-                body,
-                joint,
-                client.POSITION_CONTROL,
-                targetPosition=position,
-                positionGain=1.0,
-                force=effort,
-                maxVelocity=speed,
-            )
+                body, joint, client.POSITION_CONTROL, targetPosition=position, positionGain=1.0,
+                force=effort, maxVelocity=speed,
+            )  # fmt: skip
         if self._sprung:
             joints = [joint for joint, _ in self._sprung]
             client.setJointMotorControlArray(body, joints, client.TORQUE_CONTROL, forces=self._load)

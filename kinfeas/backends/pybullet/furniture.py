@@ -53,13 +53,11 @@ class Furniture:
         """Set joint friction again: PyBullet keeps impulses, which depend on the step time."""
         for name, one in self.scene.objects.items():
             for joint in free_joints(one.urdf).values():
+                number = self._joints[name][joint.name]
                 self._physics.client.setJointMotorControl2(
-                    self.bodies[name],
-                    self._joints[name][joint.name],
-                    self._physics.client.VELOCITY_CONTROL,
-                    targetVelocity=0.0,
-                    force=joint.friction,
-                )
+                    self.bodies[name], number, self._physics.client.VELOCITY_CONTROL,
+                    targetVelocity=0.0, force=joint.friction,
+                )  # fmt: skip
 
     def place(self) -> None:
         """Place all objects as in the scene, at rest."""

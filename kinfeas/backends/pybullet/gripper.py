@@ -41,7 +41,11 @@ class GripperDrive:
         client, config = body.physics.client, body.physics.config
         for link in frozenset().union(*self.fingers):
             client.changeDynamics(body.body, link, lateralFriction=config.finger_friction)
-        self._gear = self._couple()
+        # A gear keeps both fingers equally far open.
+        joints = [(body.body, body.joints[name]) for name in robot.gripper.fingers]
+        self._gear: int = client.createConstraint(
+            *joints[0], *joints[1], client.JOINT_GEAR, [1.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3
+        )
         self.reset()
 
     @property
@@ -108,25 +112,10 @@ class GripperDrive:
     def _motor(self, name: str, position: float) -> None:
         client = self._body.physics.client
         client.setJointMotorControl2(
-            self._body.body,
-            self._body.joints[name],
-            client.POSITION_CONTROL,
-            targetPosition=position,
-            positionGain=1.0,
-            force=self._effort,
+            self._body.body, self._body.joints[name], client.POSITION_CONTROL,
+            targetPosition=position, positionGain=1.0, force=self._effort,
             maxVelocity=self._body.robot.urdf.joints[name].velocity,
-        )
-
-    def _couple(self) -> int:
-        """Return a gear constraint that keeps both fingers equally far open."""
-        client, joints = self._body.physics.client, self._body.joints
-        ends = [
-            value for name in self._gripper.fingers for value in (self._body.body, joints[name])
-        ]
-        gear: int = client.createConstraint(
-            *ends, client.JOINT_GEAR, [1.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3
-        )
-        return gear
+        )  # fmt: skip
 
 
 class Grasp:

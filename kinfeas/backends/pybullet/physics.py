@@ -6,11 +6,11 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import NamedTemporaryFile, TemporaryFile
 from typing import Annotated, Any
 
 import numpy as np
@@ -95,33 +95,43 @@ class Physics:
         self._bodies: list[int] = []
         self._saved: int | None = None
 
-    def load(self, urdf: Path, *, fixed: bool) -> int:
-        """Return the number of a new body at the origin, made from a file.
+    def load(self, path: Path, urdf: str | None = None, *, fixed: bool) -> int:
+        """Return the number of a new body at the origin.
 
         Args:
-            urdf: A file that `parse_urdf` has checked.
+            path: A valid URDF file; errors name it, and its folder has the textures.
+            urdf: Content to load in place of the file's, with absolute mesh paths.
             fixed: Whether the root link is fixed.
 
         Raises:
             KinfeasError: If PyBullet cannot load it, or one of its meshes.
         """
-        return self._load(urdf, urdf, fixed=fixed)
+        client = self.client
+        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
+        client.setAdditionalSearchPath(str(path.absolute().parent))
+        with TemporaryFile() as output, NamedTemporaryFile(suffix=".urdf") as file:
+            file.write((urdf or "").encode())
+            file.flush()
 
-    def load_text(self, urdf: str, source: Path) -> int:
-        """Return the number of a new body with a fixed root, made from a text.
+            def messages() -> list[str]:
+                output.seek(0)
+                found = _MESSAGE.split(output.read().decode(errors="replace"))
+                return [" ".join(one.split()) for one in found if one.strip()]
 
-        Args:
-            urdf: A URDF with absolute mesh paths.
-            source: File that errors name, and whose folder has the textures.
-
-        Raises:
-            KinfeasError: If PyBullet cannot load it, or one of its meshes.
-        """
-        self.client.setAdditionalSearchPath(str(source.absolute().parent))
-        with tempfile.TemporaryDirectory() as temporary:
-            path = Path(temporary) / "body.urdf"
-            path.write_text(urdf, encoding="utf-8")
-            return self._load(path, source, fixed=True)
+            source = str(path) if urdf is None else file.name
+            try:
+                with _diverted(output.fileno()):
+                    body: int = client.loadURDF(source, useFixedBase=fixed, flags=flags)
+            except client.error as error:
+                reason = "; ".join(messages()) or error
+                raise KinfeasError(f"{path}: PyBullet cannot load it: {reason}") from error
+            unread = [one for one in messages() if _UNREAD_MESH.search(one)]
+        if unread:  # PyBullet loads the link without the shape
+            raise KinfeasError(
+                f"{path}: PyBullet: {unread[0]}; meshes must be binary STL, OBJ or DAE files"
+            )
+        self._bodies.append(body)
+        return body
 
     def links(self, body: int) -> dict[str, int]:
         """Return the indices of a body's links by name."""
@@ -211,30 +221,6 @@ class Physics:
     def close(self) -> None:
         """End the world; a second call does nothing."""
         self.client.leave()
-
-    def _load(self, urdf: Path, source: Path, *, fixed: bool) -> int:
-        client = self.client
-        flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
-        with tempfile.TemporaryFile() as output:
-
-            def messages() -> list[str]:
-                output.seek(0)
-                found = _MESSAGE.split(output.read().decode(errors="replace"))
-                return [" ".join(one.split()) for one in found if one.strip()]
-
-            try:
-                with _diverted(output.fileno()):
-                    body: int = client.loadURDF(str(urdf), useFixedBase=fixed, flags=flags)
-            except client.error as error:
-                reason = "; ".join(messages()) or error
-                raise KinfeasError(f"{source}: PyBullet cannot load it: {reason}") from error
-            unread = [one for one in messages() if _UNREAD_MESH.search(one)]
-        if unread:  # PyBullet loads the link without the shape
-            raise KinfeasError(
-                f"{source}: PyBullet: {unread[0]}; meshes must be binary STL, OBJ or DAE files"
-            )
-        self._bodies.append(body)
-        return body
 
     def _mass_in_root(self, body: int) -> Array:
         return np.concatenate(self.client.getDynamicsInfo(body, ROOT)[3:5])

@@ -44,7 +44,7 @@ class RobotBody:
         """Load a robot at the origin in the configuration `home`."""
         self.physics, self.robot = physics, robot
         urdf, part_of = physics_urdf(robot)
-        self.body = physics.load_text(urdf, robot.urdf_path)
+        self.body = physics.load(robot.urdf_path, urdf, fixed=True)
         self.joints, links = physics.joints(self.body), physics.links(self.body)
         self.links = {name: links[of] for name, of in part_of.items()}
         self.base = [self.joints[name] for name in PLANAR_JOINTS]
@@ -93,11 +93,6 @@ class RobotBody:
         """Return positions and velocities of x, y, yaw and the arm's joints."""
         states = self.physics.client.getJointStates(self.body, [*self.base, *self.arm])
         return [state[0] for state in states], [state[1] for state in states]
-
-    def state(self) -> RobotState:
-        """Return the measured state as a batch of one."""
-        positions, velocities = self.measure()
-        return robot_state(self.robot, np.array([positions]), np.array([velocities]))
 
 
 def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState:

@@ -66,7 +66,20 @@ class Simulation:
             joint_positions: Arm joints, shape (j,).
         """
         with self.physics.connected():
-            self._begin(base_pose, joint_positions)
+            if self.grasp is not None:
+                self.grasp.release()
+            self.physics.restore()
+            if self.furniture is not None:
+                self.furniture.place()
+            self.body.reset(base_pose, joint_positions)
+            self.physics.look_at(base_pose)
+            self._base.reset()
+            self._arm.reset(joint_positions)
+            self._closing = False
+            if self.gripper is not None:
+                self.gripper.reset()
+                if self._handled is not None:
+                    self.gripper.open()
 
     def grip(self, grip: Grip) -> None:
         """Start to close or open the gripper.
@@ -94,7 +107,11 @@ class Simulation:
             KinfeasError: If `dt` is not above 0, or the world is gone.
         """
         with self.physics.connected():
-            steps = self._divide(dt)
+            before, steps = self.physics.step_time, self.physics.divide(dt)
+            if self.physics.step_time != before:
+                for part in (self.furniture, self.gripper):
+                    if part is not None:
+                        part.apply_step_time()
             self._base.command(base_twist, dt)
             self._arm.command(joint_targets, steps)
             for step in range(steps):
@@ -105,7 +122,11 @@ class Simulation:
                 if self.grasp is not None:
                     self.grasp.drive()
                 self.physics.client.stepSimulation()
-            self._update_grasp()
+            if self.grasp is not None:
+                self.grasp.update()
+                if self._closing and self._handled is not None and self.grasp.held is None:
+                    # A link that has slipped out is not grasped again.
+                    self._closing = not self.grasp.hold(*self._handled, rigid=self._rigid)
 
     def measure(self) -> tuple[list[float], list[float]]:
         """Return positions and velocities of x, y, yaw and the arm's joints.
@@ -136,40 +157,5 @@ class Simulation:
         """End the world; a second call does nothing."""
         self.physics.close()
 
-    def _begin(self, base_pose: Array, joint_positions: Array) -> None:
-        if self.grasp is not None:
-            self.grasp.release()
-        self.physics.restore()
-        if self.furniture is not None:
-            self.furniture.place()
-        self.body.reset(base_pose, joint_positions)
-        self.physics.look_at(base_pose)
-        self._base.reset()
-        self._arm.reset(joint_positions)
-        self._closing = False
-        if self.gripper is not None:
-            self.gripper.reset()
-            if self._handled is not None:
-                self.gripper.open()
-
-    def _update_grasp(self) -> None:
-        """Form or break the grasp at the end of a control period."""
-        if self.grasp is None:
-            return
-        self.grasp.update()
-        if self._closing and self._handled is not None and self.grasp.held is None:
-            # A link that has slipped out is not grasped again.
-            self._closing = not self.grasp.hold(*self._handled, rigid=self._rigid)
-
     def _spared(self) -> tuple[tuple[int, int], ...]:
         return () if self._handled is None else (self._handled,)
-
-    def _divide(self, dt: float) -> int:
-        """Return the number of physics steps of a control period."""
-        before = self.physics.step_time
-        steps = self.physics.divide(dt)
-        if self.physics.step_time != before:
-            for part in (self.furniture, self.gripper):
-                if part is not None:
-                    part.apply_step_time()
-        return steps

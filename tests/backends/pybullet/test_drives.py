@@ -146,9 +146,8 @@ def test_only_an_omnidirectional_base_moves_sideways(name, slope):
 
 def test_a_wall_stops_the_base(world, begin):
     begin(x=-2.3, yaw=np.pi)
-    stay(world, 150, twist(-0.2))
+    before = stay(world, 150, twist(-0.2))[-1].base_pose
     body, wall = world.sims[0].body, world.sims[0].furniture.bodies["wall"]
-    before = body.state().base_pose
     after = stay(world, 25, twist(-0.2))[-1].base_pose
     assert np.linalg.norm(after[0, :2] - before[0, :2]) <= 0.005
     points = body.physics.client.getContactPoints(bodyA=body.body, bodyB=wall)

@@ -55,7 +55,7 @@ def test_a_urdf_that_cannot_be_loaded_is_one_line(physics, tmp_path, capfd):
         physics.load(path, fixed=False)
     assert "\n" not in str(caught.value)
     with pytest.raises(KinfeasError, match=r"thing\.urdf"):
-        physics.load_text(path.read_text(), path)
+        physics.load(path, path.read_text(), fixed=True)
     assert capfd.readouterr() == ("", "")
     physics.save()
     physics.restore()
