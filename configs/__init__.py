@@ -1,1 +1,4 @@
-"""Recipes: YAML files by path, such as `train/pr2.yaml`."""
+"""Configuration in YAML: `robots`, one file each with sections; `paper`, `benchmark`, `sim2real`.
+
+`kinfeas.config.recipes` reads the files by name.
+"""

@@ -1,4 +1,7 @@
-"""Learned base motions that keep any end-effector motion kinematically feasible."""
+"""Learned base motions that keep any end-effector motion kinematically feasible.
+
+`kinfeas.train`, `evaluate`, `export` and `load_policy` import their packages at the first use.
+"""
 
 __version__ = "0.2.0"
 

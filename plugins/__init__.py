@@ -1,1 +1,4 @@
-"""Built-in motion generators, registered by entry points as those of any other distribution."""
+"""Built-in motion generators, and the fitting of demonstrations.
+
+Entry points of `kinfeas.motion_generators`. May import core, config and io only.
+"""

@@ -1,1 +1,4 @@
-"""Scenes: rooms, furniture and handles. May import kinematics and lower packages."""
+"""Scenes: furniture in YAML and URDF, handles, and collisions of robots with them.
+
+May import kinematics and lower packages.
+"""

@@ -1,1 +1,4 @@
-"""From the analytic world to a robot: what goes between policy and backend."""
+"""From simulation to robot: adapters, export, deployment, links to robots, simulated robots.
+
+May import envs and lower packages, but not training: a robot's computer has no torch.
+"""

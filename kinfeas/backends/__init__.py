@@ -1,1 +1,4 @@
-"""Simulated worlds as backends of the loop. May import tasks, policies and the control loop."""
+"""Simulated worlds: the analytic backend and PyBullet.
+
+They implement the protocols of `kinfeas.core.backend`. May import tasks, policies and lower packages.
+"""

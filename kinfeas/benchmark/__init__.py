@@ -1,1 +1,4 @@
-"""Benchmarks of policies and of speed: jobs, tables, plots. May import all but the command line."""
+"""Benchmarks: result tables of policies (`benchmark`) and timings (`speed`).
+
+May import everything but `cli` and `api`.
+"""

@@ -1,1 +1,4 @@
-"""The command line: one `kinfeas` command."""
+"""The command line: one module a command, and common options.
+
+The only package that prints. May import every other one, within the functions of the commands.
+"""

@@ -1,4 +1,7 @@
-"""The Markov decision process, its Gymnasium environments and episodes run in it."""
+"""The Markov decision process, its Gymnasium environments and episodes run in it.
+
+May import backends and lower packages. Importing it registers the environments.
+"""
 
 from gymnasium.envs import registration
 

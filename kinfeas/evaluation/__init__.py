@@ -1,1 +1,4 @@
-"""Evaluation of policies: episodes, reachability, adapters. May import envs and sim2real."""
+"""Evaluation of policies in any world: metrics, reachability, cost of adapters.
+
+May import envs and lower packages, but not training.
+"""

@@ -1,1 +1,4 @@
-"""Robot YAML files from vendors' URDFs. May import kinematics and control."""
+"""Drafts of robot files from vendors' URDFs: `kinfeas robot import`.
+
+May import control, kinematics and lower packages; trimesh is imported here only.
+"""

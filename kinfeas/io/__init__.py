@@ -1,1 +1,4 @@
-"""Files: folders, tables, run logs, demonstrations, policy metadata. Imports core and config."""
+"""Files: folders, tables, run logs, demonstrations and policy metadata.
+
+May import core and config.
+"""

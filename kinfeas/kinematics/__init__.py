@@ -1,1 +1,4 @@
-"""Batched kinematics: chains, IK, self-collision, reachability. May import robots and below."""
+"""Batched kinematics, compiled by numba: chains, IK, self-collision, reachability.
+
+May import robots and lower packages.
+"""

@@ -1,1 +1,4 @@
-"""Base policies: networks, ONNX files, baselines and loading by name. May import control."""
+"""Base policies: networks, ONNX files, baselines, and loading by name.
+
+May import control and lower packages. A robot's computer needs this package, but not torch.
+"""

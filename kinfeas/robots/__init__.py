@@ -1,6 +1,6 @@
-"""Robots: what a URDF and the YAML beside it say of one.
+"""Robot models from a URDF and a YAML file, and the included robots.
 
-The functions here are the entry points of the group `kinfeas.robots`.
+May import core, config and io. The functions are entry points of the group `kinfeas.robots`.
 """
 
 from pathlib import Path

@@ -1,1 +1,4 @@
-"""Tasks: goal reaching and chains of sub-goals. May import control."""
+"""Tasks: random goals, and sequences of sub-goals in YAML.
+
+May import control and lower packages.
+"""

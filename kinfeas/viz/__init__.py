@@ -1,1 +1,4 @@
-"""Pictures, films and pages. May import training and evaluation."""
+"""Pictures, films, 3-D pages and reports.
+
+May import evaluation and lower packages.
+"""

@@ -1,1 +1,4 @@
-"""Adapters: what differs between a simulation and a robot, each a wrapper around a backend."""
+"""Adapters: wrappers of a backend that model noise, latency, limits and timing.
+
+Entry points of the group `kinfeas.adapters`.
+"""

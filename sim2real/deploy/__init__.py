@@ -1,1 +1,1 @@
-"""Policies on robots: runtime, guards, watchdog and preflight checks."""
+"""Deployment: the control loop with a clock, guards, a watchdog and a record."""

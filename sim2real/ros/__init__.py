@@ -1,1 +1,1 @@
-"""Robots behind the topics of ROS 1 and ROS 2."""
+"""Backends for robots with ROS 1 or ROS 2 topics, on the link of `kinfeas.sim2real.link`."""

@@ -1,1 +1,4 @@
-"""The PyBullet world: robots, furniture and what holds between them, with physics."""
+"""The PyBullet backend: robots, grippers, furniture, contacts and pictures, with physics.
+
+The only package that imports pybullet.
+"""

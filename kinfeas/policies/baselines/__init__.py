@@ -1,1 +1,1 @@
-"""Base motions that are not learned: what a policy has to beat."""
+"""Base policies without learning, for comparison; entry points of `kinfeas.policies`."""
