@@ -1,4 +1,4 @@
 """Training runs with Stable-Baselines3: recipes, checkpoints, resuming.
 
-May import evaluation and lower packages. The only package that imports torch.
+May import envs and lower packages. The only package that imports torch.
 """
