@@ -2,11 +2,11 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from kinfeas.robots.spec import ArmJointSpec, RobotSpec
+from kinfeas.robots.spec import RobotSpec
 
 _PLAIN = re.compile(r"[A-Za-z][\w./-]*")
 _NOT_STRINGS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
@@ -85,34 +85,44 @@ def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
         spec: Content of the file.
         guesses: Values that comments mark as guesses.
     """
-    blocks = [_head(spec, guesses), _base(spec, guesses), _arm(spec, guesses)]
+    joints = {
+        name: {key: value for key, value in vars(joint).items() if value is not None}
+        for name, joint in spec.arm.items()
+    }
+    slides = any(name in guesses.slides for name in spec.arm)
+    question = (
+        f"# Is {_flow(guesses.stand)} a base that drives? It may be the arm's own first link."
+    )
+    blocks = [
+        _head(spec, guesses),
+        [
+            "# Guess: the manual has the limits of the base.",
+            *([question] if guesses.stand else []),
+            *_block("base", vars(spec.base), _BASE_UNITS),
+        ],
+        _block("arm", joints, {name: _guessed_units(name, guesses) for name in joints}),
+        ["# rad, or m where a joint slides" if slides else "# rad", *_block("home", spec.home)],
+    ]
     if spec.gripper is not None:
-        blocks.append(_gripper(spec, guesses))
+        unit = guesses.unit(spec.gripper.fingers[0])
+        effort = f"{'N' if unit == 'm' else 'N m'}, the URDF's limit"
+        units = {"closed": unit, "open": unit, "effort": effort}
+        blocks.append(_block("gripper", vars(spec.gripper), units))
     if spec.fixed_joints:
-        blocks.append(_fixed(spec, guesses))
-    heights = [_entry(name, band, "m") for name, band in spec.goal_heights.items()]
-    blocks.append(["# Heights of reachable goals of any orientation.", "goal_heights:", *heights])
+        title = [] if spec.gripper is None else ["# The gripper is half open."]
+        why = {name: _fixed(name, spec, guesses) for name in spec.fixed_joints}
+        blocks.append([*title, *_block("fixed_joints", spec.fixed_joints, why)])
+    heights = _block("goal_heights", spec.goal_heights, dict.fromkeys(spec.goal_heights, "m"))
+    blocks.append(["# Heights of reachable goals of any orientation.", *heights])
     if spec.pose_tolerance is not None:
-        blocks.append(
-            [
-                "# Guess: the arm has fewer than six degrees of freedom.",
-                "pose_tolerance:",
-                _entry("position", spec.pose_tolerance.position, "m"),
-                _entry("rotation", spec.pose_tolerance.rotation, "rad"),
-            ]
+        tolerance = _block(
+            "pose_tolerance", vars(spec.pose_tolerance), {"position": "m", "rotation": "rad"}
         )
+        blocks.append(["# Guess: the arm has fewer than six degrees of freedom.", *tolerance])
     if spec.ignored_collisions:
-        blocks.append(
-            [
-                "# Guess: links that touch by design or whose shapes are too large, and the share",
-                "# of configurations in which they touch.",
-                "ignored_collisions:",
-                *(
-                    f"  - {_flow(pair)}{_comment(f'{guesses.touching.get(pair, 0.0):.0%}')}"
-                    for pair in spec.ignored_collisions
-                ),
-            ]
-        )
+        pairs = [f"  - {_flow(p)}  # {guesses.touching[p]:.0%}" for p in spec.ignored_collisions]
+        about = "# Guess: links that touch by design or by too large shapes, and how often they do."
+        blocks.append([about, "ignored_collisions:", *pairs])
     return "\n\n".join("\n".join(block) for block in blocks) + "\n"
 
 
@@ -131,74 +141,25 @@ def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
     ]
 
 
-def _base(spec: RobotSpec, guesses: Guesses) -> list[str]:
-    question = (
-        f"# Is {_flow(guesses.stand)} a base that drives? It may be the arm's own first link."
-    )
-    return [
-        "# Guess: the manual has the limits of the base.",
-        *([question] if guesses.stand else []),
-        "base:",
-        *(_entry(key, value, _BASE_UNITS.get(key)) for key, value in vars(spec.base).items()),
-    ]
-
-
-def _arm(spec: RobotSpec, guesses: Guesses) -> list[str]:
-    slides = any(name in guesses.slides for name in spec.arm)
-    return [
-        "arm:",
-        *(
-            f"  {_flow(name)}: {_joint(joint)}{_units(name, guesses)}"
-            for name, joint in spec.arm.items()
-        ),
-        "",
-        "# rad, or m where a joint slides" if slides else "# rad",
-        "home:",
-        *(_entry(name, at) for name, at in spec.home.items()),
-    ]
-
-
-def _joint(joint: ArmJointSpec) -> str:
-    given = {"soft_limits": joint.soft_limits, "velocity": joint.velocity}
-    return "{" + ", ".join(f"{key}: {_flow(x)}" for key, x in given.items() if x is not None) + "}"
-
-
-def _units(joint: str, guesses: Guesses) -> str:
+def _guessed_units(joint: str, guesses: Guesses) -> str:
     unit = guesses.unit(joint)
     kinds = {unit: guesses.limits, f"{unit}/s": guesses.speeds}
     units = [one for one, joints in kinds.items() if joint in joints]
-    return _comment(*units, "guess") if units else ""
+    return ", ".join([*units, "guess"]) if units else ""
 
 
-def _gripper(spec: RobotSpec, guesses: Guesses) -> list[str]:
-    values = vars(spec.gripper)
-    unit = guesses.unit(values["fingers"][0])
-    effort = "N" if unit == "m" else "N m"
-    units = {"closed": unit, "open": unit, "effort": f"{effort}, the URDF's limit"}
-    return ["gripper:", *(_entry(key, value, units.get(key)) for key, value in values.items())]
+def _fixed(joint: str, spec: RobotSpec, guesses: Guesses) -> str:
+    if joint in guesses.stuck:
+        return f"{guesses.unit(joint)}, its limits leave it no room"
+    return guesses.unit(joint) + (", guess" if spec.gripper is None else "")
 
 
-def _fixed(spec: RobotSpec, guesses: Guesses) -> list[str]:
-    lines = (
-        ["fixed_joints:"]
-        if spec.gripper is None
-        else ["# The gripper is half open.", "fixed_joints:"]
-    )
-    for name, at in spec.fixed_joints.items():
-        why = "guess" if spec.gripper is None else None
-        if name in guesses.stuck:
-            why = "its limits leave it no room"
-        lines.append(_entry(name, at, guesses.unit(name), why))
-    return lines
-
-
-def _entry(key: str, value: Any, *comment: str | None) -> str:
-    return f"  {_flow(key)}: {_flow(value)}{_comment(*comment)}"
-
-
-def _comment(*words: str | None) -> str:
-    given = ", ".join(filter(None, words))
-    return f"  # {given}" if given else ""
+def _block(
+    key: str, values: Mapping[str, Any], comments: Mapping[str, str] | None = None
+) -> list[str]:
+    comment = {name: f"  # {text}" for name, text in (comments or {}).items() if text}
+    entries = values.items()
+    return [f"{key}:", *(f"  {_flow(k)}: {_flow(v)}{comment.get(k, '')}" for k, v in entries)]
 
 
 def _flow(value: Any) -> str:
@@ -209,5 +170,6 @@ def _flow(value: Any) -> str:
     if isinstance(value, float | int):
         short = f"{value:g}"
         return short if float(short) == value else repr(value)
-    items: Iterable[Any] = value
-    return f"[{', '.join(_flow(item) for item in items)}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_flow(key)}: {_flow(one)}" for key, one in value.items()) + "}"
+    return f"[{', '.join(map(_flow, value))}]"

@@ -153,19 +153,15 @@ def _make_problem(
     lower, upper = (limit.copy() for limit in robot.joint_limits)
     velocity, continuous = robot.max_joint_velocity.copy(), robot.continuous.copy()
     middle, half = _ranges(lower, upper)
-    pose_tolerance = robot.pose_tolerance if options.pose_tolerance else None
-    weight = (
-        ROTATION_WEIGHT
-        if pose_tolerance is None
-        else pose_tolerance.position / pose_tolerance.rotation
-    )
+    position, turn, weight = options.position_tolerance, options.rotation_tolerance, ROTATION_WEIGHT
+    aim = (AIM * position, AIM * turn)
+    if options.pose_tolerance and robot.pose_tolerance is not None:
+        position, turn = robot.pose_tolerance.position, robot.pose_tolerance.rotation
+        weight = position / turn
     library = spread_configurations(robot, options.library)
     if options.self_collision:
         library = library[~self_collides(collision, library)]
     ee_pose = forward(chain, library)
-    exact = (options.position_tolerance, options.rotation_tolerance)
-    aim = (AIM * exact[0], AIM * exact[1])
-    accept = exact if pose_tolerance is None else (pose_tolerance.position, pose_tolerance.rotation)
     return Problem(
         chain=chain,
         descent=Descent(lower, upper, *aim, weight, options.max_iterations),
@@ -180,8 +176,8 @@ def _make_problem(
         features=library_features(ee_pose[:, :3], rotation(ee_pose).as_matrix(), weight),
         restarts=min(options.restarts, len(library)),
         candidates=options.candidates,
-        accept_position=accept[0],
-        accept_rotation=accept[1],
+        accept_position=position,
+        accept_rotation=turn,
     )
 
 

@@ -66,7 +66,6 @@ def build_collision_model(robot: Robot) -> CollisionModel:
     named = [(link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes]
     placed = [_mount_shape(mounts[link], shape) for link, shape in named]
     extents = [_extents(shape) for _, shape in named]
-    body = np.array([mount.joint for mount in placed], dtype=np.intp)
     shapes: dict[str, list[int]] = {}
     for i, (link, _) in enumerate(named):
         shapes.setdefault(link, []).append(i)
@@ -77,7 +76,7 @@ def build_collision_model(robot: Robot) -> CollisionModel:
     )
     return CollisionModel(
         tree=tree,
-        body=body,
+        body=np.array([mount.joint for mount in placed], dtype=np.intp),
         kind=np.array([_KINDS[shape.kind] for _, shape in named], dtype=np.intp),
         size=np.array([half for half, _ in extents]).reshape(-1, 3),
         radius=np.array([radius for _, radius in extents]),

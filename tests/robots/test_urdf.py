@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio
 import pytest
 import yaml
-from scipy.spatial.transform import Rotation
 
 from kinfeas import robots
 from kinfeas.core.errors import KinfeasError
@@ -65,23 +64,6 @@ def test_parsed_tree_reproduces_golden_poses(name, positions, frames):
         metres, radians = distance(pose, np.array(expected))
         assert metres < 1e-9
         assert radians < 1e-7  # the arc cosine of what differs from 1 by one part in 1e16
-
-
-@pytest.mark.parametrize(("name", "positions", "frames"), CASES)
-def test_pinocchio_reproduces_golden_poses(name, positions, frames):
-    model = pinocchio.buildModelFromUrdf(str(SHIPPED[name]))
-    data, q = model.createData(), pinocchio.neutral(model)
-    for joint, position in positions.items():
-        found = model.joints[model.getJointId(joint)]
-        continuous = found.nq == 2
-        values = [math.cos(position), math.sin(position)] if continuous else [position]
-        q[found.idx_q : found.idx_q + found.nq] = values
-    pinocchio.framesForwardKinematics(model, data, q)
-    for frame, expected in frames.items():
-        placement = data.oMf[model.getFrameId(frame)]
-        turn = Rotation.from_quat(expected[3:]).as_matrix()
-        np.testing.assert_allclose(placement.translation, expected[:3], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(placement.rotation, turn, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
