@@ -1,0 +1,164 @@
+import json
+
+import numpy as np
+import pytest
+
+from kinfeas.benchmark import speed as speed_module
+from kinfeas.benchmark.speed import Figure, random_network
+from kinfeas.policies.network import write_network
+from kinfeas.robots.loading import load_robot
+from tests.cli.conftest import is_one_line
+
+EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "2")
+SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
+PYBULLET = ("--world", "pybullet", "--episodes", "1", "--task", "drawer")
+
+
+@pytest.fixture
+def evaluate(kinfeas, tmp_path):
+    """Return a function that returns the JSON of `kinfeas evaluate`."""
+
+    def run(*arguments):
+        outcome = kinfeas(*arguments, "--json", "out.json")
+        assert outcome.code == 0, outcome.err
+        return json.loads((tmp_path / "out.json").read_text())
+
+    return run
+
+
+def test_metrics_and_ceiling(evaluate, kinfeas, tmp_path):
+    figures = evaluate(*SHORT, "--seed", "3")
+    assert (figures["episodes"], figures["policy"], figures["seed"]) == (2, "follow_ee", 3)
+    assert figures["success_low"] <= figures["success"] <= figures["success_high"]
+    ceiling = evaluate("ceiling", "--robot", "hsr", "--episodes", "2", "--seed", "3")
+    assert ceiling["ceiling"] == figures["ceiling"] == ceiling["convergence"][-1]
+    assert len(ceiling["convergence"]) == len(ceiling["base_poses"])
+    path = evaluate("ceiling", "--robot", "hsr", "--episodes", "2", "--path")
+    assert path["path"] is True
+
+
+def test_trained_policy_moves_its_robot(evaluate, tmp_path):
+    robot = load_robot("tiago")
+    write_network(random_network(robot, width=8), tmp_path, robot, {})
+    words = ("--episodes", "1", "--set", "world.max_seconds=0.5", "--task", "ggr_restricted")
+    figures = evaluate("evaluate", "--policy", str(tmp_path), *words)
+    assert (figures["robot"], figures["task"]) == ("tiago", "ggr_restricted")
+
+
+def test_robot_and_task_by_path(evaluate, tmp_path):
+    (tmp_path / "fetch.yaml").write_text(
+        "{name: fetch, places: {cup: {position: [1.5, [-1, 1], 0.8]}}, subgoals: [{place: cup}]}"
+    )
+    robot = str(load_robot("hsr").urdf_path.with_suffix(".yaml"))
+    names = ("--robot", robot, "--task", "fetch.yaml", "--set", "task.start.square=0")
+    assert evaluate(*SHORT, *names)["task"] == "fetch"
+
+
+def test_filters_replace_those_of_the_robot(evaluate):
+    words = ("--robot", "tiago", "--world", "pybullet", "--episodes", "1", "--no-objects")
+    for given, names in (
+        ((), ["feasibility"]),
+        (("--filters", "none"), []),
+        (("--filters", "obstacle_distance,feasibility"), ["obstacle_distance", "feasibility"]),
+    ):
+        assert evaluate(*SHORT, *words, *given)["filters"] == names
+
+
+def test_options_of_physics(evaluate):
+    pytest.importorskip("pybullet")
+    words = ("--head-start", "0.2", "--time-scale", "0.5", "--no-objects")
+    figures = evaluate(*SHORT, *PYBULLET, *words)
+    assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
+    assert figures["task_success"] is None
+    assert figures["base_collisions"] is not None
+
+
+def test_cost_of_each_adapter(evaluate, tmp_path):
+    (tmp_path / "mine.yaml").write_text("adapters: [base_noise, {name: head_start, seconds: 1}]")
+    figures = evaluate(*SHORT, "--adapters", "mine.yaml")
+    assert [cost["adapter"] for cost in figures["costs"]] == [
+        "none",
+        "base_noise",
+        "head_start",
+        "all",
+    ]
+    assert figures["success"] == figures["costs"][-1]["success"]
+
+
+def test_picture_of_adapters_sweeps_their_strength(evaluate, tmp_path):
+    figures = evaluate(*SHORT, "--episodes", "1", "--adapters", "ideal", "--picture", "out.png")
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+    names = [sweep["adapter"] for sweep in figures["sweeps"]]
+    assert names == ["command_latency", "base_noise", "head_start"]
+
+
+@pytest.mark.parametrize("world", ["analytic", "pybullet"])
+def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
+    pytest.importorskip("viser")
+    pytest.importorskip("pybullet")
+    outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
+    outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "1")
+    assert outcome.code == 0, outcome.err
+    assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}
+    for name in ("four.png", "episode.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert b"<html" in (tmp_path / "page.html").read_bytes()[:1000].lower()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--policy", "follow_me"), "'follow_me'"),
+        (("--policy", ""), "policy"),
+        (("--task", "gr"), "'gr'"),
+        (("--world", "pybulet"), "'pybullet'"),
+        (("--set", "world.dt=0"), "world.dt"),
+        (("--set", "word.dt=0.1"), "'world'"),
+        (("--set", "task.colour=1"), "colour"),
+        (("--set", "world.adapters=[{name: nois}]"), "'nois'"),
+        (("--filters", "feasability"), "'feasibility'"),
+        (("--adapters", ""), "harsh"),
+        (("--adapters", "broken.yaml"), "base_noise"),
+        (("--head-start", "-1"), "world.head_start"),
+        (("--time-scale", "0"), "world.time_scale"),
+        (("--gui",), "gui"),
+        (("--no-objects",), "objects"),
+        (("--episode", "2"), "--episode"),
+        (("--json", "missing/out.json"), "missing/out.json"),
+        (("--picture", "a.txt"), "a.txt"),
+        (("--video", "film.avi"), "film.avi"),
+        (("--replay", "page.gif"), "page.gif"),
+    ],
+)
+def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
+    (tmp_path / "broken.yaml").write_text("adapters: [{name: base_noise, linear: [2, 1]}]")
+    outcome = kinfeas(*SHORT, *arguments)
+    assert is_one_line(outcome), outcome.err
+    assert named in outcome.err
+
+
+def test_window_needs_a_screen(kinfeas, monkeypatch):
+    pytest.importorskip("pybullet")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    outcome = kinfeas(*SHORT, *PYBULLET, "--gui")
+    assert is_one_line(outcome), outcome.err
+    assert "DISPLAY" in outcome.err
+
+
+def test_speed(evaluate, kinfeas, tmp_path, monkeypatch):
+    robot, timed = load_robot("hsr"), []
+    figures = [Figure("one", 1.5, "us", "one_us"), Figure("peer", None, "us", "peer_us")]
+    figures += [Figure("solved", 0.25, ""), Figure("rate", 12345.6, "steps/s")]
+    monkeypatch.setattr(
+        speed_module, "measure_speed", lambda *given, **_: timed.append(given) or figures
+    )
+    network = random_network(robot, width=4)
+    write_network(network, tmp_path / "run", robot, {})
+    assert evaluate("speed", "--policy", "run") == {"one_us": 1.5, "peer_us": None}
+    ((name, policy),) = timed
+    assert name == "hsr"
+    np.testing.assert_array_equal(policy.weights[0], network.weights[0])
+    shown = kinfeas("speed").out
+    for text in ("1.50 us", "not installed", "25.0 %", "12,346 steps/s"):
+        assert text in shown
+    assert is_one_line(kinfeas("speed", "--policy", "follow_ee"))
