@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 def _check_video(path: Path | None) -> Path | None:
-    from kinfeas.viz.film import check_film_path
-
     if path is not None:
+        from kinfeas.viz.film import check_film_path
+
         check_film_path(path)
     return options.output_file()(path)
 

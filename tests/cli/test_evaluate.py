@@ -153,6 +153,7 @@ def test_speed(evaluate, kinfeas, tmp_path, monkeypatch):
         speed_module, "measure_speed", lambda *given, **_: timed.append(given) or figures
     )
     network = random_network(robot, width=4)
+    (tmp_path / "run").mkdir()
     write_network(network, tmp_path / "run", robot, {})
     assert evaluate("speed", "--policy", "run") == {"one_us": 1.5, "peer_us": None}
     ((name, policy),) = timed

@@ -96,10 +96,10 @@ def test_robot_of_a_policy(tmp_path):
     for other in (None, "", "pretrained", "follow_ee", "nowhere", "module:Class"):
         assert options.robot_of(other) == "pr2"
     hsr = load_robot("hsr")
-    write_run(hsr, tmp_path / "run" / "checkpoints" / "best")
+    write_run(hsr, tmp_path / "run" / "checkpoints" / "best", extra={})
     assert options.robot_of(str(tmp_path / "run")) == "hsr"
-    _, file = write_policy_file(hsr, tmp_path)
-    assert options.robot_of(str(file)) == "hsr"
+    _, file = write_policy_file(load_robot("pr2"), tmp_path / "file")
+    assert options.robot_of(str(file)) == "pr2"
     own = tmp_path / "mine.yaml"
     write_run(hsr, tmp_path / "own", extra={"config": {"robot": str(own)}})
     with pytest.raises(KinfeasError, match="--robot"):

@@ -118,7 +118,6 @@ def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_
         (("--set", "learner.lerning_rate=1"), "'learning_rate'"),
         (("--set", "world.adapters=[{name: nois}]"), "'nois'"),
         (("--set", "nonsense"), "key=value"),
-        (("--set", "learner.net_arch=[8,8,8,8,8,8,8,8,8]"), "net_arch"),
         (("--minutes", "0"), "schedule.minutes"),
         (("--minutes", "nan"), "schedule.minutes"),
         (("--steps", "-3"), "schedule.steps"),
@@ -135,7 +134,8 @@ def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_
         (("--out", "file/run", "--steps", "8", *TINY), "file/run"),
     ],
 )
-def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
+def test_bad_input_is_one_line(kinfeas, monkeypatch, tmp_path, arguments, named):
+    monkeypatch.setattr("kinfeas.cli.train.train_run", None)
     (tmp_path / "file").touch()
     outcome = kinfeas("train", *arguments)
     assert is_one_line(outcome), outcome.err
@@ -158,7 +158,7 @@ def test_broken_and_taken_folders_are_one_line(kinfeas, run_folder):
 
 @pytest.mark.parametrize("words", [("--out", "."), ("--resume", ".")])
 def test_wrong_folder_is_an_error_before_heavy_imports(words):
-    done = kinfeas_process(HEAVY % {"torch", "numba"}, "train", *words)
+    done = kinfeas_process(HEAVY % {"torch"}, "train", *words)
     assert done.returncode == 2
     assert done.stderr.endswith("heavy: []")
 
