@@ -35,38 +35,31 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         str | None,
         typer.Option(
             "--config",
-            help="Study by name or YAML file; by default benchmark/study, with --world pybullet "
-            "benchmark/physics, with --quick benchmark/quick or benchmark/physics_quick.",
+            help="YAML file, or a name such as benchmark/study.  [default: by --world and --quick]",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            help="Folder of the results, where a stopped study goes on; by default "
-            "runs/benchmark/STUDY.",
-        ),
+        typer.Option("--out", help="Folder of the results.  [default: runs/benchmark/NAME]"),
     ] = None,
     world: options.World = "analytic",
-    quick: Annotated[
-        bool, typer.Option("--quick", help="The small version: a few minutes on two cores.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Small version of a few minutes.")] = False,
     episodes: Annotated[
         int | None,
         typer.Option(
             "--episodes",
             min=1,
             max=MOST_EPISODES,
-            help="Of each policy on each task; by default the study's.",
+            help="Number of episodes for each policy and task.",
         ),
     ] = None,
     runs: Annotated[
         list[Path] | None,
-        typer.Option("--runs", help="Take these training runs, or those below, and train none."),
+        typer.Option("--runs", help="Existing training runs, or folders of them; none is trained."),
     ] = None,
     policy: Annotated[
         str | None,
-        typer.Option("--policy", help="pretrained: take the shipped policies and train none."),
+        typer.Option("--policy", help="pretrained: shipped policies; none is trained."),
     ] = None,
     processes: Annotated[
         int | None,
@@ -74,22 +67,25 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             "--processes",
             min=1,
             max=MOST_PROCESSES,
-            help="Processes in all; by default one a core.",
+            help="Number of parallel processes.  [default: one for each core]",
         ),
     ] = None,
     publish: Annotated[
         Path | None,
-        typer.Option("--publish", help="Also copy each robot's best policy to DIR/ROBOT."),
+        typer.Option("--publish", help="Copy the best policy of each robot to DIR/ROBOT."),
     ] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Compare policies in tables, pictures and JSON; existing results are kept.
+    """Compare policies in tables and pictures. Existing results are kept.
 
-    Settings: every key of the configuration, such as episodes=100 or
-    seeds=[0,1]. Results are identified by robot, task, policy, episodes and settings, not
-    by the code: use another --out after an update. With physics they are stored in parts
-    of 20 episodes.
+    Settings: every key of the configuration, such as episodes=100 or seeds=[0,1]. Results are
+    identified by robot, task, policy, episodes and settings, not by the code: use another --out
+    after an update. With physics they are stored in parts of 20 episodes.
+
+    Example: kinfeas benchmark --quick --out runs/quick
+
+    Example: kinfeas benchmark --world pybullet --policy pretrained --episodes 20
     """
     from kinfeas.benchmark.config import read_benchmark, restricted
     from kinfeas.benchmark.runs import find_runs
@@ -131,8 +127,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         write_file(out / key, content)
     entries = [asdict(cell) for cell in cells]
     write_json(entries, out / "table.json")
-    if json is not None:
-        write_json(entries, json)
+    write_json(entries, json)
     folders = [out / "pretrained", *([publish] if publish else [])] if plans or runs else []
     published = _publish(taken, found, folders if world == "analytic" else [])
     _show(cells, study.note)
