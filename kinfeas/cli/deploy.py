@@ -242,7 +242,7 @@ def _make_setup(
         adapters=adapters,
         seconds=seconds,
         seed=seed,
-        execution=config.execution,
+        execution=config,
         filters=tuple(filters),
         guards=config.guards,
         real_time=real_time,

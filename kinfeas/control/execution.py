@@ -16,12 +16,12 @@ from kinfeas.robots.robot import Robot
 
 Frame = Literal["ee", "tip"]
 
-GRASP_METRES, GRASP_SETTLE_TIME = 0.005, 5.0
-"""Distance to the end of a sub-goal at which a gripper acts, and the longest wait for it, s."""
+GRASP_METRES = 0.005
+"""Distance to the end of a sub-goal at which a gripper acts."""
 
-RECONFIGURATION_SECONDS, ARM_SETTLE_TIMEOUT = 0.15, 8.0
+RECONFIGURATION_SECONDS = 0.15
 """An arm further from its command than this time at full joint velocity is reconfiguring, rather
-than lagging; and the longest pause for a reconfiguration."""
+than lagging."""
 
 
 @dataclass(frozen=True)
@@ -71,35 +71,6 @@ class ExecutionConfig:
             seconds = getattr(self, name)
             if not 0.0 <= seconds < math.inf:
                 raise KinfeasError(f"{name} must be a number >= 0 in all, not {seconds:g}")
-
-
-@dataclass(frozen=True)
-class ExecutionSettings:
-    """Settings of the execution of a robot with inertia.
-
-    Attributes:
-        time_scale: Speed of the EE motions as a share of the planned one.
-        head_start: Seconds that the EE rests at first while the base moves already.
-        arm_settle_timeout: Longest pause of motion and base, in seconds, while the arm moves to
-            another configuration.
-        grasp_settle_time: Motion seconds for which a sub-goal with a grip continues after the
-            arrival.
-    """
-
-    time_scale: TimeScale = 1.0
-    head_start: Seconds = 0.0
-    arm_settle_timeout: Seconds = ARM_SETTLE_TIMEOUT
-    grasp_settle_time: Seconds = GRASP_SETTLE_TIME
-
-    @property
-    def execution(self) -> ExecutionConfig:
-        """Execution with these settings."""
-        return ExecutionConfig(
-            self.time_scale,
-            self.head_start,
-            self.grasp_settle_time,
-            arm_settle_timeout=self.arm_settle_timeout,
-        )
 
 
 @runtime_checkable

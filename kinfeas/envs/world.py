@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config import Interval, PluginSpec, from_mapping
-from kinfeas.config.quantities import PositiveSeconds, Seconds
+from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
 from kinfeas.control import observation
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.drive import action_size
-from kinfeas.control.execution import ExecutionSettings
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Rows, Step
 from kinfeas.core.backend import build_backend
@@ -26,8 +26,8 @@ from kinfeas.tasks.task import SupportsTaskScenes, Task, build_subgoals, sample_
 
 
 @dataclass(frozen=True)
-class WorldConfig(ExecutionSettings):
-    """Settings of a world beside robot and task; see `ExecutionSettings` for those of motions.
+class WorldConfig(ExecutionConfig):
+    """Settings of a world beside robot and task; see `ExecutionConfig` for those of motions.
 
     Attributes:
         dt: Control period, seconds.
@@ -42,8 +42,6 @@ class WorldConfig(ExecutionSettings):
         backend_parameters: Keyword parameters of the backend.
     """
 
-    arm_settle_timeout: Seconds = 0.0
-    grasp_settle_time: Seconds = 0.0
     dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
     max_failures: Annotated[int, Interval(low=0)] = 19
     max_seconds: PositiveSeconds = 150.0
@@ -136,7 +134,7 @@ class World:
         if isinstance(self.backend, SupportsTaskScenes):
             self.task = self.backend.stage(task)
         wrapped = wrap(self.backend, config.adapters, robot)
-        execution = execution_of(wrapped, config.execution)
+        execution = execution_of(wrapped, config)
         self._max_steps = max(1, round(config.max_seconds / execution.time_scale / config.dt))
         self.loop = Loop(
             self.solver,

@@ -160,7 +160,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     records = run(chosen, policy, processes, on_done, watch)
     world = chosen.world
     execution = execution_of(
-        wrap(build_backend("analytic", {}), world.adapters, chosen.robot), world.execution
+        wrap(build_backend("analytic", {}), world.adapters, chosen.robot), world
     )
     return {
         "robot": chosen.robot.name,

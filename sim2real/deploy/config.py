@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from kinfeas.config import PluginSpec
 from kinfeas.config.quantities import Count, Positive, PositiveSeconds, PositiveShare
-from kinfeas.control.execution import ExecutionSettings
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
 
@@ -78,8 +78,8 @@ class Guards:
 
 
 @dataclass(frozen=True)
-class DeployConfig(ExecutionSettings):
-    """Settings of a deployment.
+class DeployConfig(ExecutionConfig):
+    """Settings of a deployment; see `ExecutionConfig` for those of motions.
 
     Attributes:
         guards: Limits of measurements and commands.

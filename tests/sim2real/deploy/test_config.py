@@ -7,8 +7,9 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.config import DeployConfig
 
 
-def test_the_default_file_has_the_defaults():
-    assert load_section(DeployConfig, "deploy", "any") == DeployConfig()
+def test_any_robot_waits_for_its_arm_and_its_grasp():
+    config = load_section(DeployConfig, "deploy", "any")
+    assert config == DeployConfig(arm_settle_timeout=8.0, grasp_settle_time=5.0)
 
 
 def test_a_backend_gets_the_parameters_of_the_run_that_it_has(monkeypatch):
