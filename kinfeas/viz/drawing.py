@@ -48,7 +48,7 @@ class Solid(NamedTuple):
 
 
 def robot_solids(
-    robot: Robot, base_pose: Array, joint_positions: Array, colours: tuple[str, str] = (BODY, ARM)
+    robot: Robot, base_pose: Array, joint_positions: Array, colours: tuple[str, ...] = (BODY, ARM)
 ) -> list[Solid]:
     """Return the shapes of a robot in the world.
 
@@ -222,16 +222,12 @@ def draw_floor(axes: Axes3D, points: Array, cell: float = 0.5, margin: float = 0
 def _lathed(radii: Array, heights: Array) -> list[Array]:
     """Return the faces of a profile turned about z; radii and heights of shape (p,)."""
     angle = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    rings = [
-        np.column_stack([radius * circle, np.full(_SIDES, height)])
-        for radius, height in zip(radii, heights, strict=True)
-    ]
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(_SIDES)], axis=1)
+    rings = [radius * circle + [0, 0, z] for radius, z in zip(radii, heights, strict=True)]
     found = [rings[0][::-1], rings[-1]]
     for low, high in pairwise(rings):
-        for i in range(_SIDES):
-            j = (i + 1) % _SIDES
-            found.append(np.array([low[i], low[j], high[j], high[i]]))
+        after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
+        found += list(np.stack([low, *after, high], axis=1))
     return found
 
 

@@ -1,6 +1,6 @@
 """Pictures and films of recorded episodes, drawn by matplotlib: robot, paths, failures, goals."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 from typing import Any
@@ -52,7 +52,11 @@ def episodes_figure(
         scene: Furniture.
     """
     count = len(recordings)
-    titles = titles or [_title(recording) for recording in recordings]
+    titles = titles or [
+        f"Episode {one.episode}: {result(one)[0]}, {failures_text(int(np.sum(~one.feasible)))}, "
+        f"{one.times[-1]:.0f} s"
+        for one in recordings
+    ]
     with rc_context(STYLE):
         figure = Figure(figsize=(5.0 * count, 7.8), layout="constrained")
         grid = figure.add_gridspec(2, count, height_ratios=(0.7, 1.0))
@@ -180,14 +184,8 @@ class EpisodeFilm:
         )
 
 
-def _title(recording: Recording) -> str:
-    failures = failures_text(int(np.sum(~recording.feasible)))
-    seconds = recording.times[-1]
-    return f"Episode {recording.episode}: {result(recording)[0]}, {failures}, {seconds:.0f} s"
-
-
 def _robot(
-    robot: Robot, recording: Recording, moment: int, colours: tuple[str, str] = (BODY, ARM)
+    robot: Robot, recording: Recording, moment: int, colours: tuple[str, ...] = (BODY, ARM)
 ) -> list[drawing.Solid]:
     pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
     return drawing.robot_solids(robot, pose, joints, colours)
@@ -222,8 +220,8 @@ def _draw_side(
     axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[drawing.Solid]
 ) -> None:
     solids = list(furniture)
-    for moment, pale in _fading(recording):
-        solids += _robot(robot, recording, moment, (pale(BODY), pale(ARM)))
+    for moment, *colours in _fading(recording):
+        solids += _robot(robot, recording, moment, tuple(colours))
     ends = recording.desired[:, :3], recording.goals[:, :3]
     points = np.concatenate([drawing.corners(solids), *ends])
     floor = drawing.draw_floor(axes, points)
@@ -233,12 +231,13 @@ def _draw_side(
 
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
-    for moment, pale in _fading(recording):
-        body = [one for one in _robot(robot, recording, moment) if one.colour == BODY]
-        if body:
-            _draw_outline(axes, drawing.corners(body), (*to_rgb(pale(BODY)), 0.55), 2.0)
+    for moment, body, arm in _fading(recording):
+        solids = _robot(robot, recording, moment, (body, arm))
+        carried = [solid for solid in solids if solid.colour == body]
+        if carried:
+            _draw_outline(axes, drawing.corners(carried), (*to_rgb(body), 0.55), 2.0)
         reach = np.stack([recording.base_pose[moment, :2], recording.ee_pose[moment, :2]])
-        axes.plot(*reach.T, color=pale(ARM), lw=3.0, zorder=5)
+        axes.plot(*reach.T, color=arm, lw=3.0, zorder=5)
     _draw_paths(axes, recording)
     pose = recording.base_pose[moments(recording, 0.3, 12)]
     heading = spatial.yaw(pose)
@@ -276,29 +275,25 @@ def _draw_paths(axes: Axes, recording: Recording, end: int | None = None) -> Non
     draw(recording.goals, "*", color=GOAL, mec=INK, mew=0.7, ms=16.0, zorder=11)
 
 
-def _fading(recording: Recording) -> Iterator[tuple[int, Callable[[str], str]]]:
-    """Yield the drawn moments, and functions that make colours the paler the earlier."""
+def _fading(recording: Recording) -> Iterator[tuple[int, str, str]]:
+    """Yield the drawn moments with colours of body and arm, the paler the earlier."""
     drawn = moments(recording)
-    for place, moment in enumerate(drawn.tolist()):
-        share = _PALEST * (1.0 - place / max(len(drawn) - 1, 1))
-
-        def pale(colour: str, share: float = share) -> str:
-            red, green, blue = (part + (1.0 - part) * share for part in to_rgb(colour))
-            return to_hex((red, green, blue))
-
-        yield moment, pale
+    for share, moment in zip(np.linspace(_PALEST, 0.0, len(drawn)), drawn.tolist(), strict=True):
+        body, arm = (
+            to_hex(tuple((1.0 - share) * np.array(to_rgb(one)) + share)) for one in (BODY, ARM)
+        )
+        yield moment, body, arm
 
 
 def _legend() -> list[Line2D]:
-    def entry(label: str, **how: Any) -> Line2D:
-        return Line2D([], [], label=label, **how)
-
-    return [
-        entry("base path and heading", color=BASE, lw=2.2, marker=">", ms=7),
-        entry("arm, base to EE", color=ARM, lw=3.0),
-        entry("EE desired", color=DESIRED, lw=1.2, ls=(0, (4, 3))),
-        entry("EE achieved", color=EE, lw=2.4),
-        entry("no IK solution", color=FAILURE, lw=0, marker="o", ms=6),
-        entry("start", color="white", lw=0, marker="o", mec=DESIRED, mew=2.0, ms=8),
-        entry("goal", color=GOAL, lw=0, marker="*", mec=INK, mew=0.7, ms=15),
-    ]
+    point: dict[str, Any] = {"lw": 0, "marker": "o"}
+    looks: dict[str, dict[str, Any]] = {
+        "base path and heading": {"color": BASE, "lw": 2.2, "marker": ">", "ms": 7},
+        "arm, base to EE": {"color": ARM, "lw": 3.0},
+        "EE desired": {"color": DESIRED, "lw": 1.2, "ls": (0, (4, 3))},
+        "EE achieved": {"color": EE, "lw": 2.4},
+        "no IK solution": {**point, "color": FAILURE, "ms": 6},
+        "start": {**point, "color": "white", "mec": DESIRED, "mew": 2.0, "ms": 8},
+        "goal": {"color": GOAL, "lw": 0, "marker": "*", "mec": INK, "mew": 0.7, "ms": 15},
+    }
+    return [Line2D([], [], label=label, **look) for label, look in looks.items()]

@@ -10,16 +10,7 @@ from kinfeas.core.spatial import IDENTITY, Array, rotation
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.drawing import (
-    add_axes,
-    corners,
-    draw_floor,
-    draw_solids,
-    robot_solids,
-    scene_solids,
-    show_all,
-    surrounds,
-)
+from kinfeas.viz import drawing
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger to finger": "#3a9a52"}
@@ -31,21 +22,21 @@ _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
 
 def robot_figure(robot: Robot) -> Figure:
     """Return a picture of a robot at home from two sides, with the axes of its gripper."""
-    solids = robot_solids(robot, IDENTITY, robot.home["home"])
+    solids = drawing.robot_solids(robot, IDENTITY, robot.home["home"])
     tip, axes_of_gripper = _gripper_axes(robot)
     with rc_context(STYLE):
         figure = Figure(figsize=(9.0, 5.6), layout="constrained")
         grid = figure.add_gridspec(1, 2)
         for column, heading in enumerate(np.deg2rad([-35.0, 55.0])):
-            axes = add_axes(figure, grid[column], heading, np.deg2rad(18.0))
-            points = corners(solids)
-            floor = draw_floor(axes, points)
-            draw_solids(axes, solids)
+            axes = drawing.add_axes(figure, grid[column], heading, np.deg2rad(18.0))
+            points = drawing.corners(solids)
+            floor = drawing.draw_floor(axes, points)
+            drawing.draw_solids(axes, solids)
             for colour, direction in zip(_AXES.values(), axes_of_gripper, strict=True):
                 ends = np.stack([tip, tip + _LENGTH * direction])
                 axes.plot(*ends.T, color=colour, lw=3.0, zorder=9)
                 axes.plot(*ends[1:].T, "o", color=colour, ms=6.0, zorder=9)
-            show_all(axes, np.concatenate([points, floor]))
+            drawing.show_all(axes, np.concatenate([points, floor]))
         figure.suptitle(f"{robot.name} at its home, {len(robot.arm)} arm joints", fontsize=13)
         handles = [Patch(color=ARM, label="arm and hand"), Patch(color=BODY, label="the rest")]
         lines = [Line2D([], [], color=_AXES[name], lw=2.5, label=name) for name in _AXES]
@@ -76,20 +67,20 @@ def _gripper_axes(robot: Robot) -> tuple[Array, Array]:
 
 
 def _draw_room(figure: Figure, position: object, scene: Scene) -> None:
-    axes = add_axes(figure, position, np.deg2rad(28.0), np.deg2rad(38.0))
-    shown = {name for name, one in scene.objects.items() if not surrounds(scene, one)}
-    solids = [(name, solid) for name, solid in scene_solids(scene) if name in shown]
+    axes = drawing.add_axes(figure, position, np.deg2rad(28.0), np.deg2rad(38.0))
+    shown = {name for name, one in scene.objects.items() if not drawing.surrounds(scene, one)}
+    solids = [(name, solid) for name, solid in drawing.scene_solids(scene) if name in shown]
     half = np.array([*scene.size, 0.0]) / 2.0
-    draw_floor(axes, np.array([-half, half]), 1.0, 0.0)
-    draw_solids(axes, [solid for _, solid in solids])
+    drawing.draw_floor(axes, np.array([-half, half]), 1.0, 0.0)
+    drawing.draw_solids(axes, [solid for _, solid in solids])
     for name in scene.handles:
         axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
     for name in shown:
-        points = corners([solid for other, solid in solids if other == name])
+        points = drawing.corners([solid for other, solid in solids if other == name])
         place = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
         axes.text(*place, name, fontsize=9, color=INK, ha="center", zorder=9,
                   path_effects=_CASING)  # fmt: skip
-    show_all(axes, np.array([-half, half]), 1.2)
+    drawing.show_all(axes, np.array([-half, half]), 1.2)
     axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
 
 
@@ -97,7 +88,7 @@ def _draw_handle(figure: Figure, position: object, scene: Scene, name: str) -> N
     handle = scene.handles[name]
     approach = rotation(scene.handle_pose(name)).as_matrix()[:, 0]
     heading = float(np.arctan2(-approach[1], -approach[0])) + np.deg2rad(128.0)
-    axes = add_axes(figure, position, heading, np.deg2rad(24.0))
+    axes = drawing.add_axes(figure, position, heading, np.deg2rad(24.0))
     title, opened, path = name, scene, scene.handle_pose(name)[np.newaxis, :3]
     if handle.joint is not None:
         joint = scene.objects[handle.object].urdf.joints[handle.joint]
@@ -115,11 +106,11 @@ def _draw_handle(figure: Figure, position: object, scene: Scene, name: str) -> N
     near = {
         other
         for other, one in opened.objects.items()
-        if np.linalg.norm(one.pose[:2] - middle) < _NEAR and not surrounds(opened, one)
+        if np.linalg.norm(one.pose[:2] - middle) < _NEAR and not drawing.surrounds(opened, one)
     }
-    solids = [solid for other, solid in scene_solids(opened) if other in near]
-    draw_solids(axes, solids)
+    solids = [solid for other, solid in drawing.scene_solids(opened) if other in near]
+    drawing.draw_solids(axes, solids)
     axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
     axes.plot(*path[:1].T, "o", color="white", mec=EE, mew=2.0, ms=7.0, zorder=8)
-    show_all(axes, np.concatenate([corners(solids), path]))
+    drawing.show_all(axes, np.concatenate([drawing.corners(solids), path]))
     axes.set_title(title)

@@ -29,14 +29,10 @@ class Film(Protocol):
     """A recorded episode with pictures and a title for their captions."""
 
     @property
-    def recording(self) -> Recording:
-        """The episode."""
-        ...
+    def recording(self) -> Recording: ...  # noqa: D102
 
     @property
-    def title(self) -> str:
-        """First words of the captions."""
-        ...
+    def title(self) -> str: ...  # noqa: D102
 
     def picture(self, moment: int) -> Image.Image:
         """Return the picture of one moment."""

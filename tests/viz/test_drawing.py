@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from kinfeas.core.spatial import IDENTITY, compose, planar_pose
+from kinfeas.core.spatial import IDENTITY
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.urdf import Shape
 from kinfeas.viz.drawing import (
@@ -48,15 +48,6 @@ def test_the_hand_is_where_the_forward_kinematics_has_it(hsr):
     for joints in rng.uniform(lower, upper, (10, len(hsr.arm))):
         arm = corners(of_arm(robot_solids(hsr, IDENTITY, joints)))
         assert np.linalg.norm(arm - forward(chain, joints)[:3], axis=1).min() < 0.1
-
-
-def test_the_base_carries_everything(hsr):
-    base = planar_pose(np.array(1.0), np.array(-2.0), np.array(0.7))
-    home = hsr.home["home"]
-    for one, other in zip(
-        robot_solids(hsr, IDENTITY, home), robot_solids(hsr, base, home), strict=True
-    ):
-        np.testing.assert_allclose(other.shape.pose, compose(base, one.shape.pose), atol=1e-12)
 
 
 @pytest.mark.parametrize(

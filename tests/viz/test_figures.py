@@ -54,9 +54,3 @@ def test_continuous_and_fixed_handles_are_drawn(tmp_path):
     scene = read_scene(str(path))
     assert titles(scene_figure(scene))[1:] == ["knob: j", "post"]
     assert np.isfinite(scene.handle_pose("knob")).all()
-
-
-def test_a_scene_without_handles_is_drawn_alone(tmp_path):
-    path = tmp_path / "bare.yaml"
-    path.write_text("name: bare\nsize: [2.0, 2.0]\nobjects:\n  table: {urdf: table.urdf}\n")
-    assert len(scene_figure(read_scene(str(path))).axes) == 1

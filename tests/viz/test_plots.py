@@ -1,15 +1,11 @@
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from kinfeas.core.checked_motion import CheckedMotion
 from kinfeas.core.errors import KinfeasError
 from kinfeas.plugins.linear import Linear
 from kinfeas.testing.trial import Samples, Trial, sample_motions
-from kinfeas.viz.plots import apart, learning_curve, motion_figure, read_metrics
+from kinfeas.viz.plots import learning_curve, motion_figure, read_metrics
 from kinfeas.viz.style import png
 
 TABLE = """steps,seconds,train/success,evaluation/success
@@ -49,13 +45,6 @@ def test_the_learning_curve_names_its_levels(run):
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert texts == ["follow_ee 60.0%", "ceiling 98.0%"]
     assert png(figure).startswith(b"\x89PNG")
-
-
-@given(st.lists(st.floats(0.0, 1.0), max_size=6).map(sorted))
-def test_labels_keep_apart(values):
-    placed = apart(values, 0.05)
-    assert all(new >= old for old, new in zip(values, placed, strict=True))
-    assert all(b - a >= 0.05 - 1e-9 for a, b in pairwise(placed))
 
 
 @pytest.mark.parametrize("limit", [0.1, None])

@@ -4,7 +4,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import Share
-from kinfeas.viz.report import Picture, Report, Row, machine, paper_success, to_html, write_report
+from kinfeas.viz.report import Picture, Report, Row, paper_success, to_html, write_report
 
 FIGURES = {"within_5cm": 0.9, "ik_failures_per_episode": 1.5, "mean_deviation_m": 0.002}
 REPORT = Report(
@@ -45,12 +45,6 @@ def test_the_page_shows_the_results_and_escapes_text():
     assert "90.2% &ndash;" not in page  # the paper gives no interval
     assert "PR2 &lt;on&gt; ggr" in page
     assert "a &amp; b" in page
-
-
-def test_the_machine_and_the_versions_are_named():
-    facts = machine()
-    assert {"processor", "Python", "kinfeas", "torch"} <= set(facts)
-    assert all(facts.values())
 
 
 def test_figures_of_the_paper():

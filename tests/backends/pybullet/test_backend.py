@@ -67,16 +67,6 @@ def test_the_hand_keeps_up_with_a_motion(world, begin):
     assert spatial.distance(desired, ee_pose(solver, state))[0][0] <= 1e-3
 
 
-def test_continuous_joints_are_wrapped():
-    world = alone("pr2")
-    continuous, joints = world.robot.continuous, world.robot.home["home"][np.newaxis]
-    for _ in range(150):
-        state = world.step(twist(), joints + 0.05 * continuous, DT)
-        joints = state.joint_positions
-        assert (np.abs(joints[0, continuous]) <= np.pi).all()
-    world.close()
-
-
 def test_positions_are_the_integral_of_velocities(world, begin):
     before, step, rng = begin(), 1 / 240, np.random.default_rng(2)
     lower, upper = (np.clip(limit, -1.5, 1.5) for limit in world.robot.joint_limits)
@@ -141,18 +131,6 @@ def test_one_row_is_reset_while_others_go_on(hsr, scene):
     np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
     np.testing.assert_allclose(after.base_pose[1], places[1], atol=1e-12)
     assert np.all(before.base_pose[:, 0] > places[:, 0])
-
-
-def test_worlds_are_independent(world, begin):
-    begin()
-    expected = stay(world, 10, twist(0.2))[-1]
-    begin()
-    other = alone("hsr", 1.0, 1.0, 1.0)
-    for _ in range(10):
-        (state,) = stay(world, 1, twist(0.2))
-        stay(other, 1, twist(-0.2))
-    other.close()
-    np.testing.assert_array_equal(state.base_pose, expected.base_pose)
 
 
 def test_is_built_by_name_and_closes_twice(hsr):

@@ -6,12 +6,11 @@ from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter
 from kinfeas.control.loop import Loop
 from kinfeas.core import spatial
-from kinfeas.core.backend import SupportsObstacleDistances
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
-from tests.backends.pybullet.conftest import alone, stay, twist
+from tests.backends.pybullet.conftest import stay, twist
 
 WALL = -2.95  # m, x of the wall's front
 
@@ -81,21 +80,6 @@ def test_objects_beneath_are_no_obstacles(world, begin):
     sim = world.sims[0]
     assert sim.physics.client.getClosestPoints(sim.body.body, sim.furniture.bodies["bar"], 0.3)
     assert world.obstacle_distances(0.3).distance.size == 0
-
-
-def test_a_world_without_a_scene_has_no_obstacles():
-    world = alone("hsr")
-    assert isinstance(world, SupportsObstacleDistances)
-    assert world.obstacle_distances(1.0).distance.shape == (1, 0)
-    world.close()
-
-
-def test_a_base_that_drives_comes_nearer(world, begin):
-    begin(x=-2.3)
-    before = world.obstacle_distances(1.0).distance.min()
-    moved = -2.3 - stay(world, 50, twist(-0.1))[-1].base_pose[0, 0]
-    assert moved > 0.05
-    assert world.obstacle_distances(1.0).distance.min() == pytest.approx(before - moved, abs=2e-3)
 
 
 @pytest.mark.parametrize("kept", [None, 0.03])

@@ -34,13 +34,6 @@ def test_a_cubic_keeps_the_velocity_it_was_scaled_for(start, share):
     assert np.abs(speed).max() <= 1.0 + 1e-9
 
 
-def test_a_target_is_reached_within_the_horizon(world, begin):
-    target = world.robot.home["home"] + 0.005 * world.robot.max_joint_velocity
-    begin()
-    state = world.step(twist(), target[np.newaxis], 0.1)
-    np.testing.assert_allclose(state.joint_positions[0], target, atol=1e-3)
-
-
 def test_joints_use_and_keep_their_velocity_limits(world, begin):
     begin(x=1.0)
     robot, rng = world.robot, np.random.default_rng(0)
@@ -77,6 +70,7 @@ def test_a_continuous_joint_takes_the_shorter_way():
     for _ in range(50):
         seen.append(world.step(twist(), home[np.newaxis], 0.02).joint_positions[0, -1])
     world.close()
+    assert np.abs(seen).max() <= np.pi
     assert seen[-1] == pytest.approx(-3.0, abs=1e-4)
     assert np.abs(seen).min() > 2.9
 

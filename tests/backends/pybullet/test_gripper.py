@@ -3,7 +3,6 @@ import pytest
 
 from kinfeas.backends.pybullet.physics import ROOT
 from kinfeas.core import spatial
-from kinfeas.core.errors import KinfeasError
 from tests.backends.pybullet.conftest import stay
 
 
@@ -87,11 +86,6 @@ def test_the_grasp_breaks_above_its_limit(world, grasped):
         client.applyExternalForce(bar, -1, [0.0, 0.0, 400.0], at, client.WORLD_FRAME)
         stay(world, 1, dt=1 / 240)
     assert grasped.grasp.held is None
-
-
-def test_a_second_object_is_an_error(grasped):
-    with pytest.raises(KinfeasError, match="holds"):
-        grasped.grasp.hold(*grasped.furniture.link("bar", "bar"))
 
 
 def test_a_closing_gripper_grasps_the_link_that_is_set(world, begin, between_fingers):

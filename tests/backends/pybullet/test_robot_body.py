@@ -24,7 +24,6 @@ from kinfeas.backends.pybullet.robot_body import (
     physics_urdf,
     read_inertia,
     repair_inertias,
-    write_inertia,
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose
@@ -120,20 +119,6 @@ def shape_placements(model, path, configuration):
     return places[np.lexsort(places.T.round(6))]
 
 
-def test_links_without_mass_add_none():
-    xml = ElementTree.fromstring(
-        '<robot name="r"><link name="a"/><link name="b"/><link name="c"><inertial>'
-        '<origin xyz="0 0 1"/><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
-        '<joint name="ab" type="fixed"><origin xyz="1 0 0"/><parent link="a"/><child link="b"/>'
-        '</joint><joint name="bc" type="fixed"><origin xyz="0 0 0" rpy="0 1.5707963267948966 0"/>'
-        '<parent link="b"/><child link="c"/></joint></robot>'
-    )
-    assert merge_fixed_links(xml, keep=()) == {"a": "a", "b": "a", "c": "a"}
-    merged = read_inertia(xml.find("link"))
-    np.testing.assert_allclose(merged.centre, [2.0, 0.0, 0.0], atol=1e-12)
-    assert merged.mass == 2.0
-
-
 def tensor(moments, seed):
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     return turn @ np.diag(moments) @ turn.T
@@ -166,16 +151,6 @@ def test_a_moving_link_with_a_shape_needs_an_inertia():
     xml = ElementTree.fromstring(ARM.format(tool=BOX, type="revolute"))
     with pytest.raises(KinfeasError, match=r"r\.urdf: link 'tool'"):
         repair_inertias(xml, "r.urdf")
-
-
-def test_an_inertia_is_written_and_read():
-    link = ElementTree.Element("link")
-    inertia = Inertia(0.5, np.array([0.1, 0.2, 0.3]), tensor([0.3, 0.4, 0.5], 3))
-    write_inertia(link, inertia)
-    found = read_inertia(link)
-    assert found.mass == inertia.mass
-    np.testing.assert_array_equal(found.centre, inertia.centre)
-    np.testing.assert_allclose(found.moments, inertia.moments, atol=1e-12)
 
 
 def own_robot(folder, kind, mesh):

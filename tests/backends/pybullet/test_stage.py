@@ -138,18 +138,11 @@ def test_overlapping_objects_are_an_error(hsr):
     stage.backend.close()
 
 
-def test_shipped_episodes_place_objects_apart(stage, solver):
-    for seed in range(100):
-        start = stage.task.sample(solver, np.random.default_rng((1, seed)))
-        poses = stage.task.object_poses(start.target_poses)
-        stage.scene.with_poses(poses).check_places("shipped")
-
-
 @pytest.mark.parametrize(
     ("name", "changes", "key"),
     [
-        ("door", {"success": {"object": "dor"}}, "success.object"),
-        ("door", {"success": {"joint": "hing"}}, "success.joint"),
+        ("door", {"success": {"object": "x"}}, "success.object"),
+        ("door", {"success": {"joint": "x"}}, "success.joint"),
         ("door", {"success": {"threshold": 2.0}}, "success.threshold"),
         ("door", {"success": {"threshold": -1.0}}, "success.threshold"),
         ("door", {"success": {"threshold": 0.0}}, None),
