@@ -11,7 +11,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.evaluate import evaluate, prepare
-from kinfeas.policies.baselines.follow_ee import FollowEe
+from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr

@@ -7,6 +7,7 @@ from kinfeas import config
 from kinfeas.control.loop import Step
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig, limit_distance, reward
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import PoseTolerance
 
 PAPER = RewardConfig(failure="indicator", action_penalty=0.01, limit_penalty=0.0)
@@ -20,13 +21,13 @@ def step(feasible, metres=0.0, radians=0.0):
     return Step(feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no)
 
 
-@pytest.fixture(scope="session")
-def exact_robot(robot):
-    return replace(robot, pose_tolerance=None)
+@pytest.fixture(scope="module")
+def exact_robot():
+    return replace(load_robot("tiago"), pose_tolerance=None)
 
 
 def middle(robot, n=1):
-    """Return configurations as far from all limits as can be."""
+    """Return configurations in the middle between all limits."""
     half = [0.0 if joint.continuous else (joint.lower + joint.upper) / 2.0 for joint in robot.arm]
     return np.tile(half, (n, 1))
 
@@ -36,15 +37,6 @@ def test_indicator_of_the_paper(exact_robot):
     seen = step([True, False, True, False], metres=[0.0, 3.0, 0.0, np.inf])
     earned = reward(PAPER, exact_robot, seen, action, middle(exact_robot, 4))
     np.testing.assert_allclose(earned, [0.0, -1.0, -0.01, -1.02], atol=1e-15)
-
-
-@pytest.mark.parametrize("penalty", [0.0, 0.01, 0.1])
-def test_action_penalty(exact_robot, penalty):
-    action = np.array([[1.0, -1.0, 0.5]])
-    earned = reward(
-        replace(PAPER, action_penalty=penalty), exact_robot, step(True), action, middle(exact_robot)
-    )
-    np.testing.assert_allclose(earned, -penalty * 2.25)
 
 
 def test_graded_failure_grows_with_what_is_missing(exact_robot):
@@ -59,7 +51,7 @@ def test_graded_failure_grows_with_what_is_missing(exact_robot):
     np.testing.assert_array_equal(earned, 0.0)
 
 
-def test_leeway_costs_on_feasible_steps_alone(exact_robot):
+def test_the_use_of_a_pose_tolerance_costs_on_feasible_steps_alone(exact_robot):
     lenient = replace(exact_robot, pose_tolerance=PoseTolerance(0.1, 0.2094))
     seen = step([True, True, True, False], [0.1, 0.0, 0.05, 0.3], [0.0, 0.2094, 0.1047, 0.3])
     earned = reward(PAPER, lenient, seen, np.zeros((4, 3)), middle(lenient, 4))
@@ -79,14 +71,9 @@ def test_limit_penalty_falls_from_the_limit_to_the_margin(exact_robot):
     )
     earned = reward(weights, exact_robot, step(np.ones(5, dtype=bool)), np.zeros((5, 2)), joints)
     np.testing.assert_allclose(earned, [-0.1, -0.1, -0.05, 0.0, 0.0], atol=1e-12)
-    without = reward(
-        replace(weights, limit_margin=0.0), exact_robot, step(np.ones(5, dtype=bool)),
-        np.zeros((5, 2)), joints,
-    )  # fmt: skip
-    np.testing.assert_allclose(without, 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("margin", [1e-9, 1e-6, 0.2, 1.0])
+@pytest.mark.parametrize("margin", [1e-9, 0.2])
 def test_a_joint_beyond_its_limit_costs_as_one_at_it(exact_robot, margin):
     weights = RewardConfig("indicator", 0.0, limit_penalty=0.1, limit_margin=margin)
     bounded = next(i for i, joint in enumerate(exact_robot.arm) if not joint.continuous)
@@ -96,7 +83,8 @@ def test_a_joint_beyond_its_limit_costs_as_one_at_it(exact_robot, margin):
     np.testing.assert_allclose(earned, -0.1)
 
 
-def test_continuous_joints_have_no_limit(robot):
+def test_continuous_joints_have_no_limit():
+    robot = load_robot("pr2")
     joints = middle(robot)
     np.testing.assert_allclose(limit_distance(robot, joints), 1.0)
     joints[:, robot.continuous] = 3.1
@@ -107,16 +95,7 @@ def test_continuous_joints_have_no_limit(robot):
     np.testing.assert_array_equal(limit_distance(replace(robot, arm=endless), joints), [1.0])
 
 
-@pytest.mark.parametrize(
-    "entry",
-    [
-        {"action_penalty": -0.1},
-        {"limit_penalty": -1},
-        {"limit_margin": 1.1},
-        {"limit_margin": 0.0},
-        {"failure": "dense"},
-    ],
-)
-def test_weights_out_of_range_are_one_sentence(entry):
-    with pytest.raises(KinfeasError, match=f"'{next(iter(entry))}' must be"):
+@pytest.mark.parametrize("entry", [{"limit_penalty": -1}, {"limit_margin": 0.0}, {"failure": "x"}])
+def test_invalid_weights_are_named(entry):
+    with pytest.raises(KinfeasError, match=next(iter(entry))):
         config.from_mapping(RewardConfig, entry, "reward")
