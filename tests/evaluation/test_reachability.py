@@ -9,45 +9,43 @@ from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
 
 
-def test_ceilings_are_as_the_method_says(robot):
+@pytest.mark.slow
+def test_ceilings_of_the_documentation(robot):
     share = measure_reachability(robot, ggr(), 150, 1).share
     least, most = {"pr2": (0.95, 1.0), "tiago": (0.86, 0.98), "hsr": (0.9, 1.0)}[robot.name]
     assert least <= share.value <= most
     assert share.low < share.value < share.high or share.value == 1.0
 
 
-def test_pr2_cannot_reach_as_high_as_the_table_of_the_paper():
-    robot = load_robot("pr2")
+def test_pr2_reaches_few_goals_at_the_heights_of_the_paper_s_table():
     high = ggr(heights=(1.2, 1.4))
-    assert measure_reachability(robot, high, 60, 1).share.value < 0.5
+    assert measure_reachability(load_robot("pr2"), high, 24, 1).share.value < 0.5
 
 
-def test_leeway_ends_at_the_goal():
-    robot = load_robot("hsr")
-    task = ggr(heights=(0.05, 1.7))
+def test_a_pose_tolerance_ends_at_the_tolerance_of_the_goal():
+    robot, task = load_robot("hsr"), ggr(heights=(0.05, 1.7))
     strict = measure_reachability(robot, task, 40, 1).reached
     exact = measure_reachability(robot, task, 40, 1, IkOptions(pose_tolerance=False)).reached
     assert exact.sum() < strict.sum() < 40
     assert not np.any(exact & ~strict)
 
 
-@pytest.mark.parametrize("robot_name", ["tiago"])
-def test_self_collision_lowers_it(robot_name):
-    robot = load_robot(robot_name)
-    free = measure_reachability(robot, ggr(), 120, 3, IkOptions(self_collision=False)).share
-    assert measure_reachability(robot, ggr(), 120, 3).share.value <= free.value
+def test_self_collision_lowers_it():
+    robot = load_robot("tiago")
+    free = measure_reachability(robot, ggr(), 40, 3, IkOptions(self_collision=False)).share
+    assert measure_reachability(robot, ggr(), 40, 3).share.value <= free.value
 
 
 def reach(*heights):
-    """Return a task whose sub-goals lead to these heights, one metre ahead."""
+    """Return a task whose sub-goals are at these heights, one metre ahead."""
     places = {f"at {z}": {"position": [1.0, 0.0, z]} for z in heights}
     subgoals = [{"place": name} for name in places]
     data = {"name": "reach", "places": places, "subgoals": subgoals, "start": {"square": 0.0}}
     return config.from_mapping(ChainTask, data, "test")
 
 
-def test_every_leg_counts():
-    robot = load_robot("pr2")
+def test_every_sub_goal_counts():
+    robot = load_robot("hsr")
     assert measure_reachability(robot, reach(0.7, 0.9), 2, 0).share.value == 1.0
     for heights in ((0.7, 3.0), (3.0, 0.7)):
         found = measure_reachability(robot, reach(*heights), 2, 0)
@@ -55,11 +53,10 @@ def test_every_leg_counts():
         assert found.convergence == (0.0,) * 5
 
 
-def test_the_way_asks_for_more(robot):
-    goals = measure_reachability(robot, ggr(), 30, 1)
-    done = []
-    way = measure_path_reachability(robot, ggr(), 30, 1, on_done=done.append)
-    assert not np.any(way.reached & ~goals.reached)
-    assert way.share.value >= goals.share.value - 0.1
+def test_paths_are_harder_than_goals():
+    robot = load_robot("hsr")
+    goals, done = measure_reachability(robot, ggr(), 16, 1), []
+    path = measure_path_reachability(robot, ggr(), 16, 1, on_done=done.append)
+    assert not np.any(path.reached & ~goals.reached)
     assert sum(done) == pytest.approx(1.0)
-    assert list(way.convergence) == sorted(way.convergence)
+    assert list(path.convergence) == sorted(path.convergence)
