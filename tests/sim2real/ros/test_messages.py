@@ -199,6 +199,7 @@ def test_tf_is_as_old_as_its_oldest_transform(tree, time):
     assert tree.reading().age == 0.0
     time.passes(2.0)
     tree.take(transforms(("odom", "base", pose(), 4.0)))  # sent again
+    tree.take(transforms(("map", "odom", pose(), 6.0)))
     assert tree.reading().age == pytest.approx(2.0)
 
 

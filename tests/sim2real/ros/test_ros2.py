@@ -16,7 +16,7 @@ from kinfeas.sim2real.link import BaseReading, Hosted, JointReading, Orders, Rea
 from kinfeas.sim2real.ros import bus as ros_bus
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import make_bus, stop_base
-from kinfeas.sim2real.ros.ros2 import Ros2Bus
+from kinfeas.sim2real.ros.ros2 import Ros2Bus, ros2_message_classes
 from kinfeas.sim2real.ros.topics import read_topics
 
 TOPICS = """
@@ -152,6 +152,7 @@ class Bus:
     subscribers, broken, opened = 1, False, None
 
     def __init__(self):
+        self.subscribed = {}
         self.sent, time_class = [], SimpleNamespace(from_sec=lambda seconds: seconds)
         self.messages = SimpleNamespace(Twist=Twist, TwistStamped=Twist, Time=time_class)
 
@@ -161,9 +162,23 @@ class Bus:
     def publisher(self, topic, kind):
         return SimpleNamespace(publish=self.sent.append, listeners=lambda: self.subscribers)
 
+    def subscribe(self, topic, kind, take, *, every=False):
+        self.subscribed[topic] = take
+
     def check_sending(self):
         if self.broken:
             raise Fault("broken")
+
+
+def test_a_simulated_robot_drops_velocities_that_are_not_finite():
+    bus, topics, taken = Bus(), read_topics(load_robot("hsr"), 2), []
+    bus.messages = messages = ros2_message_classes()
+    RosRobotLink(topics, bus).open(Orders(taken.append, taken.append, taken.append))
+    for x in (np.nan, 0.5):
+        message = messages.Twist()
+        message.linear.x = x
+        bus.subscribed[topics.base.command](message)
+    np.testing.assert_array_equal(taken, [[0.5, 0.0, 0.0]])
 
 
 @pytest.mark.parametrize("version", [1, 2])
