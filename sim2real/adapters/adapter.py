@@ -10,16 +10,7 @@ from numpy.typing import NDArray
 from kinfeas.config import Interval
 from kinfeas.control.adapters import chain
 from kinfeas.core import spatial
-from kinfeas.core.backend import (
-    Backend,
-    BackendWrapper,
-    RealTimeBackend,
-    Resumable,
-    RobotState,
-    Stochastic,
-    SupportsGripper,
-    SupportsObstacleDistances,
-)
+from kinfeas.core.backend import Backend, BackendWrapper, Resumable, RobotState, Stochastic
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import plugin_note
 from kinfeas.core.rows import with_rows
@@ -113,19 +104,14 @@ class Adapter(BackendWrapper):
         }
         number = sum(type(link) is type(self) for link in chain(backend))
         name = type(self).__name__ if self.stream is None else self.stream
-        self._salt, self._prefix = (
-            random_numbers.salt(name, number),
-            f"{type(self).__name__}.{number}.",
-        )
+        self._salt = random_numbers.salt(name, number)
+        self._prefix = f"{type(self).__name__}.{number}."
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._subject, self._unchecked = f"adapter {type(self).__name__}", True
-        if isinstance(backend, SupportsGripper):
-            self.grip = backend.grip
-        if isinstance(backend, SupportsObstacleDistances):
-            self.obstacle_distances = backend.obstacle_distances
-        if isinstance(backend, RealTimeBackend):
-            self.read, self.stop = backend.read, backend.stop
+        for ability in ("grip", "obstacle_distances", "read", "stop"):
+            if hasattr(backend, ability):
+                setattr(self, ability, getattr(backend, ability))
         if isinstance(backend, Resumable):
             self.snapshot, self.restore = self._snapshot, self._restore
 
@@ -177,13 +163,10 @@ class Adapter(BackendWrapper):
         self._draw()
         with plugin_note(self._subject):
             fresh = self.on_reset(state)
+        n, joints = state.joint_positions.shape
         for key, values in fresh.items():
-            check_array(
-                values,
-                (len(self._seeds), *np.shape(values)[1:]),
-                f"{self._subject}: {key}",
-                finite=False,
-            )
+            shape = (n, *np.shape(values)[1:])
+            check_array(values, shape, f"{self._subject}: {key}", finite=False)
         if env_ids is None:
             self.memory = fresh
         else:
@@ -194,7 +177,6 @@ class Adapter(BackendWrapper):
         self._unchecked = True
         with plugin_note(self._subject):
             seen = self.modify_state(state)
-        n, joints = state.joint_positions.shape
         check_state(seen, n, joints, f"{self._subject}: modify_state")
         return seen
 
