@@ -1,10 +1,8 @@
 """Commands, links, code and numbers of the README and the documentation."""
 
 import contextlib
-import json
 import re
 import shlex
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -12,13 +10,11 @@ import typer
 from markdown_it import MarkdownIt
 
 from kinfeas.cli.main import app
-from kinfeas.config.recipes import load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros.topics import read_topics
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
-from kinfeas.training.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -138,20 +134,3 @@ def test_task_of_the_page_on_tasks(tmp_path):
 def test_topics_of_the_page_on_ros(tmp_path):
     tiago = load_robot("tiago")
     assert read_topics(tiago, 2, first_yaml("ros.md", tmp_path)) == read_topics(tiago, 2)
-
-
-RECIPES = re.findall(
-    r"^\| `(\S+)` \| (\S.*?) \| (\S.*?) \| (\S.*?) \|", (DOCS / "training.md").read_text(), re.M
-)
-
-
-@pytest.mark.parametrize(("key", "default", "pr2", "tiago"), RECIPES)
-def test_recipes_of_the_page_on_training(key, default, pr2, tiago):
-    def value(robot):
-        known = asdict(load_section(TrainConfig, "train", robot))
-        for part in key.split("."):
-            known = known[part]
-        return list(known) if isinstance(known, tuple) else known
-
-    shown = [json.loads(text) for text in (default, pr2, tiago, pr2)]
-    assert shown == [value(robot) for robot in ("none", "pr2", "tiago", "hsr")]

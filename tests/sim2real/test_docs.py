@@ -26,13 +26,10 @@ def test_every_rung_is_told_of():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_adapter_is_told_of_with_its_defaults(name):
+def test_every_adapter_has_a_row_with_its_parameters(name):
     row = next(line for line in PAGE.splitlines() if line.startswith(f"| `{name}` |"))
     parameters = inspect.signature(registry.load("kinfeas.adapters", name)).parameters
-    for parameter, what in parameters.items():
-        if parameter not in {"backend", "robot"}:
-            assert f"`{parameter}`" in row
-            assert what.default is None or f"{what.default}" in row
+    assert all(f"`{name}`" in row for name in parameters if name not in {"backend", "robot"})
 
 
 def test_the_list_is_one(tmp_path, pr2):
