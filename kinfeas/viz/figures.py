@@ -15,8 +15,7 @@ from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger to finger": "#3a9a52"}
 _LENGTH = 0.2  # m, of the axes
-_OPEN = 0.6  # share of a joint's range in a close view
-_NEAR = 0.8  # m, of other objects in a close view
+_OPEN = 0.6  # share of a joint's range
 _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
 
 
@@ -45,16 +44,38 @@ def robot_figure(robot: Robot) -> Figure:
 
 
 def scene_figure(scene: Scene) -> Figure:
-    """Return a picture of a scene, with a close view of each handle and its path."""
-    handles = list(scene.handles)[:4]
+    """Return a picture of a scene with doors and drawers open, and the paths of their handles."""
+    shown = {name for name, one in scene.objects.items() if not drawing.surrounds(scene, one)}
+    half = np.array([*scene.size, 0.0]) / 2.0
+    opened, paths = scene, []
+    for name, handle in scene.handles.items():
+        joint = handle.joint and scene.objects[handle.object].urdf.joints[handle.joint]
+        if not joint or joint.kind == "continuous":
+            continue
+        states = [
+            scene.with_joints({handle.object: {joint.name: share * joint.upper}})
+            for share in np.linspace(0.0, 1.0, 30)
+        ]
+        paths.append(np.stack([one.handle_pose(name)[:3] for one in states]))
+        opened = opened.with_joints({handle.object: {joint.name: _OPEN * joint.upper}})
+    solids = [(name, solid) for name, solid in drawing.scene_solids(opened) if name in shown]
     with rc_context(STYLE):
-        figure = Figure(figsize=(12.5 if handles else 9.0, 7.2), layout="constrained")
-        rows = max(1, len(handles))
-        columns = (2.1, 1.0) if handles else (1.0,)
-        grid = figure.add_gridspec(rows, len(columns), width_ratios=columns)
-        _draw_room(figure, grid[:, 0], scene)
-        for row, name in enumerate(handles):
-            _draw_handle(figure, grid[row, 1], scene, name)
+        figure = Figure(figsize=(10.0, 7.2))
+        axes = drawing.add_axes(figure, (0.0, 0.0, 1.0, 0.95), np.deg2rad(28.0), np.deg2rad(38.0))
+        drawing.draw_floor(axes, np.array([-half, half]), 1.0, 0.0)
+        drawing.draw_solids(axes, [solid for _, solid in solids])
+        for path in paths:
+            axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
+        for name in scene.handles:
+            axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
+        for name in shown:
+            points = drawing.corners([solid for other, solid in solids if other == name])
+            place = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
+            axes.text(*place, name, fontsize=9, color=INK, ha="center", zorder=9,
+                      path_effects=_CASING)  # fmt: skip
+        points = drawing.corners([solid for _, solid in solids])
+        drawing.show_all(axes, points * [1.0, 1.0, 1.2], 1.4)
+        axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
     return figure
 
 
@@ -64,53 +85,3 @@ def _gripper_axes(robot: Robot) -> tuple[Array, Array]:
     tip = ee[:3] + rotation(ee).apply(robot.tool_tip)
     to_gripper = np.concatenate([np.zeros(3), robot.gripper_rotation])
     return tip, (rotation(ee) * rotation(to_gripper).inv()).as_matrix().T[:2]
-
-
-def _draw_room(figure: Figure, position: object, scene: Scene) -> None:
-    axes = drawing.add_axes(figure, position, np.deg2rad(28.0), np.deg2rad(38.0))
-    shown = {name for name, one in scene.objects.items() if not drawing.surrounds(scene, one)}
-    solids = [(name, solid) for name, solid in drawing.scene_solids(scene) if name in shown]
-    half = np.array([*scene.size, 0.0]) / 2.0
-    drawing.draw_floor(axes, np.array([-half, half]), 1.0, 0.0)
-    drawing.draw_solids(axes, [solid for _, solid in solids])
-    for name in scene.handles:
-        axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
-    for name in shown:
-        points = drawing.corners([solid for other, solid in solids if other == name])
-        place = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
-        axes.text(*place, name, fontsize=9, color=INK, ha="center", zorder=9,
-                  path_effects=_CASING)  # fmt: skip
-    drawing.show_all(axes, np.array([-half, half]), 1.2)
-    axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
-
-
-def _draw_handle(figure: Figure, position: object, scene: Scene, name: str) -> None:
-    handle = scene.handles[name]
-    approach = rotation(scene.handle_pose(name)).as_matrix()[:, 0]
-    heading = float(np.arctan2(-approach[1], -approach[0])) + np.deg2rad(128.0)
-    axes = drawing.add_axes(figure, position, heading, np.deg2rad(24.0))
-    title, opened, path = name, scene, scene.handle_pose(name)[np.newaxis, :3]
-    if handle.joint is not None:
-        joint = scene.objects[handle.object].urdf.joints[handle.joint]
-        title = f"{name}: {joint.name}"
-        if joint.kind != "continuous":
-            states = [
-                scene.with_joints({handle.object: {joint.name: share * joint.upper}})
-                for share in (*np.linspace(0.0, 1.0, 30), _OPEN)
-            ]
-            path, opened = np.stack([one.handle_pose(name)[:3] for one in states[:-1]]), states[-1]
-            turns = joint.kind == "revolute"
-            reach = f"{np.rad2deg(joint.upper):.0f} degrees" if turns else f"{joint.upper:g} m"
-            title += f", 0 to {reach}"
-    middle = scene.objects[handle.object].pose[:2]
-    near = {
-        other
-        for other, one in opened.objects.items()
-        if np.linalg.norm(one.pose[:2] - middle) < _NEAR and not drawing.surrounds(opened, one)
-    }
-    solids = [solid for other, solid in drawing.scene_solids(opened) if other in near]
-    drawing.draw_solids(axes, solids)
-    axes.plot(*path.T, color=EE, lw=2.0, zorder=7, path_effects=_CASING)
-    axes.plot(*path[:1].T, "o", color="white", mec=EE, mew=2.0, ms=7.0, zorder=8)
-    drawing.show_all(axes, np.concatenate([drawing.corners(solids), path]))
-    axes.set_title(title)

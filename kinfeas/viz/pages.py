@@ -119,22 +119,15 @@ def episode_html(
     Raises:
         KinfeasError: If viser is not installed.
     """
+
+    def poses(moment: int) -> Mapping[Any, Array]:
+        return link_poses(robot, recording.base_pose[moment], recording.joint_positions[moment])
+
+    shapes = [(link, shape, (BODY, ARM)[arm]) for link, shape, arm in robot_parts(robot)]
     with _serving(robot.name) as server:
-        _draw_paths(server, recording)
         if scene is not None:
             _draw_scene(server, scene)
-        parts = robot_parts(robot)
-        frames = _draw_frames(
-            server, ((one.link, one.shape, (BODY, ARM)[one.arm]) for one in parts)
-        )
-
-        def show(moment: int) -> None:
-            posture = recording.base_pose[moment], recording.joint_positions[moment]
-            poses = link_poses(robot, *posture)
-            for link, frame in frames.items():
-                _place(frame, poses[link])
-
-        return _play(server, recording.times if times is None else times, show)
+        return _play(server, recording, recording.times if times is None else times, shapes, poses)
 
 
 def pybullet_html(film: "PyBulletFilm") -> str:
@@ -145,29 +138,19 @@ def pybullet_html(film: "PyBulletFilm") -> str:
     """
     from kinfeas.backends.pybullet import camera
 
-    recording = film.recording
+    shapes = [
+        ((one.body, one.link), one.shape, one.colour)
+        for one in camera.visual_shapes(film.physics)
+        if one.shape.kind != "box" or max(one.shape.size) <= _WALL
+    ]
+    links = list(dict.fromkeys(link for link, *_ in shapes))
+
+    def poses(moment: int) -> Mapping[Any, Array]:
+        camera.show_moment(film.physics, film.moments[moment])
+        return dict(zip(links, camera.link_poses(film.physics, links), strict=True))
+
     with _serving(film.title) as server:
-        _draw_paths(server, recording)
-        server.initial_camera.position, server.initial_camera.look_at = film.eye[0], film.target[0]
-        shapes = [
-            ((one.body, one.link), one.shape, one.colour)
-            for one in camera.visual_shapes(film.physics)
-            if one.shape.kind != "box" or max(one.shape.size) <= _WALL
-        ]
-        frames = _draw_frames(server, shapes)
-        text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
-        position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
-        label = server.scene.add_label("/result", text, position=position, visible=False)
-        links, last = list(frames), len(film.moments) - 1
-
-        def show(moment: int) -> None:
-            camera.show_moment(film.physics, film.moments[moment])
-            poses = camera.link_poses(film.physics, links)
-            for frame, pose in zip(frames.values(), poses, strict=True):
-                _place(frame, pose)
-            label.visible = moment == last
-
-        return _play(server, recording.times, show)
+        return _play(server, film.recording, film.recording.times, shapes, poses)
 
 
 def moments(times: Array) -> NDArray[np.intp]:
@@ -203,23 +186,29 @@ def _serving(title: str) -> Iterator[Any]:
         _stop(server)
 
 
-def _draw_frames(
-    server: Any, shapes: Iterable[tuple[Any, Shape, str | tuple[float, ...]]]
-) -> dict[Any, Any]:
-    """Draw shapes in frames of their keys; return the frames."""
+def _play(
+    server: Any,
+    recording: Recording,
+    times: Array,
+    shapes: Iterable[tuple[Any, Shape, str | tuple[float, ...]]],
+    poses: Callable[[int], Mapping[Any, Array]],
+) -> str:
+    """Return the page of an episode whose shapes move with the poses of their keys."""
+    _draw_paths(server, recording)
     frames: dict[Any, Any] = {}
     for number, (key, shape, colour) in enumerate(shapes):
         if key not in frames:
             frames[key] = server.scene.add_frame(f"/bodies/{len(frames)}", show_axes=False)
         _draw(server, f"{frames[key].name}/{number}", shape, colour)
-    return frames
-
-
-def _play(server: Any, times: Array, show: Callable[[int], None]) -> str:
-    """Return the page on which moments are shown at their times."""
+    text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
+    position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
+    label = server.scene.add_label("/result", text, position=position, visible=False)
     film, shown = server.get_scene_serializer(), moments(times).tolist()
     for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
-        show(moment)
+        now = poses(moment)
+        for key, frame in frames.items():
+            _place(frame, now[key])
+        label.visible = moment == shown[-1]
         film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
     html: str = film.as_html()
     return html
