@@ -1,4 +1,4 @@
-"""The reward: how feasible was the step, and at what price."""
+"""The reward of a step: feasibility, and costs of actions, joint jumps and joint limits."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +17,7 @@ _FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """What a step earns.
+    """Weights of the reward.
 
     Attributes:
         failure: `indicator` costs 1 for each kinematic failure, as in the paper; `graded` costs
@@ -41,12 +41,12 @@ class RewardConfig:
 def reward(
     config: RewardConfig, robot: Robot, step: Step, action: Array, joint_positions: Array
 ) -> Array:
-    """Return what a step earned, shape (n,).
+    """Return the reward of a step, shape (n,).
 
     Args:
         config: Weights.
-        robot: Its joint limits and its pose tolerance, if it has one.
-        step: What the loop's step came to.
+        robot: Robot with its joint limits and pose tolerance.
+        step: Result of the loop's step.
         action: Base commands in [-1, 1], shape (n, a).
         joint_positions: Arm joints after the step, shape (n, j).
     """

@@ -26,11 +26,11 @@ _Batch = NDArray[np.float32]
 
 
 class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
-    """n robots whose bases are to keep their EEs' motions feasible.
+    """n robots whose base motions keep their EE motions feasible.
 
-    An episode that ends is followed by the next one in the same step; its own last observation
-    and info are then in `final_obs` and `final_info`. `reset(seed=s)` begins episodes 0 to n - 1
-    of seed s; each later one takes the next number, whichever row it runs in.
+    An ended episode restarts in the same step; its last observation and info are in `final_obs` and
+    `final_info`. `reset(seed=s)` begins episodes 0 to n - 1 of seed s; later ones take the next
+    numbers in any row.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
@@ -69,17 +69,15 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         """Begin n episodes and return their observations, shape (n, 21 + j), and numbers.
 
         Args:
-            seed: Of these episodes and all later ones; a random one if there never was any.
+            seed: Seed of these episodes and all later ones; random at first.
             options: Not used.
 
         Raises:
-            KinfeasError: If there is a seed for each row, since randomness belongs to the episode,
-                or `np_random` was set.
+            KinfeasError: If the seed is not one integer, or `np_random` was set.
         """
         super().reset(seed=read_seed(seed))
         if seed is not None:
             self.next_episode = 0
-        # A first reset without a seed finds a random one here.
         self.world.seed = world_seed(self.np_random_seed)
         every = np.ones(self.num_envs, dtype=np.bool_)
         numbers = self._take_numbers(every)
@@ -96,8 +94,8 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             actions: Base commands in [-1, 1], shape (n, 3) or (n, 2).
 
         Raises:
-            KinfeasError: If the actions are of another shape or not finite.
-            ResetNeeded: If no episode was begun.
+            KinfeasError: If the actions have another shape or are not finite.
+            ResetNeeded: Before the first reset.
         """
         check_reset(self.next_episode)
         commands = read_actions(actions, (self.num_envs, self.world.action_size))
@@ -120,13 +118,13 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         )
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close the world's backend."""
-        # Gymnasium also closes what could not be built.
+        """Close the backend."""
+        # Gymnasium also closes an environment whose constructor failed.
         if hasattr(self, "world"):
             self.world.close()
 
     def _take_numbers(self, rows: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the numbers of the episodes that begin now in `rows`, and 0 elsewhere, (n,)."""
+        """Return the numbers of the episodes that begin in `rows`, 0 elsewhere, shape (n,)."""
         numbers = np.zeros(self.num_envs, dtype=np.intp)
         numbers[rows] = np.arange(self.next_episode, self.next_episode + rows.sum())
         self.next_episode += int(rows.sum())
@@ -134,7 +132,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
 
 
 def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return infos as Gymnasium batches them: zeros where a row has none, and masks `_key`."""
+    """Return infos in Gymnasium's layout: zeros in other rows, and masks `_key`."""
     batched: dict[str, Any] = {}
     for key, values in infos.items():
         batched[key] = np.where(rows, values, np.zeros_like(values))
@@ -143,7 +141,7 @@ def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[
 
 
 def _ended(transition: Transition, brought: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return the last observations and infos of the episodes that have ended."""
+    """Return last observations and infos of ended episodes."""
     done = transition.done
     final = np.full(len(done), None, dtype=object)
     for row in np.flatnonzero(done):

@@ -77,15 +77,15 @@ def evaluation_world(backend: str = "analytic", robot: str = "default") -> World
 
 @dataclass(frozen=True)
 class Transition:
-    """What a step of n episodes brought, each of leading shape (n,).
+    """The result of a step of n episodes, each of leading shape (n,).
 
     Attributes:
         observation: Shape (n, 21 + j).
-        reward: What was earned.
+        reward: Reward of the step.
         terminated: Whether the episode ended by success or by too many failures.
         truncated: Whether it ended by the time limit.
         reached: Whether the end of the last sub-goal was reached on a feasible step.
-        step: What the loop saw.
+        step: Result of the loop's step.
     """
 
     observation: Array
@@ -102,10 +102,10 @@ class Transition:
 
 
 class World:
-    """n episodes of one task, side by side; none restarts by itself.
+    """n episodes of one task side by side, without automatic restarts.
 
-    Episode k of seed s is the same to the bit in any batch: all its randomness comes from (s, k),
-    and from the stream.
+    Episode k of seed s is the same to the bit in any batch: its randomness depends only on s, k and
+    the stream.
 
     Attributes:
         task: The task, as the backend has set it up.
@@ -149,16 +149,16 @@ class World:
 
     @property
     def observation_size(self) -> int:
-        """How many numbers a policy sees."""
+        """Length of an observation."""
         return observation.size(self.robot)
 
     @property
     def action_size(self) -> int:
-        """How many numbers command the base."""
+        """Length of a base command."""
         return action_size(self.robot.base)
 
     def rng(self, episode: int) -> np.random.Generator:
-        """Return the source of all randomness of an episode, from its beginning."""
+        """Return the random generator of an episode, at its beginning."""
         return episode_rng(self.seed, episode, self.stream)
 
     def start(self, episodes: Sequence[int], rows: Rows | None = None) -> Array:
@@ -166,10 +166,10 @@ class World:
 
         Args:
             episodes: Numbers of the m episodes.
-            rows: Which of the n places they take; all by default, which also sets n.
+            rows: Rows in which they begin; all by default, which also sets n.
 
         Raises:
-            KinfeasError: If the task samples anything of another form.
+            KinfeasError: If a sample of the task has another shape.
         """
         rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
@@ -217,13 +217,13 @@ class World:
         self.loop.backend.close()
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that the n episodes go on from, by name."""
+        """Return the state of the n episodes by name."""
         # `step` counts in place.
         counts = {"failures": self.failures.copy(), "steps": self.steps.copy()}
         return {**self.loop.snapshot(), **counts}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Array:
-        """Go on from what `snapshot` returned; return the observation, shape (n, 21 + j)."""
+        """Continue from a `snapshot` and return the observation, shape (n, 21 + j)."""
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation

@@ -1,4 +1,4 @@
-"""The paper's own figures, to stand beside ours."""
+"""The figures of the paper."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -10,10 +10,10 @@ TITLES = {"pr2": "PR2", "tiago": "TIAGo", "hsr": "HSR"}
 """Names of the shipped robots in tables and pictures."""
 
 Shares = dict[str, tuple[float, float]]
-"""By policy: per cent of episodes without a failure, and never more than 5 cm off."""
+"""Success and EE deviation below 5 cm by policy, in per cent."""
 
 LEARNED = "policy"
-"""What the paper's learned policy is called among them."""
+"""Name of the paper's learned policy."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class PaperTable:
 
 @dataclass(frozen=True)
 class PaperFigures:
-    """What the paper reports of one robot, task and policy, in 0-1."""
+    """The paper's shares for one robot, task and policy, in 0-1."""
 
     success: float
     within_5cm: float
 
 
 def paper_figures(robot: str, task: str, world: str = "analytic") -> dict[str, PaperFigures]:
-    """Return the paper's figures by policy; none for a robot or a task that it does not know.
+    """Return the paper's figures by policy; none for an unknown robot or task.
 
     Args:
         robot: Name of the robot.

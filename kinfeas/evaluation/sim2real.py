@@ -1,4 +1,4 @@
-"""What stands between a policy and a robot costs: adapters one at a time, and swept."""
+"""The effect of adapters on a policy: each one alone, left out, and swept parameters."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ Evaluation = Callable[[Specs], Summary]
 """Evaluates a policy within adapters, the first one innermost."""
 
 NONE, ALL = "none", "all"
-"""What the episodes without any adapter and within all of them are called."""
+"""Labels of the evaluations without adapters and within all of them."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What one adapter does to a policy.
+    """The effect of one adapter.
 
     Attributes:
         adapter: Its name, `none` or `all`.
-        figures: Of the policy within it, or within all others.
-        left_out: Whether it is the only one that is left out.
+        figures: Metrics of the policy within it, or within all others.
+        left_out: Whether it is the only one left out.
     """
 
     adapter: str
@@ -30,19 +30,19 @@ class Cost:
 
     @property
     def label(self) -> str:
-        """What its row is called."""
+        """Name of its row."""
         return f"no {self.adapter}" if self.left_out else self.adapter
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A number that is swept while all other adapters stay as they are.
+    """A swept parameter; all other adapters stay as they are.
 
     Attributes:
-        title: What it is called in a picture, with its unit.
-        adapter: Whose it is.
-        parameters: Which of its parameters are set to it.
-        values: Those it takes.
+        title: Name in a picture, with its unit.
+        adapter: Name of its adapter.
+        parameters: Parameters that are set to the value.
+        values: Values of the sweep.
     """
 
     title: str
@@ -53,7 +53,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Sweep:
-    """How well a policy does along an axis: the figures for each of its values."""
+    """Metrics of a policy for each value of an axis."""
 
     axis: Axis
     figures: tuple[Summary, ...]
@@ -69,13 +69,13 @@ AXES = (
     ),
     Axis("head start (s)", "head_start", ("seconds",), (0.0, 1.0, 2.0, 3.0, 5.0)),
 )
-"""What a robot's owner can measure or choose."""
+"""Properties of a robot that one can measure or choose."""
 
 
 def measure_costs(run: Evaluation, adapters: Specs) -> list[Cost]:
-    """Return the figures without adapters, within each one alone, all but it, and all.
+    """Return the metrics without adapters, within each one alone, without each one, and within all.
 
-    Of two adapters, what is left when one is left out is the other one alone.
+    Of two adapters none is left out, which would leave the other one alone.
     """
     alone = [Cost(adapter.name, run((adapter,))) for adapter in adapters]
     others = [
@@ -87,7 +87,7 @@ def measure_costs(run: Evaluation, adapters: Specs) -> list[Cost]:
 
 
 def measure_sweeps(run: Evaluation, adapters: Specs, axes: Sequence[Axis] = AXES) -> list[Sweep]:
-    """Return the figures along each axis, with all other numbers of `adapters` as they are."""
+    """Return the metrics along each axis."""
     return [
         Sweep(axis, tuple(run(with_value(adapters, axis, value)) for value in axis.values))
         for axis in axes
@@ -95,15 +95,15 @@ def measure_sweeps(run: Evaluation, adapters: Specs, axes: Sequence[Axis] = AXES
 
 
 def evaluations(adapters: Specs, axes: Sequence[Axis]) -> int:
-    """Return how often costs and sweeps together call `run`."""
+    """Return the number of evaluations of costs and sweeps together."""
     count = len(adapters)
     return count + count * (count > 2) + 2 + sum(len(axis.values) for axis in axes)
 
 
 def with_value(adapters: Specs, axis: Axis, value: float) -> Specs:
-    """Return the list with the axis's numbers at `value`.
+    """Return adapters with the parameters of an axis at `value`.
 
-    An adapter that is not there is put where a robot has it: noise innermost, all else outermost.
+    A missing adapter is added: noise innermost, others outermost.
     """
     numbers: dict[str, object] = dict.fromkeys(axis.parameters, value)
     if all(adapter.name != axis.adapter for adapter in adapters):
@@ -118,7 +118,7 @@ def with_value(adapters: Specs, axis: Axis, value: float) -> Specs:
 
 
 def to_json(costs: Sequence[Cost], sweeps: Sequence[Sweep]) -> dict[str, object]:
-    """Return all figures as plain data."""
+    """Return all metrics as plain data."""
     return {
         "costs": [
             {"adapter": cost.adapter, "left_out": cost.left_out, **cost.figures} for cost in costs

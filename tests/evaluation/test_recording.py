@@ -4,8 +4,8 @@ import pytest
 from kinfeas.core import spatial
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.evaluation.reachability import A_SUBGOAL, draw_goals, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
-from kinfeas.evaluation.waypoints import A_SUBGOAL, draw_goals, draw_waypoints
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
