@@ -81,13 +81,13 @@ def offer(tmp_path, monkeypatch):
 
 
 _ON_A_BUS = (
-    "sim2real/ros", "sim2real/deploy", "sim2real/link", "sim2real/simulator", "sim2real/test_",
+    "sim2real/ros/test_ros2", "sim2real/test_ros", "sim2real/deploy/test_watchdog",
     "cli/test_simulate", "cli/test_deploy",
 )  # fmt: skip
 
 
 def pytest_collection_modifyitems(items):
-    """Keep robots on a bus, and tests of clocks, to one worker: they would meet each other."""
+    """Run tests on a DDS bus, and those of real clocks, on one worker."""
     for item in items:
         if any(part in item.nodeid for part in _ON_A_BUS):
             item.add_marker(pytest.mark.xdist_group("bus"))

@@ -129,7 +129,7 @@ class SafetyFilter(_Wrapper):
     Attributes:
         base_twist: Last world twist that was sent, shape (1, 6).
         joint_targets: Last joint targets that were sent, shape (1, j).
-        hold: Why the arm was held in the last step; empty if it was not.
+        hold: Reason why the arm held its position in the last step; empty otherwise.
         stopped: Whether nothing is sent any more, as before the first reset.
         steps: Number of commands sent.
     """
@@ -263,7 +263,7 @@ class Guarded(_Wrapper):
             robot: Robot model.
             guards: Limits; the defaults if None.
             adapters: Adapters of a rehearsal, the first one next to the backend.
-            rate: Ends the control periods of a simulated world; None if nobody waits for them.
+            rate: Ends the control periods of a simulated world; None if the robot does.
             clock: Clocks; the system's by default.
 
         Raises:

@@ -182,7 +182,7 @@ class LinkBackend:
         if joints:
             known, missing = ", ".join(sorted(self._inbox.positions())), ", ".join(joints)
             return f"{self.link.joint_source} has no position of {missing}; it has {known}"
-        return f"nobody listens to {self.link.waits_for()} {within}"
+        return f"{self.link.waits_for()} has no subscriber {within}"
 
     def _check_other_joints(self) -> None:
         """Check the joints between base and EE that the kinematic model holds fixed."""

@@ -122,7 +122,7 @@ def stop_base(
     command, end = bus.publisher(topic, twist), time.monotonic() + timeout
     while not command.listeners():
         if time.monotonic() > end:
-            raise KinfeasError(f"nobody listens to {topic} within {timeout:g} s")
+            raise KinfeasError(f"{topic} has no subscriber within {timeout:g} s")
         time.sleep(0.02)
     time.sleep(_SETTLING)
 
