@@ -78,7 +78,7 @@ def boxed_urdf(
         shapes = list(_shapes(link, kind, path.absolute().parent))
         if len(shapes) > MAX_SHAPES:
             _check_readers(["trimesh"], link.where)
-            shapes = list(fit_primitives(np.concatenate([_hull_triangles(one) for one in shapes])))
+            shapes = list(fit_primitives(np.concatenate([_box_triangles(one) for one in shapes])))
         depth = sum(joint.moves for joint in urdf.path_to(name))
         out.append(_link(name, link.xml.find("inertial"), shapes, _COLOURS[depth % 2]))
         if on_link is not None:
@@ -262,13 +262,12 @@ def volume(shape: Shape) -> float:
     return float(4.0 / 3.0 * np.pi * shape.size[0] ** 3)
 
 
-def _hull_triangles(shape: Shape) -> Array:
-    """Return the triangles of a box around a shape, (12, 3, 3)."""
-    extents = np.array([shape.reach(rotation(shape.pose).apply(axis)) for axis in np.eye(3)])
-    extents -= rotation(shape.pose).inv().apply(shape.pose[:3])
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * extents
-    placed = rotation(shape.pose).apply(corners) + shape.pose[:3]
-    return placed[ConvexHull(corners).simplices]
+def _box_triangles(shape: Shape) -> Array:
+    """Return the triangles of the box around a shape along its axes, (12, 3, 3)."""
+    turn, middle = rotation(shape.pose), shape.pose[:3]
+    extents = [shape.reach(axis) - middle @ axis for axis in turn.as_matrix().T]
+    unit = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return (turn.apply(unit * extents) + middle)[ConvexHull(unit).simplices]
 
 
 def _cut(triangles: Array, whole: Shape, cuts: int) -> list[Shape]:

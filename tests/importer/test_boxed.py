@@ -111,12 +111,15 @@ def test_very_thin_shapes_stay(changed, shape):
 def test_many_shapes_of_a_link_become_few_that_enclose_them(changed):
     rng = np.random.default_rng(0)
     centres = rng.uniform(-0.2, 0.2, (300, 3)).round(4)
-    ball = '<collision><origin xyz="{} {} {}"/><geometry><sphere radius="0.01"/></geometry>'
-    balls = "".join(ball.format(*centre) + "</collision>" for centre in centres)
-    shapes = boxed(changed(('<link name="lower"/>', f'<link name="lower">{balls}</link>')))
+    plate = (
+        '<collision><origin xyz="{} {} {}"/><geometry><box size="0.02 0.02 0.00001"/></geometry>'
+    )
+    plates = "".join(plate.format(*centre) + "</collision>" for centre in centres)
+    shapes = boxed(changed(('<link name="lower"/>', f'<link name="lower">{plates}</link>')))
     shapes = shapes.links["lower"].shapes
+    corners = np.concatenate([centres + [x, y, 0.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)])
     assert len(shapes) <= 4
-    assert np.all(np.any([holds(shape, centres) for shape in shapes], axis=0))
+    assert np.all(np.any([holds(shape, corners) for shape in shapes], axis=0))
 
 
 def mesh_file(folder, suffix, corners, unit=""):
