@@ -117,7 +117,9 @@ def test_many_shapes_of_a_link_become_few_that_enclose_them(changed):
     plates = "".join(plate.format(*centre) + "</collision>" for centre in centres)
     shapes = boxed(changed(('<link name="lower"/>', f'<link name="lower">{plates}</link>')))
     shapes = shapes.links["lower"].shapes
-    corners = np.concatenate([centres + [x, y, 0.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)])
+    corners = np.concatenate(
+        [np.add(centres, [x, y, 0.0]) for x in (-0.01, 0.01) for y in (-0.01, 0.01)]
+    )
     assert len(shapes) <= 4
     assert np.all(np.any([holds(shape, corners) for shape in shapes], axis=0))
 
