@@ -221,7 +221,7 @@ def _load(plugin: Plugin) -> Any:
 def _documentation(factory: Any) -> str:
     """Return the docstring of a function, or of a class and its constructor."""
     own = [factory.__doc__]
-    if isinstance(factory, type) and "__init__" in vars(factory):
+    if isinstance(factory, type) and factory.__init__ is not object.__init__:  # type: ignore[misc]
         own.append(factory.__init__.__doc__)  # type: ignore[misc]
     return "\n\n".join(inspect.cleandoc(text) for text in own if text)
 

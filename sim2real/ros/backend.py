@@ -81,7 +81,7 @@ class Ros1Backend(RosBackend):
 
 
 class Ros2Backend(RosBackend):
-    """A robot behind the topics of ROS 2, which need not be installed here."""
+    """A robot with ROS 2 topics; no ROS installation is needed."""
 
     version = 2
 
