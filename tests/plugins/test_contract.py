@@ -77,16 +77,18 @@ def test_keeps_the_contract(generator, case):
     assert kinds == {inspect.Parameter.KEYWORD_ONLY}
 
 
-@pytest.mark.parametrize(("dt", "n"), [(0.02, 10), (0.1, 200), (0.5, 10)])
-def test_arrives_from_anywhere_within_its_limits_at_any_rate(generator, dt, n):
+@pytest.mark.parametrize(("dt", "n"), [(0.1, 200), (0.5, 10)])
+def test_arrives_from_anywhere_within_its_limits_and_comes_back_when_pushed(generator, dt, n):
     start, target = starts_and_targets(n, 0)
     poses, twists, state = run(generator, start, target, 130.0, dt)
-    metres, radians = apart(poses[-1], generator.goal_pose(state, target))
-    assert max(metres.max(), radians.max()) < 1e-6
-    linear, angular = speeds(twists)
-    assert max(linear.max(), angular.max()) <= 0.1 * (1.0 + 1e-9)
-    assert max(linear.max(), angular.max()) > 0.099
+    goal = generator.goal_pose(state, target)
+    assert np.max(apart(poses[-1], goal)) < 1e-6
+    fastest = np.max(speeds(twists))
+    assert 0.099 < fastest <= 0.1 * (1.0 + 1e-9)
     assert np.abs(twists[-1]).max() < 1e-6
+    pushed = goal + np.array([0.3, -0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
+    twist, _ = generator.twist(state, pushed, target, np.full(n, dt))
+    assert np.all(np.sum(twist[:, :3] * (goal - pushed)[:, :3], axis=1) > 0.0)
 
 
 def test_motions_do_not_depend_on_the_rate(generator):
@@ -137,15 +139,6 @@ def test_moves_with_its_target_or_stays_in_the_world(generator, case):
         start = integrate(start, twist, DT)
     metres, radians = apart(start, generator.goal_pose(state, now))
     assert max(metres.max(), radians.max()) < 1e-6
-
-
-def test_a_pushed_ee_comes_back(generator):
-    start, target = starts_and_targets(4, 13)
-    poses, _, state = run(generator, start, target, 130.0)
-    pushed = poses[-1] + np.array([0.3, -0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
-    goal = generator.goal_pose(state, target)
-    twist, _ = generator.twist(state, pushed, target, np.full(4, DT))
-    assert np.all(np.sum(twist[:, :3] * (goal - pushed)[:, :3], axis=1) > 0.0)
 
 
 ENDS = {"waypoints": WAYPOINTS[-1], "replay": SHOWN.ee_pose[-1], "dmp": SHOWN.ee_pose[-1]}
