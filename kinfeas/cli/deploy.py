@@ -13,6 +13,7 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, status, write_json
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import from_anywhere
 
 if TYPE_CHECKING:
     from kinfeas.io.run_log import About
@@ -141,7 +142,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             real_time,
         )
         about = About(
-            robot=_from_anywhere(robot),
+            robot=from_anywhere(robot),
             task=setup.task.name,
             policy=policy,
             backend=backend,
@@ -160,12 +161,6 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     except KinfeasError as error:  # keeps the exit code of the run
         sys.stderr.write(f"--json: {error}\n")
     raise typer.Exit(int(outcome.code))
-
-
-def _from_anywhere(name: str) -> str:
-    from kinfeas.core.registry import from_anywhere
-
-    return from_anywhere(name)
 
 
 def _read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
@@ -260,7 +255,7 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     setup.task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
     scene, poses = setup.task.drawn()
     objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
-    return {"scene": _from_anywhere(scene), "objects": objects}
+    return {"scene": from_anywhere(scene), "objects": objects}
 
 
 def _record_path(about: "About") -> Path:

@@ -1,16 +1,16 @@
 """`kinfeas export`: a trained policy as one ONNX file, and checks of such files."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, share, status, write_json
+from kinfeas.cli.output import print_facts, status, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.policies.onnx_policy import OnnxPolicy, PolicyMetadata
+    from kinfeas.policies.onnx_policy import OnnxPolicy
 
 
 def export(
@@ -48,9 +48,9 @@ def export(
     elif policy is not None and out is not None and check is None:
         with status("exporting"):
             found, deviation = export_policy(policy, robot, out)
-        write_json({**facts(found, out), "parity": deviation}, json)
-        size = ["size", f"{out.stat().st_size:,} bytes"]
-        _show(f"exported: {out}", found, [size, ["largest deviation", f"{deviation:.1e}"]])
+        told = {**facts(found, out), "parity": deviation}
+        write_json(told, json)
+        _show(f"exported: {out}", told)
     else:
         raise KinfeasError("give POLICY and --out FILE to export, or --check FILE to verify")
 
@@ -79,67 +79,20 @@ def _check(path: Path, robot: str | None, json: Path | None) -> None:
     check_name(str(path))
     found = read_policy_file(path, None if robot is None else options.read_robot(robot))
     write_json(facts(found, path), json)
-    compared = f"equal to those of {robot}" if robot else "not compared: no --robot"
-    _show(f"valid policy file: {path}", found, [["its kinematics", compared]])
+    compared = f"kinematics equal to {robot}" if robot else "kinematics not compared: no --robot"
+    _show(f"valid policy file: {path}, {compared}", facts(found, path))
 
 
-def facts(policy: "OnnxPolicy", path: Path) -> dict[str, object]:
+def facts(policy: "OnnxPolicy", path: Path) -> dict[str, Any]:
     """Return the metadata of a policy file at `path`."""
     from kinfeas.config import to_mapping
 
     return {"file": path.name, "bytes": path.stat().st_size, **to_mapping(policy.metadata)}
 
 
-def _show(title: str, policy: "OnnxPolicy", first: list[list[str]]) -> None:
-    about = policy.metadata
-    robot, control = about.robot, about.control
-    rows = [
-        *first,
-        ["written by", f"kinfeas {about.version}"],
-        ["robot", f"{robot.name}, {robot.drive}"],
-        ["kinematics", f"{robot.kinematics[:23]}..."],
-        ["EE frame", robot.ee_frame],
-        ["base frame", robot.base_frame],
-        [
-            "control period in training",
-            "unknown" if control.period is None else f"{control.period:g} s",
-        ],
-        ["horizon of the planned motion", f"{control.horizon:g} s"],
-        *_training_rows(about),
-        ["golden pairs", str(len(about.golden.action))],
-    ]
-    print_table(title, ["", "value"], rows)
-    print_table("observation", [" number", "field", "frame", "unit"], _observation_rows(about))
-    actions = [
-        [str(i), f"{term.name} {name}", f"{scale:g}", term.unit]
-        for term in about.action
-        for i, (name, scale) in enumerate(zip(term.entries, term.scale, strict=True))
-    ]
-    print_table("action, in [-1, 1]", [" number", "term", "scale", "unit"], actions)
-
-
-def _observation_rows(about: "PolicyMetadata") -> list[list[str]]:
-    first, rows = 0, []
-    for term in about.observation:
-        last = first + term.size - 1
-        numbers = str(first) if first == last else f"{first}-{last}"
-        rows.append([numbers, term.name, term.frame, term.unit])
-        first += term.size
-    return rows
-
-
-def _training_rows(about: "PolicyMetadata") -> list[list[str]]:
-    config, steps = about.training.get("config"), about.training.get("steps")
-    rows = []
-    if isinstance(config, dict):
-        rows.append(["trained for the task", str(config.get("task"))])
-    if isinstance(steps, int):
-        rows.append(["steps of training", f"{steps:,}"])
-    benchmark = about.success.get("benchmark")
-    figures = {"evaluation": about.success.get("evaluation")}
-    figures |= benchmark if isinstance(benchmark, dict) else {}
-    for name, found in figures.items():
-        if isinstance(found, dict) and isinstance(found.get("success"), float):
-            text = f"{share(found['success'])} of {found.get('episodes')} episodes"
-            rows.append([f"success, {name}", text])
-    return rows
+def _show(title: str, found: dict[str, Any]) -> None:
+    """Print the metadata without settings of the training and golden pairs."""
+    shown = {key: value for key, value in found.items() if key not in ("training", "golden")}
+    for terms in ("observation", "action"):
+        shown[terms] = [{k: v for k, v in term.items() if v != []} for term in found[terms]]
+    print_facts(title, shown)

@@ -1,14 +1,13 @@
 """`kinfeas fit`: an EE motion from recorded demonstrations."""
 
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, status, write_json
+from kinfeas.cli.output import print_facts, status, write_json
 
 if TYPE_CHECKING:
     from kinfeas.plugins.fit import Fit
@@ -64,9 +63,10 @@ def fit(
         shown = [read_demonstration(file) for file in files]
         found = run(shown, kind, components, seed, command, [str(file) for file in files])
     write_model(found.model, out)
-    write_json(_summary(found), json)
     bare = [file.name for file, one in zip(files, shown, strict=True) if not one.has_base]
-    _show(found, out, bare)
+    summary = {**_summary(found), "without_base": bare}
+    write_json(summary, json)
+    print_facts(f"{kind} model in {out}", summary)
 
 
 def _summary(found: "Fit") -> dict[str, object]:
@@ -80,27 +80,3 @@ def _summary(found: "Fit") -> dict[str, object]:
         "position_residual_m": list(found.position_residual),
         "rotation_residual_rad": list(found.rotation_residual),
     }
-
-
-def _show(found: "Fit", out: Path, without_base: Sequence[str]) -> None:
-    from numpy import rad2deg
-
-    distances = [f"{1000.0 * metres:.1f} mm" for metres in _mean_and_max(found.position_residual)]
-    angles = [f"{rad2deg(one):.1f} degrees" for one in _mean_and_max(found.rotation_residual)]
-    missing = f"not learned: no base motion in {', '.join(without_base)}"
-    rows = [
-        ["demonstrations", str(found.model.fitted_from.demonstrations)],
-        ["duration, mean", f"{found.duration:.2f} s"],
-        ["path length, mean", f"{found.length:.3f} m"],
-        ["components", str(len(found.model.components))],
-        ["base", "learned" if found.model.has_base else missing],
-        ["distance from the learned path, mean", distances[0]],
-        ["distance of the worst demonstration", distances[1]],
-        ["angle from the learned path, mean", angles[0]],
-        ["angle of the worst demonstration", angles[1]],
-    ]
-    print_table(f"{found.model.kind} model in {out}", ["", " value"], rows)
-
-
-def _mean_and_max(residuals: Sequence[float]) -> tuple[float, float]:
-    return sum(residuals) / len(residuals), max(residuals)

@@ -4,13 +4,14 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import typer
 
+from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import is_standard_output, replaced, write_file, writing
 
@@ -90,6 +91,20 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence["str
     for row in rows:
         table.add_row(*(_plain(cell) if isinstance(cell, str) else cell for cell in row))
     Console().print(table)
+
+
+def print_facts(title: str, facts: Mapping[str, object]) -> None:
+    """Print nested facts below a title as YAML, numbers with four digits."""
+    typer.echo(f"{title}\n")
+    typer.echo(strict_yaml.to_text(_rounded(facts), compact=True))
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(entry) for entry in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 @contextmanager

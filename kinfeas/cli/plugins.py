@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, progress, write_drawing, write_json
+from kinfeas.cli.output import print_facts, print_table, progress, write_drawing, write_json
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
 from kinfeas.core.registry import GROUPS, MissingParameterError, Plugin
@@ -75,7 +75,10 @@ def info(
     found = [_facts_of_file(name)] if is_path(name) else [_facts(one) for one in _find(name)]
     write_json(found, json)
     for one in found:
-        _show(one)
+        origin = one.get("file") or "{distribution} {version}, {target}".format(**one)
+        title = f"{one['kind']} {one['name']}, from {origin}\n\n{one.get('text', '')}".strip()
+        keys = ("robot", "parameters", "subgoals")
+        print_facts(title, {key: one[key] for key in keys if key in one})
 
 
 @app.command()
@@ -238,7 +241,7 @@ def _facts(plugin: Plugin) -> dict[str, Any]:
             if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)
             and one.name not in _GIVEN.get(plugin.group, ())
         ]
-    if plugin.group == "kinfeas.tasks" and all(one["default"] is not None for one in taken):
+    if plugin.group == "kinfeas.tasks" and all("default" in one for one in taken):
         known |= _task_facts(plugin.name)
     return known | ({"parameters": taken} if taken or "parameters" not in known else {})
 
@@ -258,28 +261,15 @@ def _facts_of_file(path: str) -> dict[str, Any]:
 
 
 def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
-    """Return name, type and default of a parameter; the default is None if it is required."""
-    kind = "" if kind is inspect.Parameter.empty else kind
+    """Return name, type and default of a parameter; required ones have no default."""
+    from pydantic_core import to_jsonable_python
+
     text = kind if isinstance(kind, str) else inspect.formatannotation(kind)
     text = re.sub(r"Annotated\[(\w+), \w+\([^)]*\)\]", r"\1", text)
-    required = default is inspect.Parameter.empty
-    return {
-        "name": name,
-        "type": re.sub(r"\b(\w+\.)+(?=\w)", "", text),
-        "default": None if required else _default(default),
-    }
-
-
-def _default(value: object) -> str:
-    """Return a default in short YAML."""
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    if is_dataclass(value) or isinstance(value, dict):
-        return "..."
-    if isinstance(value, tuple | list):
-        plain = not any(is_dataclass(one) for one in value)
-        return f"[{', '.join(map(_default, value))}]" if plain else f"{len(value)} entries"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    known = {"name": name, "type": re.sub(r"\b(\w+\.)+(?=\w)", "", text)}
+    if default is inspect.Parameter.empty:
+        return known
+    return {**known, "default": to_jsonable_python(default, fallback=str)}
 
 
 def _task_facts(name: str) -> dict[str, Any]:
@@ -329,69 +319,3 @@ def _robot_facts(name: str) -> dict[str, Any]:
         "gripper": None if robot.gripper is None else list(robot.gripper.fingers),
         "configurations": list(robot.home),
     }
-
-
-def _show(known: dict[str, Any]) -> None:
-    origin = known.get("file") or "{distribution} {version}, {target}".format(**known)
-    typer.echo(f"{known['kind']} {known['name']}, from {origin}\n")
-    if "text" in known:
-        typer.echo(f"{known['text'] or 'It has no docstring.'}\n")
-    if "robot" in known:
-        _show_robot(known["robot"])
-    if "parameters" in known:
-        rows = [
-            [one["name"], one["type"], one["default"] or "required"] for one in known["parameters"]
-        ]
-        print_table("parameters", ["name", "type", "default"], rows)
-    if "subgoals" in known:
-        rows = [
-            [
-                str(number),
-                subgoal["motion"],
-                " ".join(f"{key}={value}" for key, value in subgoal["parameters"].items()),
-                subgoal["frame"],
-                subgoal["place"] or "random",
-                f"{subgoal['wait_s']:g} s",
-                subgoal["grip"] or "",
-            ]
-            for number, subgoal in enumerate(known["subgoals"], start=1)
-        ]
-        columns = [" sub-goal", "motion", "parameters", "frame", "place", " dwell", "grip"]
-        print_table("sub-goals", columns, rows)
-
-
-def _show_robot(robot: dict[str, Any]) -> None:
-    rows = [
-        [
-            joint["name"],
-            "no limit" if joint["lower"] is None else f"{joint['lower']:.3g}",
-            "no limit" if joint["upper"] is None else f"{joint['upper']:.3g}",
-            joint["unit"],
-            f"{joint['velocity']:.3g} {joint['unit']}/s",
-        ]
-        for joint in robot["arm"]
-    ]
-    print_table("arm", ["joint", " lower", " upper", "unit", " velocity"], rows)
-    base, tolerance = robot["base"], robot["pose_tolerance"]
-    bands = robot["goal_heights_m"].items()
-    heights = [f"{name} {low:g} to {high:g} m" for name, (low, high) in bands]
-    facts = [
-        ["drive", base["drive"]],
-        ["base velocity", f"{base['max_velocity']:g} m/s, {base['max_rotation']:g} rad/s"],
-        [
-            "base acceleration",
-            f"{base['max_acceleration']:g} m/s^2, {base['max_rotation_acceleration']:g} rad/s^2",
-        ],
-        ["base frame", base["frame"]],
-        ["EE frame", robot["ee_frame"]],
-        ["tool tip", f"{', '.join(f'{value:g}' for value in robot['tool_tip_m'])} m"],
-        ["goal heights", ", ".join(heights)],
-        [
-            "pose tolerance",
-            f"{tolerance['position']:g} m, {tolerance['rotation']:g} rad" if tolerance else "none",
-        ],
-        ["gripper", ", ".join(robot["gripper"] or ["none"])],
-        ["configurations", ", ".join(robot["configurations"])],
-        ["URDF", robot["urdf"]],
-    ]
-    print_table(f"robot {robot['name']}", ["", ""], facts)

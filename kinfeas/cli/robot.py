@@ -10,9 +10,9 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.output import (
     check_file_path,
+    print_facts,
     print_table,
     progress,
-    share,
     write_drawing,
     write_json,
 )
@@ -64,6 +64,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
+    from kinfeas.importer.text import guessed
     from kinfeas.io.files import write_file, writing
 
     called = urdf.stem if name is None else name
@@ -82,8 +83,17 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     for path, text in ((urdf_path, draft.urdf), (yaml_path, draft.yaml)):
         check_file_path(path)
         write_file(path, text.encode())
-    write_json(_summary(draft), json)
-    _show(draft, yaml_path, drive_given=drive is not None)
+    summary = _summary(draft)
+    write_json(summary, json)
+    guesses = guessed(draft.spec, draft.guesses)
+    if drive is not None:
+        del guesses["base.drive"]
+    print_facts(f"robot {called}", summary)
+    print_table("guesses to check", ["key", "value"], [list(row) for row in guesses.items()])
+    if draft.guesses.stand:
+        typer.echo(f"check whether {draft.guesses.stand} is a base or the first link of an arm")
+    quoted = shlex.quote(str(yaml_path))
+    typer.echo(f"next: check {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)
 
 
@@ -112,34 +122,7 @@ def _summary(draft: "Draft") -> dict[str, object]:
         "root_above_floor_m": guesses.lifted,
         "guessed_velocities": list(guesses.speeds),
         "guessed_limits": list(guesses.limits),
+        "collision_shapes": draft.urdf.count("<collision>"),
+        "fingers": [] if spec.gripper is None else list(spec.gripper.fingers),
+        "joints_without_room": list(guesses.stuck),
     }
-
-
-def _show(draft: "Draft", path: Path, *, drive_given: bool) -> None:
-    from kinfeas.importer.text import guessed
-
-    spec, guesses = draft.spec, draft.guesses
-    (low, high), (easy_low, easy_high) = spec.goal_heights.values()
-    fingers = "none found" if spec.gripper is None else ", ".join(spec.gripper.fingers)
-    rows = [
-        ["EE frame", spec.ee_frame],
-        ["arm", f"{len(spec.arm)} joints: {', '.join(spec.arm)}"],
-        ["fingers", fingers],
-        ["goal heights", f"{low:g} - {high:g} m, comfortable {easy_low:g} - {easy_high:g} m"],
-        ["free of self-collision", f"{share(draft.free)} of all configurations"],
-        ["ignored pairs of links", str(len(spec.ignored_collisions))],
-    ]
-    if "<collision>" not in draft.urdf:
-        rows.append(["collision shapes", "none: collisions are not checked"])
-    if guesses.lifted:
-        rows.append(["root", f"{guesses.lifted:g} m above the floor: a root on it was added"])
-    if guesses.stand:
-        rows.append(["base", f"check whether {guesses.stand} is a base or the arm's first link"])
-    if guesses.stuck:
-        rows.append(["joints without room to move", ", ".join(guesses.stuck)])
-    print_table(f"robot {spec.name}", ["", "found"], rows)
-    found = guessed(spec, guesses)
-    if drive_given:
-        del found["base.drive"]
-    print_table("guesses to check", ["key", "value"], [list(row) for row in found.items()])
-    typer.echo(f"next: check {path}, then kinfeas ceiling --robot {shlex.quote(str(path))}")

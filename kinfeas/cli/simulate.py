@@ -1,16 +1,13 @@
 """`kinfeas simulate`: a simulated robot behind the topics of a real one."""
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, write_json
+from kinfeas.cli.output import print_facts, write_json
 from kinfeas.core.errors import KinfeasError
-
-if TYPE_CHECKING:
-    from kinfeas.sim2real.simulator.simulation import SimulationResult
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -74,16 +71,4 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     finally:
         world.close()
     write_json(asdict(played), json)
-    _show(played)
-
-
-def _show(played: "SimulationResult") -> None:
-    rows = [
-        ("time", f"{played.seconds:.1f} s"),
-        ("commands to the base", f"{played.base_commands}"),
-        ("commands to the arm", f"{played.joint_commands}"),
-        ("stops without commands", f"{played.timeouts}"),
-        ("period, 99th percentile", f"{1000.0 * played.period_p99:.1f} ms"),
-        ("period, longest", f"{1000.0 * played.longest:.1f} ms"),
-    ]
-    print_table("simulated robot", ("", " "), rows)
+    print_facts("simulated robot", asdict(played))

@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, write_drawing, write_json
+from kinfeas.cli.output import print_facts, write_drawing, write_json
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
-    from kinfeas.core.spatial import Array
     from kinfeas.io.run_log import Record
-    from kinfeas.scenes.objects import SceneObject
     from kinfeas.scenes.scene import Scene
 
 
@@ -66,8 +64,9 @@ def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | 
 
     run = read_record(path)
     robot = options.read_robot(run.about.robot)
-    write_json(_run_facts(run), json)
-    _show_run(run)
+    facts = _run_facts(run)
+    write_json(facts, json)
+    print_facts(f"record {path}", facts)
     write_drawing(lambda: png(record_figure(run, robot), dpi=110), picture)
 
     def page() -> bytes:
@@ -99,23 +98,6 @@ def _run_facts(run: "Record") -> dict[str, object]:
     }
 
 
-def _show_run(run: "Record") -> None:
-    facts = _run_facts(run)
-    title = "{policy} on {task}, robot {robot}, {backend}, {started}".format(**facts)
-    rows = [
-        ["duration", f"{facts['seconds']:.1f} s"],
-        ["control period", f"{1000.0 * run.about.dt:.1f} ms"],
-        ["longest period", f"{1000.0 * float(str(facts['longest_period_s'])):.1f} ms"],
-        ["periods without an IK solution", f"{facts['failures']}"],
-        ["top speed commanded", f"{facts['top_speed_m_s']:.2f} m/s"],
-    ]
-    print_table(title, ["", " "], rows)
-    events = [[f"{t:.2f} s", text] for t, text in zip(run.time, run.event, strict=True) if text]
-    if not run.event[-1]:
-        events.append([f"{run.time[-1]:.2f} s", "the record breaks off"])
-    print_table("events", [" at", "event"], events)
-
-
 def _view_scene(
     name: str, overrides: list[str], json: Path | None, picture: Path | None, html: Path | None
 ) -> None:
@@ -124,8 +106,9 @@ def _view_scene(
     from kinfeas.viz.style import png
 
     scene = read_scene(name, overrides)
-    write_json(_scene_facts(scene), json)
-    _show_scene(scene)
+    facts = _scene_facts(scene)
+    write_json(facts, json)
+    print_facts(f"scene {scene.name}", facts)
     write_drawing(lambda: png(scene_figure(scene), dpi=110), picture)
     write_drawing(lambda: _page(scene), html)
 
@@ -174,32 +157,3 @@ def _scene_facts(scene: "Scene") -> dict[str, object]:
         for name, handle in scene.handles.items()
     }
     return {"scene": scene.name, "size_m": scene.size, "objects": objects, "handles": handles}
-
-
-def _show_scene(scene: "Scene") -> None:
-    objects = [
-        [name, _position(one.pose), "" if one.fixed else "yes", f"{one.mass:g} kg", _joints(one)]
-        for name, one in scene.objects.items()
-    ]
-    title = f"scene {scene.name}, {scene.size[0]:g} x {scene.size[1]:g} m"
-    print_table(title, ["object", " position (m)", "movable", " mass", "joints"], objects)
-    handles = [
-        [
-            name,
-            f"{handle.object}, {handle.link}",
-            _position(scene.handle_pose(name)),
-            handle.joint or "",
-        ]
-        for name, handle in scene.handles.items()
-    ]
-    if handles:
-        print_table("handles", ["handle", "object, link", " position (m)", "joint"], handles)
-
-
-def _position(pose: "Array") -> str:
-    return ", ".join(f"{round(value, 3) + 0.0:g}" for value in pose[:3])
-
-
-def _joints(one: "SceneObject") -> str:
-    joints = (one.urdf.joints[name] for name in one.joint_positions)
-    return ", ".join(f"{joint.name} {joint.lower:g} to {joint.upper:g}" for joint in joints)

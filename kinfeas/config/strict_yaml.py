@@ -84,6 +84,18 @@ def parse(text: str, source: str) -> object:
         raise KinfeasError(f"{source}: broken YAML: {' '.join(str(error).split())}") from error
 
 
+def to_text(data: object, *, compact: bool = False) -> str:
+    """Return plain data as YAML.
+
+    Args:
+        data: Nested mappings and lists of plain values.
+        compact: Write each innermost mapping and list on a line of its own, as for matrices.
+    """
+    # Escaped to ASCII, since PyYAML folds some other characters that it writes.
+    flow, width = (None, sys.maxsize) if compact else (False, None)
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
+
+
 def read(path: Path) -> dict[str, object]:
     """Return the mapping of a YAML file; an empty file is an empty mapping.
 
@@ -101,17 +113,9 @@ def read(path: Path) -> dict[str, object]:
 
 
 def write(data: object, path: Path, *, compact: bool = False) -> None:
-    """Write plain data as a YAML file that `read` reads back, atomically.
-
-    Args:
-        data: Nested mappings and lists of plain values.
-        path: File to write.
-        compact: Write each innermost mapping and list on a line of its own, as for matrices.
+    """Write plain data as a YAML file that `read` reads back, atomically; as `to_text`.
 
     Raises:
         KinfeasError: If the file cannot be written.
     """
-    # Escaped to ASCII, since PyYAML folds some other characters that it writes.
-    flow, width = (None, sys.maxsize) if compact else (False, None)
-    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
-    write_file(path, text.encode())
+    write_file(path, to_text(data, compact=compact).encode())

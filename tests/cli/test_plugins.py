@@ -62,13 +62,11 @@ def test_broken_plugin_does_not_disturb_others(kinfeas, broken, tmp_path):
 def test_info_on_parameters(info):
     known = info("linear")
     gain = {one["name"]: one for one in known["parameters"]}["gain"]
-    assert gain == {"name": "gain", "type": "float", "default": "0.1"}
+    assert gain == {"name": "gain", "type": "float", "default": 0.1}
     assert "gain: Speed per distance" in known["text"]
     required = {one["name"]: one for one in info("waypoints")["parameters"]}["file"]
-    assert required["default"] is None
-    assert {one["name"]: one["default"] for one in info("ggr")["parameters"]}[
-        "distance"
-    ] == "[1, 5]"
+    assert "default" not in required
+    assert {one["name"]: one["default"] for one in info("ggr")["parameters"]}["distance"] == [1, 5]
 
 
 @pytest.mark.parametrize("name", ["base_noise", "pybullet", "feasibility", "follow_ee"])
