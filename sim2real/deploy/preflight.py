@@ -44,7 +44,8 @@ def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards
         KinfeasError: If no base pose is found from which the arm reaches the end of a sub-goal.
     """
     if guards.reach:
-        _check_reach(loop.solver, subgoal_poses(_sequence(loop, start, rng)))
+        sequence = _sequence(loop, start, rng)
+        _check_reach(loop.solver, np.concatenate([sequence.goal for _ in _each_subgoal(sequence)]))
     most = guards.max_linear_velocity
     if most is None:
         return ""
@@ -60,14 +61,19 @@ def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards
     )
 
 
-def subgoal_poses(sequence: MotionSequence) -> Array:
-    """Return the EE poses of one robot at the ends of its sub-goals, shape (sub-goals, 7)."""
-    return np.concatenate([sequence.goal for _ in _each_subgoal(sequence)])
-
-
 def top_speed(sequence: MotionSequence) -> float:
     """Return the highest planned velocity of one robot's EE, m/s."""
-    return max(_top_speed_of_subgoal(sequence) for _ in _each_subgoal(sequence))
+    fastest = 0.0
+    for _ in _each_subgoal(sequence):
+        for _ in range(_LONGEST):
+            before = sequence.desired
+            sequence.move(sequence.plan(HORIZON))
+            moved, _ = spatial.distance(sequence.desired, before)
+            fastest = max(fastest, moved.item() / HORIZON)
+            metres, radians = spatial.distance(sequence.desired, sequence.goal)
+            if metres.item() <= GOAL_METRES and radians.item() <= GOAL_RADIANS:
+                break
+    return fastest
 
 
 def warm_up(
@@ -107,19 +113,6 @@ def _each_subgoal(sequence: MotionSequence) -> Iterator[int]:
         yield number
         sequence.desired = sequence.goal
         sequence.advance(np.ones(1, dtype=np.bool_))
-
-
-def _top_speed_of_subgoal(sequence: MotionSequence) -> float:
-    fastest = 0.0
-    for _ in range(_LONGEST):
-        before = sequence.desired
-        sequence.move(sequence.plan(HORIZON))
-        moved, _ = spatial.distance(sequence.desired, before)
-        fastest = max(fastest, moved.item() / HORIZON)
-        metres, radians = spatial.distance(sequence.desired, sequence.goal)
-        if metres.item() <= GOAL_METRES and radians.item() <= GOAL_RADIANS:
-            break
-    return fastest
 
 
 def _check_reach(solver: IkSolver, goals: Array) -> None:

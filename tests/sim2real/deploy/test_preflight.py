@@ -13,7 +13,7 @@ from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
-from kinfeas.sim2real.deploy.preflight import preflight, subgoal_poses, top_speed
+from kinfeas.sim2real.deploy.preflight import preflight, top_speed
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, build_subgoals
 
@@ -38,11 +38,6 @@ def sequence(*targets, generator=None):
     begun = MotionSequence([SubgoalMotion(generator or Linear())] * len(targets), HSR.robot, 1)
     begun.start(spatial.IDENTITY[np.newaxis], poses, [np.random.default_rng(0)])
     return begun
-
-
-def test_the_ends_of_all_subgoals():
-    targets = [(1.0, 0.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 0.5)]
-    np.testing.assert_allclose(subgoal_poses(sequence(*targets))[:, :3], targets)
 
 
 @pytest.mark.parametrize(
