@@ -1,4 +1,4 @@
-"""A trained policy beside the baselines, the ceiling and the paper: figures, pictures, report."""
+"""The report of `kinfeas demo`: a trained policy beside baselines, ceiling and paper."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was found in the same episodes.
+    """Results of several policies in the same episodes.
 
     Attributes:
-        trial: Which episodes.
+        chosen: The evaluation.
         run: Folder of the trained policy.
-        policy: Its figures.
-        baselines: Those of each baseline, by name.
-        ceiling: Share of the goals that some base pose can reach.
+        policy: Its metrics.
+        baselines: Metrics of each baseline, by name.
+        ceiling: Share of the reachable goals.
     """
 
-    trial: EvalConfig
+    chosen: EvalConfig
     run: Path
     policy: Summary
     baselines: dict[str, Summary]
@@ -39,14 +39,17 @@ class Comparison:
 
 
 def compare(
-    trial: EvalConfig, run: Path, processes: int = 1, on_done: Callable[[float], None] | None = None
+    chosen: EvalConfig,
+    run: Path,
+    processes: int = 1,
+    on_done: Callable[[float], None] | None = None,
 ) -> Comparison:
-    """Return how a trained policy does beside the baselines and the ceiling.
+    """Return the results of a trained policy, the baselines and the ceiling.
 
     Args:
-        trial: What all of them are put to.
+        chosen: The evaluation.
         run: Folder of the trained policy.
-        processes: How many processes share the episodes; no figure depends on it.
+        processes: Processes that share the episodes; no result depends on it.
         on_done: Called with the share of all work, 0-1, that has just been done.
     """
     work = 2 + len(QUICK_BASELINES)
@@ -55,38 +58,40 @@ def compare(
         if on_done is not None:
             on_done(share / work)
 
-    def judge(name: str) -> Summary:
-        policy = load_policy(name, trial.robot)
+    def evaluated(name: str) -> Summary:
+        policy = load_policy(name, chosen.robot)
         return evaluate(
-            trial, policy, name, ceiling, processes, lambda ended: done(ended / trial.episodes)
+            chosen, policy, name, ceiling, processes, lambda ended: done(ended / chosen.episodes)
         )
 
-    ceiling = reachability_of(trial, done)
-    baselines = {name: judge(name) for name in QUICK_BASELINES}
-    return Comparison(trial, run, judge(str(run)), baselines, ceiling)
+    ceiling = reachability_of(chosen, done)
+    baselines = {name: evaluated(name) for name in QUICK_BASELINES}
+    return Comparison(chosen, run, evaluated(str(run)), baselines, ceiling)
 
 
 def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
-    """Return the report of a comparison.
-
-    Args:
-        comparison: What was found.
-        commands: Lines that make all of it again.
-    """
-    trial, success = comparison.trial, success_of(comparison.policy)
-    robot, task = trial.robot.name, trial.task.name
-    best = max(success_of(figures).value for figures in comparison.baselines.values())
+    """Return the report of a comparison, with the commands that produce it."""
+    chosen, success = comparison.chosen, success_of(comparison.policy)
+    robot, task = chosen.robot.name, chosen.task.name
+    rows = [Row("trained policy", success, comparison.policy, ours=True)]
+    rows += [Row(name, success_of(one), one) for name, one in comparison.baselines.items()]
+    rows.append(Row("ceiling", comparison.ceiling, {}))
+    known = paper_success(robot, task)
+    for key, name in (("policy", "paper: learned policy"), ("follow_ee", "paper: follow_ee")):
+        if key in known:
+            rows.append(Row(name, Share(known[key], known[key], known[key]), {}))
+    best = max(success_of(one).value for one in comparison.baselines.values())
     return Report(
         title=f"A base policy for {robot} on {task}",
         summary=(
-            f"Without a single kinematic failure it completes {success.value:.1%} of "
-            f"{trial.episodes} fresh episodes; the better baseline completes {best:.1%}, "
-            f"and no policy can complete more than {comparison.ceiling.value:.1%}."
+            f"The policy completes {success.value:.1%} of {chosen.episodes} fresh episodes without "
+            f"an IK failure, the better baseline {best:.1%}. At most "
+            f"{comparison.ceiling.value:.1%} of the goals are reachable."
         ),
-        rows=_rows(comparison),
+        rows=rows,
         notes=(
-            f"Episodes 0 to {trial.episodes - 1} of seed {trial.seed}, the same for all rows but "
-            "the paper's, which come from its own program. Intervals are Wilson's.",
+            f"Episodes 0 to {chosen.episodes - 1} of seed {chosen.seed} in all rows except the "
+            "paper's, which come from its own program. Intervals are Wilson's.",
             "Ceiling: goals that the end-effector reaches from some base pose.",
         ),
         pictures=_pictures(comparison),
@@ -94,38 +99,23 @@ def make_report(comparison: Comparison, commands: Sequence[str]) -> Report:
     )
 
 
-def success_of(figures: Summary) -> Share:
+def success_of(metrics: Summary) -> Share:
     """Return the share of episodes without a failure with its interval."""
-    return Share(figures["success"], figures["success_low"], figures["success_high"])
-
-
-def _rows(comparison: Comparison) -> list[Row]:
-    rows = [Row("trained policy", success_of(comparison.policy), comparison.policy, ours=True)]
-    rows += [Row(name, success_of(found), found) for name, found in comparison.baselines.items()]
-    rows.append(Row("ceiling", comparison.ceiling, {}))
-    return rows + [Row(name, Share(v, v, v), {}) for name, v in _paper(comparison).items()]
-
-
-def _paper(comparison: Comparison) -> dict[str, float]:
-    known = paper_success(comparison.trial.robot.name, comparison.trial.task.name)
-    names = {"policy": "paper: learned policy", "follow_ee": "paper: follow_ee"}
-    return {names[key]: known[key] for key in names if key in known}
+    return Share(metrics["success"], metrics["success_low"], metrics["success_high"])
 
 
 def _pictures(comparison: Comparison) -> list[Picture]:
-    trial = comparison.trial
-    levels = {name: success_of(found).value for name, found in comparison.baselines.items()}
+    chosen = comparison.chosen
+    levels = {name: success_of(one).value for name, one in comparison.baselines.items()}
     levels["ceiling"] = comparison.ceiling.value
     curve = learning_curve(read_metrics(comparison.run), levels)
-    world = World(trial.robot, trial.task, trial.world, trial.seed)
-    policy = read_network(comparison.run, trial.robot)
-    shown = record_episodes(world, policy, min(SHOWN, trial.episodes))
+    world = World(chosen.robot, chosen.task, chosen.world, chosen.seed)
+    policy = read_network(comparison.run, chosen.robot)
+    shown = record_episodes(world, policy, min(SHOWN, chosen.episodes))
     return [
         Picture("Episodes without a failure during training.", png(curve)),
         Picture(
-            f"The first {len(shown)} episodes of seed {trial.seed}: the robot at a few moments, "
-            "the later the darker, and below the same from above, with a bar from the base to the "
-            "end-effector.",
-            png(episodes_figure(trial.robot, shown)),
+            f"The first {len(shown)} episodes of seed {chosen.seed}.",
+            png(episodes_figure(chosen.robot, shown)),
         ),
     ]

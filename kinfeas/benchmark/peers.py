@@ -1,7 +1,7 @@
-"""What others offer for inverse kinematics: Pinocchio and PyBullet, imported only when asked for.
+"""Inverse kinematics of Pinocchio and PyBullet, for comparison.
 
-Both load the arm of our own robot, without anything that does not lead to its EE, and both may use
-what a careful user would give them: limits, a seed, and Pinocchio the same number of restarts.
+Both load a URDF of the joints between base and EE. Both get limits and a seed, and Pinocchio as
+many restarts as our own solver.
 """
 
 import tempfile
@@ -28,12 +28,12 @@ _DAMPING_FLOOR, _DAMPING_GAIN = 1e-6, 0.02
 
 @dataclass(frozen=True)
 class Peer:
-    """Somebody else's solver.
+    """A solver of another library.
 
     Attributes:
-        name: What to call it.
-        prepare: Turns a target pose, shape (7,), into what `solve` takes; not timed.
-        solve: Returns joint positions, shape (v,), for a target and a seed; not verified.
+        name: Name of the library.
+        prepare: Converts a target pose, shape (7,), for `solve`; not timed.
+        solve: Returns joint positions, shape (j,), for a target and a seed; not verified.
     """
 
     name: str
@@ -42,10 +42,10 @@ class Peer:
 
 
 def pinocchio_peer(robot: Robot) -> Peer | None:
-    """Return Pinocchio's damped least squares with clamping; None where it is not installed.
+    """Return Pinocchio's damped least squares with clamping; None if it is not installed.
 
-    The closed-loop inverse kinematics of Pinocchio's documentation as a loop in Python, with full
-    steps, damping by the squared error as in our own solver, and random restarts.
+    The closed-loop inverse kinematics of Pinocchio's documentation, with damping by the squared
+    error and random restarts.
     """
     if find_spec("pinocchio") is None or _mimics(robot):
         return None
@@ -68,7 +68,7 @@ def pinocchio_peer(robot: Robot) -> Peer | None:
             damping = _DAMPING_FLOOR + _DAMPING_GAIN * (metres + radians)
             step = _damped_step(jacobian, error, damping)
             if (blocked := (q + step > upper) | (q + step < lower)).any():
-                # Such a joint goes onto its limit, and the others do what that leaves to be done.
+                # Such a joint moves onto its limit, and the others reduce the remaining error.
                 held = np.where(blocked, np.clip(q + step, lower, upper) - q, 0.0)
                 rest = error - jacobian @ held
                 step = held + _damped_step(np.where(blocked, 0.0, jacobian), rest, damping)
@@ -88,13 +88,13 @@ def pinocchio_peer(robot: Robot) -> Peer | None:
 
 
 def pybullet_peer(robot: Robot) -> Peer | None:
-    """Return PyBullet's solver with limits and rest poses; None where it is not installed.
+    """Return PyBullet's solver with limits and rest poses; None if it is not installed.
 
-    One call with its own defaults, 20 iterations: more of them solve more, in as much more time.
+    One call with its default of 20 iterations; more solve more targets in more time.
     """
     if find_spec("pybullet") is None or _mimics(robot):
         return None
-    with silence():  # it says when it was built
+    with silence():
         import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
@@ -146,14 +146,14 @@ def _joint_xml(robot: Robot, joint: Joint) -> str:
     origin, kind, inner = joint.origin, "fixed", ""
     if arm is not None:
         lower, upper = (-np.pi, np.pi) if arm.continuous else (arm.lower, arm.upper)
-        # A continuous joint turns within one turn, which spares the others a second convention.
+        # A continuous joint is limited to one turn, which all libraries understand.
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
         inner = f'<axis xyz="{_text(joint.axis)}"/>'
         inner += f'<limit lower="{lower}" upper="{upper}" velocity="{arm.velocity}" effort="1000"/>'
     elif joint.moves:
         origin = joint.pose_at(robot.fixed_joints[joint.name])
     with warnings.catch_warnings():
-        # Of many angles for one rotation, in gimbal lock, any will do.
+        # In gimbal lock any of the equivalent angles is right.
         warnings.simplefilter("ignore", UserWarning)
         rpy = spatial.rotation(origin).as_euler("xyz")
     return (
@@ -170,7 +170,7 @@ def _damped_step(jacobian: Array, error: Array, damping: float) -> Array:
 
 
 def _mimics(robot: Robot) -> bool:
-    """Return whether one joint of the arm's chain follows another, which the others cannot do."""
+    """Return whether a joint of the arm mimics another one, which the peers do not support."""
     arm = [joint.name for joint in robot.arm]
     path = robot.urdf.path_to(robot.ee_frame)
     return any(joint.mimic and joint.name not in (*arm, *robot.fixed_joints) for joint in path)

@@ -1,24 +1,22 @@
 """Pictures of a benchmark: success, learning curves, workspace and example episodes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
 from matplotlib.ticker import PercentFormatter
-from scipy.spatial import ConvexHull
 
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.jobs import Job, Result, thinned
 from kinfeas.benchmark.markdown import groups, label, rows_of, title
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.table import Cell
-from kinfeas.core.spatial import IDENTITY, Array
+from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
@@ -27,17 +25,20 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.tasks.loading import load_task
-from kinfeas.viz.drawing import corners, robot_solids
 from kinfeas.viz.episodes import episodes_figure
 from kinfeas.viz.plots import apart, read_metrics
-from kinfeas.viz.style import BASE, BODY, EE, FAILURE, FAINT, GOAL, INK, STYLE, failures_text, png
+from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, INK, STYLE, failures_text, png
 
 _COLOURS = {"sac": EE, "td3": BASE}
 _POINTS = 200
 _CURVE_INCHES = 4.9
-_MARGIN = 0.15
 _POINTS_SHOWN = 3000
-"""Points of a kind that are drawn; more hide each other."""
+_KINDS: dict[str, Any] = {
+    "feasible": {"color": EE, "ms": 2.0, "alpha": 0.35, "zorder": 5, "label": "feasible EE"},
+    "infeasible": {
+        "color": FAILURE, "ms": 2.6, "alpha": 0.7, "zorder": 6, "label": "infeasible desired EE"
+    },
+}  # fmt: skip
 
 _VIEWS = (([0, 1], "y (m)"), ([0, 2], "z (m)"))
 
@@ -147,53 +148,12 @@ def _table_legend(*, beside: bool) -> list[Line2D]:
     return handles
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Success over the environment steps of several runs.
-
-    Attributes:
-        steps: Shape (k,); as far as the shortest run goes.
-        mean: Over the runs, 0-1, shape (k,); NaN where not all of them have a value.
-        deviation: Standard deviation over the runs, shape (k,).
-    """
-
-    steps: Array
-    mean: Array
-    deviation: Array
-
-
-def training_curve(metrics: Sequence[Mapping[str, Array]]) -> Curve:
-    """Return how success in the training episodes went, put on common steps."""
-    end = min(float(one["steps"][-1]) for one in metrics)
-    steps = np.linspace(0.0, end, _POINTS)
-    values = []
-    for one in metrics:
-        known = np.isfinite(one["train/success"])
-        # A short run may end before its first training episode does.
-        at, seen = (
-            one[key][known] if known.any() else [np.nan] for key in ("steps", "train/success")
-        )
-        values.append(np.interp(steps, at, seen, left=np.nan))
-    return _curve(steps, np.array(values))
-
-
-def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> Curve:
-    """Return how the evaluations along the way went: the first of all runs, the second and on."""
-    judged = [np.isfinite(one["evaluation/success"]) for one in metrics]
-    count = min(int(rows.sum()) for rows in judged)
-    steps, values = (
-        np.array([one[key][rows][:count] for one, rows in zip(metrics, judged, strict=True)])
-        for key in ("steps", "evaluation/success")
-    )
-    return _curve(steps.mean(axis=0), values)
-
-
 def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Return the picture of all runs' learning curves.
+    """Return the picture of the learning curves, a panel for each robot.
 
     Args:
-        runs: At least one.
-        levels: For each robot shares in 0-1 to compare with, by name.
+        runs: Training runs, at least one.
+        levels: Shares in 0-1 to compare each robot with, by name.
     """
     robots = list(dict.fromkeys(run.robot for run in runs))
     with rc_context(STYLE):
@@ -214,25 +174,76 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
     return figure
 
 
-def _curve(steps: Array, values: Array) -> Curve:
-    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(len(steps))
-    return Curve(steps, values.mean(axis=0), deviation)
+def training_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
+    """Return common steps (k,) of several runs, and the success of each in training (runs, k)."""
+    steps = np.linspace(0.0, min(float(one["steps"][-1]) for one in metrics), _POINTS)
+    values = []
+    for one in metrics:
+        known = np.isfinite(one["train/success"])
+        # A short run may end before its first training episode does.
+        at, seen = (
+            one[key][known] if known.any() else [np.nan] for key in ("steps", "train/success")
+        )
+        values.append(np.interp(steps, at, seen, left=np.nan))
+    return steps, np.array(values)
+
+
+def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Array]:
+    """Return the mean steps (k,) of the k-th evaluations, and their success (runs, k)."""
+    known = [np.isfinite(one["evaluation/success"]) for one in metrics]
+    count = min(int(rows.sum()) for rows in known)
+    steps, values = (
+        np.array([one[key][rows][:count] for one, rows in zip(metrics, known, strict=True)])
+        for key in ("steps", "evaluation/success")
+    )
+    return steps.mean(axis=0), values
+
+
+def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
+    """Return the picture of the EE workspace in the base frame, from above and from the side.
+
+    Args:
+        robots: Results of the learned policies of each robot, at least one each.
+    """
+    with rc_context(STYLE):
+        width = max(0.4 + 4.3 * len(robots), 5.4)
+        figure = Figure(figsize=(width, 8.3), layout="constrained")
+        panels = figure.subplots(2, len(robots), squeeze=False)
+        for column, (name, results) in zip(panels.T, robots.items(), strict=True):
+            for axes, (shown, across) in zip(column, _VIEWS, strict=True):
+                for kind, look in _KINDS.items():
+                    points = [np.reshape(one["workspace"][kind], (-1, 3)) for one in results]
+                    flat = thinned(np.concatenate(points), _POINTS_SHOWN)[:, shown]
+                    axes.plot(*flat.T, "o", mew=0.0, **look)
+                axes.plot([0.0], [0.0], "k+", ms=12, label="base frame")
+                axes.set(xlabel="x, ahead of the base (m)", ylabel=across, aspect="equal")
+            failed = sum(one["ik_failures_per_episode"] * one["episodes"] for one in results)
+            steps = sum(one["mean_steps"] * one["episodes"] for one in results)
+            column[0].set_title(f"{TITLES.get(name, name)}: {failed / steps:.2%} infeasible steps")
+        handles, _ = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
 
 
 def _draw_curves(axes: Axes, algorithm: str, runs: Sequence[Run]) -> None:
     metrics = [read_metrics(run.folder) for run in runs]
     colour, name = _COLOURS.get(algorithm, INK), algorithm.upper()
     seeds = f", mean and std of {len(runs)} seeds" if len(runs) > 1 else ", 1 seed"
-    training, judged = training_curve(metrics), evaluation_curve(metrics)
-    steps = training.steps / 1000.0
-    low, high = training.mean - training.deviation, training.mean + training.deviation
-    axes.fill_between(steps, low.clip(0.0), high.clip(max=1.0), color=colour, alpha=0.2, lw=0.0)
-    axes.plot(steps, training.mean, color=colour, lw=1.8, label=f"{name} training{seeds}")
+    steps, values = training_curve(metrics)
+    mean, deviation = values.mean(axis=0), _deviation(values)
+    low, high = (mean - deviation).clip(0.0), (mean + deviation).clip(max=1.0)
+    axes.fill_between(steps / 1000.0, low, high, color=colour, alpha=0.2, lw=0.0)
+    axes.plot(steps / 1000.0, mean, color=colour, lw=1.8, label=f"{name} training{seeds}")
+    steps, values = evaluation_curve(metrics)
     axes.errorbar(
-        judged.steps / 1000.0, judged.mean, yerr=judged.deviation if len(runs) > 1 else None,
+        steps / 1000.0, values.mean(axis=0), yerr=_deviation(values) if len(runs) > 1 else None,
         fmt="o", color=colour, ms=6.5, mec="white", capsize=3, elinewidth=1.4, zorder=4,
         label=f"{name} evaluation, without noise",
     )  # fmt: skip
+
+
+def _deviation(values: Array) -> Array:
+    return values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[1])
 
 
 def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
@@ -245,80 +256,6 @@ def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
             f"{name} {value:.1%}", (1.015, y), xycoords=("axes fraction", "data"), fontsize=8.5,
             va="center", color=INK, annotation_clip=False,
         )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Covered:
-    """Where the EE was asked to be in one robot's episodes.
-
-    Attributes:
-        robot: Whose.
-        feasible: Points in the base frame where IK found it, shape (k, 3), metres.
-        infeasible: Points where it did not, shape (m, 3), metres.
-        failed: Share of all steps that were infeasible, 0-1.
-    """
-
-    robot: Robot
-    feasible: Array
-    infeasible: Array
-    failed: float
-
-
-def covered(robot: Robot, results: Sequence[Result]) -> Covered:
-    """Return the workspace of a robot's learned policies together, from at least one result."""
-    points = {
-        kind: thinned(np.concatenate([np.reshape(one["workspace"][kind], (-1, 3))
-                                      for one in results]), _POINTS_SHOWN)
-        for kind in ("feasible", "infeasible")
-    }  # fmt: skip
-    failures, steps = (
-        sum(one[key] * one["episodes"] for one in results)
-        for key in ("ik_failures_per_episode", "mean_steps")
-    )
-    return Covered(robot, **points, failed=failures / steps)
-
-
-def workspace_figure(robots: Sequence[Covered]) -> Figure:
-    """Return the picture: a column for each robot, seen from above and from the side."""
-    with rc_context(STYLE):
-        width = max(0.4 + 4.3 * len(robots), 5.4)  # what the legend needs
-        figure = Figure(figsize=(width, 8.3), layout="constrained")
-        panels = figure.subplots(2, len(robots), squeeze=False)
-        for column, one in zip(panels.T, robots, strict=True):
-            for axes, (shown, across) in zip(column, _VIEWS, strict=True):
-                _draw_workspace(axes, one, shown)
-                axes.set(xlabel="x, ahead of the base (m)", ylabel=across)
-            name = TITLES.get(one.robot.name, one.robot.name)
-            column[0].set_title(f"{name}: {one.failed:.2%} of all steps infeasible")
-        columns = 3 if len(robots) > 2 else 1
-        figure.legend(handles=_workspace_legend(), loc="outside lower center", ncols=columns)
-    return figure
-
-
-def _draw_workspace(axes: Axes, one: Covered, shown: list[int]) -> None:
-    solids = robot_solids(one.robot, IDENTITY, one.robot.home["home"])
-    body = [corners([solid])[:, shown] for solid in solids if solid.colour == BODY]
-    for points in body:
-        outline = points[ConvexHull(points).vertices]
-        axes.add_patch(Polygon(outline, facecolor=BODY, edgecolor="#9aa2ad", lw=0.4, zorder=3))
-    feasible, infeasible = one.feasible[:, shown], one.infeasible[:, shown]
-    axes.plot(*feasible.T, "o", color=EE, ms=2.0, mew=0.0, alpha=0.35, zorder=5)
-    axes.plot(*infeasible.T, "o", color=FAILURE, ms=2.6, mew=0.0, alpha=0.7, zorder=6)
-    seen = np.concatenate([feasible, *body])
-    # What was lost far from the base would make all else small.
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    half = float(np.max(high - low)) / 2.0 + _MARGIN
-    (left, bottom), (right, top) = (low + high) / 2.0 - half, (low + high) / 2.0 + half
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-
-
-def _workspace_legend() -> list[Line2D]:
-    return [
-        Line2D([], [], color=EE, lw=0, marker="o", ms=6, label="EE, some of the feasible steps"),
-        Line2D([], [], color=FAILURE, lw=0, marker="o", ms=6,
-               label="where it should have been, infeasible steps; some lie outside"),
-        Line2D([], [], color=BODY, lw=0, marker="s", ms=9, label="the robot without its arm"),
-    ]  # fmt: skip
 
 
 def draw_pictures(
@@ -339,7 +276,7 @@ def draw_pictures(
         names = [load_robot(robot).name for robot in study.robots]
         ordered = sorted(runs, key=lambda run: names.index(run.robot))
         pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
-    spaces = []
+    spaces: dict[str, list[Result]] = {}
     for robot in study.robots:
         own = [(job, result) for job, result in found
                if job.robot == robot and "workspace" in result and not job.variant]  # fmt: skip
@@ -347,7 +284,7 @@ def draw_pictures(
         if not own:
             continue
         known = load_robot(robot)
-        spaces.append(covered(known, [result for _, result in own]))
+        spaces[known.name] = [result for _, result in own]
         shown = _examples(known, [job for job, _ in own])
         titles = [_example_title(task, recording) for task, recording in shown.items()]
         figure = episodes_figure(known, list(shown.values()), titles)

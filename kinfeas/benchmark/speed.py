@@ -1,4 +1,4 @@
-"""How fast everything is, measured in one run on one machine."""
+"""Speed of inverse kinematics, environments, policies and training on this machine."""
 
 import os
 import resource
@@ -31,44 +31,24 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
-"""Robots side by side, and the steps that they are timed over."""
+"""Robots side by side, and the timed steps."""
 
+METRES, RADIANS = 1e-4, 1e-3
+"""Tolerances of an IK solution."""
 
-@dataclass(frozen=True)
-class Targets:
-    """n problems of inverse kinematics.
-
-    Attributes:
-        pose: EE poses in the base frame, shape (n, 7).
-        seed: Where the arm is, shape (n, v).
-    """
-
-    pose: Array
-    seed: Array
-
-
-@dataclass(frozen=True)
-class IkTiming:
-    """What a solver needs and what it finds.
-
-    Attributes:
-        microseconds: Per target, found or not.
-        solved: Share of targets with a solution that is exact and within the limits, 0-1.
-    """
-
-    microseconds: float
-    solved: float
+_EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
+"""Largest motions in one step of the loop: of the EE, metres and radians, and of the base."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One thing that was measured.
+    """One measurement.
 
     Attributes:
-        text: What it is.
-        value: The number; None if there was nothing to measure.
-        unit: Of the number; empty for a share in 0-1.
-        key: Its key in machine-readable output, if it has one.
+        text: Name in the table.
+        value: The number; None if the peer is not installed.
+        unit: Unit of the number; empty for a share in 0-1.
+        key: Key in machine-readable output, if it has one.
     """
 
     text: str
@@ -79,11 +59,11 @@ class Figure:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured.
+    """Size of the measurements.
 
     Attributes:
-        targets: Problems of inverse kinematics of each kind.
-        repeats: Runs of each, of which the quickest counts.
+        targets: IK targets of each kind.
+        repeats: Repetitions, of which the fastest counts.
         train_minutes: Length of the training run.
     """
 
@@ -92,19 +72,35 @@ class Effort:
     train_minutes: float = 0.5
 
 
+@dataclass(frozen=True)
+class Targets:
+    """IK targets: EE poses in the base frame, shape (n, 7), and seeds, shape (n, j)."""
+
+    pose: Array
+    seed: Array
+
+
+@dataclass(frozen=True)
+class IkTiming:
+    """Microseconds per target, and the share of targets with a valid solution, 0-1."""
+
+    microseconds: float
+    solved: float
+
+
 def measure_speed(
     robot: str,
     network: Network | None = None,
     effort: Effort | None = None,
     on_part: Callable[[str], None] | None = None,
 ) -> list[Figure]:
-    """Return how fast everything is: all on one core but training, which takes all there are.
+    """Return all measurements: on one core, except training, which uses all.
 
     Args:
-        robot: Name of a robot or path of its YAML.
-        network: Policy whose latency is measured; by default one of 256 x 256 random weights.
-        effort: How much is measured.
-        on_part: Called with the name of each part when it begins.
+        robot: Name or YAML file.
+        network: Policy whose latency is measured; 256 x 256 random weights by default.
+        effort: Size of the measurements.
+        on_part: Called with the name of each part at its beginning.
     """
     effort, known = effort or Effort(), load_robot(robot)
     network = network or random_network(known)
@@ -119,11 +115,11 @@ def measure_speed(
         if on_part is not None:
             on_part(name)
         figures += measure()
-    return [*figures, Figure("peak memory of all this", peak_memory_mb(), "MB", "peak_rss_mb")]
+    return [*figures, Figure("peak memory", peak_memory_mb(), "MB", "peak_rss_mb")]
 
 
 def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
-    """Yield the time and the yield of inverse kinematics, ours and that of others."""
+    """Yield time and solved share of inverse kinematics, ours and that of peers."""
     rng = np.random.default_rng(0)
     others = {"Pinocchio": peers.pinocchio_peer(robot), "PyBullet": peers.pybullet_peer(robot)}
     with one_core():
@@ -132,15 +128,18 @@ def measure_ik(robot: Robot, effort: Effort) -> Iterator[Figure]:
         for kind, targets in (("warm", warm), ("cold", cold)):
             free = time_ours(robot, targets, self_collision=False, repeats=effort.repeats)
             full = time_ours(robot, targets, self_collision=True, repeats=effort.repeats)
-            is_cold = kind == "cold"
-            yield from _timing(f"IK {kind}, self-collision off", free, "" if is_cold else "ik_warm")
-            yield from _timing(f"IK {kind}", full, "ik_cold" if is_cold else "")
+            free_key, key = ("", "ik_cold") if kind == "cold" else ("ik_warm", "")
+            yield from _figures(f"IK {kind}, self-collision off", free, free_key)
+            yield from _figures(f"IK {kind}", full, key)
             for name, peer in others.items():
-                yield from _peer_timing(f"{name} {kind}", peer, robot, targets)
+                # PyBullet solves next to no cold target, so its time there has no key.
+                key = "" if (name, kind) == ("PyBullet", "cold") else f"{name.lower()}_{kind}"
+                timing = None if peer is None else time_peer(robot, peer, targets)
+                yield from _figures(f"{name} {kind}", timing, key)
 
 
 def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
-    """Yield the steps a second of environments that follow the EE, self-collision on."""
+    """Yield environment steps per second of bases that follow the EE, with self-collision."""
     with one_core():
         for batch, steps in BATCHES.items():
             rate = environment_rate(robot, FollowEe(robot.base), batch, steps, effort.repeats)
@@ -151,14 +150,14 @@ def measure_environments(robot: Robot, effort: Effort) -> Iterator[Figure]:
 def environment_rate(
     robot: Robot, policy: Policy, batch: int, steps: int, repeats: int = 3
 ) -> float:
-    """Return environment steps a second, policy and restarts of ended episodes included.
+    """Return environment steps per second, including the policy and restarts.
 
     Args:
-        robot: Who moves.
-        policy: Moves the base.
+        robot: Robot that moves.
+        policy: Policy that commands the base.
         batch: Robots side by side.
-        steps: Control periods to time.
-        repeats: Equal runs, of which the quickest counts.
+        steps: Timed control periods.
+        repeats: Repetitions, of which the fastest counts.
     """
     world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
     rates = []
@@ -169,7 +168,7 @@ def environment_rate(
 
 
 def measure_action(robot: Robot, network: Network, effort: Effort) -> Iterator[Figure]:
-    """Yield how long a policy takes from one observation to its action."""
+    """Yield the time of a policy from one observation to its action."""
     seen = np.random.default_rng(0).normal(size=(1, len(network.scale)))
 
     def act() -> None:
@@ -183,12 +182,12 @@ def measure_action(robot: Robot, network: Network, effort: Effort) -> Iterator[F
 
 
 def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
-    """Yield the steps a second of a short training run by the robot's own recipe.
+    """Yield the steps per second of a short training run by the robot's own recipe.
 
-    A step is a control period of one environment: an action that holds for two counts twice. The
-    evaluation at the end and checkpoints are included.
+    A step is a control period of one environment. The final evaluation and checkpoints are
+    included.
     """
-    # Not at the top, for they load torch.
+    # Not at the top: they load torch.
     from kinfeas.training.config import TrainConfig
     from kinfeas.training.train import train
 
@@ -202,7 +201,7 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
 
 
 def random_network(robot: Robot, width: int = 256) -> Network:
-    """Return an untrained network of two hidden layers that fits `robot`."""
+    """Return an untrained network of two hidden layers for a robot."""
     rng = np.random.default_rng(0)
     sizes = (observation.size(robot), width, width, drive.action_size(robot.base))
     return Network(
@@ -215,52 +214,19 @@ def random_network(robot: Robot, width: int = 256) -> Network:
     )
 
 
-def _timing(text: str, timing: IkTiming, key: str) -> Iterator[Figure]:
-    yield Figure(text, timing.microseconds, "us", f"{key}_us" if key else "")
-    yield Figure(f"{text}, solved", timing.solved, "", "ik_cold_solved" if key == "ik_cold" else "")
-
-
-def _peer_timing(
-    text: str, peer: peers.Peer | None, robot: Robot, targets: Targets
-) -> Iterator[Figure]:
-    # PyBullet finds next to nothing from afar: how long it takes over that is of no use to anyone.
-    key = "" if text == "PyBullet cold" else f"{text.lower().replace(' ', '_')}_us"
-    if peer is None:
-        yield Figure(text, None, "us", key)
-        return
-    timing = time_peer(robot, peer, targets)
-    yield Figure(text, timing.microseconds, "us", key)
-    yield Figure(f"{text}, solved", timing.solved, "")
-
-
-def _drive(world: World, policy: Policy, steps: int) -> None:
-    for _ in range(steps):
-        transition = world.step(policy.act(world.loop.policy_input))
-        ended = np.flatnonzero(transition.done)
-        if ended.size:
-            world.start(range(len(transition.done), len(transition.done) + ended.size), ended)
-
-
-METRES, RADIANS = 1e-4, 1e-3
-"""How near to its target a solution has to be."""
-
-_EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
-"""What moves in one step of the loop at most: the EE, metres and radians, and the base, metres."""
-
-
 def cold_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
-    """Return poses of random configurations, each with an unrelated random seed."""
+    """Return the EE poses of random configurations, each with an unrelated random seed."""
     solver = IkSolver(robot)
     goal, seed = (_free_configurations(solver, count, rng) for _ in range(2))
     return Targets(forward(solver.chain, goal), seed)
 
 
 def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
-    """Return poses one step of the loop away from where the arm is.
+    """Return EE poses one step of the loop away from the seeds.
 
-    The EE moves by 1 cm and 0.01 rad, the base under it by up to 2 cm, all in random directions.
-    Steps that no configuration follows are left out; a robot with pose tolerance, whose joints are
-    too few to follow any step exactly, gets the pose that it comes to, unless that is where it is.
+    The EE moves by 1 cm and 0.01 rad, the base by up to 2 cm, all in random directions. Infeasible
+    steps are left out. With pose tolerance the target is the pose of the solution, since too few
+    joints follow a step exactly.
     """
     solver, poses, seeds, found = IkSolver(robot), [], [], 0
     while found < count:
@@ -274,7 +240,7 @@ def warm_targets(robot: Robot, count: int, rng: np.random.Generator) -> Targets:
 
 
 def time_ours(robot: Robot, targets: Targets, self_collision: bool, repeats: int = 5) -> IkTiming:
-    """Return the timing of our solver on `targets`, without pose tolerance."""
+    """Return the timing of our solver, without pose tolerance."""
     solver = IkSolver(robot, IkOptions(self_collision=self_collision, pose_tolerance=False))
     solution = solver.solve(targets.pose, targets.seed)
     seconds = best_of(repeats, lambda: solver.solve(targets.pose, targets.seed))
@@ -283,7 +249,7 @@ def time_ours(robot: Robot, targets: Targets, self_collision: bool, repeats: int
 
 
 def time_peer(robot: Robot, peer: peers.Peer, targets: Targets, repeats: int = 2) -> IkTiming:
-    """Return what another solver makes of `targets`; our own kinematics checks its solutions."""
+    """Return the timing of a peer; our own kinematics verifies its solutions."""
     problems = [peer.prepare(pose) for pose in targets.pose]
     seeds = list(targets.seed)
 
@@ -296,56 +262,25 @@ def time_peer(robot: Robot, peer: peers.Peer, targets: Targets, repeats: int = 2
     return IkTiming(seconds / len(good) * 1e6, float(good.mean()))
 
 
-def _verified(solver: IkSolver, targets: Targets, joints: Array) -> NDArray[np.bool_]:
-    metres, radians = spatial.distance(forward(solver.chain, joints), targets.pose)
-    lower, upper = solver.robot.joint_limits
-    within: NDArray[np.bool_] = np.all((joints >= lower - 1e-9) & (joints <= upper + 1e-9), axis=1)
-    return within & (metres <= METRES) & (radians <= RADIANS)
-
-
-def _free_configurations(solver: IkSolver, count: int, rng: np.random.Generator) -> Array:
-    """Return random configurations free of self-collision, shape (count, v)."""
-    lower, upper = solver.robot.finite_joint_limits
-    kept = np.empty((0, len(lower)))
-    while len(kept) < count:
-        joints = rng.uniform(lower, upper, (count, len(lower)))
-        kept = np.concatenate([kept, joints[~self_collides(solver.collision, joints)]])
-    return kept[:count]
-
-
-def _one_step(ee_pose: Array, rng: np.random.Generator) -> Array:
-    """Return the poses, shape (n, 7), that the EE has to come to in the base frame."""
-    count = len(ee_pose)
-    moved = ee_pose[:, :3] + _EE_STEP * _directions(rng, count, 3)
-    moved[:, :2] -= rng.uniform(0.0, _BASE_STEP, (count, 1)) * _directions(rng, count, 2)
-    turn = Rotation.from_rotvec(_EE_TURN * _directions(rng, count, 3))
-    return spatial.make_pose(moved, turn * spatial.rotation(ee_pose))
-
-
-def _directions(rng: np.random.Generator, count: int, axes: int) -> Array:
-    vectors = rng.normal(size=(count, axes))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
 def best_of(repeats: int, work: Callable[[], object], at_least: float = 0.3) -> float:
-    """Return the seconds that the quickest of several runs of `work` took.
-
-    Whatever else runs on the machine only ever adds time.
+    """Return the seconds of the fastest of several runs of `work`.
 
     Args:
-        repeats: Runs at least.
-        work: What to run.
-        at_least: Seconds for which quick work is run again and again.
+        repeats: Least number of runs.
+        work: Function to time.
+        at_least: Seconds for which short work is repeated.
     """
     seconds: list[float] = []
     while len(seconds) < repeats or sum(seconds) < at_least:
-        seconds.append(_seconds(work))
+        begun = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - begun)
     return min(seconds)
 
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Keep this process and its libraries' threads on a single core, where the system can."""
+    """Keep this process on a single core, where the system supports it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -358,7 +293,7 @@ def one_core() -> Iterator[None]:
 
 
 def peak_memory_mb() -> float:
-    """Return the most memory that this process or a child has held so far, 10^6 bytes."""
+    """Return the peak memory of this process and its children so far, 10^6 bytes."""
     most = max(
         resource.getrusage(who).ru_maxrss
         for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
@@ -367,7 +302,47 @@ def peak_memory_mb() -> float:
     return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6
 
 
-def _seconds(work: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    work()
-    return time.perf_counter() - begun
+def _figures(text: str, timing: IkTiming | None, key: str) -> Iterator[Figure]:
+    yield Figure(text, timing.microseconds if timing else None, "us", f"{key}_us" if key else "")
+    if timing is not None:
+        solved_key = "ik_cold_solved" if key == "ik_cold" else ""
+        yield Figure(f"{text}, solved", timing.solved, "", solved_key)
+
+
+def _drive(world: World, policy: Policy, steps: int) -> None:
+    for _ in range(steps):
+        transition = world.step(policy.act(world.loop.policy_input))
+        ended = np.flatnonzero(transition.done)
+        if ended.size:
+            world.start(range(len(transition.done), len(transition.done) + ended.size), ended)
+
+
+def _verified(solver: IkSolver, targets: Targets, joints: Array) -> NDArray[np.bool_]:
+    metres, radians = spatial.distance(forward(solver.chain, joints), targets.pose)
+    lower, upper = solver.robot.joint_limits
+    within: NDArray[np.bool_] = np.all((joints >= lower - 1e-9) & (joints <= upper + 1e-9), axis=1)
+    return within & (metres <= METRES) & (radians <= RADIANS)
+
+
+def _free_configurations(solver: IkSolver, count: int, rng: np.random.Generator) -> Array:
+    """Return random configurations free of self-collision, shape (count, j)."""
+    lower, upper = solver.robot.finite_joint_limits
+    kept = np.empty((0, len(lower)))
+    while len(kept) < count:
+        joints = rng.uniform(lower, upper, (count, len(lower)))
+        kept = np.concatenate([kept, joints[~self_collides(solver.collision, joints)]])
+    return kept[:count]
+
+
+def _one_step(ee_pose: Array, rng: np.random.Generator) -> Array:
+    """Return EE poses after a step, in the frame of the moved base, shape (n, 7)."""
+    count = len(ee_pose)
+    moved = ee_pose[:, :3] + _EE_STEP * _directions(rng, count, 3)
+    moved[:, :2] -= rng.uniform(0.0, _BASE_STEP, (count, 1)) * _directions(rng, count, 2)
+    turn = Rotation.from_rotvec(_EE_TURN * _directions(rng, count, 3))
+    return spatial.make_pose(moved, turn * spatial.rotation(ee_pose))
+
+
+def _directions(rng: np.random.Generator, count: int, axes: int) -> Array:
+    vectors = rng.normal(size=(count, axes))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -39,27 +39,19 @@ class Cell:
         training_seeds: These seeds, as far as known.
         episodes_per_seed: Episodes of each of them.
         success: Share of episodes that reach the goal without an IK failure.
-        success_std: Standard deviation over the training seeds; null for one.
-        success_low: Lower end of the 95 % interval, see `interval`.
-        success_high: Upper end.
+        success_std: Standard deviation over the training seeds, as for `within_5cm`; null for one.
+        success_low: Ends of the 95 % interval, with `success_high`; see `interval`.
         within_5cm: Share of episodes with an EE deviation below 5 cm throughout.
-        within_5cm_std: As above.
         ik_failures_per_episode: Mean number of steps without an IK solution.
         mean_deviation_m: Mean distance of the EE from the desired position.
         joint_jumps_per_episode: Mean number of steps beyond a joint velocity limit.
-        ceiling: Share of the goals that some base pose reaches.
-        ceiling_low: Lower end of its Wilson interval.
-        ceiling_high: Upper end.
-        paper_success: Success in the paper; null if it has none.
-        paper_within_5cm: Likewise.
-        task_success: Share of tasks done; null if the backend cannot tell.
-        task_success_low: Lower end of its interval.
-        task_success_high: Upper end.
-        base_collisions: Collisions of the base per episode; null if the backend cannot tell.
-        arm_collisions: Collisions of the arm per episode.
+        ceiling: Share of the goals that some base pose reaches, with its Wilson interval.
+        paper_success: Success in the paper, as `paper_within_5cm`; null if it has none.
+        task_success: Share of tasks done, with its interval; null if the backend cannot tell.
+        base_collisions: Collisions per episode; null if the backend cannot tell.
+        arm_collisions: Likewise of the arm.
         collision_free_rate: Share of episodes without a collision.
-        analytic_success: Success in the analytic world, beside another backend.
-        analytic_within_5cm: Likewise.
+        analytic_success: Success in the analytic world, as `analytic_within_5cm`; null there.
     """
 
     robot: str
@@ -149,10 +141,10 @@ def interval(shares: Sequence[float], episodes: int) -> Share:
     return Share(mean, low, high)
 
 
-def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the means over the episodes of all parts; None where a backend cannot tell."""
     episodes = sum(part["episodes"] for part in parts)
-    means: dict[str, float | None] = {"episodes": episodes}
+    means: dict[str, Any] = {"episodes": episodes}
     for key in _MEANS:
         values = [part[key] for part in parts]
         known = None not in values
@@ -167,8 +159,8 @@ def _cell(group: Sequence[tuple[Job, Result]], ceiling: Result, analytic: Sequen
     by_source = [list(own) for _, own in groupby(ordered, key=lambda one: one[0].source)]
     metrics = [merged([result for _, result in own]) for own in by_source]
     seeds = sorted({one.training_seed for one, _ in group if one.training_seed is not None})
-    episodes = int(metrics[0]["episodes"] or 0)
-    success = interval([_known(one, "success") for one in metrics], episodes)
+    episodes = metrics[0]["episodes"]
+    success = interval([one["success"] for one in metrics], episodes)
     done = _task_success(metrics, episodes)
     paper = _paper(job)
     return Cell(
@@ -224,10 +216,6 @@ def _paper(job: Job) -> PaperFigures | None:
 def _task_success(metrics: Sequence[Mapping[str, Any]], episodes: int) -> Share | None:
     shares = [one["task_success"] for one in metrics]
     return None if None in shares else interval(shares, episodes)
-
-
-def _known(metrics: Mapping[str, float | None], key: str) -> float:
-    return float(metrics[key] or 0.0)
 
 
 def _mean(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:

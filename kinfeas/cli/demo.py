@@ -78,9 +78,9 @@ def free_folder(wanted: Path) -> Path:
 
 def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
     """Return the commands that reproduce the figures of the report."""
-    trial, policies = comparison.trial, (str(comparison.run), *comparison.baselines)
+    chosen, policies = comparison.chosen, (str(comparison.run), *comparison.baselines)
     same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
-    same |= {"episodes": trial.episodes, "seed": trial.seed}
+    same |= {"episodes": chosen.episodes, "seed": chosen.seed}
     changes = [f"task.{key}={json.dumps(value)}" for key, value in settings.task_parameters.items()]
     evaluations = [_line("evaluate", {**same, "policy": one}, changes) for one in policies]
     return [*evaluations, _line("ceiling", same, changes)]

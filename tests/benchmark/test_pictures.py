@@ -3,7 +3,6 @@ import pytest
 
 from kinfeas.benchmark import pictures
 from kinfeas.benchmark.pictures import (
-    covered,
     curves_figure,
     draw_pictures,
     evaluation_curve,
@@ -12,7 +11,6 @@ from kinfeas.benchmark.pictures import (
     workspace_figure,
 )
 from kinfeas.benchmark.runs import Run
-from kinfeas.robots.loading import load_robot
 from kinfeas.viz.style import png
 from tests.benchmark.benchmark_cases import cells, findings, result, study
 
@@ -30,20 +28,18 @@ def metrics(end, success, evaluations):
 
 def test_curves_have_common_steps():
     runs = [metrics(1000, 0.8, (0.7, 0.9)), metrics(2000, 0.8, (0.5, 0.7))]
-    curve = training_curve(runs)
-    assert curve.steps[-1] == 1000.0
-    assert np.isnan(curve.mean[0])
-    assert curve.mean[-1] == pytest.approx((0.8 + 0.8 / 3.0) / 2.0)
-    evaluations = evaluation_curve(runs)
-    np.testing.assert_allclose(evaluations.steps, [750.0, 1500.0])
-    np.testing.assert_allclose(evaluations.mean, [0.6, 0.8])
-    np.testing.assert_allclose(evaluations.deviation, [np.sqrt(0.02)] * 2)
-    assert not training_curve(runs[:1]).deviation.any()
+    steps, success = training_curve(runs)
+    assert steps[-1] == 1000.0
+    assert np.isnan(success[:, 0]).all()
+    np.testing.assert_allclose(success[:, -1], [0.8, 0.8 / 3.0])
+    steps, success = evaluation_curve(runs)
+    np.testing.assert_allclose(steps, [750.0, 1500.0])
+    np.testing.assert_allclose(success, [[0.7, 0.9], [0.5, 0.7]])
 
 
 def test_a_run_without_a_finished_episode_has_no_curve():
     short = {**metrics(1000, 0.8, 0.9), "train/success": np.full(5, np.nan)}
-    assert np.isnan(training_curve([short, metrics(1000, 0.8, 0.9)]).mean).all()
+    assert np.isnan(training_curve([short, metrics(1000, 0.8, 0.9)])[1][0]).all()
 
 
 @pytest.fixture
@@ -79,10 +75,12 @@ def test_table_has_a_panel_for_each_robot_variant_and_task():
 
 
 def test_workspace():
-    one = covered(load_robot("hsr"), [result(0.9, learned=True)] * 3)
-    assert (one.feasible.shape, one.infeasible.shape) == ((27, 3), (3, 3))
-    assert one.failed == pytest.approx(2.0 / 400.0)
-    assert len(workspace_figure([one, one]).axes) == 4
+    figure = workspace_figure(
+        {"hsr": [result(0.9, learned=True)] * 3, "mine": [result(0.9, learned=True)]}
+    )
+    assert len(figure.axes) == 4
+    assert figure.axes[0].get_title(loc="left") == "HSR: 0.50% infeasible steps"
+    assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [27, 3, 1]
 
 
 def test_pictures_of_a_benchmark(runs, monkeypatch):
