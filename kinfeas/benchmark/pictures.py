@@ -216,7 +216,12 @@ def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
                     flat = thinned(np.concatenate(points), _POINTS_SHOWN)[:, shown]
                     axes.plot(*flat.T, "o", mew=0.0, **look)
                 axes.plot([0.0], [0.0], "k+", ms=12, label="base frame")
-                axes.set(xlabel="x, ahead of the base (m)", ylabel=across, aspect="equal")
+                axes.set(
+                    xlabel="x, ahead of the base (m)",
+                    ylabel=across,
+                    aspect="equal",
+                    adjustable="datalim",
+                )
             failed = sum(one["ik_failures_per_episode"] * one["episodes"] for one in results)
             steps = sum(one["mean_steps"] * one["episodes"] for one in results)
             column[0].set_title(f"{TITLES.get(name, name)}: {failed / steps:.2%} infeasible steps")
