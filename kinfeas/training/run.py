@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated, Any
 
 import numpy as np
@@ -89,7 +90,7 @@ def check_new(out: Path) -> None:
     """Check that a run can begin in a folder.
 
     Raises:
-        KinfeasError: If it is not empty, or no folder.
+        KinfeasError: If it is not empty, or cannot be written.
     """
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.
@@ -98,6 +99,8 @@ def check_new(out: Path) -> None:
                 again = f"--resume {shlex.quote(str(out))}"
                 raise KinfeasError(f"{out}: already there; use {again}, or another --out")
             raise KinfeasError(f"{out}: holds other files, --out needs a new or an empty folder")
+        nearest = next(place for place in (out, *out.parents) if place.exists())
+        TemporaryFile(dir=nearest).close()
 
 
 def check_begun(out: Path) -> None:

@@ -36,8 +36,10 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
         (tmp_path / folder / file).touch()
     with pytest.raises(KinfeasError, match=f"--resume '{tmp_path}/my run'"):
         check_new(tmp_path / "my run")
-    with pytest.raises(KinfeasError, match="others"):
-        check_new(tmp_path / "others")
+    (tmp_path / "file").touch()
+    for name in ("others", "file", "file/run", "n" * 300):
+        with pytest.raises(KinfeasError, match=name):
+            check_new(tmp_path / name)
     check_begun(tmp_path / "my run")
     for name in ("others", "nothing", "n" * 300):
         with pytest.raises(KinfeasError, match=name):

@@ -304,14 +304,6 @@ def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path,
     assert not (tmp_path / "run").exists()
 
 
-def test_a_folder_that_cannot_be_made_raises(tiny, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    for out in (tmp_path / "file", tmp_path / "file" / "run", tmp_path / ("n" * 300)):
-        with pytest.raises(KinfeasError, match=out.name):
-            train(tiny(), out)
-    assert (tmp_path / "file").read_text() == "mine"
-
-
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
 @pytest.mark.parametrize("share", [0.0, 0.99, None])
 def test_a_broken_checkpoint_raises_and_stays(half, digest, file, share):
