@@ -6,6 +6,7 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.scenes.scene import read_scene
 from tests.backends.pybullet.conftest import alone, stay, twist
 
 DT = 0.02
@@ -118,6 +119,22 @@ def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, between_f
     first = play(fresh, scene, 7)
     fresh.close()
     np.testing.assert_array_equal(later, first)
+
+
+def test_contacts_before_a_reset_leave_no_trace(hsr):
+    room = read_scene("room")
+
+    def run(world, x, y, yaw):
+        base = spatial.planar_pose(*np.array([[x], [y], [yaw]]))
+        world.reset(base, hsr.home["home"][np.newaxis])
+        return np.array([one.base_pose[0] for one in stay(world, 60, twist(0.1, -0.2, 0.1))])
+
+    used, fresh = PyBulletBackend(hsr, room), PyBulletBackend(hsr, room)
+    for place in np.random.default_rng(0).uniform(-2.5, 2.5, (5, 3)):
+        run(used, *place)
+    np.testing.assert_array_equal(run(used, 0.5, -2.3, -1.2), run(fresh, 0.5, -2.3, -1.2))
+    used.close()
+    fresh.close()
 
 
 def test_one_row_is_reset_while_others_go_on(hsr, scene):

@@ -21,6 +21,8 @@ def test_a_picture_shows_the_target_in_its_middle(world, begin):
     x, y, depth = here.project(TARGET[np.newaxis])[0]
     assert (x, y) == pytest.approx((40.0, 30.0), abs=1e-3)
     assert depth == pytest.approx(np.linalg.norm(EYE - TARGET), abs=1e-3)
+    _, above, _ = here.project(TARGET[np.newaxis] + [0.0, 0.0, 0.3])[0]
+    assert 0.0 < above < y
     begin(x=5.0)
     away = take_picture(physics, EYE, TARGET, (80, 60))
     changed = np.argwhere(np.any(here.colour != away.colour, axis=-1))

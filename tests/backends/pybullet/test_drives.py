@@ -127,6 +127,10 @@ def test_a_differential_drive_moves_along_its_heading():
         heading = spatial.yaw(state.base_pose)[0]
         assert abs([-np.sin(heading), np.cos(heading)] @ state.base_twist[0, :2]) <= 1e-3
     world.close()
+    world = alone("tiago", yaw=0.7)  # it follows the part along its heading
+    state = stay(world, 50, twist(0.1))[-1]
+    world.close()
+    assert np.linalg.norm(state.base_twist[0, :2]) == pytest.approx(0.1 * np.cos(0.7), abs=1e-3)
 
 
 @pytest.mark.parametrize(("name", "slope"), [("tiago", 0.0), ("hsr", 1.0)])

@@ -78,3 +78,5 @@ def test_an_object_stands_if_upright_at_rest_on_another(room_world, pose, stands
     if pose[0] == 0.6295:
         assert sim.physics.client.getContactPoints(bodyA=box, bodyB=table)
     assert sim.furniture.stands("box", "place_table") is stands
+    sim.physics.client.resetBaseVelocity(box, [0.2, 0.0, 0.0])
+    assert not sim.furniture.stands("box", "place_table")
