@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kinfeas.core import spatial
@@ -24,16 +23,10 @@ def solver():
     return IkSolver(load_robot(str(FOLDER / "scout.yaml")))
 
 
-def test_self_collisions_are_rare(solver):
-    home = solver.robot.home["home"][np.newaxis]
-    assert not self_collides(solver.collision, home).any()
-    spread = spread_configurations(solver.robot, 1000)
-    assert self_collides(solver.collision, spread).mean() < 0.15
-
-
 def test_ik_inverts_forward_kinematics(solver):
     spread = spread_configurations(solver.robot, 1000)
     free = spread[~self_collides(solver.collision, spread)]
+    assert len(free) > 850
     poses = forward(solver.chain, free)
     solution = solver.solve(poses, free[::-1])
     found = solution.feasible

@@ -120,9 +120,7 @@ def test_python_runs(code, tmp_path, monkeypatch):
 def first_yaml(page, folder):
     """Return the path of a file with the first YAML block of a page."""
     path = folder / "page.yaml"
-    path.write_text(
-        next(code for kind, code in blocks((DOCS / page).read_text()) if kind == "yaml")
-    )
+    path.write_text(dict(reversed(blocks((DOCS / page).read_text())))["yaml"])
     return str(path)
 
 
