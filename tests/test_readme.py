@@ -110,7 +110,9 @@ def test_pictures_are_small():
 @pytest.mark.parametrize("code", PYTHON)
 def test_python_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shorter = code.replace("100_000", "256")
+    shorter = code.replace("100_000", "256").replace(
+        '_episodes": 20', '_episodes": 2, "schedule.final_episodes": 4'
+    )
     names = {"__name__": "page"}
     exec(compile(shorter, "docs", "exec"), names)
     if "Arc" in names:
