@@ -59,21 +59,8 @@ def train(  # noqa: PLR0913 - options of the command
 
     Example: `kinfeas.train("pr2", minutes=3, settings={"learner.batch_size": 256})`
 
-    Args:
-        robot: Name or YAML file. Arguments that are None have the recipe's value.
-        task: Name or YAML file.
-        seed: Random seed.
-        minutes: Training time.
-        steps: Environment steps.
-        algorithm: Algorithm.
-        adapters: Adapters by name or YAML file.
-        world: Backend: `analytic`, `pybullet` or a plugin.
-        init: Policy to start from: the folder of a run, or `pretrained`.
-        processes: Processes of the PyBullet world.
-        out: New folder of the run; `runs/ROBOT-TASK-SEED` by default.
-        config: Recipe by name or YAML file.
-        settings: Values by key of the recipe, as for `--set`.
-        on_progress: Called with the progress now and then.
+    Arguments that are None have the value of the recipe. `settings` are values by key of the
+    recipe, as for `--set`. `on_progress` is called with the progress now and then.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the folder holds a run.
@@ -115,22 +102,13 @@ def evaluate(  # noqa: PLR0913 - options of the command
     settings: Mapping[str, object] | None = None,
     on_done: Callable[[int], None] | None = None,
 ) -> "Summary":
-    """Return the metrics of a policy, those of `kinfeas evaluate --json`.
+    """Return the metrics of a policy; arguments are those of `kinfeas evaluate`.
 
     Example: `kinfeas.evaluate("pretrained", robot="pr2", episodes=100)["success"]`
 
-    Args:
-        policy: Run folder, ONNX file, `pretrained`, `module:Class`, or a plugin such as a baseline.
-        robot: Name or YAML file; robot of the policy by default.
-        task: Name or YAML file.
-        world: Backend: `analytic`, `pybullet` or a plugin.
-        episodes: Number of episodes; 500 by default, 50 with physics.
-        seed: Random seed.
-        filters: Command filters in place of the robot's own.
-        adapters: Adapters by name or YAML file.
-        processes: Number of parallel processes.
-        settings: Values by key such as `world.dt`, as for `--set`.
-        on_done: Called with the number of episodes that have just ended.
+    `policy` is a run folder, an ONNX file, `pretrained`, `module:Class`, or a plugin such as a
+    baseline. `settings` are values by key such as `world.dt`, as for `--set`. `on_done` is called
+    with the number of episodes that have just ended.
 
     Raises:
         KinfeasError: If an argument or a setting is invalid.

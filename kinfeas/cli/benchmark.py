@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -58,8 +58,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.Option("--runs", help="Existing training runs, or folders of them; none is trained."),
     ] = None,
     policy: Annotated[
-        str | None,
-        typer.Option("--policy", help="pretrained: shipped policies; none is trained."),
+        Literal["pretrained"] | None,
+        typer.Option("--policy", help="Shipped policies; none is trained."),
     ] = None,
     processes: Annotated[
         int | None,
@@ -93,8 +93,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     name = config or _RECIPES.get((world, quick), world)
     out = out or Path("runs/benchmark") / Path(name).stem
-    if policy not in (None, "pretrained") or (policy and runs):
-        raise KinfeasError("--policy can be pretrained only, and not beside --runs")
+    if policy and runs:
+        raise KinfeasError("--policy and --runs exclude each other")
     assignments = [*(["policies=pretrained"] if policy else []), *(overrides or [])]
     assignments += [] if episodes is None else [f"episodes={episodes}"]
     study, taken = read_benchmark(name, assignments), find_runs(runs or [])

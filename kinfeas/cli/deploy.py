@@ -16,6 +16,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 
 if TYPE_CHECKING:
+    from kinfeas.config import PluginSpec
     from kinfeas.io.run_log import About
     from kinfeas.robots.robot import Robot
     from kinfeas.sim2real.deploy.config import DeployConfig
@@ -134,12 +135,16 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         else:
             toward = options.read_task(task, config.task)
         setup = _make_setup(
-            (policy, backend, adapters),
-            (known, toward, config),
-            1.0 / rate,
-            seconds,
-            seed,
-            real_time,
+            policy,
+            backend,
+            options.read_adapters(adapters),
+            robot=known,
+            task=toward,
+            config=config,
+            dt=1.0 / rate,
+            seconds=seconds,
+            seed=seed,
+            real_time=real_time,
         )
         about = About(
             robot=from_anywhere(robot),
@@ -195,9 +200,14 @@ def _goal_task(
     return make_goal_task(goal, quaternion or rpy, motion)
 
 
-def _make_setup(
-    names: tuple[str, str, str | None],
-    parts: "tuple[Robot, Task, DeployConfig]",
+def _make_setup(  # noqa: PLR0913 - the parts of a run
+    policy_name: str,
+    backend_name: str,
+    adapters: "tuple[PluginSpec, ...]",
+    *,
+    robot: "Robot",
+    task: "Task",
+    config: "DeployConfig",
     dt: float,
     seconds: float,
     seed: int,
@@ -214,8 +224,6 @@ def _make_setup(
     from kinfeas.sim2real.deploy.runtime import Setup
     from kinfeas.tasks.task import SupportsTaskScenes
 
-    (policy_name, backend_name, adapter_list), (robot, task, config) = names, parts
-    adapters = options.read_adapters(adapter_list)
     policy, solver = load_policy(policy_name, robot), IkSolver(robot, config.ik)
     filters = build_filters(config.filters)
     warm_up(solver, policy, task, dt, adapters, filters)

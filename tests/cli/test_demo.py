@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import shlex
 from html import unescape
@@ -15,7 +16,8 @@ subgoals: [{place: my cup}]
 """
 
 
-def test_commands_of_the_report_reproduce_its_figures(kinfeas, tmp_path):
+def test_commands_of_the_report_reproduce_its_figures(kinfeas, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)  # starts no processes
     (tmp_path / "my task.yaml").write_text(TASK)
     taken = tmp_path / "my run"
     taken.mkdir()

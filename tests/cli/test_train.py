@@ -131,12 +131,10 @@ def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_
         (("--resume", "nowhere"), "nowhere"),
         (("--resume", "nowhere", "--seed", "1"), "--resume"),
         (("--resume", "nowhere", "--world", "pybullet"), "--resume"),
-        (("--out", "file/run", "--steps", "8", *TINY), "file/run"),
     ],
 )
 def test_bad_input_is_one_line(kinfeas, monkeypatch, tmp_path, arguments, named):
     monkeypatch.setattr("kinfeas.cli.train.train_run", None)
-    (tmp_path / "file").touch()
     outcome = kinfeas("train", *arguments)
     assert is_one_line(outcome), outcome.err
     assert named in outcome.err
@@ -149,6 +147,8 @@ def test_broken_and_taken_folders_are_one_line(kinfeas, run_folder):
     assert is_one_line(outcome), outcome.err
     assert "--resume run" in outcome.err
     assert files(run_folder) == before
+    outcome = kinfeas(*SHORT, "--out", "run/config.yaml/run")
+    assert is_one_line(outcome), outcome.err
     state = run_folder / "checkpoints" / "last" / "state.safetensors"
     state.write_bytes(state.read_bytes()[:100])
     assert is_one_line(kinfeas("train", "--resume", "run", "--steps", "128"))

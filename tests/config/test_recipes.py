@@ -3,7 +3,7 @@ import pytest
 from kinfeas.config.recipes import find_recipe, load_recipe, load_section, recipes, section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import EvalSettings
-from kinfeas.policies.baselines.demonstrated_base import BaselineConfig
+from kinfeas.policies.baselines.following import BaselineConfig
 from kinfeas.sim2real.deploy.config import DeployConfig
 from kinfeas.training.config import TrainConfig
 
