@@ -37,16 +37,12 @@ def task_name(name_or_path: str) -> str:
 
 def _check(task: Task, subject: str) -> None:
     """Raise KinfeasError if a plugin's task has no name or no sub-goals."""
-    name, subgoals = (getattr(task, key, None) for key in ("name", "subgoals"))
-    if not isinstance(name, str):
-        raise KinfeasError(f"{subject}: 'name' must be a string, not {name!r}")
+    name, subgoals = getattr(task, "name", None), getattr(task, "subgoals", None)
     try:
-        check_name(name)
+        check_name(name if isinstance(name, str) else "")
     except ValueError as error:
         raise KinfeasError(f"{subject}: {error}") from error
     keys = [one.name for one in fields(Subgoal)]
-    complete = isinstance(subgoals, Sequence) and all(
-        hasattr(subgoal, key) for subgoal in subgoals for key in keys
-    )
-    if not complete or not subgoals:
+    listed = subgoals if isinstance(subgoals, Sequence) else ()
+    if not listed or not all(hasattr(subgoal, key) for subgoal in listed for key in keys):
         raise KinfeasError(f"{subject}: 'subgoals' must be a tuple of at least one Subgoal")
