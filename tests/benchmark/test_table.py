@@ -94,8 +94,9 @@ def test_the_interval_holds_the_mean_and_no_less_than_wilson(shares):
 
 
 def test_seeds_that_differ_widen_the_interval():
-    apart, alike = interval([0.5, 0.9], 10_000), interval([0.7, 0.7], 10_000)
-    assert apart.high - apart.low > 0.9
+    apart, alike = interval([0.68, 0.70, 0.72], 10**6), interval([0.7, 0.7], 10_000)
+    half = 4.302653 * 0.02 / 3**0.5  # Student's t of two degrees of freedom
+    assert (apart.low, apart.high) == (pytest.approx(0.7 - half), pytest.approx(0.7 + half))
     assert alike.high - alike.low < 0.02
 
 

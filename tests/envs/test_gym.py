@@ -1,6 +1,7 @@
 """The Gymnasium environments, single and vector."""
 
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -14,7 +15,7 @@ from stable_baselines3.common import env_checker as sb3_checker
 from kinfeas import envs
 from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.gym import BaseMotionEnv
+from kinfeas.envs.gym import BaseMotionEnv, step_info
 from kinfeas.envs.vector import BaseMotionVectorEnv
 from kinfeas.envs.world import World, WorldConfig
 
@@ -143,21 +144,15 @@ def test_a_failure_on_the_last_step_terminates_and_does_not_truncate():
     assert [limited.step(action)[2:4] for _ in range(steps)][-1] == (True, False)
 
 
-def test_success_is_a_goal_reached_without_a_failure():
-    near = {"distance": [0.3, 0.6], "heights": [0.6, 0.9]}
-    env = BaseMotionEnv(task_parameters=near, world=WorldConfig(max_failures=0))
-    outcomes = set()
-    env.reset(seed=0)
-    for _ in range(15):
-        done = False
-        while not done:
-            _, _, terminated, truncated, info = env.step(np.zeros(3))
-            done = terminated or truncated
-        assert terminated == (info["reached"] or info["failures"] > 0)
-        assert info["is_success"] == (info["reached"] and info["failures"] == 0)
-        outcomes.add(info["is_success"])
-        env.reset()
-    assert outcomes == {True, False}
+@pytest.mark.parametrize(("reached", "failures"), [(True, 0), (True, 1), (False, 0)])
+def test_success_is_a_goal_reached_without_a_failure(reached, failures):
+    world = BaseMotionEnv("hsr").world
+    world.start([0])
+    transition = replace(world.step(np.zeros((1, 3))), reached=np.array([reached]))
+    world.failures[:] = failures
+    info = step_info(world, transition)
+    assert (info["reached"], info["failures"]) == (reached, failures)
+    assert info["is_success"] == (reached and not failures)
 
 
 def test_infos_of_a_batch_have_gymnasium_s_layout():
