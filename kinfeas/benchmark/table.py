@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -155,13 +154,16 @@ def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _cell(group: Sequence[tuple[Job, Result]], ceiling: Result, analytic: Sequence[Result]) -> Cell:
     job, first = group[0]
-    ordered = sorted(group, key=lambda one: one[0].source)
-    by_source = [list(own) for _, own in groupby(ordered, key=lambda one: one[0].source)]
-    metrics = [merged([result for _, result in own]) for own in by_source]
-    seeds = sorted({one.training_seed for one, _ in group if one.training_seed is not None})
-    episodes = metrics[0]["episodes"]
-    success = interval([one["success"] for one in metrics], episodes)
-    done = _task_success(metrics, episodes)
+    by_source: dict[str, list[Result]] = {}
+    for one, result in group:
+        by_source.setdefault(one.source, []).append(result)
+    seeds = [merged(results) for results in by_source.values()]
+    episodes = seeds[0]["episodes"]
+    means: dict[str, Any] = {key: _mean(seeds, key) for key in _MEANS}
+    for key in ("success", "task_success"):
+        share = None if means[key] is None else interval([one[key] for one in seeds], episodes)
+        means[f"{key}_low"] = share.low if share else None
+        means[f"{key}_high"] = share.high if share else None
     paper = _paper(job)
     return Cell(
         robot=job.robot_name,
@@ -173,29 +175,19 @@ def _cell(group: Sequence[tuple[Job, Result]], ceiling: Result, analytic: Sequen
         filters=tuple(first["filters"]),
         time_scale=first["time_scale"],
         head_start=first["head_start"],
-        seeds=len(metrics),
-        training_seeds=tuple(seeds),
+        seeds=len(seeds),
+        training_seeds=tuple(
+            sorted({one.training_seed for one, _ in group if one.training_seed is not None})
+        ),
         episodes_per_seed=episodes,
-        success=success.value,
-        success_std=_deviation(metrics, "success"),
-        success_low=success.low,
-        success_high=success.high,
-        within_5cm=_mean(metrics, "within_5cm") or 0.0,
-        within_5cm_std=_deviation(metrics, "within_5cm"),
-        ik_failures_per_episode=_mean(metrics, "ik_failures_per_episode"),
-        mean_deviation_m=_mean(metrics, "mean_deviation_m"),
-        joint_jumps_per_episode=_mean(metrics, "joint_jumps_per_episode") or 0.0,
+        **means,
+        success_std=_deviation(seeds, "success"),
+        within_5cm_std=_deviation(seeds, "within_5cm"),
         ceiling=ceiling["success"],
         ceiling_low=ceiling["success_low"],
         ceiling_high=ceiling["success_high"],
         paper_success=paper.success if paper else None,
         paper_within_5cm=paper.within_5cm if paper else None,
-        task_success=done.value if done else None,
-        task_success_low=done.low if done else None,
-        task_success_high=done.high if done else None,
-        base_collisions=_mean(metrics, "base_collisions"),
-        arm_collisions=_mean(metrics, "arm_collisions"),
-        collision_free_rate=_mean(metrics, "collision_free_rate"),
         analytic_success=_mean(analytic, "success"),
         analytic_within_5cm=_mean(analytic, "within_5cm"),
     )
@@ -211,11 +203,6 @@ def _paper(job: Job) -> PaperFigures | None:
         return known.get(job.policy)
     plain = None if job.row and world == "analytic" else known.get(LEARNED)
     return known.get(job.row, plain)
-
-
-def _task_success(metrics: Sequence[Mapping[str, Any]], episodes: int) -> Share | None:
-    shares = [one["task_success"] for one in metrics]
-    return None if None in shares else interval(shares, episodes)
 
 
 def _mean(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:

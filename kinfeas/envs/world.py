@@ -16,7 +16,8 @@ from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Rows, Step
-from kinfeas.core.backend import build_backend
+from kinfeas.core.backend import RealTimeBackend, build_backend
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng
 from kinfeas.envs.reward import RewardConfig, reward
@@ -125,11 +126,14 @@ class World:
             seed: Seed of all episodes.
 
         Raises:
-            KinfeasError: If backend, task or an adapter cannot be built.
+            KinfeasError: If backend, task or an adapter cannot be built, or the backend is a robot.
         """
         self.robot, self.config, self.seed = robot, config, seed
         self.solver = IkSolver(robot, config.ik)
         self.backend = build_backend(config.backend, config.backend_parameters, robot=robot)
+        if isinstance(self.backend, RealTimeBackend):  # episodes have no guards
+            self.backend.close()
+            raise KinfeasError(f"backend {config.backend!r} is for deployment, not for episodes")
         self.task = task
         if isinstance(self.backend, SupportsTaskScenes):
             self.task = self.backend.stage(task)

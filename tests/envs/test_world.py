@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.policies.baselines.following import FollowEe
@@ -262,6 +264,29 @@ def test_goals_nearby_are_reached(robot):
 def test_wrong_settings_are_named(hsr, settings, named):
     with pytest.raises(KinfeasError, match=named):
         make(hsr, world=WorldConfig(**settings))
+
+
+class RealRobot(AnalyticBackend):
+    """A backend with a clock of its own."""
+
+    closed = False
+
+    def read(self):
+        raise AssertionError
+
+    def stop(self):
+        raise AssertionError
+
+    def close(self):
+        type(self).closed = True
+
+
+def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.backends", "real", RealRobot)
+    with pytest.raises(KinfeasError, match="real"):
+        make(hsr, world=WorldConfig(backend="real"))
+    assert RealRobot.closed
 
 
 class Foreign:
