@@ -1,4 +1,4 @@
-"""How Sphinx builds this site: `make docs`."""
+"""Sphinx configuration of the documentation site: `make docs`."""
 
 import re
 import sys
@@ -27,7 +27,7 @@ extensions = [
 ]
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
-# A link to a file that is no page, such as one of examples/, becomes a download.
+# Links to other files, such as those of examples/, become downloads.
 exclude_patterns = ["_build"]
 
 smartquotes = False
@@ -50,21 +50,21 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = False
 
-# Aliases are known by what they stand for; a reader knows them by their name.
+# Signatures show the names of type aliases.
 _NUMBERS = "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.{}]]"
 _ALIASES = {_NUMBERS.format("float64"): "Array"}
 _ALIASES |= {_NUMBERS.format(kind): f"NDArray[{kind}]" for kind in ("intp", "bool", "uint64")}
 _ARRAY_LIKE = re.compile(
     r"~numpy\._typing\.\S*_Buffer \| .*?~numpy\._typing\.\S*\[complex \| bytes \| str\]"
 )
-# What a number may be stands in the documentation of the field.
+# Bounds of numbers are in the documentation of the fields.
 _BOUNDED = re.compile(r"~typing\.Annotated\[([^,\[\]]+), ~?[\w.]*Interval\([^)]*\)\]")
 
 
 def _name_aliases(
     app: Sphinx, what: str, name: str, thing: object, options: object, *signature: str | None
 ) -> tuple[str | None, ...]:
-    """Return arguments and result of a signature with the names of aliases in them."""
+    """Return a signature with the names of type aliases."""
     if getattr(thing, "_is_protocol", False):
         return "", None
     return tuple(_shortened(part) if part else part for part in signature)
@@ -77,5 +77,5 @@ def _shortened(text: str) -> str:
 
 
 def setup(app: Sphinx) -> None:
-    """Have signatures shortened."""
+    """Register the shortening of signatures."""
     app.connect("autodoc-process-signature", _name_aliases)

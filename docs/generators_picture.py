@@ -45,7 +45,7 @@ def paths(name: str, parameters: dict[str, object]) -> Array:
 
 
 def draw(axes: Axes, name: str, poses: Array) -> None:
-    """Draw the ways from above, with the x axis of the EE every four seconds."""
+    """Draw the paths from above, with the x axis of the EE every four seconds."""
     axes.set_title(name, family="monospace", fontsize=11)
     for i, colour in enumerate(mpl.colormaps["viridis"](np.linspace(0.0, 0.85, 7))):
         axes.plot(poses[:, i, 0], poses[:, i, 1], color=colour, linewidth=1.4)

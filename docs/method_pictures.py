@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/method.md: the loop, what is seen, what is feasible, what is earned."""
+"""Draw the pictures of docs/method.md: loop, observation, feasibility, reward."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -50,7 +50,7 @@ def box(axes: Axes, at: tuple[float, float], name: str, says: str, colour: str) 
 
 
 def arrow(axes: Axes, *way: tuple[float, float]) -> None:
-    """Draw an arrow along the corners of a way."""
+    """Draw an arrow through corners."""
     for start, end in pairwise(way[:-1]):
         axes.plot(*zip(start, end, strict=True), color=INK, lw=1.5, solid_capstyle="round")
     style = {"arrowstyle": "-|>", "mutation_scale": 14, "lw": 1.5, "color": INK}
@@ -58,7 +58,7 @@ def arrow(axes: Axes, *way: tuple[float, float]) -> None:
 
 
 def note(axes: Axes, x: float, y: float, text: str, **more: str) -> None:
-    """Write what passes along an arrow."""
+    """Write the label of an arrow."""
     where = {"ha": "center", "va": "bottom"} | more
     axes.text(x, y, text, fontsize=9, color=INK, **where)
 
@@ -98,7 +98,7 @@ def loop() -> Figure:
 
 
 def stance(robot: Robot, hand: Array) -> tuple[Array, Array]:
-    """Return a base pose and arm joints that put the EE to `hand`, with the EE well ahead."""
+    """Return a base pose and arm joints with the EE at `hand`, in front of the base."""
     solver = IkSolver(robot)
     seed = robot.home["home"][np.newaxis]
     ways = [(x, y) for y in (0.15, 0.08, 0.0, -0.08) for x in np.linspace(0.75, 0.4, 15)]
@@ -172,7 +172,7 @@ def seen() -> Figure:
 
 
 def stances(robot: Robot, hand: Array) -> Array:
-    """Return the share of headings from which the EE gets to `hand`, a cell for each base place."""
+    """Return the share of feasible headings for an EE pose by base position, shape (x, y)."""
     solver = IkSolver(robot)
     line = np.linspace(-REACH, REACH, CELLS)
     headings = np.linspace(-np.pi, np.pi, HEADINGS, endpoint=False)
@@ -185,7 +185,7 @@ def stances(robot: Robot, hand: Array) -> Array:
 
 
 def feasible() -> Figure:
-    """Return the picture of where a base may stand."""
+    """Return the picture of feasible base positions."""
     figure = Figure(figsize=(9.6, 5.6), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=(0.75, 1.0))
     below = [figure.add_subplot(grid[1, column]) for column in range(3)]
@@ -217,14 +217,14 @@ def feasible() -> Figure:
 
 
 def in_gripper_convention(robot: Robot, tip: Array) -> Array:
-    """Return the EE pose that gives the gripper the orientation of `tip`, at its place."""
+    """Return the EE pose at `tip` with the gripper in its orientation."""
     turn = np.concatenate([np.zeros(3), robot.gripper_rotation])
     return compose(tip, turn)
 
 
 def reached(robot: Robot) -> Array:
     """Return the share of turned goals that some base pose reaches, by height, shape (h,)."""
-    # At a goal a pose tolerance is gone: what counts there is what success asks for.
+    # The pose tolerance does not hold at goals.
     goal = IkOptions(
         pose_tolerance=False, position_tolerance=GOAL_METRES, rotation_tolerance=GOAL_RADIANS
     )
@@ -239,7 +239,7 @@ def reached(robot: Robot) -> Array:
 
 
 def earned() -> Figure:
-    """Return the picture of a failure's cost, and of what can be reached at all."""
+    """Return the picture of the reward of a failure and of reachability."""
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     cost, ceiling = figure.subplots(1, 2, width_ratios=(0.9, 1.1))
     missing = np.linspace(0.0, 0.2, 201)

@@ -1,11 +1,11 @@
-"""Put the figures of `kinfeas benchmark --out DIR` into the documentation.
+"""Write the results of `kinfeas benchmark --out DIR` into the documentation.
 
 python docs/results_tables.py DIR...
 
-docs/figures holds all cells that the pages show, as `table.json` has them. The cells of each study
-take the place of those of the same robot, task and policy; then the tables of docs/results.md,
-docs/physics.md and README.md are filled with all of them. A study of all robots in the analytic
-world brings its pictures, too.
+docs/figures has all cells of the tables, in the format of `table.json`. The cells of each study
+replace those of the same robot, task, policy and row. Then the tables of docs/results.md,
+docs/physics.md and README.md are written. A study of all robots in the analytic world also
+replaces the pictures.
 """
 
 import io
@@ -70,7 +70,7 @@ PICTURES = ("learning_curves", "examples-tiago", "workspace")
 COLOURS = 128
 
 Entry = dict[str, Any]
-"""A cell as `table.json` has it."""
+"""A cell in the format of `table.json`."""
 
 Cells = dict[tuple[str, str, str, str], Entry]
 """Cells without a variant, by robot, task, policy and row."""
@@ -95,7 +95,7 @@ def plain(record: Sequence[Entry]) -> Cells:
 
 
 def shown(record: Sequence[Entry]) -> list[Cell]:
-    """Return the cells of a record as tables show them: learned ones first, the paper's once."""
+    """Return the cells of a record in the order of tables: learned first, the paper's once."""
     cells = [Cell(**cell) for cell in record]
     trained = {
         (cell.robot, cell.variant, cell.task)
@@ -142,7 +142,7 @@ def fill_results(page: str, record: Sequence[Entry]) -> str:
 
 
 def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) -> str:
-    """Return the README with the rows of its tables filled anew."""
+    """Return the README with the rows of a record."""
     analytic, with_physics = plain(record), plain(physics)
     for robot, name in ROBOTS.items():
         rows = {head.format(name): chosen for head, chosen in ROWS.items()}
@@ -253,7 +253,7 @@ def _fill(page: str, head: str, values: list[str]) -> str:
 
 
 def _found(filled: str, places: int, complaint: str) -> str:
-    """Return the page, or stop with a complaint if nothing was filled in: its figures are old."""
+    """Return the page; exit with an error if there was no place for its tables."""
     if not places:
         raise SystemExit(f"{complaint}; its figures would stay old")
     return filled
@@ -279,7 +279,7 @@ def _keep(picture: Image.Image, name: str) -> None:
 
 
 def main(studies: Sequence[Path]) -> None:
-    """Write what studies hold into the record, and the record into the documentation."""
+    """Merge studies into the record, and write it into the documentation."""
     analytic, physics = FIGURES / "study.json", FIGURES / "physics.json"
     records = {"analytic": _read(analytic), "pybullet": _read(physics)}
     for study in studies:
@@ -287,7 +287,7 @@ def main(studies: Sequence[Path]) -> None:
         world = found[0]["world"]
         records[world] = merged(records[world], found)
         if world == "analytic" and {cell["robot"] for cell in found} == set(ROBOTS):
-            # Who trains nothing has no learning curves.
+            # Studies without training have no learning curves.
             for name in PICTURES:
                 if (study / f"{name}.png").exists():
                     _keep(Image.open(study / f"{name}.png"), name)

@@ -49,7 +49,7 @@ def main() -> None:
         record = read_record(path)
     print(f"{outcome.code.name}: {outcome.reason}, {outcome.failures} failures")
     way = np.linalg.norm(record.base_pose[-1, :2] - record.base_pose[0, :2])
-    print(f"{len(record.time)} lines recorded, the base came {way:.2f} m far")
+    print(f"{len(record.time)} lines recorded, base displacement {way:.2f} m")
 
 
 if __name__ == "__main__":

@@ -21,14 +21,14 @@ def main() -> None:
     print(f"action {env.action_space.shape}: base velocities as fractions of their limits")
     env.reset(seed=0)
     env.action_space.seed(0)
-    earned = 0.0
+    total = 0.0
     for _ in range(given.steps):
         _, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        earned += reward
+        total += reward
         if terminated or truncated:
-            print(f"episode over after {info['failures']} failures")
+            print(f"episode ended after {info['failures']} failures")
             env.reset()
-    print(f"{given.steps} steps, reward {earned:.1f}")
+    print(f"{given.steps} steps, reward {total:.1f}")
     env.close()
 
     many = gymnasium.make_vec(
@@ -39,7 +39,7 @@ def main() -> None:
     )
     many.reset(seed=0)
     rewards = [many.step(np.zeros(many.action_space.shape))[1] for _ in range(given.steps // 10)]
-    print(f"64 robots that stand still: reward {np.mean(rewards):.3f} a step")
+    print(f"64 robots with zero actions: mean reward {np.mean(rewards):.3f} a step")
     many.close()
 
 

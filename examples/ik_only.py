@@ -32,18 +32,16 @@ def main() -> None:
     solution = solver.solve(poses, seeds)
     seconds = time.perf_counter() - began
     print(f"{robot.name}: {np.mean(solution.feasible):.3f} of {len(poses)} poses have a solution")
-    print(f"{1e6 * seconds / len(poses):.1f} us a pose, from a seed anywhere")
+    print(f"{1e6 * seconds / len(poses):.1f} us a pose, from arbitrary seeds")
 
     found = solution.feasible
     reached = forward(solver.chain, solution.joint_positions[found])
     metres, radians = spatial.distance(reached, poses[found])
-    print(
-        f"off by {1000 * metres.max():.3f} mm and {np.rad2deg(radians.max()):.3f} degrees at most"
-    )
+    print(f"maximum error {1000 * metres.max():.3f} mm and {np.rad2deg(radians.max()):.3f} degrees")
 
     ceiling = measure_reachability(robot, load_task("ggr"), given.goals, seed=1)
     print(
-        f"{ceiling.share.value:.2f} of {given.goals} random goals are reached from some base pose"
+        f"{ceiling.share.value:.2f} of {given.goals} random goals are reachable from some base pose"
     )
 
 

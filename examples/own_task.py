@@ -1,4 +1,4 @@
-"""Describe a task as a chain of places, in code, and see which robots can do it."""
+"""Define a task of several sub-goals in code, and evaluate it with several robots."""
 
 import argparse
 import math
@@ -14,7 +14,7 @@ WATER_PLANTS = ChainTask(
     name="water_plants",
     start=BaseStart(square=1.0),
     places={
-        # Metres and radians; of a pair a number in between is drawn for each episode.
+        # Metres and radians; each episode draws a number between those of a pair.
         "tap": Place(position=(1.2, (-0.3, 0.3), 0.9)),
         "plant": Place(position=((-0.8, -0.6), 1.2, (0.6, 0.8)), rpy=(0.0, 0.0, math.pi / 2.0)),
     },
