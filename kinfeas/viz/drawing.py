@@ -50,14 +50,7 @@ class Solid(NamedTuple):
 def robot_solids(
     robot: Robot, base_pose: Array, joint_positions: Array, colours: tuple[str, ...] = (BODY, ARM)
 ) -> list[Solid]:
-    """Return the shapes of a robot in the world.
-
-    Args:
-        robot: Robot model.
-        base_pose: World pose of the base, shape (7,).
-        joint_positions: Arm joints, shape (j,).
-        colours: Of the body, and of the arm with its hand.
-    """
+    """Return the shapes of a robot at a base pose (7,) and arm joints (j,); colours: body, arm."""
     poses = link_poses(robot, base_pose, joint_positions)
     return [
         Solid(replace(shape, pose=compose(poses[link], shape.pose)), colours[arm])
@@ -146,13 +139,9 @@ def faces(shape: Shape) -> list[Array]:
 
 
 def add_axes(figure: Figure, position: Any, heading: float, elevation: float) -> Axes3D:
-    """Return new 3-D axes without a frame.
+    """Return 3-D axes without a frame; `heading` points right, `elevation` down, in radians.
 
-    Args:
-        figure: Its figure.
-        position: As in `Figure.add_subplot`, or its rectangle in the figure.
-        heading: World direction that points to the right of the picture, radians.
-        elevation: Angle from which to look down, radians.
+    The position is as in `Figure.add_subplot`, or a rectangle in the figure.
     """
     add: Any = figure.add_axes if isinstance(position, tuple) else figure.add_subplot
     axes = add(position, projection="3d", proj_type="ortho", computed_zorder=False)
@@ -162,13 +151,7 @@ def add_axes(figure: Figure, position: Any, heading: float, elevation: float) ->
 
 
 def show_all(axes: Axes3D, points: Array, aspect: float = 1.0) -> None:
-    """Fit 3-D axes to points at equal scales, after all is drawn.
-
-    Args:
-        axes: From `add_axes`.
-        points: World positions, shape (k, 3), metres.
-        aspect: Width of the picture by its height; mplot3d uses a square otherwise.
-    """
+    """Fit 3-D axes to points (k, 3) at equal scales; call it last. aspect: width by height."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, 0.1)
     axes.set(xlim=(low[0], low[0] + size[0]), ylim=(low[1], low[1] + size[1]))

@@ -27,7 +27,7 @@ from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.viz import drawing
-from kinfeas.viz.film import SIZE, result
+from kinfeas.viz.film import SIZE, Film, result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
 
 _ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
@@ -43,14 +43,7 @@ def episodes_figure(
     titles: Sequence[str] | None = None,
     scene: Scene | None = None,
 ) -> Figure:
-    """Return a picture with a column for each episode: from the side, and from above.
-
-    Args:
-        robot: Robot model.
-        recordings: At least one episode.
-        titles: Of the columns; by default number, result and duration.
-        scene: Furniture.
-    """
+    """Return a picture with a column for each episode: from the side, and from above."""
     count = len(recordings)
     titles = titles or [
         f"Episode {one.episode}: {result(one)[0]}, {failures_text(int(np.sum(~one.feasible)))}, "
@@ -75,11 +68,7 @@ def episodes_figure(
 
 
 def record_figure(record: Record, robot: Robot) -> Figure:
-    """Return a picture of a recorded run with the furniture near it.
-
-    Raises:
-        KinfeasError: If the run has another arm, or its scene is missing.
-    """
+    """Return a picture of a recorded run with the furniture near it."""
     seconds = record.time[-1] - record.time[0]
     end = record.event[-1] or "the record breaks off"
     title = fill(f"{robot.name}, {record.about.task}, {seconds:.0f} s: {end}", 50)
@@ -87,11 +76,7 @@ def record_figure(record: Record, robot: Robot) -> Figure:
 
 
 def as_recording(record: Record, robot: Robot) -> Recording:
-    """Return a recorded run as an episode; the achieved EE pose is that of the measured joints.
-
-    Raises:
-        KinfeasError: If the run has another arm.
-    """
+    """Return a recorded run as an episode; the achieved EE pose is that of the measured joints."""
     joints = tuple(joint.name for joint in robot.arm)
     if record.about.joints != joints:
         raise KinfeasError(
@@ -101,24 +86,14 @@ def as_recording(record: Record, robot: Robot) -> Recording:
     ee = forward(build_chain(robot), record.joint_positions)
     last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
     return Recording(
-        episode=0,
-        base_pose=record.base_pose,
-        joint_positions=record.joint_positions,
-        desired=record.desired,
-        ee_pose=spatial.compose(record.base_pose, ee),
-        feasible=record.feasible,
-        goals=record.goal[last],
-        reached=record.event[-1].startswith(REACHED),
-        dt=record.about.dt,
-    )
+        0, record.base_pose, record.joint_positions, record.desired,
+        spatial.compose(record.base_pose, ee), record.feasible, record.goal[last],
+        reached=record.event[-1].startswith(REACHED), dt=record.about.dt,
+    )  # fmt: skip
 
 
 def scene_of(record: Record) -> Scene | None:
-    """Return the furniture at the start of a run; None without a scene.
-
-    Raises:
-        KinfeasError: If the scene or one of its objects is missing.
-    """
+    """Return the furniture at the start of a run; None without a scene."""
     if not record.about.scene:
         return None
     poses = {name: np.array(pose) for name, pose in record.about.objects.items()}
@@ -170,18 +145,15 @@ def moment_image(
 
 
 @dataclass(frozen=True, eq=False)
-class EpisodeFilm:
-    """An episode in the analytic world, to be written by `write_film`."""
+class EpisodeFilm(Film):
+    """An episode in the analytic world."""
 
-    recording: Recording
     robot: Robot
-    title: str
 
     def picture(self, moment: int) -> Image.Image:
         """Return the picture of one moment with the paths until then."""
-        return Image.fromarray(
-            moment_image(self.robot, self.recording, watch(self.recording), moment)
-        )
+        camera = watch(self.recording)
+        return Image.fromarray(moment_image(self.robot, self.recording, camera, moment))
 
 
 def _robot(

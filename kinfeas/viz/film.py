@@ -1,8 +1,9 @@
 """Films as GIF or MP4 files, or as a PNG with some of their pictures."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib import get_data_path
@@ -25,26 +26,20 @@ _COLOURS = 128  # of a GIF
 _PANELS = (2, 2)  # of a PNG
 
 
-class Film(Protocol):
+@dataclass(frozen=True, eq=False)
+class Film:
     """A recorded episode with pictures and a title for their captions."""
 
-    @property
-    def recording(self) -> Recording: ...  # noqa: D102
-
-    @property
-    def title(self) -> str: ...  # noqa: D102
+    recording: Recording
+    title: str
 
     def picture(self, moment: int) -> Image.Image:
-        """Return the picture of one moment."""
-        ...
+        """Return the picture of one moment with the paths until then."""
+        raise NotImplementedError
 
 
 def check_film_path(path: Path) -> None:
-    """Check the suffix of a film, and that MP4 can be written.
-
-    Raises:
-        KinfeasError: If the suffix is not one of `SUFFIXES`, or `av` is not installed.
-    """
+    """Check the suffix of a film, and that MP4 can be written."""
     if path.suffix.lower() not in SUFFIXES:
         raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".mp4":
@@ -54,13 +49,7 @@ def check_film_path(path: Path) -> None:
 def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = None) -> None:
     """Write a film as GIF or MP4, or four of its pictures as PNG.
 
-    Args:
-        film: What is shown.
-        path: File with one of `SUFFIXES`.
-        on_done: Called with 1 after each picture, `count_pictures` times.
-
-    Raises:
-        KinfeasError: If the suffix is another one, or the file cannot be written.
+    `on_done` is called with 1 after each picture, `count_pictures` times.
     """
     check_film_path(path)
     moments, suffix = _moments(film, path), path.suffix.lower()
@@ -89,9 +78,8 @@ def count_pictures(film: Film, path: Path) -> int:
 def result(recording: Recording) -> tuple[str, bool]:
     """Return the result of an episode as a text, and whether it is a success."""
     text = "goal reached" if recording.reached else "goal not reached"
-    return text + TASK_DONE[
-        recording.task_done
-    ], recording.reached and recording.task_done is not False
+    succeeded = recording.reached and recording.task_done is not False
+    return text + TASK_DONE[recording.task_done], succeeded
 
 
 def captioned(film: Film, moment: int, speed: float = 1.0) -> Image.Image:

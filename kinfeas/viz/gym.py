@@ -29,11 +29,7 @@ class RenderedMotionEnv(BaseMotionEnv):
         return super().reset(seed=seed, options=options)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`.
-
-        Raises:
-            ResetNeeded: If no episode was started.
-        """
+        """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`."""
         check_reset(self.next_episode)
         if self.render_mode is None:
             return None

@@ -34,18 +34,10 @@ _WALL = 4.0  # m; longer boxes hide the room
 
 
 class ScenePage:
-    """A scene on a viser server, with movable doors and drawers.
+    """A scene on a viser server at a free port, with movable doors and drawers."""
 
-    Args:
-        scene: The scene.
-        port: Port on this machine; 0 for any free one.
-
-    Raises:
-        KinfeasError: If viser is not installed.
-    """
-
-    def __init__(self, scene: Scene, port: int = 0) -> None:
-        self._scene, self._server = scene, _start(scene.name, port)
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._server = scene, _start(scene.name)
         self._server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
         self._server.initial_camera.look_at = np.zeros(3)
         self._server.scene.add_grid(
@@ -110,14 +102,7 @@ def episode_html(
 ) -> str:
     """Return the page of an episode, drawn from the robot's primitive shapes.
 
-    Args:
-        recording: The episode, t moments.
-        robot: Robot model.
-        scene: Furniture.
-        times: Of the moments, shape (t,), seconds; by default those of the recording.
-
-    Raises:
-        KinfeasError: If viser is not installed.
+    The times of the t moments, shape (t,) in seconds, are by default those of the recording.
     """
 
     def poses(moment: int) -> Mapping[Any, Array]:
@@ -131,11 +116,7 @@ def episode_html(
 
 
 def pybullet_html(film: "PyBulletFilm") -> str:
-    """Return the page of an episode in PyBullet, with everything that moves.
-
-    Raises:
-        KinfeasError: If viser is not installed.
-    """
+    """Return the page of an episode in PyBullet, with everything that moves."""
     from kinfeas.backends.pybullet import camera
 
     shapes = [
@@ -161,15 +142,13 @@ def moments(times: Array) -> NDArray[np.intp]:
     return np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
 
 
-def _start(title: str, port: int = 0) -> Any:
+def _start(title: str) -> Any:
     try:
         import viser
     except ImportError as error:
-        raise KinfeasError(
-            "viser is not installed, which pages need: pip install 'kinfeas[view]'"
-        ) from error
+        raise KinfeasError("pages need viser: pip install 'kinfeas[view]'") from error
     with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-        return viser.ViserServer("127.0.0.1", port, title, verbose=False)
+        return viser.ViserServer("127.0.0.1", 0, title, verbose=False)
 
 
 def _stop(server: Any) -> None:

@@ -21,11 +21,7 @@ _STILL = 1e-3  # of the largest speed: too small to be seen
 
 
 def read_metrics(run: Path) -> dict[str, Array]:
-    """Return columns of a run's `metrics.csv` by name, NaN where a row has no entry.
-
-    Raises:
-        KinfeasError: If the file is missing, empty or broken.
-    """
+    """Return columns of a run's `metrics.csv` by name, NaN where a row has no entry."""
     path = run / "metrics.csv"
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -38,12 +34,7 @@ def read_metrics(run: Path) -> dict[str, Array]:
 
 
 def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) -> Figure:
-    """Return a plot of success over time and steps.
-
-    Args:
-        metrics: Columns of `metrics.csv`.
-        levels: Other success rates, 0-1, by name, drawn as horizontal lines.
-    """
+    """Return a plot of success over time and steps."""
     minutes, steps = metrics["seconds"] / 60.0, metrics["steps"]
     with rc_context(STYLE):
         figure = Figure(figsize=(8.6, 4.4), layout="constrained")
@@ -83,13 +74,7 @@ def apart(values: Sequence[float], gap: float) -> list[float]:
 
 
 def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
-    """Return plots of sample motions: paths from above and from the side, and speeds.
-
-    Args:
-        name: Of the motion generator.
-        samples: Its motions.
-        trial: Gives the control period and the velocity limits.
-    """
+    """Return plots of sample motions: paths from above and from the side, and speeds."""
     colours = colormaps["viridis"](np.linspace(0.0, 0.85, len(samples.goal)))
     linear, angular = np.linalg.norm(np.split(samples.twist, 2, axis=-1), axis=-1)
     time = trial.dt * np.arange(len(linear), dtype=np.float64)
@@ -128,13 +113,7 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
 
 
 def sim2real_figure(title: str, costs: Sequence[Cost], sweeps: Sequence[Sweep]) -> Figure:
-    """Return plots of success: each adapter alone and each left out, and over parameters.
-
-    Args:
-        title: Line above the plots.
-        costs: Rows of the first panel, with 95 % intervals.
-        sweeps: One panel each.
-    """
+    """Return plots of success: each adapter alone and each left out, and over parameters."""
     with rc_context(STYLE):
         size = 4.6 + 2.7 * len(sweeps), max(3.4, 1.3 + 0.24 * len(costs))
         figure = Figure(figsize=size, layout="constrained")

@@ -24,7 +24,7 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.paper import TITLES
 from kinfeas.evaluation.recording import Recording, record_episodes
 from kinfeas.viz.episodes import side_heading
-from kinfeas.viz.film import SIZE
+from kinfeas.viz.film import SIZE, Film
 from kinfeas.viz.style import DESIRED, EE, FAILURE, GOAL
 
 _FINER = 2  # pixels in each direction that are averaged into one
@@ -37,26 +37,14 @@ _ELEVATION = np.deg2rad(30.0)
 
 
 @dataclass(frozen=True, eq=False)
-class PyBulletFilm:
-    """An episode in PyBullet, to be written by `write_film`.
+class PyBulletFilm(Film):
+    """An episode in PyBullet, and a camera at `eye` directed to `target`, both (t, 3), metres."""
 
-    Attributes:
-        recording: The episode.
-        moments: State of all bodies at each moment.
-        physics: A world with the same bodies.
-        eye: Position of the camera, shape (t, 3), metres.
-        target: Position in the middle of the picture, shape (t, 3).
-        title: First words of the caption.
-        size: Width and height of the pictures in pixels.
-    """
-
-    recording: Recording
     moments: Sequence[Moment]
     physics: Physics
     eye: Array
     target: Array
-    title: str
-    size: tuple[int, int] = SIZE
+    size: tuple[int, int] = SIZE  # pixels
 
     def picture(self, moment: int) -> Image.Image:
         """Return the picture of one moment with the paths until then."""
@@ -92,7 +80,7 @@ def make_film(world: World, policy: Policy, episode: int) -> PyBulletFilm:
         eye[:, 2] += np.linalg.norm(eye[:, :2] - inside, axis=1)
         eye[:, :2] = inside
     title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
-    return PyBulletFilm(recording, moments, physics, eye, target, title)
+    return PyBulletFilm(recording, title, moments, physics, eye, target)
 
 
 def _target(recording: Recording) -> tuple[Array, Array]:

@@ -35,14 +35,7 @@ dd{margin:0}
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the report's table.
-
-    Attributes:
-        name: Of the policy.
-        success: Share of episodes without a failure.
-        figures: Other metrics by their JSON name; missing ones stay empty.
-        ours: Whether to highlight the row.
-    """
+    """A policy in the table: success, other metrics by JSON name, and whether to highlight it."""
 
     name: str
     success: Share
@@ -71,11 +64,7 @@ class Report:
 
 
 def write_report(report: Report, path: Path) -> None:
-    """Write a report as a self-contained HTML file.
-
-    Raises:
-        KinfeasError: If the file cannot be written.
-    """
+    """Write a report as a self-contained HTML file."""
     write_file(path, to_html(report).encode())
 
 

@@ -67,7 +67,7 @@ def test_a_film_shows_failures_in_red(hsr, recordings):
         image = np.asarray(film.picture(len(recording.times) - 2), dtype=int)[:300]
         return int(np.sum(np.abs(image - red).sum(axis=-1) < 40))
 
-    film = EpisodeFilm(recording, hsr, "hsr")
+    film = EpisodeFilm(recording, "hsr", hsr)
     fine = replace(film, recording=replace(recording, feasible=recording.feasible | True))
     assert film.picture(0).size == (480, 360)
     assert count(film) > 5

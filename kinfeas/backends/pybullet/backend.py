@@ -42,15 +42,7 @@ class PyBulletBackend:
         gui: bool = False,
         physics: PhysicsConfig | None = None,
     ) -> None:
-        """Keep the settings; the first use of `sims` builds the first simulation.
-
-        Args:
-            robot: Robot to simulate.
-            scene: Room and furniture; a floor by default, or the scene of the task in `stage`.
-            objects: Whether `stage` loads the scene of a task.
-            gui: Whether to show the first simulation in a window.
-            physics: Gravity, rate, friction and other parameters of the simulation.
-        """
+        """Keep the settings; physics, in a window if `gui`, starts with the first use of `sims`."""
         self.robot, self.scene, self.objects = robot, scene, objects
         self.max_batch = 1 if gui else MAX_BATCH
         self._gui, self._physics = gui, physics
@@ -60,11 +52,7 @@ class PyBulletBackend:
 
     @property
     def sims(self) -> list[Simulation]:
-        """The simulations, at least one; `reset` adds the missing ones.
-
-        Raises:
-            KinfeasError: If PyBullet is not installed.
-        """
+        """The simulations, at least one; `reset` adds the missing ones."""
         if not self._sims:
             self.simulation(0)
         return self._sims
@@ -81,11 +69,7 @@ class PyBulletBackend:
         return self._sims[row]
 
     def stage(self, task: Task) -> Stage:
-        """Return a task whose episodes also place its objects; call it before any other method.
-
-        Raises:
-            KinfeasError: If PyBullet is not installed, or the scene of the task is invalid.
-        """
+        """Return a task whose episodes also place its objects; call it before any other method."""
         if self.objects:
             self.scene = task_scene(task)
         return Stage(task, self)
@@ -100,16 +84,7 @@ class PyBulletBackend:
         return take_side_view(self.sims[env_id].physics, base, goal)
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that grippers grasp when they close; they are open after each reset.
-
-        Args:
-            name: Name of an object of the scene.
-            link: Its link.
-            rigid: Whether the link cannot turn in the hand.
-
-        Raises:
-            KinfeasError: If there is no scene, object, link or gripper.
-        """
+        """Set the link that closing grippers grasp; if `rigid`, it cannot turn in the hand."""
         for one in self.sims:
             one.handle(name, link, rigid=rigid)
         self._handled = name, link, rigid

@@ -40,14 +40,7 @@ class Picture:
 
 
 def take_picture(physics: Physics, eye: Array, target: Array, size: tuple[int, int]) -> Picture:
-    """Return a picture by PyBullet's software renderer.
-
-    Args:
-        physics: The world.
-        eye: Position of the camera, shape (3,), metres.
-        target: Position in the middle of the picture, shape (3,).
-        size: Width and height in pixels.
-    """
+    """Return a picture from `eye` to `target`, (3,) metres; size: width and height, pixels."""
     client, (width, height) = physics.client, size
     view = client.computeViewMatrix(eye.tolist(), target.tolist(), [0.0, 0.0, 1.0])
     projection = client.computeProjectionMatrixFOV(

@@ -68,13 +68,7 @@ class Surroundings:
     def obstacle_distances(
         self, bodies: Iterable[int], within: float, handled: Collection[tuple[int, int]] = ()
     ) -> ObstacleDistances:
-        """Return the obstacles near the base, as a batch of one.
-
-        Args:
-            bodies: PyBullet's numbers of the objects.
-            within: Largest distance, metres.
-            handled: Links (body, link) that do not count.
-        """
+        """Return the obstacles within a distance (m) as a batch of 1, except `handled` links."""
         found = []
         for other in bodies:
             closest = self._closest(other, within, handled)

@@ -82,11 +82,7 @@ class ArmDrive:
     """
 
     def __init__(self, body: RobotBody) -> None:
-        """Connect to the arm of a robot; call `reset` next.
-
-        Raises:
-            KinfeasError: If a joint has an effort of 0.
-        """
+        """Connect to the arm of a robot; call `reset` next."""
         robot, followers = body.robot, arm_followers(body.robot)
         names = [joint.name for joint in robot.arm]
         self._body, self._horizon = body, body.physics.config.arm_horizon

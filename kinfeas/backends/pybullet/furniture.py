@@ -39,11 +39,7 @@ class Furniture:
         self.place()
 
     def furnish(self, scene: Scene) -> None:
-        """Set the poses and joint positions for the next resets.
-
-        Raises:
-            KinfeasError: If the scene has other objects than the world.
-        """
+        """Set the poses and joint positions for the next resets."""
         if scene.objects.keys() != self.bodies.keys():
             known, given = ", ".join(sorted(self.bodies)), ", ".join(sorted(scene.objects))
             raise KinfeasError(f"the scene must have the world's objects {known}, not {given}")
@@ -69,11 +65,7 @@ class Furniture:
                 )
 
     def link(self, name: str, link: str) -> tuple[int, int]:
-        """Return PyBullet's numbers of an object and of one of its links.
-
-        Raises:
-            KinfeasError: If there is no such object or link.
-        """
+        """Return PyBullet's numbers of an object and of one of its links."""
         links = self._of(name, self._links)
         if link not in links:
             raise KinfeasError(f"object {name!r} has no link {link!r}{no_such(link, links)}")
@@ -84,11 +76,7 @@ class Furniture:
         return self._physics.link_pose(*self.link(name, link))
 
     def joint_position(self, name: str, joint: str) -> float:
-        """Return the position of an object's joint, rad or m.
-
-        Raises:
-            KinfeasError: If there is no such object or joint.
-        """
+        """Return the position of an object's joint, rad or m."""
         joints = self._of(name, self._joints)
         if joint not in joints:
             raise KinfeasError(f"object {name!r} has no joint {joint!r}{no_such(joint, joints)}")
@@ -96,11 +84,7 @@ class Furniture:
         return position
 
     def stands(self, name: str, on: str) -> bool:
-        """Return whether an object is at rest on top of another one, and upright as in the scene.
-
-        Raises:
-            KinfeasError: If there is no such object.
-        """
+        """Return whether an object is at rest on another one, and upright as in the scene."""
         client = self._physics.client
         body, below = (self._of(one, self.bodies) for one in (name, on))
         speed = float(np.linalg.norm(client.getBaseVelocity(body)[0]))

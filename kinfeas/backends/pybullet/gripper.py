@@ -24,11 +24,7 @@ class GripperDrive:
     """
 
     def __init__(self, body: RobotBody) -> None:
-        """Connect to the fingers of a robot.
-
-        Raises:
-            KinfeasError: If the robot's YAML file has no gripper.
-        """
+        """Connect to the fingers of a robot."""
         robot = body.robot
         if robot.gripper is None:
             raise KinfeasError(f"robot {robot.name!r} has no gripper: its YAML lacks 'gripper'")
@@ -140,18 +136,10 @@ class Grasp:
         self.force = 0.0
 
     def hold(self, body: int, link: int, *, rigid: bool = True) -> bool:
-        """Hold a link if both fingers touch it, and return whether they do.
+        """Hold a link of a body if both fingers touch it; if not `rigid`, it can turn in the hand.
 
-        Args:
-            body: PyBullet's number of the body.
-            link: Index of the link in it.
-            rigid: Whether the link cannot turn in the hand; the bar of a handle can.
-
-        Raises:
-            KinfeasError: If the hand holds something already.
+        Returns whether they touch it.
         """
-        if self.held is not None:
-            raise KinfeasError("the gripper holds an object already")
         if self._gripper.touching(body, link) != {0, 1}:
             return False
         self.held = (body, link)

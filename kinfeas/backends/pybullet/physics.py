@@ -77,11 +77,7 @@ class Physics:
     """
 
     def __init__(self, config: PhysicsConfig, *, gui: bool = False) -> None:
-        """Make a world with a floor, in a window if `gui`.
-
-        Raises:
-            KinfeasError: If PyBullet is not installed, or no window can be opened.
-        """
+        """Make a world with a floor, in a window if `gui`."""
         self.config, self.client, self._gui = config, _connect(gui), gui
         self.client.configureDebugVisualizer(self.client.COV_ENABLE_GUI, 0)
         self.client.setGravity(0.0, 0.0, -config.gravity)
@@ -98,13 +94,8 @@ class Physics:
     def load(self, path: Path, urdf: str | None = None, *, fixed: bool) -> int:
         """Return the number of a new body at the origin.
 
-        Args:
-            path: A valid URDF file; errors name it, and its folder has the textures.
-            urdf: Content to load in place of the file's, with absolute mesh paths.
-            fixed: Whether the root link is fixed.
-
-        Raises:
-            KinfeasError: If PyBullet cannot load it, or one of its meshes.
+        `urdf` replaces the content of the file `path`; its mesh paths are absolute. Raises if
+        PyBullet cannot load it or one of its meshes.
         """
         client = self.client
         flags = client.URDF_USE_INERTIA_FROM_FILE | client.URDF_MAINTAIN_LINK_ORDER
@@ -174,11 +165,7 @@ class Physics:
         self.client.resetBaseVelocity(body, [0.0] * 3, [0.0] * 3)
 
     def divide(self, dt: float) -> int:
-        """Return the number of physics steps of a control period, and set their duration.
-
-        Raises:
-            KinfeasError: If `dt` is not above 0 and finite.
-        """
+        """Return the number of physics steps of a control period, and set their duration."""
         if not 0.0 < dt < math.inf:
             raise KinfeasError(f"the control period must be above 0 s and finite, not {dt:g}")
         steps = max(round(dt * self.config.rate), 1)
@@ -208,11 +195,7 @@ class Physics:
 
     @contextmanager
     def connected(self) -> Iterator[None]:
-        """Return a context that turns errors of PyBullet, as of a closed window, into ours.
-
-        Raises:
-            KinfeasError: If PyBullet fails.
-        """
+        """Return a context that turns errors of PyBullet, as of a closed window, into ours."""
         try:
             yield
         except self.client.error as error:
@@ -260,19 +243,14 @@ def _connect(gui: bool) -> Any:
 
 def _check_display() -> None:
     """Check in another process that a window can be opened: PyBullet exits where it cannot."""
-    display = os.environ.get("DISPLAY")
     command = [sys.executable, "-c", _TRIAL]
     try:
-        if (
-            display
-            and not subprocess.run(
-                command, capture_output=True, timeout=_TRIAL_SECONDS, check=False
-            ).returncode
-        ):
-            return
-    except subprocess.TimeoutExpired:
-        pass
-    raise KinfeasError(f"PyBullet cannot open a window: no usable screen, DISPLAY={display or ''}")
+        subprocess.run(command, capture_output=True, timeout=_TRIAL_SECONDS, check=True)
+    except subprocess.SubprocessError as error:
+        display = os.environ.get("DISPLAY", "")
+        raise KinfeasError(
+            f"PyBullet cannot open a window: no usable screen, DISPLAY={display}"
+        ) from error
 
 
 @contextmanager

@@ -98,10 +98,7 @@ class RobotBody:
 def robot_state(robot: Robot, positions: Array, velocities: Array) -> RobotState:
     """Return the state of n robots; continuous joints are wrapped to (-pi, pi].
 
-    Args:
-        robot: Robot model.
-        positions: x, y, yaw and arm joints, shape (n, 3 + j), metres and radians.
-        velocities: Of the same, per second.
+    Positions and velocities are of x, y, yaw and the arm's joints, (n, 3 + j).
     """
     twist = np.zeros((len(positions), 6))
     twist[:, [0, 1, 5]] = velocities[:, :3]
@@ -171,10 +168,6 @@ def physics_urdf(robot: Robot) -> tuple[str, dict[str, str]]:
     The root gets three planar joints. Joints that do not move are fixed, and links on fixed joints
     are merged, except the EE frame: a physics step costs by the link. Mimic elements, which
     PyBullet does not support, are removed. Mesh paths are absolute.
-
-    Raises:
-        KinfeasError: If a mesh is missing or of another format, or a moving link has a shape and
-            no inertia.
     """
     xml = read_xml(robot.urdf_path, "robot").xml
     for link in xml.findall("link"):
@@ -216,15 +209,7 @@ def _planar_base(root: str) -> list[ElementTree.Element]:
 
 
 def merge_fixed_links(robot: Any, keep: Collection[str]) -> dict[str, str]:
-    """Merge every link on a fixed joint into its parent link.
-
-    Args:
-        robot: The element <robot> of a valid URDF; it is changed.
-        keep: Names of links that are not merged.
-
-    Returns:
-        The link that each link is merged into, by name; itself for most.
-    """
+    """Merge links on fixed joints, except `keep`; return what each link is merged into."""
     links = {link.get("name"): link for link in robot.findall("link")}
     part_of = {name: name for name in links}
     for joint in robot.findall("joint"):
@@ -331,9 +316,6 @@ def repair_inertias(robot: Any, where: str) -> None:
 
     Links without inertia get that of a mere frame if they have no shape or are on a fixed joint.
     Links of mass 0 are left alone.
-
-    Raises:
-        KinfeasError: If another link has no inertia; the message starts with `where`.
     """
     fixed = (joint for joint in robot.findall("joint") if joint.get("type") == "fixed")
     on_fixed = {joint.find("child").get("link") for joint in fixed}

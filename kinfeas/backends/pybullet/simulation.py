@@ -32,11 +32,7 @@ class Simulation:
         gui: bool = False,
         physics: PhysicsConfig | None = None,
     ) -> None:
-        """Build the world; arguments as in `PyBulletBackend`.
-
-        Raises:
-            KinfeasError: If PyBullet is not installed.
-        """
+        """Build the world; arguments as in `PyBulletBackend`."""
         self.physics = Physics(physics or PhysicsConfig(), gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
         self.body = RobotBody(self.physics, robot)
@@ -49,22 +45,13 @@ class Simulation:
         self.physics.save()
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
-        """Set the link that the gripper can grasp; arguments as in `PyBulletBackend`.
-
-        Raises:
-            KinfeasError: If there is no scene, object, link or gripper.
-        """
+        """Set the link that the gripper can grasp; arguments as in `PyBulletBackend`."""
         if self.furniture is None or self.gripper is None:
             raise KinfeasError("grasping needs a scene and a robot with a gripper")
         self._handled, self._rigid = self.furniture.link(name, link), rigid
 
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
-        """Place robot and furniture at rest; equal resets are equal to the bit.
-
-        Args:
-            base_pose: World pose of the base on the floor, shape (7,).
-            joint_positions: Arm joints, shape (j,).
-        """
+        """Place robot and furniture at rest, equal to the bit: base pose (7,), arm joints (j,)."""
         with self.physics.connected():
             if self.grasp is not None:
                 self.grasp.release()
@@ -96,16 +83,7 @@ class Simulation:
             self.gripper.open()
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> None:
-        """Drive base, arm and gripper.
-
-        Args:
-            base_twist: World twist of the base, shape (6,), m/s and rad/s.
-            joint_targets: Joint positions to reach, shape (j,).
-            dt: Duration in seconds.
-
-        Raises:
-            KinfeasError: If `dt` is not above 0, or the world is gone.
-        """
+        """Drive base, arm and gripper: world twist (6,), joint positions (j,), dt in seconds."""
         with self.physics.connected():
             before, steps = self.physics.step_time, self.physics.divide(dt)
             if self.physics.step_time != before:
@@ -129,11 +107,7 @@ class Simulation:
                     self._closing = not self.grasp.hold(*self._handled, rigid=self._rigid)
 
     def measure(self) -> tuple[list[float], list[float]]:
-        """Return positions and velocities of x, y, yaw and the arm's joints.
-
-        Raises:
-            KinfeasError: If the world is gone.
-        """
+        """Return positions and velocities of x, y, yaw and the arm's joints."""
         with self.physics.connected():
             return self.body.measure()
 

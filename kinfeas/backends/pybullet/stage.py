@@ -35,23 +35,16 @@ class Stage:
     """
 
     def __init__(self, task: Task, backend: "PyBulletBackend") -> None:
-        """Connect a task to a backend with the scene of the task, or without a scene.
-
-        Raises:
-            KinfeasError: If the task names a missing object, or grasps a fixed one or without a
-                gripper.
-        """
+        """Connect a task to a backend with the scene of the task, or without a scene."""
         self.task, self.backend = task, backend
         furniture = backend.sims[0].furniture
         self.scene = furniture.scene if furniture else None
-        self._chain = _chain(task)
+        self._chain = task if isinstance(task, ChainTask) else None
         self._known = self._chain.scene if self._chain and self.scene else None
         if self._known and self.scene:
             check_task(self.name, self._known, self.scene, backend.robot)
-            if grasped_object := self._known.grasped_object:
-                backend.handle(
-                    grasped_object.object, grasped_object.link, rigid=not grasped_object.revolute
-                )
+            if grasped := self._known.grasped_object:
+                backend.handle(grasped.object, grasped.link, rigid=not grasped.revolute)
 
     @property
     def name(self) -> str:
@@ -68,11 +61,7 @@ class Stage:
         return self.sample_in(0, solver, rng)
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return one random episode; place robot and objects of a row.
-
-        Raises:
-            KinfeasError: If all draws collide, or objects are drawn into each other.
-        """
+        """Return one random episode; place robot and objects of a row."""
         first, simulation = self.task.sample(solver, rng), self.backend.simulation(row)
         if self.scene is not None and simulation.furniture is not None:
             simulation.furniture.furnish(self._moved(self.scene, first))
@@ -109,15 +98,9 @@ class Stage:
         """Return whether the episode that ends in a row did its task.
 
         A task without objects is done if the goal is reached. None if the objects are left out.
-
-        Args:
-            row: Row of the episode.
-            joint_positions: Arm joints of all rows, held while the objects come to rest, (n, j).
-            dt: Control period in seconds.
-            reached: Whether the episode reached its goal.
         """
         if not self.has_success_condition:
-            return None if has_scene(self.task) else reached
+            return None if self._chain and self._chain.scene else reached
         self.settle(joint_positions, dt, row)
         return self.done(row)
 
@@ -153,41 +136,15 @@ class Stage:
         return moved
 
 
-def has_scene(task: Task) -> bool:
-    """Return whether a task has a scene."""
-    chain = _chain(task)
-    return chain is not None and chain.scene is not None
-
-
 def task_scene(task: Task) -> Scene | None:
-    """Return the scene of a task; None for a floor only.
-
-    Raises:
-        KinfeasError: If the scene is missing or invalid.
-    """
-    chain = _chain(task)
-    if chain is not None and chain.scene is not None:
-        return read_scene(chain.scene.name)
+    """Return the scene of a task; None for a floor only."""
+    if isinstance(task, ChainTask) and task.scene is not None:
+        return read_scene(task.scene.name)
     return None
 
 
-def _chain(task: Task) -> ChainTask | None:
-    return task if isinstance(task, ChainTask) else None
-
-
 def check_task(name: str, wanted: TaskScene, scene: Scene, robot: Robot) -> None:
-    """Check that a robot can do a task with the objects of a scene.
-
-    Args:
-        name: Of the task.
-        wanted: Objects that the task moves, grasps and checks.
-        scene: Scene with the objects.
-        robot: Robot model.
-
-    Raises:
-        KinfeasError: If an object, link or joint is missing, the grasped object is fixed, the
-            threshold is beyond the joint's limits, or the robot has no gripper.
-    """
+    """Raise if objects, links, joints or the gripper of a task are missing or do not fit."""
     where, objects = f"task {name!r}: 'scene", scene.objects
 
     def need(key: str, word: str, names: Collection[str], what: str) -> None:
