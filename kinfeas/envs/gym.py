@@ -88,10 +88,10 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Raises:
             KinfeasError: If the seed is not one integer, or `np_random` was set.
         """
-        super().reset(seed=read_seed(seed))
+        super().reset(seed=checked_seed(seed))
         if seed is not None:
             self.next_episode = 0
-        self.world.seed = world_seed(self.np_random_seed)
+        seed_world(self.world, self.np_random_seed)
         episode, self.next_episode = self.next_episode, self.next_episode + 1
         seen = self.world.start([episode])
         return seen[0].astype(np.float32), {"episode_number": episode}
@@ -187,7 +187,7 @@ def action_space(world: World) -> "spaces.Box[np.float32]":
     return spaces.Box(-1.0, 1.0, (world.action_size,), np.float32)
 
 
-def read_seed(seed: int | None) -> int | None:
+def checked_seed(seed: int | None) -> int | None:
     """Return a seed as a Python int, which Gymnasium asks for.
 
     Raises:
@@ -198,15 +198,15 @@ def read_seed(seed: int | None) -> int | None:
     return None if seed is None else int(seed)
 
 
-def world_seed(np_random_seed: int | None) -> int:
-    """Return the seed of a world from Gymnasium's.
+def seed_world(world: World, np_random_seed: int | None) -> None:
+    """Give a world the seed of its environment.
 
     Raises:
         KinfeasError: If `np_random` was set, which has no seed.
     """
     if np_random_seed is None or np_random_seed < 0:
         raise KinfeasError("set the seed by reset(seed=...): np_random, which was set, has none")
-    return np_random_seed
+    world.seed = np_random_seed
 
 
 def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -223,11 +223,7 @@ def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def check_reset(next_episode: int) -> None:
-    """Check that an episode was begun.
-
-    Raises:
-        ResetNeeded: If not.
-    """
+    """Raise ResetNeeded before the first episode."""
     if not next_episode:
         raise ResetNeeded("call reset first")
 

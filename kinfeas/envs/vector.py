@@ -12,13 +12,13 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.gym import (
     action_space,
     check_reset,
+    checked_seed,
     learning_world,
     make_world,
     observation_space,
     read_actions,
-    read_seed,
+    seed_world,
     step_info,
-    world_seed,
 )
 from kinfeas.envs.world import Transition, WorldConfig
 
@@ -75,10 +75,10 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         Raises:
             KinfeasError: If the seed is not one integer, or `np_random` was set.
         """
-        super().reset(seed=read_seed(seed))
+        super().reset(seed=checked_seed(seed))
         if seed is not None:
             self.next_episode = 0
-        self.world.seed = world_seed(self.np_random_seed)
+        seed_world(self.world, self.np_random_seed)
         every = np.ones(self.num_envs, dtype=np.bool_)
         numbers = self._take_numbers(every)
         return self.world.start(numbers.tolist()).astype(np.float32), _masked(

@@ -138,7 +138,7 @@ def check_adapters(adapters: Sequence[PluginSpec], robot: Robot) -> None:
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
-    chosen: EvalConfig,
+    config: EvalConfig,
     policy: Policy,
     name: str = "",
     ceiling: Share | None = None,
@@ -149,7 +149,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
     """Return the metrics of a policy: shares in 0-1, distances in metres.
 
     Args:
-        chosen: The evaluation.
+        config: The evaluation.
         policy: Policy that commands the base.
         name: Its name in the summary.
         ceiling: Share of reachable goals, from `reachability_of`; null in the summary by default.
@@ -157,16 +157,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
         on_done: Called with the number of episodes that have just ended.
         watch: Called after each step, in one process only.
     """
-    records = run(chosen, policy, processes, on_done, watch)
-    world = chosen.world
+    records = run(config, policy, processes, on_done, watch)
+    world = config.world
     execution = execution_of(
-        wrap(build_backend("analytic", {}), world.adapters, chosen.robot), world
+        wrap(build_backend("analytic", {}), world.adapters, config.robot), world
     )
     return {
-        "robot": chosen.robot.name,
-        "task": chosen.task.name,
+        "robot": config.robot.name,
+        "task": config.task.name,
         "policy": name,
-        "seed": chosen.seed,
+        "seed": config.seed,
         "world": world.backend,
         "time_scale": execution.time_scale,
         "head_start": execution.head_start,
@@ -180,21 +180,21 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
 
 
 def run(
-    chosen: EvalConfig,
+    config: EvalConfig,
     policy: Policy,
     processes: int = 1,
     on_done: OnDone | None = None,
     watch: Watch | None = None,
 ) -> EpisodeRecords:
     """Return the record of each episode; arguments as in `evaluate`."""
-    build = partial(World, chosen.robot, chosen.task, chosen.world, chosen.seed)
-    episodes = range(chosen.first, chosen.first + chosen.episodes)
+    build = partial(World, config.robot, config.task, config.world, config.seed)
+    episodes = range(config.first, config.first + config.episodes)
     return evaluate_episodes(build, policy, episodes, processes, on_done, watch)
 
 
-def reachability_of(chosen: EvalConfig, on_done: Callable[[float], None] | None = None) -> Share:
+def reachability_of(config: EvalConfig, on_done: Callable[[float], None] | None = None) -> Share:
     """Return the share of an evaluation's goals that some base pose reaches."""
     found = measure_reachability(
-        chosen.robot, chosen.task, chosen.episodes, chosen.seed, chosen.world.ik, on_done
+        config.robot, config.task, config.episodes, config.seed, config.world.ik, on_done
     )
     return found.share
