@@ -4,6 +4,7 @@ Modules that are slow to import are imported within the commands, so that help a
 """
 
 import sys
+import traceback
 from typing import Annotated
 
 import typer
@@ -23,7 +24,7 @@ from kinfeas.cli.simulate import simulate
 from kinfeas.cli.speed import speed
 from kinfeas.cli.train import train
 from kinfeas.cli.view import view
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, raised_by
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
@@ -48,6 +49,12 @@ def main() -> None:
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         code = 130
+    except Exception as error:
+        if (plugin := raised_by(error)) is None:
+            raise
+        traceback.print_exc()  # for the author of the plugin
+        sys.stderr.write(f"error: {plugin} raised {type(error).__name__}: {error}\n")
+        code = 2
     sys.exit(code if isinstance(code, int) else 0)
 
 

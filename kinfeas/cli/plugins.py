@@ -183,7 +183,7 @@ def _result(one: "Finding") -> str:
 
 
 def _drawing(name: str, parameters: dict[str, object], trial: "Trial") -> bytes:
-    from kinfeas.core.checked_motion import CheckedMotion
+    from kinfeas.core.checks import CheckedMotion
     from kinfeas.testing.trial import sample_motions
     from kinfeas.viz.plots import motion_figure
     from kinfeas.viz.style import png

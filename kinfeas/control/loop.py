@@ -21,8 +21,8 @@ from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, Sup
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
+from kinfeas.core.motion import Rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
-from kinfeas.core.rows import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward

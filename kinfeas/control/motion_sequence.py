@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
-from kinfeas.core.checked_motion import CheckedMotion
-from kinfeas.core.motion import State
-from kinfeas.core.rows import Rows, merged, of_rows, with_rows
+from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 

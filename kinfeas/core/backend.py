@@ -59,8 +59,8 @@ class Backend(Protocol):
 
         Args:
             base_twist: World twist of the base, shape (n, 6), m/s and rad/s.
-            joint_targets: Joint positions to reach, shape (n, j).
-            dt: Duration in seconds.
+            joint_targets: Joint positions to reach, shape (n, j), radians or metres.
+            dt: Seconds.
         """
         ...
 
@@ -70,11 +70,7 @@ class Backend(Protocol):
 
 
 class BackendWrapper:
-    """A backend around another one: the base class of adapters and guards.
-
-    Attributes:
-        backend: The wrapped backend.
-    """
+    """A backend around another one, `backend`: the base class of adapters and guards."""
 
     backend: Backend
 
@@ -96,12 +92,7 @@ class SupportsGripper(Protocol):
     """A backend or adapter whose robots have grippers."""
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
-        """Begin to close or to open the grippers of robots.
-
-        Args:
-            grip: The command.
-            env_ids: Indices of the m robots.
-        """
+        """Begin to close or to open the grippers of the m robots `env_ids`."""
         ...
 
 
@@ -129,10 +120,8 @@ class ObstacleDistances:
         """Check the values of outside backends."""
         shape = (*self.distance.shape, 2)
         if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
-            shapes = f"{self.closest_point.shape}, {self.normal.shape} and {self.distance.shape}"
             raise ValueError(
-                "closest_point, normal and distance must be of the shapes (n, k, 2), (n, k, 2) and "
-                f"(n, k), not {shapes}"
+                "closest_point, normal and distance need the shapes (n, k, 2), (n, k, 2) and (n, k)"
             )
         if not (np.isfinite(self.closest_point).all() and np.isfinite(self.normal).all()):
             raise ValueError("closest_point and normal must be finite")
@@ -185,11 +174,7 @@ class SupportsRendering(Protocol):
 
 @runtime_checkable
 class BatchLimited(Protocol):
-    """A backend whose robots cost memory.
-
-    Attributes:
-        max_batch: Largest number of robots that one process should simulate.
-    """
+    """A backend whose robots cost memory: one process simulates at most `max_batch`."""
 
     max_batch: int
 
@@ -234,12 +219,9 @@ class Resumable(Protocol):
 
 
 def build_backend(name: str, parameters: Mapping[str, object], **offered: object) -> Backend:
-    """Return the backend of an entry point.
+    """Return a backend by its entry point and the keyword parameters of its constructor.
 
-    Args:
-        name: Entry point in the group kinfeas.backends.
-        parameters: Keyword parameters of its constructor.
-        offered: Objects of the run, such as `robot`; passed on if the constructor names them.
+    Objects of the run, such as `robot`, are `offered`: passed on if the constructor names them.
 
     Raises:
         KinfeasError: If the backend is unknown, or a parameter is wrong or offered by the run.

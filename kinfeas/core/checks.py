@@ -1,12 +1,14 @@
-"""Checks of the objects and arrays that plugins return."""
+"""Checks of the arrays, states and motion generators of plugins."""
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from kinfeas.core.backend import RobotState
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.errors import KinfeasError, plugin_note
+from kinfeas.core.motion import Demonstrated, MotionGenerator, State
 from kinfeas.core.spatial import Array
 
 MOTION_PARAMETERS = {
@@ -22,6 +24,8 @@ SINGLE_MOTION_PARAMETERS = MOTION_PARAMETERS | {"start": ("ee_pose", "target_pos
 
 _UNIT_TOLERANCE = 1e-6
 
+Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
+
 
 class SignatureError(KinfeasError, TypeError):
     """A method of a plugin has other parameters than its contract."""
@@ -30,15 +34,10 @@ class SignatureError(KinfeasError, TypeError):
 def require_parameters(
     thing: object, parameters: Mapping[str, tuple[str, ...]], subject: str
 ) -> None:
-    """Check that the methods of an object accept their parameters; methods may be absent.
-
-    Args:
-        thing: The object.
-        parameters: Positional parameters by method.
-        subject: Name of the object in errors.
+    """Check the positional parameters of an object's methods; methods may be absent.
 
     Raises:
-        SignatureError: If a method has other parameters.
+        SignatureError: If a method has other parameters; the message begins with `subject`.
     """
     for method, names in parameters.items():
         function = getattr(thing, method, None)
@@ -84,17 +83,11 @@ def are_unit(poses: Array) -> bool:
 def check_state(
     state: object, robots: int, joints: int, source: str, *, finite: bool = True
 ) -> None:
-    """Check the state that a backend or adapter returns.
-
-    Args:
-        state: The returned value.
-        robots: Number of robots.
-        joints: Number of arm joints.
-        source: Plugin and method, for errors.
-        finite: Whether poses and joint positions must be finite.
+    """Check the state of n robots with j arm joints that a backend or adapter returns.
 
     Raises:
-        KinfeasError: If it is no `RobotState`, or an array has another shape.
+        KinfeasError: If it is no `RobotState`, an array has another shape, or a pose or joint
+            position is not `finite`; the message begins with `source`.
     """
     if not isinstance(state, RobotState):
         raise KinfeasError(f"{source} must return a RobotState, not a {type(state).__name__}")
@@ -109,3 +102,123 @@ def check_state(
             check_array(value, shape, f"{source}: {name}", finite=False)
     if state.true_state is not None:
         check_state(state.true_state, robots, joints, f"{source}: true_state", finite=finite)
+
+
+class ConformanceError(KinfeasError):
+    """A violation of the contract of motion generators.
+
+    Attributes:
+        rule: Key of `testing.RULES`.
+    """
+
+    def __init__(self, message: str, rule: str = "form") -> None:
+        super().__init__(message)
+        self.rule = rule
+
+
+class CheckedMotion:
+    """A motion generator that checks another one's return values.
+
+    Shapes, types and finiteness are checked when motions start and at the first step after, or at
+    `every_step`. States keep the layout of the first one, so that rows can be exchanged. Exceptions
+    of the generator get a note with its `name`, by default its class.
+
+    Attributes:
+        demonstrated: Whether the generator has demonstrated base poses.
+
+    Raises:
+        ConformanceError: If a method is missing; from all methods, if a return value is invalid.
+        SignatureError: If a method has other parameters.
+    """
+
+    def __init__(
+        self, generator: MotionGenerator, name: str = "", *, every_step: bool = False
+    ) -> None:
+        self.generator = generator
+        self.demonstrated = isinstance(generator, Demonstrated)
+        self.subject = f"motion generator {name or type(generator).__name__}"
+        self._every_step, self._unchecked = every_step, True
+        self._layout: Layout | None = None
+        for method in ("start", "goal_pose", "twist"):
+            if not callable(getattr(generator, method, None)):
+                raise self.error(f"lacks the method {method}")
+        require_parameters(generator, MOTION_PARAMETERS, self.subject)
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the state of n motions, shapes (n, 7), (n, 7), n; there is at least one."""
+        with plugin_note(self.subject):
+            state = self.generator.start(ee_pose, target_pose, rngs)
+        self._check_state("start", state, len(ee_pose))
+        self._unchecked = True
+        if not are_unit(self.goal_pose(state, target_pose)):
+            raise self.error("returns a goal_pose without unit quaternion", "quaternions")
+        return state
+
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the world poses at which the motions end, shape (n, 7)."""
+        with plugin_note(self.subject):
+            goal = self.generator.goal_pose(state, target_pose)
+        if self._unchecked or self._every_step:
+            self._check_array("goal_pose", goal, (len(target_pose), 7))
+        return goal
+
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
+        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
+        with plugin_note(self.subject):
+            answer = self.generator.twist(state, ee_pose, target_pose, dt)
+        if self._unchecked or self._every_step:
+            if self._layout is None and len(ee_pose):  # resumed without a start
+                self._layout = _layout(state)
+            if not isinstance(answer, tuple) or len(answer) != 2:
+                raise self.error("must return a pair from twist: the twist and the next state")
+            self._check_array("twist", answer[0], (len(ee_pose), 6))
+            self._check_state("twist", answer[1], len(ee_pose))
+            self._unchecked = False
+        return answer
+
+    def base_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the demonstrated base poses, shape (n, 7); NaN if there are none."""
+        n = len(target_pose)
+        if not isinstance(self.generator, Demonstrated):
+            return np.full((n, 7), np.nan)
+        with plugin_note(self.subject):
+            pose = self.generator.base_pose(state, target_pose)
+        self._check_array("base_pose", pose, (n, 7), finite=False)
+        return pose
+
+    def error(self, broken: str, rule: str = "form") -> ConformanceError:
+        """Return an error whose subject is the generator."""
+        return ConformanceError(f"{self.subject} {broken}", rule)
+
+    def _check_array(
+        self, method: str, value: object, shape: tuple[int, ...], *, finite: bool = True
+    ) -> None:
+        if fault := array_fault(value, shape, finite=finite):
+            raise self.error(f"returns a value from {method} that {fault}")
+
+    def _check_state(self, method: str, state: Any, n: int) -> None:
+        rule = f"must return a state from {method} that is a dict of numeric arrays"
+        if not isinstance(state, dict):
+            raise self.error(f"{rule}, not a {type(state).__name__}")
+        for key, value in state.items():
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+                raise self.error(f"{rule}; {key!r} is not")
+            if value.shape[:1] != (n,):
+                raise self.error(f"{rule} with leading axis {n}; {key!r} has shape {value.shape}")
+        if not n:  # a state without rows may have no keys
+            return
+        found = _layout(state)
+        self._layout = first = self._layout or found
+        changed = sorted(
+            str(key) for key in found.keys() | first.keys() if found.get(key) != first.get(key)
+        )
+        if changed:
+            raise self.error(f"changes keys, shapes or types of its state: {changed}", "layout")
+
+
+def _layout(state: State) -> Layout:
+    return {key: (value.dtype, value.shape[1:]) for key, value in state.items()}

@@ -26,6 +26,8 @@ def no_such(word: str, names: Collection[str]) -> str:
 PLUGIN_ERRORS = (Exception, SystemExit)
 """Exceptions that the code of a plugin may raise."""
 
+_RAISED_BY = "raised by "
+
 
 class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster than a generator
     """A context that adds a note with the name of a plugin to the exceptions of its code."""
@@ -37,7 +39,13 @@ class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster tha
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception):
-            error.add_note(f"raised by {self.plugin}")
+            error.add_note(_RAISED_BY + self.plugin)
+
+
+def raised_by(error: BaseException) -> str | None:
+    """Return the name of the plugin that raised an exception, if a `plugin_note` tells."""
+    notes = [note for note in getattr(error, "__notes__", ()) if note.startswith(_RAISED_BY)]
+    return notes[0].removeprefix(_RAISED_BY) if notes else None
 
 
 def is_own(thing: object) -> bool:
@@ -46,10 +54,6 @@ def is_own(thing: object) -> bool:
 
 
 def check_name(name: str) -> None:
-    """Check that the name of a robot or task fits into tables and file names.
-
-    Raises:
-        ValueError: If it is empty, or has a `/` or a control character.
-    """
+    """Raise ValueError if the name of a robot or task does not fit into tables and file names."""
     if not name.strip() or "/" in name or not name.isprintable():
         raise ValueError(f"'name' must be printable, not empty and without '/', not {name!r}")

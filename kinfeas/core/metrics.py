@@ -75,21 +75,12 @@ class Share:
     high: float
 
 
-def wilson(hits: int, trials: int, z: float = 1.959963984540054) -> Share:
-    """Return the share `hits / trials` with its score interval.
-
-    Args:
-        hits: Episodes that count.
-        trials: All episodes, at least one.
-        z: Quantile of the normal distribution; the default gives 95 % confidence.
-
-    Raises:
-        ValueError: If there is no trial.
+def wilson(hits: int, trials: int) -> Share:
+    """Return the share `hits / trials` with its 95 % score interval; at least one trial.
 
     Source: Wilson, J. Am. Stat. Assoc. 22 (1927).
     """
-    if trials < 1:
-        raise ValueError("a share needs at least one trial")
+    z = 1.959963984540054  # quantile of the normal distribution
     share, weight = hits / trials, z * z / trials
     centre = (share + weight / 2.0) / (1.0 + weight)
     half = z * np.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials)) / (1.0 + weight)

@@ -1,13 +1,15 @@
-"""Protocol of motion generators, which plugins implement."""
+"""Protocol of motion generators, which plugins implement, and rows of their states."""
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array
 
 State = dict[str, Array]
+Rows = NDArray[np.intp]  # indices along the leading axis
 
 
 class MotionGenerator(Protocol):
@@ -33,12 +35,7 @@ class MotionGenerator(Protocol):
         ...
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
-        """Return the world poses at which the motions end, shape (n, 7).
-
-        Args:
-            state: State of n motions.
-            target_pose: Current poses of their targets, shape (n, 7).
-        """
+        """Return the world poses at which the motions end, shape (n, 7), for current targets."""
         ...
 
     def twist(
@@ -63,9 +60,30 @@ class Demonstrated(Protocol):
         """Return the world poses of the base in the demonstration now, shape (n, 7).
 
         Rows without a demonstration are NaN.
-
-        Args:
-            state: State of n motions.
-            target_pose: Current poses of their targets, shape (n, 7).
         """
         ...
+
+
+def with_rows(array: NDArray[Any], rows: Rows, values: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of `array` with `values` in `rows`."""
+    changed = array.copy()
+    changed[rows] = values
+    return changed
+
+
+def of_rows(state: State, rows: Rows) -> State:
+    """Return the state of `rows`."""
+    return {key: values[rows] for key, values in state.items()}
+
+
+def merged(state: State, rows: Rows, values: State, n: int) -> State:
+    """Return the state of n rows with `values` in `rows`; other rows of an empty state are zero.
+
+    Keys, types and shapes of both are equal, which `CheckedMotion` checks.
+    """
+    if len(rows) == n:
+        return values
+    return {
+        key: with_rows(state.get(key, np.zeros((n, *new.shape[1:]), new.dtype)), rows, new)
+        for key, new in values.items()
+    }

@@ -68,12 +68,7 @@ class RecurrentPolicy(Policy, Protocol):
     """A policy with a state of its own."""
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Forget the episodes of some rows.
-
-        Args:
-            loop: The `kinfeas.control.loop.Loop` that the policy commands.
-            rows: Rows that begin a new episode, shape (m,).
-        """
+        """Begin new episodes in `rows`, shape (m,), of the `kinfeas.control.loop.Loop`."""
         ...
 
 
@@ -81,18 +76,9 @@ class CommandFilter(Protocol):
     """Changes base commands before they are sent."""
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Begin new episodes; arguments as in `RecurrentPolicy.reset`.
-
-        Raises:
-            KinfeasError: If the filter cannot work in this loop.
-        """
+        """Begin new episodes, as a `RecurrentPolicy`; raise KinfeasError for an unfit loop."""
         ...
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1], shape (n, 3) or (n, 2).
-
-        Args:
-            command: Commands of the policy or of the filter before this one, of the same shape.
-            policy_input: Input that the policy had.
-        """
+        """Return base commands in [-1, 1] in place of `command`; both (n, 3) or (n, 2)."""
         ...

@@ -78,14 +78,9 @@ class Plugin:
 
 
 def register(group: str, name: str, factory: type | FunctionType) -> None:
-    """Register a class or function under a name in this process, without an entry point.
+    """Register a class or function in this process, without an entry point.
 
     For scripts and notebooks. A second call with the same name replaces the first registration.
-
-    Args:
-        group: Key of `GROUPS`.
-        name: Name of the plugin.
-        factory: Class or function at the top level of its module.
 
     Raises:
         KinfeasError: If the group is unknown, an installed distribution has that name, or
@@ -117,22 +112,14 @@ def check_unique(group: str, name: str) -> None:
 
 
 def load(group: str, name: str) -> Any:
-    """Return the class or function `name` of a group of `GROUPS`.
-
-    Raises:
-        KinfeasError: If the name is unknown or ambiguous, or its module cannot be imported.
-    """
+    """Return a class or function; raise KinfeasError if it is unknown, ambiguous or broken."""
     return _import(_find(group, name))
 
 
 def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
     """Return the object that the class or function `name` makes of keyword parameters.
 
-    Args:
-        group: Key of `GROUPS`.
-        name: Name of an entry point.
-        parameters: Keyword parameters as in YAML; they are converted to their annotated types,
-            such as a Path or a dataclass.
+    Parameters are as in YAML and converted to their annotated types, such as a Path or a dataclass.
 
     Raises:
         KinfeasError: As `load`; also if a parameter is unknown, missing or invalid, or the object
@@ -142,16 +129,7 @@ def build(group: str, name: str, parameters: Mapping[str, object]) -> Any:
 
 
 def build_target(group: str, target: str, parameters: Mapping[str, object]) -> Any:
-    """Return the result of a class or function `module:name` that is no entry point.
-
-    Args:
-        group: Kind of the plugin, one of `GROUPS`.
-        target: Module and name, as an entry point states them.
-        parameters: As for `build`.
-
-    Raises:
-        KinfeasError: As `build`.
-    """
+    """Return the object of a class or function `module:name`, as `build` does of entry points."""
     return _build(EntryPoint(target, target, group), parameters)
 
 
@@ -161,11 +139,11 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
     if not callable(factory):
         raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
     try:
-        signature = signature_of(factory)
-        check_names(signature, parameters)
+        signature = _signature(factory)
+        _check_names(signature, parameters)
     except (ValueError, TypeError) as error:
         raise KinfeasError(f"{subject}: {error}") from error
-    typed = in_types(signature, parameters, subject)
+    typed = _in_types(signature, parameters, subject)
     try:
         with plugin_note(subject):
             built = factory(**typed)
@@ -185,8 +163,7 @@ def from_anywhere(name_or_path: str) -> str:
     return str(Path(name_or_path).absolute()) if is_path(name_or_path) else name_or_path
 
 
-def signature_of(factory: Any) -> inspect.Signature:
-    """Return the signature of a class or function, with evaluated annotations if possible."""
+def _signature(factory: Any) -> inspect.Signature:
     try:
         return inspect.signature(factory, eval_str=True)
     # Names that are imported for a type checker only.
@@ -194,12 +171,7 @@ def signature_of(factory: Any) -> inspect.Signature:
         return inspect.signature(factory)
 
 
-def check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:
-    """Check that parameters match a signature by name.
-
-    Raises:
-        KinfeasError: If one is unknown or missing.
-    """
+def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:
     by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
     taken = {p.name: p for p in signature.parameters.values() if p.kind in by_name}
     open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
@@ -213,14 +185,9 @@ def check_names(signature: inspect.Signature, given: Mapping[str, object]) -> No
             )
 
 
-def in_types(
+def _in_types(
     signature: inspect.Signature, given: Mapping[str, object], subject: str
 ) -> dict[str, object]:
-    """Return keyword parameters, as in YAML, converted to their annotated types.
-
-    Raises:
-        KinfeasError: If one has another type or range; the message begins with `subject`.
-    """
     typed = dict(given)
     for name in given.keys() & signature.parameters.keys():
         value, parameter = given[name], signature.parameters[name]

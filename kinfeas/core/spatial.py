@@ -38,12 +38,7 @@ def canonical(quaternion: Array) -> Array:
 
 
 def compose(parent: Array, child: Array) -> Array:
-    """Return the pose `child`, given relative to `parent`, in the frame of `parent`'s coordinates.
-
-    Args:
-        parent: Pose, shape (..., 7).
-        child: Pose relative to `parent`, shape (..., 7).
-    """
+    """Return `child`, given relative to `parent`, in the frame of `parent`; shapes (..., 7)."""
     composed: Array = _call(pose_kernels.compose, parent, child)
     return composed
 
@@ -77,15 +72,7 @@ def twist_between(start: Array, end: Array, dt: ArrayLike) -> Array:
 
 
 def distance(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the distance and angle between the poses `a` and `b`.
-
-    Args:
-        a: Pose, shape (..., 7).
-        b: Pose, shape (..., 7).
-
-    Returns:
-        Distance in metres and angle in radians in [0, pi], each of shape (...).
-    """
+    """Return the distance in metres and the angle in [0, pi] between poses; (..., 7) -> (...)."""
     metres, radians = _call(pose_kernels.distance, a, b)
     return metres, radians
 

@@ -24,11 +24,5 @@ class Start:
 
 
 def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:
-    """Return the random generator of an episode.
-
-    Args:
-        seed: Seed of all episodes.
-        episode: Number of the episode.
-        stream: Separates episodes of the same seed and number.
-    """
+    """Return the random generator of an episode; `stream` separates those of equal numbers."""
     return np.random.default_rng(np.random.SeedSequence((seed, episode), spawn_key=tuple(stream)))

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from kinfeas.core.checked_motion import CheckedMotion, ConformanceError
+from kinfeas.core.checks import CheckedMotion, ConformanceError
 from kinfeas.core.errors import PLUGIN_ERRORS
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.spatial import Array

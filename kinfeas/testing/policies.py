@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 
-from kinfeas.core.checked_motion import ConformanceError
+from kinfeas.core.checks import ConformanceError
 from kinfeas.core.policy import Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinfeas.core.checked_motion import CheckedMotion
+from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, distance, integrate
 from kinfeas.testing.trial import Trial

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import LONGEST
-from kinfeas.core.checked_motion import CheckedMotion
-from kinfeas.core.checks import are_unit
+from kinfeas.core.checks import CheckedMotion, are_unit
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
 from kinfeas.core.spatial import Array, integrate, make_pose
 

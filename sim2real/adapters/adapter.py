@@ -13,7 +13,7 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, BackendWrapper, Resumable, RobotState, Stochastic
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import plugin_note
-from kinfeas.core.rows import with_rows
+from kinfeas.core.motion import with_rows
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters import random_numbers

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.filters.rollout import RolloutPlanner, State
+from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy, PolicyInput
-from kinfeas.core.rows import Rows
 from kinfeas.core.spatial import Array
 
 _SWITCH_INTERVAL = 5e-4

@@ -106,6 +106,18 @@ def test_programming_errors_keep_their_traceback(monkeypatch):
         module.main()
 
 
+def test_errors_of_plugins_have_a_traceback_and_the_code_of_bad_input(monkeypatch, capsys):
+    error = KeyError("x")
+    error.add_note("raised by adapter Mine")
+    monkeypatch.setattr(module, "app", raising(error))
+    with pytest.raises(SystemExit) as end:
+        module.main()
+    printed = capsys.readouterr().err
+    assert end.value.code == 2
+    assert "Traceback" in printed
+    assert "adapter Mine" in printed.splitlines()[-1]
+
+
 @pytest.mark.parametrize(
     ("line", "named"),
     [

@@ -3,11 +3,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.backend import RobotState
-from kinfeas.core.checks import are_unit, check_array, check_state, require_parameters
-from kinfeas.core.errors import KinfeasError, check_name, is_own, plugin_note
+from kinfeas.core.checks import (
+    CheckedMotion,
+    ConformanceError,
+    are_unit,
+    check_array,
+    check_state,
+    require_parameters,
+)
+from kinfeas.core.errors import KinfeasError, check_name, plugin_note, raised_by
 from kinfeas.core.spatial import IDENTITY
+from kinfeas.plugins.linear import Linear
 
 SHAPE = (3, 6)
 SOUND = RobotState(np.tile(IDENTITY, (3, 1)), np.zeros((3, 5)))
@@ -39,8 +46,7 @@ def test_numeric_arrays_pass(kind):
 def test_unit_quaternions():
     assert are_unit(np.tile(IDENTITY, (2, 3, 1)))
     assert are_unit(np.empty((0, 7)))
-    assert not are_unit(IDENTITY * 1.001)
-    assert not are_unit(IDENTITY * np.nan)
+    assert not any(map(are_unit, (IDENTITY * 1.001, IDENTITY * np.nan)))
 
 
 STATES = {
@@ -82,17 +88,13 @@ def test_methods_with_other_parameters_raise_errors():
     assert isinstance(e.value, TypeError)
 
 
-@pytest.mark.parametrize("error", [KeyError("x"), StopIteration(), KinfeasError("bad")])
-def test_exceptions_keep_their_type_and_name_the_plugin(error):
-    with pytest.raises(type(error)) as caught, plugin_note("adapter Mine"):
+def test_exceptions_keep_their_type_and_name_the_plugin():
+    error = StopIteration()
+    assert raised_by(error) is None
+    with pytest.raises(StopIteration) as caught, plugin_note("adapter Mine"):
         raise error
     assert caught.value is error
-    assert caught.value.__notes__ == ["raised by adapter Mine"]
-
-
-def test_own_classes():
-    assert is_own(AnalyticBackend())
-    assert not is_own(Old())
+    assert raised_by(error) == "adapter Mine"
 
 
 @pytest.mark.parametrize("name", ["", " ", "a/b", "a\nb", "\x1b[31m"])
@@ -100,3 +102,143 @@ def test_names_that_do_not_fit_a_line(name):
     check_name("My robot-2")
     with pytest.raises(ValueError, match="'name'"):
         check_name(name)
+
+
+POSES, DT = np.tile(IDENTITY, (3, 1)), np.full(3, 0.1)
+ZERO, STATE = np.zeros((3, 6)), {"goal": POSES.copy(), "x": np.zeros(3)}
+
+
+class Answers:
+    """Returns the answers that it is made with."""
+
+    def __init__(self, start=STATE, goal=POSES, twist=(ZERO, STATE), base=None):
+        self.answers = {"start": start, "goal": goal, "twist": twist}
+        if base is not None:
+            self.base_pose = lambda state, target_pose: base
+
+    def answer(self, name):
+        if isinstance(self.answers[name], BaseException):
+            raise self.answers[name]
+        return self.answers[name]
+
+    def start(self, ee_pose, target_pose, rngs):
+        return self.answer("start")
+
+    def goal_pose(self, state, target_pose):
+        return self.answer("goal")
+
+    def twist(self, state, ee_pose, target_pose, dt):
+        return self.answer("twist")
+
+
+def start(motion):
+    return motion.start(POSES, POSES, [np.random.default_rng(i) for i in range(3)])
+
+
+def ask(generator):
+    motion = CheckedMotion(generator, "mine")
+    state = start(motion)
+    motion.base_pose(state, POSES)
+    return motion.twist(state, POSES, POSES, DT)
+
+
+BAD = {
+    "a list for a state": ({"start": [1]}, "start"),
+    "missing rows": ({"start": {"goal": POSES[:1]}}, "goal"),
+    "words": ({"start": {"goal": np.array(["a"] * 3)}}, "goal"),
+    "a goal of twists": ({"goal": ZERO}, "goal_pose"),
+    "a goal of nan": ({"goal": POSES * np.nan}, "goal_pose"),
+    "a long goal": ({"goal": POSES * 2.0}, "goal_pose"),
+    "no pair": ({"twist": ZERO}, "twist"),
+    "a short twist": ({"twist": (ZERO[:, :3], STATE)}, "twist"),
+    "a listed twist": ({"twist": (ZERO.tolist(), STATE)}, "twist"),
+    "nan": ({"twist": (ZERO * np.nan, STATE)}, "twist"),
+    "infinity": ({"twist": (ZERO + np.inf, STATE)}, "twist"),
+    "no next state": ({"twist": (ZERO, None)}, "twist"),
+    "a state of objects": ({"twist": (ZERO, {"goal": POSES.astype(object)})}, "goal"),
+    "a short base": ({"base": POSES[:2]}, "base_pose"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_invalid_answers_raise_errors(name):
+    answers, word = BAD[name]
+    with pytest.raises(ConformanceError, match=f"^motion generator mine .*{word}"):
+        ask(Answers(**answers))
+
+
+CHANGED = {
+    "x": {"goal": POSES},
+    "velocity": {**STATE, "velocity": ZERO},
+    "goal": {**STATE, "goal": POSES.astype(np.float32)},
+}
+
+
+@pytest.mark.parametrize("key", CHANGED)
+def test_a_state_keeps_its_layout(key):
+    generator = Answers(twist=(ZERO, CHANGED[key]))
+    with pytest.raises(ConformanceError, match=rf"\['{key}'\]") as caught:
+        ask(generator)
+    assert caught.value.rule == "layout"
+    resumed = CheckedMotion(generator)
+    with pytest.raises(ConformanceError, match=rf"\['{key}'\]"):
+        resumed.twist(STATE, POSES, POSES, DT)
+    restarted = CheckedMotion(generator)
+    start(restarted)
+    generator.answers["start"] = CHANGED[key]
+    with pytest.raises(ConformanceError, match=rf"\['{key}'\]"):
+        start(restarted)
+
+
+def test_answers_are_checked_after_each_start_or_at_every_step():
+    generator = Answers()
+    motion = CheckedMotion(generator)
+    state = start(motion)
+    motion.twist(state, POSES, POSES, DT)
+    generator.answers["twist"] = (ZERO * np.nan, STATE)
+    motion.twist(state, POSES, POSES, DT)
+    start(motion)
+    with pytest.raises(ConformanceError):
+        motion.twist(state, POSES, POSES, DT)
+    generator.answers["twist"] = (ZERO, STATE)
+    strict = CheckedMotion(generator, every_step=True)
+    strict.twist(start(strict), POSES, POSES, DT)
+    generator.answers |= {"twist": (ZERO * np.nan, STATE), "goal": POSES * np.nan}
+    with pytest.raises(ConformanceError):
+        strict.twist(state, POSES, POSES, DT)
+    with pytest.raises(ConformanceError):
+        strict.goal_pose(state, POSES)
+
+
+@pytest.mark.parametrize("kind", [type(None), type("Half", (Answers,), {"twist": None})])
+def test_missing_methods(kind):
+    with pytest.raises(ConformanceError, match=r"motion generator mine .*(start|twist)"):
+        CheckedMotion(kind(), "mine")
+
+
+@pytest.mark.parametrize("method", ["goal_pose", "twist", "base_pose"])
+def test_methods_with_other_parameters(method):
+    old = type("Old", (Answers,), {method: lambda self, state: None})
+    with pytest.raises(KinfeasError, match=rf"motion generator mine .*{method}\(state, "):
+        CheckedMotion(old(), "mine")
+
+
+@pytest.mark.parametrize("method", ["start", "goal", "twist"])
+def test_exceptions_name_the_generator(method):
+    with pytest.raises(KeyError) as caught:
+        ask(Answers(**{method: KeyError("x")}))
+    assert raised_by(caught.value) == "motion generator mine"
+
+
+def test_answers_come_through_unchanged():
+    motion, linear = CheckedMotion(Linear()), Linear()
+    target = POSES + np.eye(7)[0]
+    state = motion.start(POSES, target, [np.random.default_rng(i) for i in range(3)])
+    twist, _ = motion.twist(state, POSES, target, DT)
+    np.testing.assert_array_equal(twist, linear.twist(state, POSES, target, DT)[0])
+    np.testing.assert_array_equal(motion.goal_pose(state, target), target)
+    assert np.isnan(motion.base_pose(state, POSES)).all()
+    assert not motion.demonstrated
+    assert CheckedMotion(Answers(base=POSES)).demonstrated
+    assert motion.start(POSES[:0], POSES[:0], []) == {}
+    assert motion.twist({}, POSES[:0], POSES[:0], DT[:0])[0].shape == (0, 6)

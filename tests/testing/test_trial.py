@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.checked_motion import CheckedMotion
+from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.plugins.linear import Linear

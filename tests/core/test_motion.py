@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinfeas.core.rows import merged, of_rows, with_rows
+from kinfeas.core.motion import merged, of_rows, with_rows
 
 ROWS = np.array([2, 0])
 
