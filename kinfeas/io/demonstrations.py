@@ -29,8 +29,7 @@ class Demonstration:
     Attributes:
         time: Times in seconds, strictly ascending, shape (t,), t >= 2.
         ee_pose: Poses of the demonstrating EE, shape (t, 7).
-        base_pose: Poses of its base, shape (t, 7); all NaN if there is none, for which the
-            constructor also accepts None.
+        base_pose: Poses of its base, shape (t, 7); all NaN, or None in the constructor, if unknown.
         object_pose: Poses of the handled object, the frame of the learned motion, shape (t, 7).
     """
 
@@ -52,43 +51,30 @@ class Demonstration:
 
 
 def read_demonstrations(folder: Path) -> list[Demonstration]:
-    """Return the demonstrations in the files of a folder, in the order of their names.
-
-    Raises:
-        KinfeasError: If there are none, or `read_demonstration` fails.
-    """
+    """Return the demonstrations in a folder, in the order of `demonstration_files`."""
     return [read_demonstration(path) for path in demonstration_files(folder)]
 
 
 def demonstration_files(folder: Path) -> list[Path]:
-    """Return the CSV and NPZ files in `folder`, in the order of their names.
-
-    Raises:
-        KinfeasError: If there are none.
-    """
+    """Return the CSV and NPZ files in `folder` by name; raise KinfeasError if there are none."""
     if not folder.is_dir():
         raise KinfeasError(f"{folder}: no such folder of demonstrations")
-    paths = sorted(path for path in folder.iterdir() if _suffix(path) in _SUFFIXES)
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     if not paths:
-        below = {str(path.parent) for path in folder.glob("*/*") if _suffix(path) in _SUFFIXES}
-        hint = f"; folders that have some: {', '.join(sorted(below)[:6])}" if below else ""
-        raise KinfeasError(f"{folder}: holds no demonstrations (*.csv or *.npz){hint}")
+        raise KinfeasError(f"{folder}: holds no demonstrations (*.csv or *.npz)")
     return paths
 
 
 def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demonstration:
     """Return the demonstration in a CSV or NPZ file, with normalized quaternions.
 
-    Args:
-        path: The file; columns other than `columns()` are ignored.
-        optional: Poses that may be missing; they are NaN then.
+    Poses that are `optional` may be missing and are NaN then; other columns are ignored.
 
     Raises:
         KinfeasError: If the file cannot be read, lacks a column, has fewer than two samples,
             non-finite numbers, times that do not ascend or quaternions that are not unit.
     """
-    _check_suffix(path)
-    if _suffix(path) == ".csv":
+    if _known_suffix(path) == ".csv":
         return _read_csv(path, optional)
     values = read_npz(path, ("time", *_POSES))
     for name in ("time", *_POSES):
@@ -98,20 +84,20 @@ def read_demonstration(path: Path, optional: Collection[str] = (_BASE,)) -> Demo
 
 
 def write_demonstration(demonstration: Demonstration, path: Path) -> None:
-    """Write a CSV or NPZ file atomically; the suffix selects the format.
+    """Write a CSV or NPZ file atomically.
 
     Raises:
-        KinfeasError: If the suffix is another one, the demonstration could not be read back, or the
-            file cannot be written.
+        KinfeasError: If the suffix is another one, `read_demonstration` would raise, or the file
+            cannot be written.
     """
-    _check_suffix(path)
+    suffix = _known_suffix(path)
     poses = [pose for pose in _POSES if demonstration.has_base or pose != _BASE]
     arrays: dict[str, Any] = {
         name: np.asarray(getattr(demonstration, name)) for name in ("time", *poses)
     }
     _from_arrays(arrays, path)
     with replacing(path) as fresh:
-        if _suffix(path) == ".npz":
+        if suffix == ".npz":
             with fresh.open("wb") as archive:  # savez would append .npz to .NPZ
                 np.savez_compressed(archive, **arrays)
         else:
@@ -126,13 +112,10 @@ def columns(poses: Iterable[str] = _POSES) -> list[str]:
     return ["time", *(f"{pose.removesuffix('_pose')}_{axis}" for pose in poses for axis in _AXES)]
 
 
-def _suffix(path: Path) -> str:
-    return path.suffix.lower()
-
-
-def _check_suffix(path: Path) -> None:
-    if _suffix(path) not in _SUFFIXES:
+def _known_suffix(path: Path) -> str:
+    if (suffix := path.suffix.lower()) not in _SUFFIXES:
         raise KinfeasError(f"{path}: must be a .csv or .npz file")
+    return suffix
 
 
 def _read_csv(path: Path, optional: Collection[str]) -> Demonstration:

@@ -29,10 +29,7 @@ def is_standard_output(path: Path) -> bool:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Convert errors of reading into a `KinfeasError` that names `path`.
-
-    Devices and pipes raise an error, because reading them may never end.
-    """
+    """Convert errors of reading into a `KinfeasError` that names `path`, no device or pipe."""
     with _naming(path, "read"):
         mode = _mode(path)
         if mode and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
@@ -46,11 +43,7 @@ def writing(path: Path) -> AbstractContextManager[None]:
 
 
 def read_file(path: Path, max_bytes: int) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        KinfeasError: If it cannot be read, or is larger than `max_bytes`.
-    """
+    """Return a file's content; raise KinfeasError beyond `max_bytes` or if it is unreadable."""
     with reading(path), path.open("rb") as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
@@ -59,11 +52,7 @@ def read_file(path: Path, max_bytes: int) -> bytes:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file atomically.
-
-    Raises:
-        KinfeasError: If it cannot be written.
-    """
+    """Write a file atomically; raise KinfeasError if it cannot be written."""
     with replacing(path) as fresh:
         fresh.write_bytes(content)
 
@@ -72,10 +61,8 @@ def write_file(path: Path, content: bytes) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path of the same name whose content replaces `path` at the end.
 
-    Links are followed. The content is copied into devices, pipes and `/dev/stdout`.
-
-    Raises:
-        KinfeasError: If it cannot be written; the old content remains.
+    Links are followed. The content is copied into devices, pipes and `/dev/stdout`. If it cannot be
+    written, the old content remains.
     """
     target = replaced(path)
     with writing(path), TemporaryDirectory(prefix=".", dir=target and target.parent) as folder:
@@ -93,11 +80,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def replaced(path: Path) -> Path | None:
-    """Return the file that writing to `path` replaces; None for devices, pipes and streams.
-
-    Raises:
-        KinfeasError: If it is a folder or not writable.
-    """
+    """Return the file that writing to `path` replaces; None for devices, pipes and streams."""
     with writing(path):
         stream = _stream(path)
         if stream is not None:
@@ -115,9 +98,6 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     """Replace a folder by a new one that `fill(path)` writes.
 
     At any moment `find_folder` finds a complete folder, also after a kill.
-
-    Raises:
-        KinfeasError: If something cannot be written.
     """
     from safetensors import SafetensorError
 
@@ -146,11 +126,7 @@ def find_folder(folder: Path) -> Path:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes that lock it; without effect on some file systems.
-
-    Raises:
-        KinfeasError: If another process holds the lock, or there is no such folder.
-    """
+    """Lock a folder, where the file system can; raise KinfeasError if another process has."""
     with writing(folder):
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:

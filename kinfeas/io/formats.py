@@ -24,28 +24,14 @@ MAX_JSON_BYTES, MAX_NPZ_BYTES = 1_000_000, 200_000_000
 
 # Errors of broken, encrypted or foreign archives.
 _BROKEN_NPZ = (
-    ArithmeticError,
-    EOFError,
-    LZMAError,
-    MemoryError,
-    RuntimeError,
-    TokenError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+    ArithmeticError, EOFError, LZMAError, MemoryError, RuntimeError, TokenError, TypeError,
+    ValueError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Columns of a CSV file.
-
-    Attributes:
-        source: The file.
-        values: Numbers, shape (rows, columns).
-        lines: Line number of each row.
-    """
+    """Numbers of a CSV file, shape (rows, columns), with the line of each row."""
 
     source: Path
     values: Array
@@ -57,11 +43,7 @@ class CsvTable:
 
 
 def read_csv(path: Path, choose: Callable[[Sequence[str]], Sequence[str]]) -> CsvTable:
-    """Return columns of a CSV file as numbers.
-
-    Args:
-        path: File whose first line names the columns.
-        choose: Returns the names of the wanted columns from those of the file.
+    """Return the columns of a CSV file that `choose` selects from the names in its first line.
 
     Raises:
         KinfeasError: If the file cannot be read, a column is missing or repeated, or an entry is
@@ -95,9 +77,7 @@ def read_csv(path: Path, choose: Callable[[Sequence[str]], Sequence[str]]) -> Cs
 
 
 def read_json(path: Path) -> dict[str, object]:
-    """Return the mapping in a JSON file.
-
-    As in Python, numbers may be `Infinity` and `NaN`.
+    """Return the mapping in a JSON file; numbers may be `Infinity` and `NaN`.
 
     Raises:
         KinfeasError: If the file cannot be read, is larger than 1 MB, or holds no mapping.

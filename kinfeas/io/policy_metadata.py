@@ -67,24 +67,13 @@ class Trained:
 
 
 def policy_folder(folder: Path) -> Path:
-    """Return the folder of the policy of a training run (its best checkpoint) or a checkpoint.
-
-    Args:
-        folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
-    """
+    """Return the best checkpoint of a training run `runs/NAME`; other folders are unchanged."""
     best = find_folder(folder / "checkpoints" / "best")
     return best if best.is_dir() else find_folder(folder)
 
 
 def read_trained(folder: Path) -> Trained:
-    """Return the metadata of the policy of a training run or a checkpoint.
-
-    Args:
-        folder: As for `policy_folder`.
-
-    Raises:
-        KinfeasError: If there is no policy, or its metadata are invalid.
-    """
+    """Return the metadata of the policy in a `policy_folder`; raise KinfeasError without one."""
     path = policy_folder(folder) / _FILE
     if not path.exists():
         raise KinfeasError(f"{folder}: not a training run or checkpoint: there is no {path}")
@@ -94,11 +83,7 @@ def read_trained(folder: Path) -> Trained:
 
 
 def read_best(run: Path) -> Trained:
-    """Return the metadata of the best checkpoint of a training run, with its evaluation.
-
-    Raises:
-        KinfeasError: If there is none, or its metadata are invalid.
-    """
+    """Return the metadata of the best checkpoint of a training run, with its evaluation."""
     trained = read_trained(run)
     if trained.steps is None or not trained.evaluation.keys() >= _METRICS:
         raise KinfeasError(f"{policy_folder(run)}: not the best checkpoint of a training run")

@@ -25,6 +25,7 @@ TASK_DONE = {True: ", task done", False: ", task not done", None: ""}
 """End of the last event by task success; None for tasks without objects."""
 
 _FORMAT = "kinfeas record 1"
+_ARRAYS = "base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"
 _UNIT_TOLERANCE = 0.1  # measured quaternions are logged as they are
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -107,20 +108,13 @@ class Record:
 
 
 class Recorder:
-    """A context that writes a run log; each line is flushed at once.
+    """A context that writes a run log, line by line, to `path`.
 
     The file is removed if no line was written.
-
-    Attributes:
-        path: The file.
     """
 
     def __init__(self, path: Path, about: About) -> None:
-        """Begin a file.
-
-        Raises:
-            KinfeasError: If it exists, or cannot be written.
-        """
+        """Begin a file; raise KinfeasError if it exists or cannot be written."""
         self.path, self._begun = path, False
         with writing(path):
             self._file: TextIO = path.open("x", encoding="utf-8", newline="", buffering=1)
@@ -139,20 +133,8 @@ class Recorder:
         self._end()
 
     def write(self, moment: Moment) -> None:
-        """Append a line.
-
-        Raises:
-            KinfeasError: If it cannot be written.
-        """
-        arrays = (
-            moment.base_pose,
-            moment.joint_positions,
-            moment.desired,
-            moment.goal,
-            moment.base_twist,
-            moment.joint_targets,
-        )
-        numbers = [f"{value:.9g}" for array in arrays for value in array.tolist()]
+        """Append a line; raise KinfeasError if it cannot be written."""
+        numbers = [f"{value:.9g}" for name in _ARRAYS for value in getattr(moment, name).tolist()]
         age = "" if np.isnan(moment.age) else f"{moment.age:.4f}"
         rest = [str(int(moment.feasible)), str(moment.subgoal), " ".join(moment.event.split())]
         with writing(self.path):
@@ -167,11 +149,7 @@ class Recorder:
 
 
 def read_record(path: Path) -> Record:
-    """Return a run log; an incomplete last line is ignored.
-
-    Raises:
-        KinfeasError: If the file is no run log, or a line is invalid.
-    """
+    """Return a run log without an incomplete last line; raise KinfeasError on invalid ones."""
     with reading(path):
         text = path.read_text(encoding="utf-8")
     lines = text[: text.rfind("\n") + 1].splitlines(keepends=True)
@@ -183,27 +161,23 @@ def read_record(path: Path) -> Record:
         raise KinfeasError(f"{path}: the run ended before its first step")
     rows = [_row(line, len(names), f"{path}, line {n}") for n, line in enumerate(lines[2:], 3)]
     j = len(about.joints)
-    time, age, base, joints, desired, goal, twist, targets, feasible, subgoal = np.split(
+    time, age, *blocks, feasible, subgoal = np.split(
         np.array([numbers for numbers, _ in rows]), np.cumsum([1, 1, 7, j, 7, 7, 6, j, 1]), axis=1
     )
-    for name, pose in (("base", base), ("desired", desired), ("goal", goal)):
-        off = np.abs(np.linalg.norm(pose[:, 3:], axis=1) - 1.0) > _UNIT_TOLERANCE
+    arrays = dict(zip(_ARRAYS, blocks, strict=True))
+    for name in ("base_pose", "desired", "goal"):
+        off = np.abs(np.linalg.norm(arrays[name][:, 3:], axis=1) - 1.0) > _UNIT_TOLERANCE
         if off.any():
             line = int(np.argmax(off)) + 3
             raise KinfeasError(f"{path}, line {line}: {name} has no unit quaternion (xyzw)")
     return Record(
-        about,
-        time[:, 0],
-        age[:, 0],
-        base,
-        joints,
-        desired,
-        goal,
-        twist,
-        targets,
-        feasible[:, 0] > 0.0,
-        subgoal[:, 0].astype(np.intp),
-        tuple(event for _, event in rows),
+        about=about,
+        time=time[:, 0],
+        age=age[:, 0],
+        **arrays,
+        feasible=feasible[:, 0] > 0.0,
+        subgoal=subgoal[:, 0].astype(np.intp),
+        event=tuple(event for _, event in rows),
     )
 
 

@@ -1,8 +1,6 @@
 import os
 import shutil
 import stat
-import subprocess
-import sys
 from pathlib import Path
 from threading import Thread
 
@@ -44,43 +42,30 @@ def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):
         assert path.read_bytes() == content
     (tmp_path / "folder" / "inner").mkdir(parents=True)
     for wrong in (tmp_path / "folder", tmp_path / "none" / "file", path / "file"):
-        with pytest.raises(KinfeasError, match="cannot be written"):
+        with pytest.raises(KinfeasError, match=str(wrong)):
             write_file(wrong, b"333")
     assert sorted(one.name for one in tmp_path.iterdir()) == ["file", "folder"]
     assert path.read_bytes() == b"22"
 
 
-def test_reads_up_to_a_limit(tmp_path):
+def test_reads_files_up_to_a_limit(tmp_path):
     (tmp_path / "file").write_bytes(b"1234")
     assert read_file(tmp_path / "file", 4) == b"1234"
-    with pytest.raises(KinfeasError, match="file: too large, at most 3 bytes are allowed"):
-        read_file(tmp_path / "file", 3)
-
-
-def test_what_cannot_be_read_is_named(tmp_path):
-    for wrong, why in (("none", "No such file"), (".", "Is a directory")):
-        with pytest.raises(KinfeasError, match=f"cannot be read: {why}"):
+    os.mkfifo(tmp_path / "pipe")
+    for wrong in ("none", ".", "pipe", "/dev/zero", "a\0.yaml", "\ud800.yaml"):
+        with pytest.raises(KinfeasError) as caught:
             read_file(tmp_path / wrong, 9)
-    with pytest.raises(KinfeasError, match="odd: not a text file in UTF-8"), reading(Path("odd")):
+        assert str(caught.value).isprintable()
+    with pytest.raises(KinfeasError, match="file"):
+        read_file(tmp_path / "file", 3)
+    with pytest.raises(KinfeasError, match="odd"), reading(Path("odd")):
         b"\xff".decode()
-
-
-@pytest.mark.parametrize("name", ["a\0.yaml", "\ud800.yaml"])
-def test_what_can_be_no_name_is_one_sentence(tmp_path, name):
-    with pytest.raises(KinfeasError, match="cannot be read") as caught:
-        read_file(tmp_path / name, 9)
-    assert str(caught.value).isprintable()
-    with pytest.raises(KinfeasError, match="cannot be written"):
-        write_file(tmp_path / name, b"1")
 
 
 def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
     path = tmp_path / "film.gif"
     path.write_bytes(b"old")
-    with (
-        pytest.raises(KinfeasError, match=r"film.gif: cannot be written: full"),
-        replacing(path) as new,
-    ):
+    with pytest.raises(KinfeasError, match=r"film\.gif.*full"), replacing(path) as new:
         assert new.name == path.name
         new.write_bytes(b"ne")
         raise OSError(28, "full")
@@ -107,21 +92,13 @@ def test_standard_output_is_written_to(capfd):
     assert replaced(Path("/dev/stdout")) is replaced(Path("/dev/stderr")) is None
 
 
-def test_what_is_write_protected_stays(tmp_path, monkeypatch):
+def test_write_protected_files_stay(tmp_path, monkeypatch):
     path = tmp_path / "file"
     path.write_bytes(b"1")
-    # Nothing is write-protected to root.
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(KinfeasError, match="file: cannot be written: Permission denied"):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # nothing is write-protected to root
+    with pytest.raises(KinfeasError, match="file"):
         write_file(path, b"2")
     assert path.read_bytes() == b"1"
-
-
-def test_a_pipe_or_a_device_is_not_read(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null")):
-        with pytest.raises(KinfeasError, match="cannot be read: it is not a regular file"):
-            read_file(path, 10)
 
 
 class Killed(BaseException):
@@ -197,38 +174,17 @@ def test_a_folder_remains_if_the_disk_is_full(tmp_path):
     def fill(fresh):
         raise OSError(28, "No space left on device")
 
-    with pytest.raises(KinfeasError, match=r"last: .*No space left on device"):
+    with pytest.raises(KinfeasError, match=r"last.*No space left on device"):
         write_folder(folder, fill)
     assert read(folder) == "1"
-    (tmp_path / "file").write_text("")
-    with pytest.raises(KinfeasError, match="file: cannot be written"):
-        write(tmp_path / "file", "1")
 
 
 def test_locks_of_folders(tmp_path):
-    with alone(tmp_path), pytest.raises(KinfeasError, match="another process"), alone(tmp_path):
+    with alone(tmp_path), pytest.raises(KinfeasError, match=str(tmp_path)), alone(tmp_path):
         pass
     with alone(tmp_path):
         pass
-    with pytest.raises(KinfeasError, match="none: cannot be written"), alone(tmp_path / "none"):
-        pass
-
-
-def test_the_lock_of_a_killed_process_ends(tmp_path):
-    use = f"""
-import time
-from pathlib import Path
-from kinfeas.io.files import alone
-with alone(Path({str(tmp_path)!r})):
-    print("locked", flush=True)
-    time.sleep(60)
-"""
-    with subprocess.Popen([sys.executable, "-c", use], stdout=subprocess.PIPE) as other:
-        assert other.stdout.readline() == b"locked\n"
-        with pytest.raises(KinfeasError, match="another process"), alone(tmp_path):
-            pass
-        other.kill()
-    with alone(tmp_path):
+    with pytest.raises(KinfeasError, match="none"), alone(tmp_path / "none"):
         pass
 
 
