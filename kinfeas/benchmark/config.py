@@ -143,28 +143,36 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
         KinfeasError: If there is none; or if a key, a robot, a task, its motion or a setting is
             invalid; or if two robots or tasks have the same name.
     """
-    study = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), overrides)
-    robots = [load_robot(robot).name for robot in study.robots]
-    for kind, names in (("robots", robots), ("tasks", [task_name(task) for task in study.tasks])):
+    benchmark = config.load(BenchmarkConfig, find_recipe(name, "benchmark"), overrides)
+    robots = [load_robot(robot).name for robot in benchmark.robots]
+    for kind, names in (
+        ("robots", robots),
+        ("tasks", [task_name(task) for task in benchmark.tasks]),
+    ):
         if len(set(names)) < len(names):
             raise KinfeasError(f"{kind!r} must not hold two of one name: {', '.join(names)}")
-    plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in study.tasks]
-    for task, parameters in [*plain, *((one.task, one.parameters) for one in study.variants)]:
+    plain: list[tuple[str, dict[str, object]]] = [(task, {}) for task in benchmark.tasks]
+    for task, parameters in [*plain, *((one.task, one.parameters) for one in benchmark.variants)]:
         build_subgoals(load_task(task, parameters).subgoals)
     for robot in robots:
-        for settings in (study.settings, *((*study.settings, *row.settings) for row in study.rows)):
-            read_settings(robot, study.backend, settings)
-    return study
+        for settings in (
+            benchmark.settings,
+            *((*benchmark.settings, *row.settings) for row in benchmark.rows),
+        ):
+            read_settings(robot, benchmark.backend, settings)
+    return benchmark
 
 
-def restricted(study: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfig:
+def restricted(benchmark: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfig:
     """Return a benchmark of those of its robots that have one of `names`.
 
     Raises:
         KinfeasError: If it lacks one of these robots.
     """
-    robots = {load_robot(robot).name: robot for robot in study.robots}
+    robots = {load_robot(robot).name: robot for robot in benchmark.robots}
     for name in names:
         if name not in robots:
             raise KinfeasError(f"the benchmark has no robot {name!r}{no_such(name, robots)}")
-    return replace(study, robots=tuple(robot for name, robot in robots.items() if name in names))
+    return replace(
+        benchmark, robots=tuple(robot for name, robot in robots.items() if name in names)
+    )

@@ -92,29 +92,29 @@ class Job:
         return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
 
-def plan_jobs(study: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
+def plan_jobs(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
     """Return the jobs of a benchmark: ceiling and policies of each robot and task.
 
     Args:
-        study: The benchmark.
+        benchmark: The benchmark.
         runs: Training runs of the learned policies; a robot without any has the shipped policy, if
             the benchmark takes it, or none.
     """
-    names = {robot: load_robot(robot).name for robot in study.robots}
-    numbers = study.episodes, study.evaluation_seed
+    names = {robot: load_robot(robot).name for robot in benchmark.robots}
+    numbers = benchmark.episodes, benchmark.evaluation_seed
     trials = [
         Job(robot, name, task, CEILING, CEILING, *numbers)
         for robot, name in names.items()
-        for task in study.tasks
+        for task in benchmark.tasks
     ]
     trials += [
         Job(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
             parameters=one.parameters)
-        for one in study.variants
+        for one in benchmark.variants
         for robot in one.robots
-        if robot in names and one.task in study.tasks and study.backend == "analytic"
+        if robot in names and one.task in benchmark.tasks and benchmark.backend == "analytic"
     ]  # fmt: skip
-    return [job for trial in trials for job in _of_task(study, runs, trial)]
+    return [job for trial in trials for job in _of_task(benchmark, runs, trial)]
 
 
 def run_jobs(
@@ -225,43 +225,43 @@ def thinned(points: Array, most: int) -> Array:
     return points[np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)]
 
 
-def _of_task(study: BenchmarkConfig, runs: Sequence[Run], job: Job) -> list[Job]:
+def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], job: Job) -> list[Job]:
     """Return the jobs beside that of a ceiling: learned policies, rows and baselines."""
-    base = replace(job, settings=study.settings)
+    base = replace(job, settings=benchmark.settings)
     own = [run for run in runs if run.robot == job.robot_name]
     learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
                for run in own]  # fmt: skip
-    if not own and takes_pretrained(study, job.robot):
+    if not own and takes_pretrained(benchmark, job.robot):
         learned = [replace(base, policy=pretrained.NAME, source=pretrained.NAME)]
     rows = []
-    for row in study.rows if not job.variant else ():
+    for row in benchmark.rows if not job.variant else ():
         if row.has(job.robot, job.task):
-            settings = (*study.settings, *row.settings, *_filters(row.filters))
+            settings = (*benchmark.settings, *row.settings, *_filters(row.filters))
             rows += [
                 replace(one, row=row.label, settings=settings)
                 for one in learned
                 if one.policy != "td3"
             ]
     baselines = [replace(base, policy=name, source=name)
-                 for name, on in study.baselines.items() if job.task in on]  # fmt: skip
+                 for name, on in benchmark.baselines.items() if job.task in on]  # fmt: skip
     policies = [*learned, *rows, *baselines]
-    if study.backend != "analytic":
-        beside = [_without_physics(study, one) for one in policies]
-        policies = [*beside, *(part for one in policies for part in _parts(study, one))]
-    settings = study.settings if study.backend == "analytic" else ()
+    if benchmark.backend != "analytic":
+        beside = [_without_physics(benchmark, one) for one in policies]
+        policies = [*beside, *(part for one in policies for part in _parts(benchmark, one))]
+    settings = benchmark.settings if benchmark.backend == "analytic" else ()
     return [replace(job, settings=settings), *policies]
 
 
-def _without_physics(study: BenchmarkConfig, job: Job) -> Job:
+def _without_physics(benchmark: BenchmarkConfig, job: Job) -> Job:
     """Return a job with the same filters in the analytic world, which has no obstacles."""
-    used = read_settings(job.robot_name, study.backend, job.settings).world.filters
+    used = read_settings(job.robot_name, benchmark.backend, job.settings).world.filters
     filters = tuple(one for one in used if one.name != "obstacle_distance")
     return replace(job, settings=_filters(filters))
 
 
-def _parts(study: BenchmarkConfig, job: Job) -> list[Job]:
+def _parts(benchmark: BenchmarkConfig, job: Job) -> list[Job]:
     return [
-        replace(job, backend=study.backend, first=at, episodes=min(PART, job.episodes - at))
+        replace(job, backend=benchmark.backend, first=at, episodes=min(PART, job.episodes - at))
         for at in range(0, job.episodes, PART)
     ]
 

@@ -264,7 +264,7 @@ def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
 
 
 def draw_pictures(
-    study: BenchmarkConfig,
+    benchmark: BenchmarkConfig,
     runs: Sequence[Run],
     found: Sequence[tuple[Job, Result]],
     cells: Sequence[Cell],
@@ -274,15 +274,15 @@ def draw_pictures(
     `table`; in the analytic world also `learning_curves` if there are runs, and `workspace` and
     `examples-ROBOT` if there are learned policies.
     """
-    pictures = {"table": png(table_figure(cells, study.note), 110)}
-    if study.backend != "analytic":
+    pictures = {"table": png(table_figure(cells, benchmark.note), 110)}
+    if benchmark.backend != "analytic":
         return pictures
     if runs:
-        names = [load_robot(robot).name for robot in study.robots]
+        names = [load_robot(robot).name for robot in benchmark.robots]
         ordered = sorted(runs, key=lambda run: names.index(run.robot))
         pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
     spaces: dict[str, list[Result]] = {}
-    for robot in study.robots:
+    for robot in benchmark.robots:
         own = [(job, result) for job, result in found
                if job.robot == robot and "workspace" in result and not job.variant]  # fmt: skip
         own = [(job, result) for job, result in own if job.policy == own[0][0].policy]

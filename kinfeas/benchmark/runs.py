@@ -85,29 +85,29 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
     return [found[key] for key in sorted(found)]
 
 
-def takes_pretrained(study: BenchmarkConfig, robot: str) -> bool:
+def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
     """Return whether a benchmark takes the shipped policy of a robot."""
-    if study.policies == "train":
+    if benchmark.policies == "train":
         return False
-    return study.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
+    return benchmark.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
 
 
-def plan_runs(study: BenchmarkConfig, out: Path) -> list[Plan]:
+def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Plan]:
     """Return settings and folder of each training run of a benchmark.
 
     Raises:
         KinfeasError: If a robot without a policy has no entry in `trainings`, two runs share robot,
             algorithm and seed, or settings are invalid.
     """
-    if study.policies == "pretrained":
+    if benchmark.policies == "pretrained":
         return []
-    wanted = [robot for robot in study.robots if not takes_pretrained(study, robot)]
+    wanted = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
     for robot in wanted:
-        if robot not in {training.robot for training in study.trainings}:
+        if robot not in {training.robot for training in benchmark.trainings}:
             raise KinfeasError(f"'trainings' has no entry for {robot}")
     plans = {}
-    for training in study.trainings:
-        for seed in study.seeds if training.robot in wanted else ():
+    for training in benchmark.trainings:
+        for seed in benchmark.seeds if training.robot in wanted else ():
             settings = _settings(training, seed)
             name = f"{load_robot(settings.robot).name}-{settings.learner.algorithm}-{seed}"
             if name in plans:

@@ -97,20 +97,20 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError("--policy and --runs exclude each other")
     assignments = [*(["policies=pretrained"] if policy else []), *(overrides or [])]
     assignments += [] if episodes is None else [f"episodes={episodes}"]
-    study, taken = read_benchmark(name, assignments), find_runs(runs or [])
+    chosen, taken = read_benchmark(name, assignments), find_runs(runs or [])
     if taken:
-        study = restricted(study, {run.robot for run in taken})
-    if study.backend != world:
+        chosen = restricted(chosen, {run.robot for run in taken})
+    if chosen.backend != world:
         raise KinfeasError(f"{name}: 'backend' must be {world!r} for --world {world}")
-    plans = [] if taken else _plans(study, out)
+    plans = [] if taken else _plans(chosen, out)
     if publish is not None and (world != "analytic" or not (taken or plans)):
         raise KinfeasError("--publish needs trained policies in the analytic world")
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     cores = processes or os.cpu_count() or 1
     try:
-        taken = taken or _train(study, plans, cores)
-        found = _compute(study, taken, out / "cells", cores)
+        taken = taken or _train(chosen, plans, cores)
+        found = _compute(chosen, taken, out / "results", cores)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
@@ -118,11 +118,11 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.benchmark.pictures import draw_pictures
     from kinfeas.benchmark.table import tabulate
 
-    cells = tabulate([job for job, _ in found], [result for _, result in found], study.backend)
+    cells = tabulate([job for job, _ in found], [result for _, result in found], chosen.backend)
     with status("drawing"):
-        pictures = draw_pictures(study, taken, found, cells)
+        pictures = draw_pictures(chosen, taken, found, cells)
     files = {f"{key}.png": picture for key, picture in pictures.items()}
-    files["table.md"] = to_markdown(cells, study.note, [_command()], list(files)).encode()
+    files["table.md"] = to_markdown(cells, chosen.note, [_command()], list(files)).encode()
     for key, content in files.items():
         write_file(out / key, content)
     entries = [asdict(cell) for cell in cells]
@@ -130,31 +130,31 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(entries, json)
     folders = [out / "pretrained", *([publish] if publish else [])] if plans or runs else []
     published = _publish(taken, found, folders if world == "analytic" else [])
-    _show(cells, study.note)
+    _show(cells, chosen.note)
     for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
 
 
-def _plans(study: "BenchmarkConfig", out: Path) -> list["Plan"]:
+def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Plan"]:
     """Return the training runs of a benchmark, after a check that shipped policies exist."""
     from kinfeas.benchmark.runs import plan_runs
     from kinfeas.policies import pretrained
     from kinfeas.robots.loading import load_robot
 
-    if study.policies == "pretrained":
-        for robot in study.robots:
+    if benchmark.policies == "pretrained":
+        for robot in benchmark.robots:
             pretrained.find(load_robot(robot).name)
-    return plan_runs(study, out)
+    return plan_runs(benchmark, out)
 
 
-def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
+def _train(benchmark: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
     """Train the missing runs and return all runs."""
     from kinfeas.benchmark.jobs import check_baselines, plan_jobs
     from kinfeas.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
 
     missing = [plan for plan in plans if is_missing(*plan)]
     if missing:
-        check_baselines(plan_jobs(study, []))
+        check_baselines(plan_jobs(benchmark, []))
     at_once = min(len(missing), cores // CORES)
     if at_once > 1:
         with progress(f"training {len(missing)} runs", len(missing)) as advance:
@@ -168,11 +168,11 @@ def _train(study: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> lis
 
 
 def _compute(
-    study: "BenchmarkConfig", runs: Sequence["Run"], folder: Path, processes: int
+    benchmark: "BenchmarkConfig", runs: Sequence["Run"], folder: Path, processes: int
 ) -> list[tuple["Job", "Result"]]:
     from kinfeas.benchmark.jobs import plan_jobs, run_jobs
 
-    jobs = plan_jobs(study, runs)
+    jobs = plan_jobs(benchmark, runs)
     names = {job.name for job in jobs}
     missing = sum(not (folder / f"{name}.json").exists() for name in names)
     with progress(f"{missing} of {len(names)} jobs", missing) as advance:
