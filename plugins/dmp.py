@@ -36,10 +36,6 @@ class Dmp:
         basis_functions: Number of weights of the force in each direction, at least 2.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
-
-    Raises:
-        KinfeasError: If `movement_primitives` is missing, the file is wrong or a number
-            is not positive.
     """
 
     def __init__(
@@ -139,9 +135,6 @@ def learn(time: Array, poses: Array, basis_functions: int) -> Array:
         time: Moments in seconds, strictly ascending, shape (t,).
         poses: Demonstrated poses in the frame of the goal, shape (t, 7).
         basis_functions: Number of weights in each direction.
-
-    Raises:
-        KinfeasError: If `movement_primitives` is not installed, or the number is out of range.
     """
     size = basis_functions
     if not isinstance(size, int) or isinstance(size, bool) or not 2 <= size <= _MOST:

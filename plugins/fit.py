@@ -136,11 +136,7 @@ def fit(
 
 
 def write_model(model: Model, path: Path) -> None:
-    """Write a YAML file that `kinfeas.plugins.imitation.read_model` reads back.
-
-    Raises:
-        KinfeasError: If the file cannot be written.
-    """
+    """Write a YAML file that `kinfeas.plugins.imitation.read_model` reads back."""
     strict_yaml.write(config.to_mapping(model), path, compact=True)
 
 

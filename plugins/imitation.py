@@ -67,9 +67,6 @@ class Imitation(PathMotion):
         rotation_scale: The same angle b in radians.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
-
-    Raises:
-        KinfeasError: If there is no such model, its file is wrong, or a number is not positive.
     """
 
     def __init__(
@@ -109,9 +106,6 @@ class GaussianMixture(PathMotion):
         model: Path of a file that `kinfeas fit --kind gaussian_mixture` wrote.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
-
-    Raises:
-        KinfeasError: If there is no such model, its file is wrong, or a number is not positive.
     """
 
     def __init__(
@@ -216,11 +210,7 @@ def shipped_models(kind: Kind | None = None) -> list[str]:
 
 
 def read_model(name_or_path: str | None, kind: Kind) -> Model:
-    """Return the shipped model of this name (`door_open`), or that of a file (`my/model.yaml`).
-
-    Raises:
-        KinfeasError: If there is no such model, it is of another kind, or its file is wrong.
-    """
+    """Return the shipped model of this name (`door_open`), or that of a file (`my/model.yaml`)."""
     if not isinstance(name_or_path, str | os.PathLike):
         shipped = ", ".join(shipped_models(kind)) or "none"
         raise KinfeasError(f"'model' must be the path of a file or a shipped one: {shipped}")

@@ -29,11 +29,7 @@ def norm(vector: Array) -> Array:
 
 
 def positive(name: str, value: float) -> float:
-    """Return the parameter `value` as a float.
-
-    Raises:
-        KinfeasError: If it is no number from 1e-9 to 1e9; the message begins with `name`.
-    """
+    """Return the parameter `value` as a float."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not _LEAST <= value <= _MOST:
         allowed = f"{_LEAST:g} to {_MOST:g} is allowed"

@@ -30,9 +30,6 @@ class Linear:
             limit takes precedence.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s; None for no limit.
-
-    Raises:
-        KinfeasError: If a number is not positive, or the velocity limits are out of order.
     """
 
     def __init__(

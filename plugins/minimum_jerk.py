@@ -24,9 +24,6 @@ class MinimumJerk:
         min_duration: Shortest duration of a motion in seconds.
         max_velocity: Upper limit of the speed in m/s, reached halfway.
         max_angular_velocity: Upper limit of the angular speed in rad/s, likewise.
-
-    Raises:
-        KinfeasError: If a number is not positive.
     """
 
     def __init__(

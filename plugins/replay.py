@@ -28,9 +28,6 @@ class Replay(PathMotion):
         gain: Rate at which errors decay, 1/s.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
-
-    Raises:
-        KinfeasError: If the file is wrong, or a number is not positive.
     """
 
     def __init__(
@@ -64,9 +61,6 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
         path: CSV or NPZ file of a demonstration, in which the base and the object may be missing,
             or the CSV record of a run.
         frame: What the motion moves with; the object's pose is NaN if it is unknown.
-
-    Raises:
-        KinfeasError: If the file is wrong, or has no object although the frame is `object`.
     """
     if _is_run_log(path):
         record = read_record(path)

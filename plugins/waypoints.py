@@ -53,9 +53,6 @@ class Waypoints(PathMotion):
         gain: Rate at which errors decay, 1/s.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
-
-    Raises:
-        KinfeasError: If the file is wrong or a number is not positive.
     """
 
     def __init__(
@@ -147,12 +144,7 @@ class _Waypoints:
 
 
 def read_waypoints(path: Path) -> tuple[Array, Array | None]:
-    """Return the poses of a YAML or CSV file, shape (m, 7), m >= 2, and their time, (m,), if any.
-
-    Raises:
-        KinfeasError: If the file cannot be read, is not of the form above, has fewer than two
-            waypoints, a quaternion is not unit or the time does not ascend.
-    """
+    """Return the poses of a YAML or CSV file, shape (m, 7), and their time, (m,), if any."""
     if path.suffix.lower() in (".yaml", ".yml"):
         data = config.load(_Waypoints, path)
         poses = np.array(data.poses, dtype=np.float64).reshape(-1, 7)

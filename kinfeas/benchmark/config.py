@@ -164,11 +164,7 @@ def read_benchmark(name: str, overrides: Sequence[str] = ()) -> BenchmarkConfig:
 
 
 def restricted(benchmark: BenchmarkConfig, names: Collection[str]) -> BenchmarkConfig:
-    """Return a benchmark of those of its robots that have one of `names`.
-
-    Raises:
-        KinfeasError: If it lacks one of these robots.
-    """
+    """Return a benchmark of those of its robots that have one of `names`."""
     robots = {load_robot(robot).name: robot for robot in benchmark.robots}
     for name in names:
         if name not in robots:

@@ -162,11 +162,7 @@ def run_jobs(
 
 
 def check_baselines(jobs: Sequence[Job]) -> None:
-    """Build the baselines of jobs, so that a missing extra is an error before hours of work.
-
-    Raises:
-        KinfeasError: If one needs a package that is not installed, or does not suit its robot.
-    """
+    """Build the baselines of jobs, so that a missing extra is an error before hours of work."""
     for source, robot in dict.fromkeys((job.source, job.robot) for job in jobs):
         if source in BASELINES:
             load_policy(source, load_robot(robot))

@@ -53,11 +53,7 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Return the training run of a folder.
-
-    Raises:
-        KinfeasError: If the folder is no run.
-    """
+    """Return the training run of a folder."""
     if not (folder / "config.yaml").is_file():
         raise KinfeasError(f"{folder}: not a training run: there is no config.yaml in it")
     settings = config.load(TrainConfig, folder / "config.yaml")
@@ -66,11 +62,7 @@ def read_run(folder: Path) -> Run:
 
 
 def find_runs(folders: Sequence[Path]) -> list[Run]:
-    """Return the runs in `folders` and one level below, by robot, algorithm and seed.
-
-    Raises:
-        KinfeasError: If a folder holds none, or two runs share robot, algorithm and seed.
-    """
+    """Return the runs in `folders` and one level below, by robot, algorithm and seed."""
     found: dict[tuple[str, str, int], Run] = {}
     for folder in folders:
         below = sorted(path.parent for path in folder.glob("*/config.yaml"))
@@ -93,12 +85,7 @@ def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
 
 
 def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Plan]:
-    """Return settings and folder of each training run of a benchmark.
-
-    Raises:
-        KinfeasError: If a robot without a policy has no entry in `trainings`, two runs share robot,
-            algorithm and seed, or settings are invalid.
-    """
+    """Return settings and folder of each training run of a benchmark."""
     if benchmark.policies == "pretrained":
         return []
     wanted = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
@@ -117,11 +104,7 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Plan]:
 
 
 def is_missing(settings: TrainConfig, folder: Path) -> bool:
-    """Return whether a run is still to be trained or resumed.
-
-    Raises:
-        KinfeasError: If the folder holds a run of other settings, or a broken one.
-    """
+    """Return whether a run is still to be trained or resumed."""
     if not (folder / "config.yaml").is_file():
         return True
     if config.load(TrainConfig, folder / "config.yaml") != settings:
@@ -140,11 +123,7 @@ def finish(settings: TrainConfig, folder: Path, report: "Report | None" = None) 
 
 
 def finish_all(plans: Sequence[Plan], at_once: int, on_done: Callable[[], None]) -> None:
-    """Train several runs to their ends, each in a process of its own.
-
-    Raises:
-        KinfeasError: If one of them cannot be trained, or its process dies.
-    """
+    """Train several runs to their ends, each in a process of its own."""
     with worker_pool(at_once) as pool:
         for future in as_completed([pool.submit(finish, *plan) for plan in plans]):
             future.result()
@@ -163,9 +142,6 @@ def publish(
         runs: Runs to choose from.
         metrics: Metrics by task for the folder of each run, written into `policy.json`.
         folder: Folder to write to, such as `kinfeas/policies/pretrained`.
-
-    Raises:
-        KinfeasError: If a run has no policy, or a file cannot be written.
     """
     found = [(run, read_best(run.folder)) for run in runs]
     published = []

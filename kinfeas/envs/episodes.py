@@ -2,7 +2,9 @@
 
 import math
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -113,16 +115,12 @@ def evaluate_episodes(
 
 @contextmanager
 def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes that Ctrl-C ends silently.
-
-    Raises:
-        KinfeasError: If a worker is killed.
-    """
+    """Yield a pool of processes that end silently on Ctrl-C, and with this process."""
     pool = ProcessPoolExecutor(
         processes,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
+        initializer=begin_worker,
+        initargs=(signal.SIG_DFL,),
     )
     try:
         yield pool
@@ -133,6 +131,19 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
         ) from error
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def begin_worker(on_interrupt: signal.Handlers) -> None:
+    """Let this worker process end with its parent, and handle Ctrl-C by `on_interrupt`."""
+    signal.signal(signal.SIGINT, on_interrupt)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _run_part(

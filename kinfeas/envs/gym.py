@@ -74,7 +74,6 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": round(1.0 / config.dt)}
         self.observation_space = observation_space(self.world)
         self.action_space = action_space(self.world)
-        self.next_episode = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -89,12 +88,9 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             KinfeasError: If the seed is not one integer, or `np_random` was set.
         """
         super().reset(seed=checked_seed(seed))
-        if seed is not None:
-            self.next_episode = 0
-        seed_world(self.world, self.np_random_seed)
-        episode, self.next_episode = self.next_episode, self.next_episode + 1
-        seen = self.world.start([episode])
-        return seen[0].astype(np.float32), {"episode_number": episode}
+        seed_world(self.world, seed, self.np_random_seed)
+        info = {"episode_number": self.world.next_episode}
+        return self.world.start_next(1)[0].astype(np.float32), info
 
     def step(
         self, action: NDArray[np.float32]
@@ -108,7 +104,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             KinfeasError: If the action has another shape or is not finite.
             ResetNeeded: Before the first reset.
         """
-        check_reset(self.next_episode)
+        check_reset(self.world)
         command = read_actions(action, (self.world.action_size,))
         transition = self.world.step(command[np.newaxis])
         info = {key: values[0].item() for key, values in step_info(self.world, transition).items()}
@@ -126,7 +122,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Raises:
             ResetNeeded: Before the first reset.
         """
-        check_reset(self.next_episode)
+        check_reset(self.world)
         if self.render_mode != "rgb_array":
             return None
         backend = self.world.backend
@@ -154,11 +150,7 @@ def learning_world(backend: str, robot: str) -> WorldConfig:
 def make_world(
     robot: str, task: str, task_parameters: Mapping[str, object] | None, config: WorldConfig
 ) -> World:
-    """Return a world of seed 0; arguments as in `BaseMotionEnv`.
-
-    Raises:
-        KinfeasError: If robot, task or a parameter is wrong.
-    """
+    """Return a world of seed 0; arguments as in `BaseMotionEnv`."""
     if not isinstance(config, WorldConfig):
         raise KinfeasError(f"world must be a WorldConfig, not {config!r}")
     return World(load_robot(robot), load_task(task, task_parameters), config, seed=0)
@@ -188,33 +180,23 @@ def action_space(world: World) -> "spaces.Box[np.float32]":
 
 
 def checked_seed(seed: int | None) -> int | None:
-    """Return a seed as a Python int, which Gymnasium asks for.
-
-    Raises:
-        KinfeasError: If it is not one integer.
-    """
+    """Return a seed as a Python int, which Gymnasium asks for."""
     if not isinstance(seed, int | np.integer | None):
         raise KinfeasError(f"seed must be one number for all episodes, not {seed!r}")
     return None if seed is None else int(seed)
 
 
-def seed_world(world: World, np_random_seed: int | None) -> None:
-    """Give a world the seed of its environment.
-
-    Raises:
-        KinfeasError: If `np_random` was set, which has no seed.
-    """
+def seed_world(world: World, seed: int | None, np_random_seed: int | None) -> None:
+    """Set the seed of a world to Gymnasium's; a new `seed` begins with episode 0."""
     if np_random_seed is None or np_random_seed < 0:
         raise KinfeasError("set the seed by reset(seed=...): np_random, which was set, has none")
     world.seed = np_random_seed
+    if seed is not None:
+        world.next_episode = 0
 
 
 def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return base commands as an array.
-
-    Raises:
-        KinfeasError: If they are not finite numbers of that shape.
-    """
+    """Return base commands as an array."""
     read = np.asarray(actions, dtype=np.float64)
     if read.shape != shape or not np.isfinite(read).all():
         got = f"not of shape {read.shape}" if read.shape != shape else "not NaN or infinite"
@@ -222,9 +204,9 @@ def read_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
     return read
 
 
-def check_reset(next_episode: int) -> None:
+def check_reset(world: World) -> None:
     """Raise ResetNeeded before the first episode."""
-    if not next_episode:
+    if not world.next_episode:
         raise ResetNeeded("call reset first")
 
 

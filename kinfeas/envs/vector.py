@@ -47,11 +47,7 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         task_parameters: Mapping[str, object] | None = None,
         backend: str = "analytic",
     ) -> None:
-        """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`.
-
-        Raises:
-            KinfeasError: If `num_envs` is less than 1, or as `BaseMotionEnv`.
-        """
+        """Build the world for `num_envs` episodes; other arguments as in `BaseMotionEnv`."""
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.num_envs = num_envs
@@ -61,7 +57,6 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         self.single_action_space = action_space(self.world)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.next_episode = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -76,14 +71,9 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             KinfeasError: If the seed is not one integer, or `np_random` was set.
         """
         super().reset(seed=checked_seed(seed))
-        if seed is not None:
-            self.next_episode = 0
-        seed_world(self.world, self.np_random_seed)
-        every = np.ones(self.num_envs, dtype=np.bool_)
-        numbers = self._take_numbers(every)
-        return self.world.start(numbers.tolist()).astype(np.float32), _masked(
-            {"episode_number": numbers}, every
-        )
+        seed_world(self.world, seed, self.np_random_seed)
+        infos = self._numbers(np.ones(self.num_envs, dtype=np.bool_))
+        return self.world.start_next(self.num_envs).astype(np.float32), infos
 
     def step(
         self, actions: _Batch
@@ -97,18 +87,16 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
             KinfeasError: If the actions have another shape or are not finite.
             ResetNeeded: Before the first reset.
         """
-        check_reset(self.next_episode)
+        check_reset(self.world)
         commands = read_actions(actions, (self.num_envs, self.world.action_size))
         transition = self.world.step(commands)
         brought = step_info(self.world, transition)
         infos = _masked(brought, ~transition.done)
         seen = transition.observation
         if transition.done.any():
-            infos |= _ended(transition, brought)
-            numbers = self._take_numbers(transition.done)
-            infos |= _masked({"episode_number": numbers}, transition.done)
+            infos |= _ended(transition, brought) | self._numbers(transition.done)
             rows = np.flatnonzero(transition.done)
-            seen = self.world.start(numbers[rows].tolist(), rows)
+            seen = self.world.start_next(rows.size, rows)
         return (
             seen.astype(np.float32),
             transition.reward,
@@ -123,12 +111,10 @@ class BaseMotionVectorEnv(VectorEnv[_Batch, _Batch, NDArray[Any]]):
         if hasattr(self, "world"):
             self.world.close()
 
-    def _take_numbers(self, rows: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the numbers of the episodes that begin in `rows`, 0 elsewhere, shape (n,)."""
-        numbers = np.zeros(self.num_envs, dtype=np.intp)
-        numbers[rows] = np.arange(self.next_episode, self.next_episode + rows.sum())
-        self.next_episode += int(rows.sum())
-        return numbers
+    def _numbers(self, rows: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return the infos of the episodes that begin in `rows`, shape (n,)."""
+        numbers = self.world.next_episode + np.cumsum(rows) - 1
+        return _masked({"episode_number": numbers}, rows)
 
 
 def _masked(infos: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[str, Any]:

@@ -111,9 +111,11 @@ class World:
     Attributes:
         task: The task, as the backend has set it up.
         backend: The backend within the adapters.
+        next_episode: Number of the episode that `start_next` begins next.
         stream: Separates the episodes of a seed from those of other streams; empty in evaluations.
     """
 
+    next_episode: int = 0
     stream: tuple[int, ...] = ()
 
     def __init__(self, robot: Robot, task: Task, config: WorldConfig, seed: int) -> None:
@@ -171,9 +173,6 @@ class World:
         Args:
             episodes: Numbers of the m episodes.
             rows: Rows in which they begin; all by default, which also sets n.
-
-        Raises:
-            KinfeasError: If a sample of the task has another shape.
         """
         rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
@@ -193,6 +192,11 @@ class World:
         else:
             self.failures[rows], self.steps[rows] = 0, 0
         return self.loop.observation
+
+    def start_next(self, count: int, rows: Rows | None = None) -> Array:
+        """Begin the next `count` episodes, as `start` does."""
+        first, self.next_episode = self.next_episode, self.next_episode + count
+        return self.start(range(first, self.next_episode), rows)
 
     def step(self, action: Array) -> Transition:
         """Advance all n episodes by one control period.

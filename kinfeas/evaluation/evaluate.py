@@ -83,9 +83,6 @@ def read_settings(robot: str, backend: str, overrides: Sequence[str] = ()) -> Ev
         robot: Name of the robot.
         backend: Entry point in the group kinfeas.backends.
         overrides: Assignments such as `world.dt=0.05`.
-
-    Raises:
-        KinfeasError: If an assignment is wrong.
     """
     return from_mapping(EvalSettings, *evaluation_section(backend, robot), overrides)
 
@@ -129,11 +126,7 @@ def default_episodes(backend: str) -> int:
 
 
 def check_adapters(adapters: Sequence[PluginSpec], robot: Robot) -> None:
-    """Check that adapters can be built.
-
-    Raises:
-        KinfeasError: If one cannot.
-    """
+    """Check that adapters can be built."""
     wrap(build_backend("analytic", {}), adapters, robot)
 
 

@@ -229,9 +229,6 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
         path: File with the fields of `ChainTask`.
         changes: Replacements of the file's entries; a mapping changes its own keys only, and
             entries of a list by index.
-
-    Raises:
-        KinfeasError: If the file, an entry or a change is invalid, or a place is not used.
     """
     data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     task = config.from_mapping(ChainTask, data, str(path))

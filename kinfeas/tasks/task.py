@@ -128,10 +128,6 @@ def sample_start(
         solver: The robot's kinematics.
         rng: Source of randomness.
         row: Robot whose objects a `StagedTask` places; None for no backend.
-
-    Raises:
-        KinfeasError: If an array has another shape, numbers that are not finite, or a quaternion
-            that is not unit.
     """
     subject = f"task {task.name!r}"
     with plugin_note(subject):
@@ -153,12 +149,7 @@ def sample_start(
 
 
 def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:
-    """Return sub-goals with their generators; those of equal motions share one.
-
-    Raises:
-        KinfeasError: If there is no such generator, or a parameter is wrong; names the sub-goal if
-            there are several.
-    """
+    """Return sub-goals with their generators; those of equal motions share one."""
     built: list[SubgoalMotion] = []
     for number, subgoal in enumerate(subgoals):
         known = next(
@@ -203,9 +194,6 @@ def random_arm(
         accept: Returns which EE poses in the base frame, shape (n, 7), are allowed; by default all.
         either: Whether a pose that `accept` allows or a configuration without self-collision is
             enough; by default both are needed.
-
-    Raises:
-        KinfeasError: If 1,600 draws hold no such configuration.
     """
     robot = solver.robot
     lower, upper = robot.finite_joint_limits

@@ -1,11 +1,9 @@
 """Episodes side by side that restart by themselves, in this or another process; without torch."""
 
-import multiprocessing
-import os
 import signal
-import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinfeas.control import observation
 from kinfeas.control.loop import Rows
+from kinfeas.envs.episodes import begin_worker
 from kinfeas.envs.world import Transition, World
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.worlds import training_world
@@ -34,23 +33,21 @@ class Batch:
         world: World of the episodes.
         size: Number n of episodes.
         action_repeat: Control periods of an action.
-        saves_world: Whether snapshots hold the state of the world; PyBullet's cannot be saved.
-        next_episode: Number of the episode that begins next.
     """
 
     world: World
     size: int
     action_repeat: int = 1
-    saves_world: bool = True
-    next_episode: int = 0
 
     def __post_init__(self) -> None:
         """Set the scale of the observations."""
         self.scale = observation.scale(self.world.robot).astype(np.float32)
+        # The state of PyBullet cannot be saved.
+        self._saves_world = self.world.config.backend == "analytic"
 
     def start(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
-        return self._scaled(self.world.start(self._fresh(self.size)))
+        return self._scaled(self.world.start_next(self.size))
 
     def step(self, actions: NDArray[np.float64]) -> StepResult:
         """Return observations, rewards, dones and infos; where done, a new episode has begun.
@@ -72,31 +69,22 @@ class Batch:
                 break
         ended = np.flatnonzero(over)
         if ended.size:
-            self.world.start(self._fresh(ended.size), ended)
+            self.world.start_next(ended.size, ended)
         seen = self._scaled(self.world.loop.observation)
         return seen, (earned / periods).astype(np.float32), over, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state to resume from, by name."""
-        world = self.world.snapshot() if self.saves_world else {}
-        return {**world, "next_episode": np.array(self.next_episode)}
+        world = self.world.snapshot() if self._saves_world else {}
+        return {**world, "next_episode": np.array(self.world.next_episode)}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Resume from a snapshot and return the observations, shape (n, d).
 
         Without a state of the world the next episodes begin.
-
-        Raises:
-            ValueError: If the number of the next episode is negative.
         """
-        self.next_episode = int(snapshot["next_episode"])
-        if self.next_episode < 0:
-            raise ValueError(f"'next_episode' is {self.next_episode}")
-        return self._scaled(self.world.restore(snapshot)) if self.saves_world else self.start()
-
-    def call(self, method: str, *arguments: Any) -> Any:
-        """Return the result of a method by its name."""
-        return getattr(self, method)(*arguments)
+        self.world.next_episode = int(snapshot["next_episode"])
+        return self._scaled(self.world.restore(snapshot)) if self._saves_world else self.start()
 
     def _note_ends(self, infos: list[dict[str, Any]], transition: Transition, rows: Rows) -> None:
         """Write the ends of the episodes in `rows` as Stable-Baselines3 reads them."""
@@ -109,10 +97,6 @@ class Batch:
                 "failures": int(self.world.failures[row]),
             }
 
-    def _fresh(self, count: int) -> list[int]:
-        first, self.next_episode = self.next_episode, self.next_episode + count
-        return list(range(first, self.next_episode))
-
     def _scaled(self, seen: NDArray[np.float64]) -> NDArray[np.float32]:
         return observation.scaled(seen, self.scale)
 
@@ -120,22 +104,11 @@ class Batch:
 _worker: tuple[TrainConfig, int, int] | Batch  # of a worker process
 
 
-def begin_worker(config: TrainConfig, rows: int, first: int) -> None:
-    """Prepare a worker process for a batch of `rows` episodes in PyBullet, from `first` on.
-
-    It leaves Ctrl-C to its parent, and ends with it.
-    """
+def begin_batch(config: TrainConfig, rows: int, first: int) -> None:
+    """Prepare a worker process for a batch of `rows` episodes in PyBullet, from `first` on."""
     global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    begin_worker(signal.SIG_IGN)  # its parent handles Ctrl-C
     _worker = config, rows, first
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
 
 
 def call_batch(method: str, *arguments: Any) -> Any:
@@ -143,5 +116,6 @@ def call_batch(method: str, *arguments: Any) -> Any:
     global _worker
     if not isinstance(_worker, Batch):
         config, rows, first = _worker
-        _worker = Batch(training_world(config), rows, config.action_repeat, False, first)
-    return _worker.call(method, *arguments)
+        _worker = Batch(training_world(config), rows, config.action_repeat)
+        _worker.world.next_episode = first
+    return methodcaller(method, *arguments)(_worker)

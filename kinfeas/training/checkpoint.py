@@ -61,9 +61,6 @@ def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
     The global random states of torch and NumPy, which SB3 draws from, are restored as well.
-
-    Raises:
-        KinfeasError: If the checkpoint is missing, truncated, or of another configuration.
     """
     about = read_state(folder)
     with loading(folder):

@@ -186,11 +186,7 @@ def explore(
 
 
 def learn(learner: Learner, config: LearnerConfig) -> None:
-    """Take the gradient steps of one step of all environments.
-
-    Raises:
-        KinfeasError: If a weight is not finite any more.
-    """
+    """Take the gradient steps of one step of all environments."""
     try:
         learner.train(config.gradient_steps, config.batch_size)
     except ValueError:  # no distribution without finite weights

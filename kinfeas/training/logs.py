@@ -38,9 +38,6 @@ class Logs:
         Args:
             out: Folder of the run.
             steps: Environment steps so far.
-
-        Raises:
-            KinfeasError: If the logs there are broken, or cannot be written.
         """
         self.path = out / "metrics.csv"
         with writing(self.path):
@@ -70,11 +67,7 @@ class Logs:
             self._board.close()
 
     def write(self, row: dict[str, float]) -> None:
-        """Write one row of figures.
-
-        Raises:
-            KinfeasError: If it, or one before it, cannot be written.
-        """
+        """Write one row of figures."""
         with writing(self.path):
             self._table.writerow(row)
             self._file.flush()

@@ -87,11 +87,7 @@ class _Saved:
 
 
 def check_new(out: Path) -> None:
-    """Check that a run can begin in a folder.
-
-    Raises:
-        KinfeasError: If it is not empty, or cannot be written.
-    """
+    """Check that a run can begin in a folder."""
     with writing(out):
         # Hidden files may be left by a run that was killed while it wrote its first file.
         if out.is_dir() and any(not one.name.startswith(".") for one in out.iterdir()):
@@ -104,22 +100,14 @@ def check_new(out: Path) -> None:
 
 
 def check_begun(out: Path) -> None:
-    """Check that a run has begun in a folder.
-
-    Raises:
-        KinfeasError: If it has not.
-    """
+    """Check that a run has begun in a folder."""
     with writing(out):
         if not (out / SETTINGS).is_file():
             raise KinfeasError(f"{out}: not a training run: there is no {SETTINGS} in it")
 
 
 def read_settings(out: Path, overrides: Sequence[str] = ()) -> TrainConfig:
-    """Return the settings of the run in a folder, changed by assignments `a.b=c`.
-
-    Raises:
-        KinfeasError: If there is no run, or its settings are broken.
-    """
+    """Return the settings of the run in a folder, changed by assignments `a.b=c`."""
     check_begun(out)
     return configuration.load(TrainConfig, out / SETTINGS, overrides)
 
@@ -130,9 +118,6 @@ def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
     Args:
         out: Folder of the run.
         overrides: Assignments `a.b=c` to its settings.
-
-    Raises:
-        KinfeasError: If the folder is no run, or its settings or its checkpoint are broken.
     """
     config, last = read_settings(out, overrides), find_folder(out / "checkpoints" / "last")
     if not last.is_dir():
@@ -143,11 +128,7 @@ def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
 
 
 def read_progress(config: TrainConfig, last: Path) -> Progress:
-    """Return the progress of a run by its last checkpoint.
-
-    Raises:
-        KinfeasError: If the checkpoint is broken, or of a run with other settings.
-    """
+    """Return the progress of a run by its last checkpoint."""
     state = read_state(last)
     with loading(last):
         # Keys that did not exist when the checkpoint was written have their defaults.
@@ -190,11 +171,7 @@ def identity(config: TrainConfig) -> dict[str, object]:
 
 
 def with_initial_policy(config: TrainConfig) -> TrainConfig:
-    """Return the configuration with the layers and the absolute path of its initial policy.
-
-    Raises:
-        KinfeasError: If that policy cannot be read, or was not trained.
-    """
+    """Return the configuration with the layers and the absolute path of its initial policy."""
     if config.init is None:
         return config
     net_arch = tuple(len(bias) for bias in initial_policy(config).biases[:-1])
@@ -208,9 +185,6 @@ def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None
     Args:
         config: Its `init` is not None.
         scale: Scale of the run's observations, shape (o,), which the policy must share.
-
-    Raises:
-        KinfeasError: If it cannot be read, was not trained, or has another scale.
     """
     init, robot = config.init, load_robot(config.robot)
     if init == pretrained.NAME:
@@ -235,11 +209,7 @@ def write_state(folder: Path, entries: Mapping[str, Any]) -> None:
 
 
 def read_state(folder: Path) -> dict[str, Any]:
-    """Return the entries that `write_state` wrote, and the format.
-
-    Raises:
-        KinfeasError: If there is no checkpoint, or a broken one.
-    """
+    """Return the entries that `write_state` wrote, and the format."""
     with loading(folder):
         about: dict[str, Any] = json.loads((folder / _STATE).read_text(encoding="utf-8"))
         if about["format"] != _FORMAT:

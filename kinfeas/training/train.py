@@ -259,11 +259,7 @@ class _Run:
         return row | self._losses()
 
     def _losses(self) -> dict[str, float]:
-        """Return the figures that the learner logged last.
-
-        Raises:
-            KinfeasError: If one is not finite; the run keeps its last checkpoint.
-        """
+        """Return the figures that the learner logged last."""
         values = self.learner.logger.name_to_value
         losses = {key: float(values[key]) for key in LEARNER if key in values}
         check_losses(losses, self.config.learner)

@@ -25,7 +25,7 @@ from kinfeas.envs.gym import read_actions
 from kinfeas.envs.world import World
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
-from kinfeas.training.batch import Batch, StepResult, begin_worker, call_batch
+from kinfeas.training.batch import Batch, StepResult, begin_batch, call_batch
 from kinfeas.training.config import TrainConfig
 
 SHARE = 10**9
@@ -163,7 +163,7 @@ class WorldVecEnv(EpisodesVecEnv):
         if num_envs < 1:
             raise KinfeasError(f"num_envs must be at least 1, not {num_envs}")
         self.world, self.batch = world, Batch(world, num_envs, action_repeat)
-        super().__init__(world.robot, [num_envs], [ThreadPoolExecutor(1)], self.batch.call)
+        super().__init__(world.robot, [num_envs], [ThreadPoolExecutor(1)], self._call_batch)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state to resume from, by name."""
@@ -176,13 +176,16 @@ class WorldVecEnv(EpisodesVecEnv):
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Use another seed from the next reset on."""
         if seed is not None:
-            self.world.seed, self.batch.next_episode = seed, 0
+            self.world.seed, self.world.next_episode = seed, 0
         return [seed] * self.num_envs
 
     def close(self) -> None:
         """End the thread and close the world's backend."""
         super().close()
         self.world.close()
+
+    def _call_batch(self, method: str, *arguments: Any) -> Any:
+        return getattr(self.batch, method)(*arguments)
 
 
 class ProcessVecEnv(EpisodesVecEnv):
@@ -193,15 +196,11 @@ class ProcessVecEnv(EpisodesVecEnv):
     """
 
     def __init__(self, config: TrainConfig) -> None:
-        """Start the processes and build their worlds.
-
-        Raises:
-            KinfeasError: If a world cannot be built.
-        """
+        """Start the processes and build their worlds."""
         parts = np.array_split(np.arange(config.num_envs), config.processes)
         context = multiprocessing.get_context("spawn")
         workers = [
-            ProcessPoolExecutor(1, context, begin_worker, (config, len(part), SHARE * i))
+            ProcessPoolExecutor(1, context, begin_batch, (config, len(part), SHARE * i))
             for i, part in enumerate(parts)
         ]
         sizes = [len(part) for part in parts]

@@ -26,11 +26,7 @@ PeriodicEvaluator = Callable[[Network, int], EpisodeRecords]
 
 
 def training_world(config: TrainConfig) -> World:
-    """Return the world that a run learns in.
-
-    Raises:
-        KinfeasError: If robot, task, backend or an adapter cannot be built.
-    """
+    """Return the world that a run learns in."""
     task = load_task(config.task, config.task_parameters)
     world = World(load_robot(config.robot), task, config.world, config.seed)
     world.stream = TRAINING

@@ -30,7 +30,7 @@ class RenderedMotionEnv(BaseMotionEnv):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`."""
-        check_reset(self.next_episode)
+        check_reset(self.world)
         if self.render_mode is None:
             return None
         from kinfeas.evaluation.recording import Recording

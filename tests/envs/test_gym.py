@@ -191,7 +191,7 @@ def test_an_ended_row_restarts_in_the_same_step():
             assert infos["episode_number"][row] == following
             single = BaseMotionEnv("hsr", world=SHORT)
             single.reset(seed=5)
-            single.next_episode = following
+            single.world.next_episode = following
             np.testing.assert_array_equal(single.reset()[0], seen[row])
             assert not np.array_equal(infos["final_obs"][row], seen[row])
             following += 1
