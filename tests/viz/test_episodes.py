@@ -81,11 +81,7 @@ def test_a_record_is_an_episode(hsr, record):
     assert episode.ee_pose.shape == (40, 7)
     assert not as_recording(record(event=""), hsr).reached
     assert as_recording(record(event=f"{REACHED}, task done"), hsr).reached
-
-
-def test_a_record_of_another_arm_is_an_error(hsr, record):
-    run = record()
-    other = replace(run, about=replace(run.about, joints=("a", "b")))
+    other = replace(record(), about=replace(record().about, joints=("a", "b")))
     with pytest.raises(KinfeasError, match="joints a, b"):
         as_recording(other, hsr)
 
@@ -97,8 +93,4 @@ def test_furniture_is_drawn_where_the_episode_placed_it(hsr, record):
     assert scene_of(around).objects["box"].pose.tolist() == list(place)
     bare, furnished = (record_figure(one, hsr).axes[1].patches for one in (run, around))
     assert len(furnished) > len(bare)
-
-
-@pytest.mark.parametrize("t", [1, 40])
-def test_runs_of_any_length_are_drawn(hsr, record, t):
-    assert png(record_figure(record(t), hsr)).startswith(b"\x89PNG")
+    assert png(record_figure(record(1), hsr)).startswith(b"\x89PNG")

@@ -1,16 +1,13 @@
 import numpy as np
-import pytest
 
-from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.drawing import scene_solids
 from kinfeas.viz.figures import robot_figure, scene_figure
 from kinfeas.viz.style import png
 
 
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_a_robot_is_drawn_from_two_sides(name):
-    figure = robot_figure(load_robot(name))
+def test_a_robot_is_drawn_from_two_sides(robot):
+    figure = robot_figure(robot)
     assert len(figure.axes) == 2
     assert png(figure, dpi=60).startswith(b"\x89PNG")
 

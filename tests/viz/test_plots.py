@@ -65,10 +65,5 @@ def test_the_time_axis_ends_after_the_last_motion():
         _, _, *speeds = motion_figure("mine", Samples(STILL, twist, STILL[0], None), trial).axes
         for axes in speeds:
             assert end < axes.get_xlim()[1] < 1.1 * end
-
-
-def test_broken_motions_are_drawn_with_the_reason():
-    samples = Samples(STILL[:1], np.zeros((0, 2, 6)), STILL[0], "it broke")
-    figure = motion_figure("mine", samples, Trial())
-    assert "it broke" in figure.get_suptitle()
-    assert png(figure)
+    broken = Samples(STILL[:1], np.zeros((0, 2, 6)), STILL[0], "it broke")
+    assert "it broke" in motion_figure("mine", broken, Trial()).get_suptitle()

@@ -69,19 +69,19 @@ def test_failures_are_red(film):
 
 
 @pytest.mark.parametrize(
-    ("reached", "done", "text", "succeeded"),
+    ("reached", "done", "succeeded"),
     [
-        (True, None, "goal reached", True),
-        (False, None, "goal not reached", False),
-        (True, True, "goal reached, task done", True),
-        (True, False, "goal reached, task not done", False),
-        (False, True, "goal not reached, task done", False),
+        (True, None, True),
+        (False, None, False),
+        (True, True, True),
+        (True, False, False),
+        (False, True, False),
     ],
 )
-def test_the_last_picture_has_the_result(film, reached, done, text, succeeded):
+def test_the_last_picture_has_the_result(film, reached, done, succeeded):
     feasible = np.ones_like(film.recording.feasible)
     recording = replace(film.recording, reached=reached, task_done=done, feasible=feasible)
-    assert result(recording) == (text, succeeded)
+    assert result(recording)[1] is succeeded
     last, shown = len(film.moments) - 1, replace(film, recording=recording)
     assert count_red(captioned(shown, last - 1)) == 0
     assert bool(count_red(captioned(shown, last))) is not succeeded

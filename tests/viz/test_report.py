@@ -1,10 +1,7 @@
-from html.parser import HTMLParser
+import re
 
-import pytest
-
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import Share
-from kinfeas.viz.report import Picture, Report, Row, paper_success, to_html, write_report
+from kinfeas.viz.report import Picture, Report, Row, paper_success, to_html
 
 FIGURES = {"within_5cm": 0.9, "ik_failures_per_episode": 1.5, "mean_deviation_m": 0.002}
 REPORT = Report(
@@ -20,22 +17,13 @@ REPORT = Report(
 )
 
 
-class Tags(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.seen, self.sources = [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.seen.append(tag)
-        self.sources += [value for key, value in attrs if key in ("src", "href")]
-
-
 def test_the_page_is_self_contained():
-    tags = Tags()
-    tags.feed(to_html(REPORT))
-    assert tags.seen.count("tr") == 3
-    assert tags.sources == ["data:image/png;base64,iVBORy4uLg=="]
-    assert not {"script", "link", "iframe"} & set(tags.seen)
+    page = to_html(REPORT)
+    assert page.count("<tr") == 3
+    assert re.findall(r"(?:src|href)\s*=\s*'([^']*)'", page) == [
+        "data:image/png;base64,iVBORy4uLg=="
+    ]
+    assert not re.search("<(script|link|iframe)|https?:", page)
 
 
 def test_the_page_shows_the_results_and_escapes_text():
@@ -50,8 +38,3 @@ def test_the_page_shows_the_results_and_escapes_text():
 def test_figures_of_the_paper():
     assert paper_success("tiago", "ggr") == {"follow_ee": 0.216, "policy": 0.716}
     assert paper_success("pr2", "fly") == paper_success("my_robot", "ggr") == {}
-
-
-def test_a_folder_that_is_missing_is_an_error(tmp_path):
-    with pytest.raises(KinfeasError, match="none"):
-        write_report(REPORT, tmp_path / "none" / "report.html")

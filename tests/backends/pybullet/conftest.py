@@ -27,7 +27,7 @@ URDFS = {
     <collision><geometry><box size="0.5 0.5 0.5"/></geometry></collision></link>
   <link name="drawer"><inertial>{INERTIA.format(2, 1, 1, 1)}</inertial></link>
   <joint name="slide" type="prismatic"><parent link="chest"/><child link="drawer"/>
-    <axis xyz="1 0 0"/><limit lower="0" upper="0.4" velocity="1" effort="50"/>
+    <axis xyz="1 0 0"/><limit lower="-0.4" upper="0.4" velocity="1" effort="50"/>
     <dynamics damping="1" friction="3"/></joint></robot>""",
 }
 SCENE = """
@@ -46,13 +46,18 @@ def hsr():
 
 
 @pytest.fixture(scope="session")
-def scene(tmp_path_factory):
-    """A bar to grasp, a wall to run into and a drawer to pull."""
+def scene_path(tmp_path_factory):
+    """A scene with a bar to grasp, a wall to run into and a drawer to pull."""
     folder = tmp_path_factory.mktemp("scene")
     for name, text in URDFS.items():
         (folder / f"{name}.urdf").write_text(text)
     (folder / "small.yaml").write_text(SCENE)
-    return read_scene(str(folder / "small.yaml"))
+    return str(folder / "small.yaml")
+
+
+@pytest.fixture(scope="session")
+def scene(scene_path):
+    return read_scene(scene_path)
 
 
 @pytest.fixture(scope="session")
@@ -69,10 +74,23 @@ def begin(world, scene):
 
     def reset(x=0.0, y=0.0, yaw=0.0, joints=None, **poses):
         world.sims[0].furniture.furnish(scene.with_poses(poses))
-        home = world.robot.home["home"] if joints is None else joints
-        return world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), home[np.newaxis])
+        return place(world, x, y, yaw, joints)
 
     return reset
+
+
+@pytest.fixture
+def opened():
+    """A function that builds a world, which is closed after the test."""
+    worlds = []
+
+    def build(robot, scene=None):
+        worlds.append(PyBulletBackend(robot, scene))
+        return worlds[-1]
+
+    yield build
+    for world in worlds:
+        world.close()
 
 
 @pytest.fixture(scope="session")
@@ -82,12 +100,10 @@ def between_fingers(hsr):
     return spatial.compose(ee, tool_pose(hsr))
 
 
-def alone(name, x=0.0, y=0.0, yaw=0.0, joints=None):
-    """Return the world of another robot, reset."""
-    world = PyBulletBackend(load_robot(name))
+def place(world, x=0.0, y=0.0, yaw=0.0, joints=None):
+    """Reset a world to the home configuration, at the origin by default."""
     joints = world.robot.home["home"] if joints is None else joints
-    world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), joints[np.newaxis])
-    return world
+    return world.reset(spatial.planar_pose(*np.array([[x], [y], [yaw]])), joints[np.newaxis])
 
 
 def twist(x=0.0, y=0.0, turn=0.0):

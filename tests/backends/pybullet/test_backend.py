@@ -6,8 +6,9 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
-from tests.backends.pybullet.conftest import alone, stay, twist
+from tests.backends.pybullet.conftest import place, stay, twist
 
 DT = 0.02
 
@@ -35,8 +36,8 @@ def test_a_reset_is_measured(world, begin):
 
 
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
-def test_the_hand_agrees_with_the_kinematics_and_holds_its_position(name):
-    world = alone(name)
+def test_the_hand_agrees_with_the_kinematics_and_holds_its_position(name, opened):
+    world = opened(load_robot(name))
     solver, rng, body = IkSolver(world.robot), np.random.default_rng(0), world.sims[0].body
     for _ in range(10):
         joints = random_joints(solver, rng)
@@ -51,7 +52,6 @@ def test_the_hand_agrees_with_the_kinematics_and_holds_its_position(name):
         assert radians[0] <= 1e-6
         if not world.contacts(0).arm:  # gravity does not move it
             assert spatial.distance(before, measured)[0][0] <= 1e-3
-    world.close()
 
 
 def test_the_hand_keeps_up_with_a_motion(world, begin):
@@ -84,10 +84,10 @@ def test_positions_are_the_integral_of_velocities(world, begin):
 
 def play(world, scene, seed):
     """Return all measurements of an episode in which the robot pushes a bar."""
-    rng, sim, home = np.random.default_rng(seed), world.sims[0], world.robot.home["home"]
+    rng, sim = np.random.default_rng(seed), world.sims[0]
     bar = np.array([0.6, *rng.uniform(-0.1, 0.1, 1), 0.05, 0.0, 0.0, 0.0, 1.0])
     sim.furniture.furnish(scene.with_poses({"bar": bar}))
-    world.reset(spatial.planar_pose(*np.zeros((3, 1))), home[np.newaxis])
+    place(world)
     sim.gripper.close()
     seen, touched = [], 0
     for _ in range(150):
@@ -100,7 +100,7 @@ def play(world, scene, seed):
     return np.array(seen)
 
 
-def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, between_fingers):
+def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, between_fingers, opened):
     """Whatever happened before: contacts, a grasp, another control period."""
     solver, rng = IkSolver(hsr), np.random.default_rng(0)
     for _ in range(20):  # sometimes inside a wall
@@ -115,36 +115,27 @@ def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, between_f
     play(world, scene, 5)
     stay(world, 2, dt=0.1)
     later = play(world, scene, 7)
-    fresh = PyBulletBackend(hsr, scene)
-    first = play(fresh, scene, 7)
-    fresh.close()
-    np.testing.assert_array_equal(later, first)
+    np.testing.assert_array_equal(later, play(opened(hsr, scene), scene, 7))
 
 
-def test_contacts_before_a_reset_leave_no_trace(hsr):
-    room = read_scene("room")
-
+def test_contacts_before_a_reset_leave_no_trace(hsr, opened):
     def run(world, x, y, yaw):
-        base = spatial.planar_pose(*np.array([[x], [y], [yaw]]))
-        world.reset(base, hsr.home["home"][np.newaxis])
+        place(world, x, y, yaw)
         return np.array([one.base_pose[0] for one in stay(world, 60, twist(0.1, -0.2, 0.1))])
 
-    used, fresh = PyBulletBackend(hsr, room), PyBulletBackend(hsr, room)
-    for place in np.random.default_rng(0).uniform(-2.5, 2.5, (5, 3)):
-        run(used, *place)
+    used, fresh = (opened(hsr, read_scene("room")) for _ in range(2))
+    for start in np.random.default_rng(0).uniform(-2.5, 2.5, (5, 3)):
+        run(used, *start)
     np.testing.assert_array_equal(run(used, 0.5, -2.3, -1.2), run(fresh, 0.5, -2.3, -1.2))
-    used.close()
-    fresh.close()
 
 
-def test_one_row_is_reset_while_others_go_on(hsr, scene):
-    world, homes = PyBulletBackend(hsr, scene), np.stack([hsr.home["home"]] * 3)
+def test_one_row_is_reset_while_others_go_on(hsr, scene, opened):
+    world, homes = opened(hsr, scene), np.stack([hsr.home["home"]] * 3)
     places = spatial.planar_pose(np.arange(3.0), np.zeros(3), np.zeros(3))
     world.reset(places, homes)
     for _ in range(5):
         before = world.step(np.repeat(twist(0.2), 3, axis=0), homes, DT)
     after = world.reset(places[1:2], homes[1:2], np.array([1]))
-    world.close()
     np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
     np.testing.assert_allclose(after.base_pose[1], places[1], atol=1e-12)
     assert np.all(before.base_pose[:, 0] > places[:, 0])
@@ -163,12 +154,13 @@ def test_is_built_by_name_and_closes_twice(hsr):
 def test_wrong_shapes_and_numbers_are_errors(world, begin):
     begin()
     home, base = world.robot.home["home"], spatial.planar_pose(*np.zeros((3, 2)))
-    with pytest.raises(KinfeasError):
-        world.reset(base, home[np.newaxis])
-    with pytest.raises(KinfeasError):
-        world.step(twist(), home[np.newaxis, :-1], DT)
-    with pytest.raises(KinfeasError, match="finite"):
-        world.step(twist(np.nan), home[np.newaxis], DT)
-    base[:, 2] = 0.1
-    with pytest.raises(KinfeasError, match="upright"):
-        world.reset(base[:1], home[np.newaxis])
+    raised = base[:1].copy()
+    raised[0, 2] = 0.1
+    for call, message in (
+        (lambda: world.reset(base, home[np.newaxis]), "shape"),
+        (lambda: world.step(twist(), home[np.newaxis, :-1], DT), "shape"),
+        (lambda: world.step(twist(np.nan), home[np.newaxis], DT), "finite"),
+        (lambda: world.reset(raised, home[np.newaxis]), "upright"),
+    ):
+        with pytest.raises(KinfeasError, match=message):
+            call()

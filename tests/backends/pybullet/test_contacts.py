@@ -69,18 +69,14 @@ def test_contacts_begin_where_the_distance_ends(world, begin):
     assert world.obstacle_distances(1.0).distance.min() < 0.0
 
 
-def test_the_grasped_link_is_no_obstacle(world, begin):
+def test_the_grasped_link_and_objects_beneath_are_no_obstacles(world, begin, monkeypatch):
     begin(x=-2.3)
-    assert world.obstacle_distances(1.0).distance.size > 0
-    world.sims[0].handle("wall", "wall")
-    seen = world.obstacle_distances(1.0).distance.size
-    world.sims[0]._handled = None
-    assert seen == 0
-
-
-def test_objects_beneath_are_no_obstacles(world, begin):
-    begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
     sim = world.sims[0]
+    assert world.obstacle_distances(1.0).distance.size > 0
+    monkeypatch.setattr(sim, "_handled", sim.furniture.link("wall", "wall"))
+    assert world.obstacle_distances(1.0).distance.size == 0
+    monkeypatch.undo()
+    begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
     assert sim.physics.client.getClosestPoints(sim.body.body, sim.furniture.bodies["bar"], 0.3)
     assert world.obstacle_distances(0.3).distance.size == 0
 

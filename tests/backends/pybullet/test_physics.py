@@ -1,11 +1,9 @@
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from kinfeas.backends.pybullet import physics as module
-from kinfeas.backends.pybullet.physics import Physics, PhysicsConfig, silence
+from kinfeas.backends.pybullet.physics import Physics, PhysicsConfig
 from kinfeas.core.errors import KinfeasError
 
 
@@ -16,16 +14,13 @@ def physics():
     world.close()
 
 
-@pytest.mark.parametrize(("dt", "steps"), [(0.02, 5), (0.1, 24), (1 / 240, 1), (0.001, 1)])
-def test_a_control_period_has_a_whole_number_of_steps(physics, dt, steps):
-    assert physics.divide(dt) == steps
-    assert physics.step_time == dt / steps
-
-
-@pytest.mark.parametrize("dt", [0.0, -0.02, float("nan"), float("inf")])
-def test_other_periods_are_errors(physics, dt):
-    with pytest.raises(KinfeasError, match="control period"):
-        physics.divide(dt)
+def test_a_control_period_has_a_whole_number_of_steps(physics):
+    for dt, steps in ((0.02, 5), (0.1, 24), (1 / 240, 1), (0.001, 1)):
+        assert physics.divide(dt) == steps
+        assert physics.step_time == dt / steps
+    for dt in (0.0, -0.02, float("nan"), float("inf")):
+        with pytest.raises(KinfeasError, match="control period"):
+            physics.divide(dt)
 
 
 def test_a_closed_world_raises_and_leaves_the_next_one_alone():
@@ -61,35 +56,16 @@ def test_a_urdf_that_cannot_be_loaded_is_one_line(physics, tmp_path, capfd):
     physics.restore()
 
 
-def test_pybullet_prints_nothing(tmp_path, capfd):
-    physics = Physics(PhysicsConfig())
-    shape = "<collision><geometry><box size='1 1 1'/></geometry></collision>"
-    path = tmp_path / "thing.urdf"
-    path.write_text(f"<robot name='a'><link name='a'>{shape}</link></robot>")
-    physics.load(path, fixed=True)
-    physics.close()
-    with silence():
-        subprocess.run(["echo", "one"], check=True)
-    assert capfd.readouterr() == ("", "")
-
-
 def test_a_missing_pybullet_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(KinfeasError, match=r"Python 3\.11"):
         Physics(PhysicsConfig())
 
 
-@pytest.mark.parametrize("display", [None, ":77", "hangs"])
+@pytest.mark.parametrize("display", ["", ":77"])
 def test_a_window_without_a_screen_is_an_error(monkeypatch, display, capfd):
-    def hangs(command, **_):
-        raise subprocess.TimeoutExpired(command, 0.0)
-
-    monkeypatch.setattr(module.sys, "platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    if display:
-        monkeypatch.setenv("DISPLAY", display)
-    if display == "hangs":
-        monkeypatch.setattr(module.subprocess, "run", hangs)
-    with pytest.raises(KinfeasError, match=f"DISPLAY={display or ''}$"):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("DISPLAY", display)
+    with pytest.raises(KinfeasError, match=f"DISPLAY={display}$"):
         Physics(PhysicsConfig(), gui=True)
     assert capfd.readouterr() == ("", "")

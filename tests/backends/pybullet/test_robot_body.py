@@ -172,15 +172,13 @@ def own_robot(folder, kind, mesh):
     ("kind", "mesh"),
     [("visual", "../meshes/part.stl"), ("collision", "package://rover/meshes/part.stl")],
 )
-def test_meshes_are_loaded(tmp_path, kind, mesh, capfd):
-    backend = PyBulletBackend(own_robot(tmp_path, kind, mesh))
-    client, body = backend.sims[0].physics.client, backend.sims[0].body.body
-    mast = backend.sims[0].body.links["mast_link"]
+def test_meshes_are_loaded(tmp_path, kind, mesh, capfd, opened):
+    sim = opened(own_robot(tmp_path, kind, mesh)).sims[0]
+    client, body, mast = sim.physics.client, sim.body.body, sim.body.links["mast_link"]
     shapes = {
         "visual": [one[4] for one in client.getVisualShapeData(body) if one[1] == mast],
         "collision": [one[4] for one in client.getCollisionShapeData(body, mast)],
     }
-    backend.close()
     assert any(name.endswith(b"part.stl") for name in shapes[kind])
     assert capfd.readouterr().out == ""
 
