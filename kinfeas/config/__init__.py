@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
 
-from annotated_types import Ge, GroupedMetadata, Gt, Le, Lt
+from annotated_types import Ge, GroupedMetadata, Gt, Le
 
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
@@ -26,42 +26,35 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Interval(GroupedMetadata):
-    """The finite numbers from `low` to `high`, ends included unless open; annotates a number."""
+    """The finite numbers from `low`, included unless open, to `high`; annotates a number."""
 
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
-    open_high: bool = False
 
-    def __iter__(self) -> Iterator[Ge | Gt | Le | Lt]:
+    def __iter__(self) -> Iterator[Ge | Gt | Le]:
         """Yield the bounds in the form that pydantic reads."""
         if self.low > -math.inf:
             yield Gt(self.low) if self.open_low else Ge(self.low)
         if self.high < math.inf:
-            yield Lt(self.high) if self.open_high else Le(self.high)
+            yield Le(self.high)
 
     def __contains__(self, value: float) -> bool:
         """Return whether `value` is finite and within the bounds."""
         above = self.low < value if self.open_low else self.low <= value
-        below = value < self.high if self.open_high else value <= self.high
-        return math.isfinite(value) and above and below
+        return math.isfinite(value) and above and value <= self.high
 
     def __str__(self) -> str:
         """Return the interval as `in (0, 1]`."""
-        ends = "(" if self.open_low else "[", ")" if self.open_high else "]"
-        return f"in {ends[0]}{self.low:g}, {self.high:g}{ends[1]}"
+        return f"in {'(' if self.open_low else '['}{self.low:g}, {self.high:g}]"
 
 
 @dataclass(frozen=True)
 class PluginSpec:
-    """A plugin by name, with its keyword parameters.
+    """A plugin by its entry-point name, with its keyword parameters.
 
     In YAML, `velocity_clamp` is short for `{name: velocity_clamp}`. Parameters are keys beside
     `name`, or below `parameters`: `{name: obstacle_distance, min_distance: 0.03}`.
-
-    Attributes:
-        name: Entry-point name.
-        parameters: Keyword parameters.
     """
 
     name: str
@@ -69,11 +62,7 @@ class PluginSpec:
 
     @classmethod
     def read(cls, data: object) -> "PluginSpec":
-        """Return the plugin that plain data describes.
-
-        Raises:
-            ValueError: If it has no name, or its parameters are no mapping.
-        """
+        """Return the plugin of plain data; ValueError without a name or for other parameters."""
         entry = {"name": data} if isinstance(data, str) else data
         if not isinstance(entry, Mapping) or not isinstance(entry.get("name"), str):
             raise ValueError("must be a name, or a mapping with the key 'name'")
@@ -88,18 +77,11 @@ class PluginSpec:
         """Return the schema by which pydantic reads the short forms."""
         from pydantic_core import core_schema
 
-        def read(data: object) -> "PluginSpec":
-            return data if isinstance(data, PluginSpec) else cls.read(data)
-
-        return core_schema.no_info_plain_validator_function(read)
+        return core_schema.no_info_plain_validator_function(cls.read)
 
 
 def load(cls: type[T], path: Path, overrides: Sequence[str] = ()) -> T:
-    """Return the configuration of a YAML file, as an instance of the dataclass `cls`.
-
-    Raises:
-        KinfeasError: As `from_mapping`; also if the file is not readable YAML.
-    """
+    """Return a YAML file as an instance of the dataclass `cls`; arguments as in `from_mapping`."""
     return from_mapping(cls, strict_yaml.read(path), str(path), overrides)
 
 
@@ -109,7 +91,7 @@ def from_mapping(cls: type[T], data: object, source: str, overrides: Sequence[st
     Args:
         cls: Frozen dataclass.
         data: Mapping of field names to plain values, complete without the `overrides`.
-        source: Where the data is from, for errors: as a rule a file name.
+        source: File name for errors.
         overrides: Assignments `a.b=c`, applied in their order; `c` is YAML, and `a.0=c` changes
             the first entry of a list.
 
@@ -129,9 +111,6 @@ def convert(kind: Any, value: object, source: str, key: str) -> Any:
     """Return the plain value of a key as an instance of the type `kind`.
 
     Values that no YAML file can hold, and types that pydantic cannot validate, are passed through.
-
-    Raises:
-        KinfeasError: If the value has a wrong type or range.
     """
     from pydantic import PydanticUndefinedAnnotation, PydanticUserError
 
@@ -151,20 +130,12 @@ def to_mapping(config: object) -> dict[str, Any]:
 
 
 def dump(config: object, path: Path) -> None:
-    """Write a dataclass as a YAML file that `load` reads back.
-
-    Raises:
-        KinfeasError: If the file cannot be written.
-    """
+    """Write a dataclass as a YAML file that `load` reads back."""
     strict_yaml.write(to_mapping(config), path)
 
 
 def assigned(overrides: Sequence[str]) -> dict[str, object]:
-    """Return assignments `a.b=c`, in which `c` is YAML, as nested mappings.
-
-    Raises:
-        KinfeasError: If one of them is malformed.
-    """
+    """Return assignments `a.b=c`, in which `c` is YAML, as nested mappings."""
     data: dict[str, object] = {}
     for text in overrides:
         _assign(data, text)
@@ -172,11 +143,7 @@ def assigned(overrides: Sequence[str]) -> dict[str, object]:
 
 
 def index_in(entries: Sequence[object], key: object, source: str) -> int:
-    """Return the index in a list that a key such as `0` names.
-
-    Raises:
-        KinfeasError: If the list has no such entry.
-    """
+    """Return the index in a list that a key such as `0` names."""
     if str(key).isdecimal() and int(str(key)) < len(entries):
         return int(str(key))
     raise KinfeasError(f"{source}: unknown index {key!r} of a list of {len(entries)} entries")
@@ -213,7 +180,7 @@ _WORDS = {
     "a valid array": "a list",
     "an object": "a mapping of keys to values",
 }
-"""How errors name what pydantic calls by the words of JSON."""
+"""Words of pydantic's messages and ours."""
 
 
 @cache

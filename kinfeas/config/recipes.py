@@ -22,14 +22,9 @@ def recipes(folder: str) -> list[str]:
 
 
 def find_recipe(name: str, folder: str) -> Path:
-    """Return the file of a recipe.
+    """Return the file of a recipe: a path, or a shipped one, such as `paper/pr2` or `pr2`.
 
-    Args:
-        name: Path of a YAML file, or name of a shipped one, such as `paper/pr2`.
-        folder: Shipped folder in which the name may also be, as `pr2`.
-
-    Raises:
-        KinfeasError: If there is no such file.
+    Names without a folder are those in the shipped `folder`.
     """
     shipped = [_ROOT / f"{stem}.yaml" for stem in (name, f"{folder}/{name}")]
     for path in (Path(name), *(one for one in shipped if one.resolve().is_relative_to(_ROOT))):
@@ -43,35 +38,23 @@ def find_recipe(name: str, folder: str) -> Path:
 def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
     """Return a robot's settings in a section of `configs/robots`, and their source for errors.
 
-    The robot's file changes keys of the same section of `default.yaml`.
-
-    Args:
-        name: `train`, `train_physics`, `finetune_physics`, `deploy`, `baselines`, or a backend,
-            whose section has the settings of evaluations.
-        robot: Name of a robot, with or without a file.
+    The robot's file, if there is one, changes keys of the same section of `default.yaml`: `train`,
+    `train_physics`, `finetune_physics`, `deploy`, `baselines`, or a backend, whose section has the
+    settings of evaluations.
     """
     data = _merged(_read_robot("default").get(name, {}), _read_robot(robot).get(name, {}))
     return data, f"configs/robots/{robot}.yaml, {name}"
 
 
 def load_section(cls: type[T], name: str, robot: str, overrides: Sequence[str] = ()) -> T:
-    """Return a robot's settings in a section as an instance of the dataclass `cls`.
-
-    Raises:
-        KinfeasError: If an assignment of `overrides` is invalid.
-    """
+    """Return a robot's settings in a section as an instance of the dataclass `cls`."""
     return from_mapping(cls, *section(name, robot), overrides)
 
 
 def load_recipe(cls: type[T], name: str, folder: str, overrides: Sequence[str] = ()) -> T:
-    """Return a recipe as an instance of the dataclass `cls`.
+    """Return a recipe as an instance of the dataclass `cls`; `overrides` as in `from_mapping`.
 
-    Args:
-        cls: Frozen dataclass.
-        name: Path of a YAML file, or name of a shipped recipe: `paper/pr2`, or `train/pr2` for the
-            section `train` of a robot.
-        folder: As of `find_recipe`.
-        overrides: Assignments `a.b=c`.
+    Names are those of `find_recipe`, or `train/pr2` for the section `train` of a robot.
 
     Raises:
         KinfeasError: If there is no such recipe, or it is invalid.

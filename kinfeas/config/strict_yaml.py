@@ -67,11 +67,7 @@ for _class in (_Loader, _Dumper):
 
 
 def parse(text: str, source: str) -> object:
-    """Return the plain data of one YAML document.
-
-    Raises:
-        KinfeasError: If `text` is not YAML; the error names `source` and the line.
-    """
+    """Return the plain data of one YAML document."""
     try:
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
@@ -85,23 +81,14 @@ def parse(text: str, source: str) -> object:
 
 
 def to_text(data: object, *, compact: bool = False) -> str:
-    """Return plain data as YAML.
-
-    Args:
-        data: Nested mappings and lists of plain values.
-        compact: Write each innermost mapping and list on a line of its own, as for matrices.
-    """
+    """Return plain data as YAML; `compact` gives each innermost collection one line."""
     # Escaped to ASCII, since PyYAML folds some other characters that it writes.
     flow, width = (None, sys.maxsize) if compact else (False, None)
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
 
 
 def read(path: Path) -> dict[str, object]:
-    """Return the mapping of a YAML file; an empty file is an empty mapping.
-
-    Raises:
-        KinfeasError: If the file cannot be read, is too large or does not hold a mapping.
-    """
+    """Return the mapping of a YAML file; an empty file is an empty mapping."""
     with reading(path):
         text = read_file(path, MAX_BYTES).decode()
     data = parse(text, str(path))
@@ -113,9 +100,5 @@ def read(path: Path) -> dict[str, object]:
 
 
 def write(data: object, path: Path, *, compact: bool = False) -> None:
-    """Write plain data as a YAML file that `read` reads back, atomically; as `to_text`.
-
-    Raises:
-        KinfeasError: If the file cannot be written.
-    """
+    """Write plain data as a YAML file that `read` reads back, atomically; as `to_text`."""
     write_file(path, to_text(data, compact=compact).encode())

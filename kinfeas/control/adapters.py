@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinfeas import config
-from kinfeas.config import PluginSpec, strict_yaml
+from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import find_recipe
 from kinfeas.control.execution import ExecutionAdapter, ExecutionConfig
 from kinfeas.core import registry
@@ -25,35 +25,16 @@ class Sim2Real:
         adapters: Adapters around the backend, the first one innermost.
     """
 
-    adapters: tuple[PluginSpec, ...] = ()
+    adapters: tuple[PluginSpec, ...]
 
 
 def read_sim2real(name: str) -> Sim2Real:
-    """Return the list of adapters of a YAML file or a shipped list.
-
-    Args:
-        name: Path of the file, or `ideal`, `paper`, `pr2_like` or `harsh`.
-
-    Raises:
-        KinfeasError: If there is none, it is empty, or an entry is invalid.
-    """
-    path = find_recipe(name, FOLDER)
-    if not strict_yaml.read(path):
-        raise KinfeasError(f"{path}: must have a list 'adapters', [] for none")
-    return config.load(Sim2Real, path)
+    """Return a list of adapters: of a YAML file, or `ideal`, `paper`, `pr2_like`, `harsh`."""
+    return config.load(Sim2Real, find_recipe(name, FOLDER))
 
 
 def wrap(backend: Backend, adapters: Sequence[PluginSpec], robot: Robot) -> Backend:
-    """Return a backend within adapters.
-
-    Args:
-        backend: Backend that executes the commands.
-        adapters: The first one is innermost.
-        robot: Robot of the backend.
-
-    Raises:
-        KinfeasError: If there is no such adapter, or a parameter is invalid.
-    """
+    """Return a backend within adapters, the first one innermost."""
     for adapter in adapters:
         given = {"backend": backend, "robot": robot}
         if clash := given.keys() & adapter.parameters.keys():
@@ -74,20 +55,13 @@ def chain(backend: Backend) -> Iterator[Backend]:
 
 
 def execution_of(backend: Backend, execution: ExecutionConfig) -> ExecutionConfig:
-    """Return `execution` as the adapters around a backend change it.
-
-    Raises:
-        KinfeasError: If an adapter returns something else.
-    """
+    """Return `execution` as the adapters around a backend change it."""
     for link in chain(backend):
         if isinstance(link, ExecutionAdapter):
             subject = f"adapter {type(link).__name__}"
             with plugin_note(subject):
                 answer: Any = link.execution(execution)
             if not isinstance(answer, ExecutionConfig):
-                got = type(answer).__name__
-                raise KinfeasError(
-                    f"{subject} must return an ExecutionConfig from execution, not {got}"
-                )
+                raise KinfeasError(f"{subject} must return an ExecutionConfig, not {answer!r:.60}")
             execution = answer
     return execution

@@ -13,7 +13,7 @@ def action_size(base: Base) -> int:
 
 
 def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
-    """Return the world twist of an action.
+    """Return the world twist of an action, shape (n, 6), m/s and rad/s.
 
     Omnidirectional: translate with the old heading, then rotate; the planar speed is clipped by
     its norm. Differential: rotate, then drive along the new heading.
@@ -23,9 +23,6 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
         base_pose: World pose of the base, shape (n, 7).
         action: Shares of the limits, clipped to [-1, 1], shape (n, 3) or (n, 2).
         dt: Duration in seconds for which the twist will hold.
-
-    Returns:
-        Shape (n, 6), m/s and rad/s.
     """
     action = np.clip(action, -1.0, 1.0)
     velocity = np.zeros((len(action), 3))
@@ -39,13 +36,9 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
 
 
 def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
-    """Return the world twist of a velocity in the base frame, shape (n, 6), m/s and rad/s.
+    """Return the world twist, shape (n, 6), of a velocity in the base frame, shape (n, 3).
 
-    Args:
-        base: Drive: a differential one drives along its new heading.
-        base_pose: World pose of the base, shape (n, 7).
-        velocity: Forward, left and rotation, shape (n, 3), m/s and rad/s.
-        dt: Duration in seconds for which the twist will hold.
+    The velocity is forward, left and rotation, m/s and rad/s; other arguments as in `base_twist`.
     """
     cosine, sine = _direction(base, base_pose, velocity[:, 2], dt)
     twist = np.zeros((len(velocity), 6))
@@ -75,30 +68,17 @@ def _direction(base: Base, base_pose: Array, rotation: Array, dt: float) -> tupl
 
 
 def carried_out(action: Array) -> Array:
-    """Return commands clipped as `base_twist` does: to [-1, 1], the planar speed by its norm.
-
-    Args:
-        action: Shares of the limits, shape (..., 3) or (..., 2).
-    """
+    """Return commands (..., 3) or (..., 2) clipped as in `base_twist`."""
     action = np.clip(action, -1.0, 1.0)
     action[..., :-1] /= np.maximum(np.linalg.norm(action[..., :-1], axis=-1, keepdims=True), 1.0)
     return action
 
 
 def action_toward(base: Base, base_pose: Array, velocity: Array, dt: float) -> Array:
-    """Return the action that comes closest to a planar world velocity of the base.
+    """Return the action in [-1, 1] that comes closest to a planar world velocity (n, 2), m/s.
 
     An omnidirectional base copies it, without rotation. A differential one steers toward it,
     backwards if it points behind, and drives by the part of it that lies along the new heading.
-
-    Args:
-        base: Drive and velocity limits.
-        base_pose: World pose of the base, shape (n, 7).
-        velocity: Shape (n, 2), m/s.
-        dt: Duration in seconds for which the action will hold.
-
-    Returns:
-        Shape (n, 3) or (n, 2), within [-1, 1].
     """
     heading = yaw(base_pose)
     cosine, sine = np.cos(heading), np.sin(heading)

@@ -92,7 +92,7 @@ class Loop:
             subgoals: Motions that every EE makes in sequence, at least one.
             backend: Moves the robots.
             dt: Control period in seconds.
-            execution: Time scale and pauses of the motions; by default as planned.
+            execution: As planned by default.
             filters: Change the policy's commands, in this order.
         """
         self.execution = execution = execution or ExecutionConfig()
@@ -196,15 +196,9 @@ class Loop:
         return step
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return the whole state as arrays by name.
-
-        Raises:
-            KinfeasError: If the backend has no snapshots.
-        """
-        if not isinstance(self.backend, Resumable):
-            name = type(self.backend).__name__
-            raise KinfeasError(f"{name} cannot be saved in the midst of a run")
-        return {**self.kinematic_state(), **self.backend.snapshot()}
+        """Return the whole state as arrays by name."""
+        backend = self._resumable
+        return {**self.kinematic_state(), **backend.snapshot()}
 
     def kinematic_state(self) -> dict[str, NDArray[Any]]:
         """Return the state without the backend's own: that of a loop in the analytic world."""
@@ -219,16 +213,11 @@ class Loop:
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `snapshot` returned."""
-        if not isinstance(self.backend, Resumable):
-            name = type(self.backend).__name__
-            raise KinfeasError(f"{name} cannot go on from a saved run")
+        backend = self._resumable
         self.sequence.restore(snapshot)
-        self._measure(self.backend.restore(snapshot))
-        self.joint_command, self.periods = (
-            snapshot["joint_command"].copy(),
-            snapshot["periods"].copy(),
-        )
-        self._waited = snapshot["waited"].copy()
+        self._measure(backend.restore(snapshot))
+        self.joint_command = snapshot["joint_command"].copy()
+        self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
         self._plan()
 
     @property
@@ -261,6 +250,14 @@ class Loop:
             planned=self.planned,
             demonstrated_base=self.sequence.demonstrated_base,
         )
+
+    @property
+    def _resumable(self) -> Resumable:
+        if not isinstance(self.backend, Resumable):
+            raise KinfeasError(
+                f"{type(self.backend).__name__} does not support saving and resuming"
+            )
+        return self.backend
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")

@@ -57,42 +57,22 @@ class MotionSequence:
         dt: float,
         execution: ExecutionConfig | None = None,
     ) -> None:
-        """Set out the sub-goals; `start` must follow before anything else.
-
-        Args:
-            subgoals: At least one.
-            robot: Whose tool tip `tip` sub-goals move.
-            dt: Control period in seconds.
-            execution: Head start and settling; none by default.
-        """
+        """Set out the sub-goals, at least one; call `start` before anything else."""
         execution = execution or ExecutionConfig()
-        distinct = {
-            id(subgoal.generator): CheckedMotion(subgoal.generator, subgoal.name)
-            for subgoal in subgoals
-        }
+        distinct = {id(one.generator): CheckedMotion(one.generator, one.name) for one in subgoals}
         order = list(distinct)
         self.subgoals, self.generators = tuple(subgoals), list(distinct.values())
-        self._which = np.array([order.index(id(subgoal.generator)) for subgoal in subgoals])
-        self._dt, self._head_start, self._head_start_jitter = (
-            dt,
-            execution.head_start,
-            execution.head_start_jitter,
-        )
+        self._which = np.array([order.index(id(one.generator)) for one in subgoals])
+        self._dt, self._head_start = dt, execution.head_start
+        self._head_start_jitter = execution.head_start_jitter
         grasp_settle_time = _periods(execution.grasp_settle_time / execution.time_scale, dt)
-        self._periods = np.array(
-            [_periods(subgoal.dwell, dt) for subgoal in subgoals], dtype=np.intp
-        )
-        self._grasp_settle_time = np.array(
-            [grasp_settle_time if subgoal.grip else 0 for subgoal in subgoals], dtype=np.intp
-        )
-        tool = tool_pose(robot)
-        self._tips = any(subgoal.frame == "tip" for subgoal in subgoals)
-        self._tool = np.stack(
-            [tool if subgoal.frame == "tip" else spatial.IDENTITY for subgoal in subgoals]
-        )
-        self._ee_in_tool = spatial.relative(
-            np.broadcast_to(spatial.IDENTITY, (len(subgoals), 7)), self._tool
-        )
+        self._periods = np.array([_periods(one.dwell, dt) for one in subgoals], dtype=np.intp)
+        settling = [grasp_settle_time if one.grip else 0 for one in subgoals]
+        self._grasp_settle_time = np.array(settling, dtype=np.intp)
+        tool, nothing = tool_pose(robot), np.tile(spatial.IDENTITY, (len(subgoals), 1))
+        tips = np.array([one.frame == "tip" for one in subgoals])
+        self._tips, self._tool = bool(tips.any()), np.where(tips[:, np.newaxis], tool, nothing)
+        self._ee_in_tool = spatial.relative(nothing, self._tool)
         self._demonstrated = any(one.demonstrated for one in self.generators)
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
@@ -112,7 +92,7 @@ class MotionSequence:
 
         Args:
             ee_pose: World pose of the EE in m rows, shape (m, 7).
-            target_poses: What their sub-goals head for, shape (m, sub-goals, 7).
+            target_poses: Targets of their sub-goals, shape (m, sub-goals, 7).
             rngs: One source of randomness for each of them.
             rows: Which of the n rows begin anew; all of them by default, which also sets n.
         """
@@ -166,9 +146,8 @@ class MotionSequence:
             twist, states = np.zeros((len(frame), 6)), list(self._states)
             for number, generator, rows in self._groups(~resting):
                 state = of_rows(states[number], rows)
-                twist[rows], after = generator.twist(
-                    state, frame[rows], targets[rows], seconds[rows]
-                )
+                given = state, frame[rows], targets[rows], seconds[rows]
+                twist[rows], after = generator.twist(*given)
                 states[number] = merged(states[number], rows, after, len(frame))
         desired = preview = self._to_ee(spatial.integrate(frame, twist, dt))
         if dt != HORIZON:
@@ -201,15 +180,13 @@ class MotionSequence:
     def advance(
         self, arrived: NDArray[np.bool_], settled: NDArray[np.bool_] | None = None
     ) -> NDArray[np.bool_]:
-        """End a control period: grasp_settle_time, wait, or begin the next sub-goal.
+        """Return whether the motion of a sub-goal but the last has just come to its end, (n,).
+
+        Ends a control period: settles for the grasp, dwells, or begins the next sub-goal.
 
         Args:
             arrived: Whether the EE is at the end of its sub-goal, shape (n,).
             settled: Whether it is as near as a grip needs it, shape (n,); not by default.
-
-        Returns:
-            Whether the motion of a sub-goal that is not the last has just come to its end, shape
-            (n,).
         """
         if len(self.subgoals) == 1 and not self._head_start + self._head_start_jitter:
             return np.zeros(len(self.subgoal), dtype=np.bool_)
@@ -229,7 +206,7 @@ class MotionSequence:
         return stops
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return everything that the motions go on from, by name."""
+        """Return the whole state as arrays by name."""
         states = {
             f"{_STATES}.{number}.{key}": values
             for number, state in enumerate(self._states)
@@ -238,7 +215,7 @@ class MotionSequence:
         return dict(zip(_ROWS, self._held(), strict=True)) | states
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what `snapshot` returned."""
+        """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
         self._states, self._goal = [{} for _ in self.generators], None
         for name, values in snapshot.items():
@@ -255,10 +232,8 @@ class MotionSequence:
 
     def _head_starts(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.intp]:
         """Return the control periods before each row's first sub-goal; nothing is drawn in vain."""
-        drawn = [
-            self._head_start_jitter * rng.random() if self._head_start_jitter else 0.0
-            for rng in rngs
-        ]
+        jitter = self._head_start_jitter
+        drawn = [jitter * rng.random() if jitter else 0.0 for rng in rngs]
         each = [_periods(self._head_start + more, self._dt) for more in drawn]
         return np.array(each, dtype=np.intp)
 
@@ -282,7 +257,7 @@ class MotionSequence:
         return target
 
     def _ask(self, question: Callable[[CheckedMotion, State, Array], Array]) -> Array:
-        """Return what each row's generator answers, shape (n, 7)."""
+        """Return the answer of each row's generator, shape (n, 7)."""
         targets = self._target
         if len(self.generators) == 1:
             return question(self.generators[0], self._states[0], targets)

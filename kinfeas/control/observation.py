@@ -38,12 +38,8 @@ class Seen:
     ) -> None:
         """Compute the relative poses.
 
-        Args:
-            base_pose: World pose of the base, shape (n, 7).
-            ee_in_base: Achieved EE pose in the base frame, shape (n, 7).
-            planned: World pose of the EE planned in `HORIZON` seconds, shape (n, 7).
-            goal: World pose at which the EE's motion ends, shape (n, 7).
-            joints: Arm joints, shape (n, j).
+        `base_pose`, `planned` (the EE's in `HORIZON` seconds) and `goal` are world poses, shape
+        (n, 7); `ee_in_base` is achieved. Joints have shape (n, j).
         """
         self.ee, self.goal, self.joint_positions = ee_in_base, relative(goal, base_pose), joints
         catch_up = twist_between(ee_in_base, relative(planned, base_pose), HORIZON)
@@ -94,12 +90,7 @@ ACTION = ("base_velocity",)
 
 
 def observe(seen: Seen, terms: Sequence[str] = OBSERVATION) -> Array:
-    """Return the observation, shape (n, d).
-
-    Args:
-        seen: State of n robots.
-        terms: Names in `TERMS`.
-    """
+    """Return the observation of n robots, shape (n, d); `terms` are names in `TERMS`."""
     return np.concatenate([TERMS[name].values(seen) for name in terms], axis=1)
 
 
@@ -141,16 +132,7 @@ def describe_action(robot: Robot) -> tuple[TermInfo, ...]:
 
 
 def check_terms(found: Sequence[TermInfo], known: Sequence[str], key: str) -> tuple[str, ...]:
-    """Return the names of terms that a policy's file lists.
-
-    Args:
-        found: Their descriptions.
-        known: Allowed names.
-        key: Key of the list, for errors.
-
-    Raises:
-        KinfeasError: If one is unknown.
-    """
+    """Return the names of the terms under `key` of a policy's file, all of them known."""
     for term in found:
         if term.name not in known:
             raise KinfeasError(f"{key}: unknown term {term.name!r}; known are {', '.join(known)}")

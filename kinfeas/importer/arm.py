@@ -26,13 +26,9 @@ _MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
 def place(
     urdf: Urdf, links: Iterable[str], frame: str, positions: Mapping[str, float]
 ) -> list[Shape]:
-    """Return the shapes of some links with their poses in the frame of a link.
+    """Return the shapes of some links with their poses in the link `frame`.
 
-    Args:
-        urdf: The robot.
-        links: Names of the links.
-        frame: Name of the link whose frame is used.
-        positions: Joint positions, rad or m; the others are as near to 0 as possible.
+    Positions are rad or m, by joint name; all other joints are as near to 0 as possible.
     """
     at = link_pose(urdf, frame, positions)
     return [
@@ -72,16 +68,8 @@ class Arm:
 def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     """Return the arm of a robot.
 
-    By default the hand is where the longest chain of moving joints branches last, into fingers, or
-    the link with a fixed jaw on which a single finger closes.
-
-    Args:
-        urdf: The robot.
-        hand: Link that IK places.
-        source: File name for errors.
-
-    Raises:
-        KinfeasError: If there is no such link, no arm, or more than one.
+    By default the hand, the link that IK places, is where the longest chain of moving joints
+    branches last, into fingers, or the link with a fixed jaw on which a single finger closes.
     """
     if hand is None:
         hand = _find_hand(urdf, source)
@@ -205,7 +193,8 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     """
     fingers = arm.fingers if len(arm.fingers) == 2 else ()
     closed, opened = _finger_positions(urdf, arm, fingers)
-    shapes = _hand_shapes(urdf, arm)
+    links = urdf.rigid[arm.hand].union(*(urdf.below(finger.name) for finger in arm.fingers))
+    shapes = place(urdf, sorted(links), arm.hand, {})
     hand = link_pose(urdf, arm.hand, {})
     wrist = relative(link_pose(urdf, arm.joints[-1].child, {}), hand)[:3]
     at = np.array([_middle(urdf, arm, finger, opened) for finger in arm.fingers])
@@ -258,11 +247,6 @@ def _middle(urdf: Urdf, arm: Arm, finger: Joint, positions: dict[str, float]) ->
     shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, positions)
     middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
     return middle
-
-
-def _hand_shapes(urdf: Urdf, arm: Arm) -> list[Shape]:
-    links = urdf.rigid[arm.hand].union(*(urdf.below(finger.name) for finger in arm.fingers))
-    return place(urdf, sorted(links), arm.hand, {})
 
 
 def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:

@@ -62,9 +62,6 @@ def boxed_urdf(
         base: Link that becomes the root, with all that it carries; by default the root, or the link
             behind joints that move bare frames on the floor, as simulators add.
         on_link: Called with the name of each link that is done.
-
-    Raises:
-        KinfeasError: If the URDF is invalid, has no link `base`, or a mesh cannot be read.
     """
     robot = read_robot_element(path)
     urdf = urdf_of(robot)
@@ -95,11 +92,7 @@ def _text(robot: Any) -> str:
 
 
 def read_robot_element(path: Path) -> Element:
-    """Return the element <robot> of a URDF.
-
-    Raises:
-        KinfeasError: If it cannot be read, or is xacro.
-    """
+    """Return the element <robot> of a URDF."""
     robot = read_xml(path, "robot")
     if any("xacro}" in element.tag for element in robot.xml.iter()):
         raise robot.error("this is xacro; convert it first: xacro FILE > FILE.urdf")
@@ -125,11 +118,7 @@ def _is_planar(urdf: Urdf, joint: Joint) -> bool:
 
 
 def carried(urdf: Urdf, link: str, source: str) -> frozenset[str]:
-    """Return a link and all links that it carries.
-
-    Raises:
-        KinfeasError: If there is no such link.
-    """
+    """Return a link and all links that it carries."""
     if link not in urdf.links:
         raise KinfeasError(f"{source}: there is no link {link!r}{no_such(link, urdf.links)}")
     return frozenset({link}).union(*(urdf.below(joint.name) for joint in urdf.on[link]))
@@ -175,11 +164,6 @@ def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
 
     The lowest shape that the arm does not carry is on the floor. If it is not below the root, the
     root is on the floor already, since wheels need not have shapes.
-
-    Args:
-        text: The URDF.
-        arm: Its arm.
-        source: File name for errors.
     """
     robot = parse_xml(text, "robot", source)
     urdf = urdf_of(robot)
@@ -201,16 +185,7 @@ def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
 
 
 def read_triangles(mesh: Element, folder: Path) -> Array:
-    """Return the scaled triangles of an element <mesh>, shape (t, 3, 3), metres.
-
-    Args:
-        mesh: The element.
-        folder: Absolute path of the URDF's folder.
-
-    Raises:
-        KinfeasError: If the file is missing, too large or unreadable, has no triangles, or corners
-            farther away than `FARTHEST`.
-    """
+    """Return the scaled triangles of an element <mesh> of a URDF in `folder`, (t, 3, 3), metres."""
     path = find_mesh(mesh, folder, FORMATS)
     if path.stat().st_size > MAX_MESH_BYTES:
         raise mesh.error(f"{str(path)!r} is larger than {MAX_MESH_BYTES} bytes")
@@ -243,12 +218,9 @@ def _load(path: Path, where: str) -> Array:
 
 
 def fit_primitives(triangles: Array) -> tuple[Shape, ...]:
-    """Return one to four primitives that together enclose a mesh.
+    """Return one to four primitives that together enclose triangles, shape (t, 3, 3), metres.
 
     The mesh is halved where primitives around the halves are much smaller.
-
-    Args:
-        triangles: Corners of the mesh, shape (t, 3, 3), metres, t at least 1.
     """
     return tuple(_cut(triangles, _smallest(triangles.reshape(-1, 3)), _CUTS))
 
@@ -274,10 +246,9 @@ def _cut(triangles: Array, whole: Shape, cuts: int) -> list[Shape]:
     """Return primitives for a mesh that `whole` encloses, after at most `cuts` halvings."""
     if cuts == 0:
         return [whole]
-    choices = [_halves(triangles, whole, axis) for axis in range(3)]
     halves = [
         [(half, _smallest(half.reshape(-1, 3))) for half in choice]
-        for choice in choices
+        for choice in (_halves(triangles, whole, axis) for axis in range(3))
         if all(map(len, choice))
     ]
     best = min(halves, key=lambda parts: sum(volume(shape) for _, shape in parts), default=[])

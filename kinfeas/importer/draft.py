@@ -90,9 +90,8 @@ def draft_robot(
     Args:
         path: Its URDF, with or without meshes.
         name: Short name of the robot.
-        hand: Link that IK places; by default the end of the longest chain.
-        base: Link that becomes the root, with all that it carries; by default the root, or the link
-            behind planar joints.
+        hand: As of `find_arm`.
+        base: As of `boxed_urdf`.
         drive: Drive of the base.
         on_done: Called with the share of all work, 0-1, that has just been done.
 
@@ -147,11 +146,7 @@ def _guesses(spec: RobotSpec, urdf: Urdf, arm: Arm, lifted: float) -> Guesses:
 
 
 def bands(heights: Heights, source: str) -> tuple[Band, Band]:
-    """Return the heights that are worth learning, metres, and the comfortable ones.
-
-    Raises:
-        KinfeasError: If there is no range of heights at which goals are reachable.
-    """
+    """Return the heights that are worth learning, metres, and the comfortable ones."""
     for least in (WORTH, WORTH / 2.0, _HARD):
         if band := heights.band(least):
             break
@@ -172,6 +167,7 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
     The home is in the middle of the joint ranges, goal heights are placeholders, and no links may
     touch.
     """
+    x, y, z = (round(float(number), 4) + 0.0 for number in hand.tip)
     joints = {
         joint.name: ArmJointSpec(
             soft_limits=_one_turn(joint),
@@ -183,7 +179,7 @@ def stated(name: str, urdf: Urdf, arm: Arm, hand: Hand, drive: Drive) -> RobotSp
         name=name,
         urdf=Path(f"{name}.urdf"),
         ee_frame=arm.hand,
-        tool_tip=_rounded(hand.tip),
+        tool_tip=(x, y, z),
         gripper_rotation=tuple(hand.rotation.round(7).tolist()),
         base=BaseSpec(drive, *_BASE_LIMITS),
         arm=joints,
@@ -226,8 +222,3 @@ def _half_open(urdf: Urdf, hand: Hand) -> dict[str, float]:
         return {}
     leaders = {urdf.followed(urdf.joints[finger])[0].name for finger in hand.gripper.fingers}
     return dict.fromkeys(sorted(leaders), round((hand.gripper.closed + hand.gripper.open) / 2.0, 4))
-
-
-def _rounded(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (round(float(number), 4) + 0.0 for number in vector)
-    return x, y, z

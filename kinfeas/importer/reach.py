@@ -62,10 +62,7 @@ def built_to_touch(robot: Robot) -> dict[tuple[str, str], float]:
     """Return the pairs of links that touch by design, or since their shapes are too large.
 
     These are links that slide in one another, near neighbours that touch often, and others that
-    touch always.
-
-    Returns:
-        The share of configurations in which each pair touches, 0-1, by their names.
+    touch always. Each pair has the share of configurations in which it touches, 0-1.
     """
     model, joints = build_collision_model(robot), spread_configurations(robot, _CONFIGURATIONS)
     named = [link.name for link in robot.urdf.links.values() for _ in link.shapes]
@@ -125,9 +122,6 @@ def comfortable(robot: Robot) -> Array:
     The candidates are free of self-collision, with the hand in front of the base at medium height.
     Dexterity is the least singular value of the Jacobian, without those that are always zero, less
     near joint limits (Yoshikawa 1985; Tsai 1986).
-
-    Raises:
-        KinfeasError: If the robot is in self-collision in all configurations.
     """
     lower, upper = robot.finite_joint_limits
     joints = np.clip(spread_configurations(robot, _CONFIGURATIONS).round(2), lower, upper)
@@ -161,14 +155,8 @@ def useful_heights(robot: Robot, on_done: Callable[[float], None] | None = None)
     """Return the share of reachable goals by height, from the floor up.
 
     Goals have random orientations. IK decides, from up to 256 base poses around each goal; a pose
-    tolerance of the robot does not count beyond the tolerances of success.
-
-    Args:
-        robot: The robot.
-        on_done: Called with the share of all work, 0-1, that has just been done.
-
-    Raises:
-        KinfeasError: If the hand gets too high, as with lengths in millimetres.
+    tolerance of the robot does not count beyond the tolerances of success. `on_done` is called with
+    the share of all work, 0-1, that has just been done.
     """
     solver, rng = IkSolver(robot, at_goals(robot, _SEARCH)), np.random.default_rng(0)
     ee = forward(solver.chain, spread_configurations(robot, _CONFIGURATIONS))[:, 2]

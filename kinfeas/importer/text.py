@@ -79,12 +79,7 @@ def guessed(spec: RobotSpec, guesses: Guesses) -> dict[str, str]:
 
 
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
-    """Return the text of a robot's YAML file.
-
-    Args:
-        spec: Content of the file.
-        guesses: Values that comments mark as guesses.
-    """
+    """Return the text of a robot's YAML file, with comments that mark guesses."""
     joints = {
         name: {key: value for key, value in vars(joint).items() if value is not None}
         for name, joint in spec.arm.items()

@@ -12,22 +12,11 @@ MAX_ITERATIONS = 30
 
 @kernel
 def closer_than(margin, kind_a, size_a, rot_a, pos_a, kind_b, size_b, rot_b, pos_b, simplex):
-    """Return whether two shapes are closer than `margin` metres.
+    """Return whether two shapes are closer than `margin` metres; True without convergence.
 
-    Without convergence the answer is True.
-
-    Args:
-        margin: Metres, above zero.
-        kind_a: BOX, CYLINDER or SPHERE.
-        size_a: Half extents along the shape's axes, shape (3,): a cylinder is radius, radius, half
-            length; a sphere is its radius three times.
-        rot_a: Orientation, shape (3, 3).
-        pos_a: Centre, shape (3,), metres.
-        kind_b: Same for the second shape, and so on.
-        size_b: As `size_a`.
-        rot_b: As `rot_a`.
-        pos_b: As `pos_a`.
-        simplex: Scratch, shape (6, 3).
+    Kinds are BOX, CYLINDER or SPHERE; sizes are half extents along the shape's axes, shape (3,): a
+    cylinder is radius, radius, half length, a sphere its radius three times. Orientations have
+    shape (3, 3), centres (3,), metres. `simplex` is scratch memory, shape (6, 3).
     """
     v = simplex[4]
     for i in range(3):

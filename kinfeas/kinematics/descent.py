@@ -85,7 +85,7 @@ def make_scratch(joints, variables):
 
 @inlined
 def descend(chain: Chain, options: Descent, target_rotation, target_position, q, scratch):
-    """Move `q` towards the target within its limits.
+    """Move `q` towards the target; return the remaining position and rotation error, m and rad.
 
     Each step is damped by the squared error (Sugihara, IEEE T-RO 2011) and solves the damped
     least-squares problem within the joint limits. The first step is damped towards `scratch.pull`,
@@ -98,9 +98,6 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
         target_position: EE position in the base frame, shape (3,), metres.
         q: First joint positions, within the limits; receives the last ones, shape (v,).
         scratch: Memory of `make_scratch`.
-
-    Returns:
-        Remaining position error in metres and rotation error in radians.
     """
     stalled, best = 0, np.inf
     metres, radians = np.inf, np.inf

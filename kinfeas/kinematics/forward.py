@@ -71,26 +71,14 @@ class Chain(NamedTuple):
     variables: int
 
 
-class _Segment(NamedTuple):
-    """One joint of a tree."""
-
-    parent: int
-    rotation: Array
-    offset: Array
-    prismatic: bool
-    variable: int
-    multiplier: float
-    bias: float
+_Segment = tuple[int, Array, Array, bool, int, float, float]
+"""Fields of a `Tree` for one joint."""
 
 
 def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mount]]:
-    """Return the joints that the arm drives and the mount of each link.
+    """Return the joints that the arm drives, or those up to the link `tip`, and each link's mount.
 
     All other joints are at `robot.fixed_joints`.
-
-    Args:
-        robot: The robot.
-        tip: Only joints between the root and this link; by default all joints.
     """
     urdf = robot.urdf
     on_path = {joint.child for joint in urdf.path_to(tip)} if tip else set(urdf.links)
@@ -102,7 +90,7 @@ def build_tree(robot: Robot, tip: str | None = None) -> tuple[Tree, dict[str, Mo
             if joint.child in on_path:
                 mounts[joint.child] = _attach(robot, joint, mounts[link], segments)
                 links.append(joint.child)
-    columns = zip(*segments, strict=True) if segments else [()] * len(_Segment._fields)
+    columns = zip(*segments, strict=True) if segments else [()] * len(Tree._fields)
     parent, turns, offsets, prismatic, variable, multiplier, bias = columns
     tree = Tree(
         parent=np.array(parent, dtype=np.intp),
@@ -139,7 +127,7 @@ def _attach(robot: Robot, joint: Joint, mount: Mount, segments: list[_Segment]) 
         moved = rotation @ align
         return Mount(mount.joint, moved @ motion @ align.T, offset + moved @ slide)
     drive = names.index(leader.name), multiplier, bias
-    segments.append(_Segment(mount.joint, rotation @ align, offset, prismatic, *drive))
+    segments.append((mount.joint, rotation @ align, offset, prismatic, *drive))
     # In C order, since kernels are compiled for each memory layout.
     return Mount(len(segments) - 1, np.ascontiguousarray(align.T), np.zeros(3))
 
@@ -153,18 +141,7 @@ def _z_onto(axis: Array) -> Array:
 
 
 def forward(chain: Chain, joint_positions: Array) -> Array:
-    """Return the EE pose in the base frame.
-
-    Args:
-        chain: The robot's chain with v variables.
-        joint_positions: Shape (..., v), radians or metres.
-
-    Returns:
-        Poses, shape (..., 7).
-
-    Raises:
-        KinfeasError: If the joint positions have another shape.
-    """
+    """Return the EE pose in the base frame, (..., 7), at joint positions (..., v), rad or m."""
     flat, leading = flattened(chain.variables, joint_positions)
     poses = np.empty((len(flat), 7))
     _forward_batch(chain, flat, poses)
@@ -172,17 +149,9 @@ def forward(chain: Chain, joint_positions: Array) -> Array:
 
 
 def jacobian(chain: Chain, joint_positions: Array) -> Array:
-    """Return the Jacobian of the EE, the derivative of its twist by the joint velocities.
+    """Return the Jacobian of the EE at joint positions (..., v), rad or m, shape (..., 6, v).
 
-    Args:
-        chain: The robot's chain with v variables.
-        joint_positions: Shape (..., v), radians or metres.
-
-    Returns:
-        Shape (..., 6, v): linear rows, then angular rows, in the base's axes, at the EE origin.
-
-    Raises:
-        KinfeasError: If the joint positions have another shape.
+    Linear rows come before angular ones, in the base's axes, at the EE origin.
     """
     flat, leading = flattened(chain.variables, joint_positions)
     columns = np.empty((*flat.shape, 6))
@@ -191,11 +160,7 @@ def jacobian(chain: Chain, joint_positions: Array) -> Array:
 
 
 def flattened(variables: int, joint_positions: Array) -> tuple[Array, tuple[int, ...]]:
-    """Return joint positions (..., v) as an array for kernels, (n, v), and their leading axes.
-
-    Raises:
-        KinfeasError: If the last axis has another length than `variables`, v.
-    """
+    """Return joint positions (..., v) as an array for kernels, (n, v), and their leading axes."""
     rows = np.ascontiguousarray(joint_positions, dtype=np.float64)
     if rows.shape[-1] != variables:
         raise KinfeasError(f"joint positions must be of shape (..., {variables}), not {rows.shape}")

@@ -65,12 +65,8 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
     """Return features that rank library entries by their EE's distance to a target, (13, l).
 
     |p - p'|^2 + (weight^2 / 2) |R - R'|^2 is, except for terms of the target alone, a sum of
-    products of an entry's features with the target's.
-
-    Args:
-        position: EE positions of the entries, shape (l, 3), metres.
-        turn: EE orientations, shape (l, 3, 3).
-        weight: Metres equivalent to one radian.
+    products of an entry's features with the target's. EE positions have shape (l, 3), orientations
+    (l, 3, 3); `weight` is in metres per radian.
     """
     squares = np.sum(np.square(position), axis=1, keepdims=True)
     rows = [squares, -2.0 * position, -(weight**2) * turn.reshape(-1, 9)]
@@ -81,17 +77,10 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
 def solve_batch(
     problem: Problem, targets, max_joint_step, allow_reconfiguration, solution, feasible, errors
 ):
-    """Solve row by row.
+    """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
 
-    Args:
-        problem: The robot.
-        targets: EE poses in the base frame, shape (n, 7).
-        max_joint_step: Displacement of each joint within which solutions come before all others,
-            shape (v,), or (0,) for none.
-        allow_reconfiguration: Whether other solutions are allowed.
-        solution: Holds the seeds and receives the answers, shape (n, v).
-        feasible: Receives whether there is a solution, shape (n,).
-        errors: Receives the errors of it, or of the closest attempt, (n, 2): metres, radians.
+    `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
+    one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.
     """
     scratch = make_scratch(len(problem.chain.tree.variable), solution.shape[1])
     touching = make_collision_scratch(problem.collision)
@@ -103,16 +92,9 @@ def solve_batch(
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
         if _solve_from_seed(
-            problem,
-            target,
-            max_joint_step,
-            allow_reconfiguration,
-            near,
-            solution[i],
-            errors[i],
-            scratch,
-            touching,
-        ):
+            problem, target, max_joint_step, allow_reconfiguration, near,
+            solution[i], errors[i], scratch, touching,
+        ):  # fmt: skip
             feasible[i] = True
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
             feasible[i] = False

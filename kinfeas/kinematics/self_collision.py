@@ -94,17 +94,9 @@ def checked_links(robot: Robot) -> list[tuple[str, str]]:
 
 
 def self_collides(model: CollisionModel, joint_positions: Array) -> NDArray[np.bool_]:
-    """Return whether the robot is in self-collision, to within `MARGIN`.
+    """Return whether the robot is in self-collision, to within `MARGIN`, shape (...).
 
-    Args:
-        model: The robot's collision model.
-        joint_positions: Arm joints, shape (..., v), radians or metres.
-
-    Returns:
-        Shape (...).
-
-    Raises:
-        KinfeasError: If the joint positions have another shape.
+    Joint positions are those of the arm, shape (..., v), radians or metres.
     """
     flat, leading = flattened(model.variables, joint_positions)
     touching = np.empty(len(flat), dtype=np.bool_)

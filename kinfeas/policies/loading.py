@@ -56,21 +56,15 @@ def load_policy(name: str, robot: "Robot") -> "Policy":
 
 
 def check_name(name: str) -> None:
-    """Check without imports that a policy of this name may exist.
-
-    Raises:
-        KinfeasError: If it does not.
-    """
+    """Check without imports that a policy of this name may exist."""
     known = (*registry.names(GROUP), pretrained.NAME)
     path = Path(name)
     if name in known or (name and (path.is_dir() or path.is_file())) or _is_target(name):
         return
-    if path.is_dir() or not path.exists():
-        raise KinfeasError(
-            f"unknown policy {name!r}{no_such(name, known)}, "
-            "or a training run, an exported ONNX file, or module:Class"
-        )
-    raise KinfeasError(f"{name}: must be the folder of a training run or an ONNX file")
+    raise KinfeasError(
+        f"unknown policy {name!r}{no_such(name, known)}, "
+        "or the folder of a training run, an exported ONNX file, or module:Class"
+    )
 
 
 def _is_target(name: str) -> bool:

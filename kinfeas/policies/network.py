@@ -73,24 +73,19 @@ class Network:
 
 
 def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[str, Any]) -> None:
-    """Write a network as `policy.safetensors` and `policy.json` into `folder`.
+    """Write a network as `policy.safetensors` and `policy.json` into an existing folder.
 
-    Args:
-        network: The network.
-        folder: An existing folder.
-        robot: Robot of the training.
-        known: More fields of `Trained`: settings, steps, metrics.
+    `known` has more fields of `Trained`: settings, steps, metrics.
     """
     tensors = {"scale": network.scale}
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors |= {f"weight.{i}": weight, f"bias.{i}": bias}
     contiguous = {key: np.ascontiguousarray(values) for key, values in tensors.items()}
     save_file(contiguous, folder / WEIGHTS)
-    layers, kinematics = len(network.weights), fingerprint(robot)
     trained = Trained(
         robot=robot.name,
-        layers=layers,
-        kinematics=kinematics,
+        layers=len(network.weights),
+        kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
         action=describe_action(robot),
         **known,
@@ -100,10 +95,6 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
 
 def read_network(folder: Path, robot: Robot) -> Network:
     """Return the network of a training run (its best checkpoint) or of one checkpoint.
-
-    Args:
-        folder: `runs/NAME`, or a folder with `policy.safetensors` and `policy.json`.
-        robot: Robot that it is to command.
 
     Raises:
         KinfeasError: If there is no policy, or it is broken or for another robot or other
@@ -132,22 +123,20 @@ def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) 
     found = (len(network.scale), len(network.biases[-1]))
     if trained.robot != robot.name or found != wanted:
         raise KinfeasError(
-            f"{place}: a policy for robot {trained.robot!r} with {found[0]} observed numbers and "
-            f"{found[1]} actions, but robot {robot.name!r} has {wanted[0]} and {wanted[1]}"
+            f"{place}: a policy for robot {trained.robot!r} with (inputs, actions) {found}, "
+            f"not for {robot.name!r} with {wanted}"
         )
     if trained.kinematics not in (None, fingerprint(robot)):
         raise KinfeasError(
-            f"{place}: the kinematics of robot {robot.name!r} are not those that the policy was "
-            "trained with: joints, limits, EE frame, or the base's drive or speed were changed"
+            f"{place}: trained with other kinematics of {robot.name!r}: joints, limits, EE frame, "
+            "or the base's drive or speed"
         )
 
 
 def _check_network(network: Network, place: Path) -> None:
     scale = network.scale
     if scale.ndim != 1 or scale.dtype != np.float32 or not np.isfinite(scale).all():
-        raise KinfeasError(
-            f"{place}: broken policy: its scale must be finite numbers of 32 bits in one row"
-        )
+        raise KinfeasError(f"{place}: broken policy: scale must be a row of finite float32")
     width = len(scale)
     for weight, bias in zip(network.weights, network.biases, strict=True):
         fits = weight.ndim == 2 and weight.shape == (width, *bias.shape)

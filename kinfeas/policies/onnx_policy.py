@@ -27,11 +27,8 @@ from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
 from kinfeas.robots.robot import Robot, fingerprint
 
-SCHEMA = 1
-"""Version of the metadata and of the graph."""
-
-PREFIX = "kinfeas."
-"""Start of the metadata keys."""
+SCHEMA, PREFIX = 1, "kinfeas."
+"""Version of the metadata and of the graph, and start of the metadata keys."""
 
 INPUT, OUTPUT, BATCH = "observation", "action", "batch"
 """Names of the graph's input and output, and of their first axis."""
@@ -48,15 +45,7 @@ _DIGEST_LENGTH = len(_DIGEST_ENTRY) + 65
 
 @dataclass(frozen=True)
 class RobotInfo:
-    """The robot that a policy controls.
-
-    Attributes:
-        name: Short name.
-        kinematics: Hash of the kinematics, from `robots.fingerprint`.
-        ee_frame: Link of the EE pose.
-        base_frame: Link of the base, the frame of the observation.
-        drive: `omnidirectional` or `differential`.
-    """
+    """The robot that a policy controls; `kinematics` is its fingerprint."""
 
     name: str
     kinematics: str
@@ -67,12 +56,7 @@ class RobotInfo:
 
 @dataclass(frozen=True)
 class Control:
-    """Timing of a policy.
-
-    Attributes:
-        period: Control period of the training in seconds; None if unknown.
-        horizon: Seconds from the desired to the planned EE pose in the observation.
-    """
+    """Control period of the training (None if unknown), and `observation.HORIZON`, seconds."""
 
     period: float | None
     horizon: float
@@ -173,11 +157,7 @@ class OnnxPolicy:
         return OnnxPolicy, (self._content,)
 
     def check_robot(self, robot: Robot) -> None:
-        """Check that the policy was trained for a robot with these kinematics.
-
-        Raises:
-            KinfeasError: If the robot, its kinematics, the observation or the action differ.
-        """
+        """Check that the policy was trained for a robot with these kinematics."""
         metadata, wanted = self.metadata, describe_robot(robot)
         found = metadata.robot
         if found.name != wanted.name:
@@ -188,24 +168,16 @@ class OnnxPolicy:
                 f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
             )
         observation = describe_observation(robot, self.observation_terms)
-        here = (wanted, observation, describe_action(robot), HORIZON)
-        there = (
-            found,
-            self.metadata.observation,
-            self.metadata.action,
-            self.metadata.control.horizon,
-        )
-        if here != there:
+        here = wanted, observation, describe_action(robot), HORIZON
+        if here != (found, metadata.observation, metadata.action, metadata.control.horizon):
             raise KinfeasError("its observation or action differs from this version's of kinfeas")
 
     def _check_sizes(self) -> None:
         ends = (*self._session.get_inputs(), *self._session.get_outputs())
         found = [(end.name, end.type, end.shape) for end in ends]
-        sizes = sum(term.size for term in self.metadata.observation), self._actions
-        wanted = [
-            (name, "tensor(float)", [BATCH, size])
-            for name, size in zip((INPUT, OUTPUT), sizes, strict=True)
-        ]
+        inputs = sum(term.size for term in self.metadata.observation)
+        sizes = {INPUT: inputs, OUTPUT: self._actions}
+        wanted = [(name, "tensor(float)", [BATCH, size]) for name, size in sizes.items()]
         if found != wanted:
             raise KinfeasError(f"its graph has {found}, its metadata describe {wanted}")
 
@@ -213,21 +185,14 @@ class OnnxPolicy:
         golden = self.metadata.golden
         deviation = np.abs(self(np.array(golden.observation)) - np.array(golden.action)).max()
         if not deviation <= TOLERANCE:
-            raise KinfeasError(
-                f"its golden pairs are off by {deviation:.2g}; {TOLERANCE:g} is allowed"
-            )
+            raise KinfeasError(f"its golden pairs are off by {deviation:.2g} > {TOLERANCE:g}")
 
 
 def read_policy_file(path: Path, robot: Robot | None) -> OnnxPolicy:
-    """Return the policy of a file written by `kinfeas export`.
-
-    Args:
-        path: The ONNX file.
-        robot: Robot that the policy is to control; None to only inspect the file.
+    """Return the policy of a file written by `kinfeas export`; without a robot, to inspect it.
 
     Raises:
-        KinfeasError: If the file is of another kind, truncated or changed, does not reproduce its
-            golden pairs, or is for another robot or other kinematics.
+        KinfeasError: As `OnnxPolicy`, or if the policy is for another robot or other kinematics.
     """
     content = read_file(path, MAX_BYTES)
     try:

@@ -1,8 +1,10 @@
 """Elements of URDF files: checked numbers and poses, mesh files, and writing poses back."""
 
 import math
+import os
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,14 +66,7 @@ class Element:
         default: tuple[float, ...] | None = None,
         limit: float = LARGEST,
     ) -> tuple[float, ...]:
-        """Return an attribute of `size` numbers.
-
-        Args:
-            attribute: Name of the attribute.
-            size: Count of numbers.
-            default: Value if the attribute is absent; by default that is an error.
-            limit: Largest allowed magnitude.
-        """
+        """Return an attribute of `size` numbers up to `limit` in magnitude, or the default."""
         if default is not None and self.xml.get(attribute) is None:
             return default
         text = self.text(attribute)
@@ -117,11 +112,7 @@ class Element:
 
 
 def read_xml(path: Path, tag: str) -> Element:
-    """Return the root element `tag` of an XML file without document types and entities.
-
-    Raises:
-        KinfeasError: If the file cannot be read, is larger than `MAX_BYTES` or is not such XML.
-    """
+    """Return the root element `tag` of an XML file without document types and entities."""
     return parse_xml(read_file(path, MAX_BYTES), tag, str(path))
 
 
@@ -162,14 +153,7 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
 
     Its `filename` is a path relative to the URDF, a `file://` address or `package://NAME/...`. A
     package is the nearest folder NAME above the URDF, or beside one of the folders above it.
-
-    Args:
-        mesh: The element.
-        folder: Absolute path of the URDF's folder.
-        formats: Allowed suffixes, such as `.stl`.
-
-    Raises:
-        KinfeasError: If the file is missing, cannot be read or has another format.
+    `folder` is the absolute path of the URDF's folder, `formats` are suffixes such as `.stl`.
     """
     name = mesh.text("filename")
     if not name.lower().endswith(tuple(formats)):
@@ -181,11 +165,8 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
         candidates = [folder / rest]
     else:
         raise mesh.error(f"{name!r} must be a path, or begin with file:// or package://")
-    try:
-        for path in candidates:
-            if path.is_file():
-                path.open("rb").close()
+    for path in candidates:
+        with suppress(OSError):  # such as a name that is too long
+            if path.is_file() and os.access(path, os.R_OK):
                 return path
-    except OSError as error:
-        raise mesh.error(f"{name!r} cannot be read: {error.strerror or error}") from error
     raise mesh.error(f"there is no {name!r}, from the folder {str(folder)!r}")

@@ -24,11 +24,9 @@ def load_robot(name_or_path: str) -> Robot:
             place of the YAML.
     """
     check_no_urdf(name_or_path)
-    path = (
-        name_or_path
-        if is_path(name_or_path)
-        else registry.build("kinfeas.robots", name_or_path, {})
-    )
+    if is_path(name_or_path):
+        return read_robot(Path(name_or_path))
+    path = registry.build("kinfeas.robots", name_or_path, {})
     if not isinstance(path, str | Path):
         raise KinfeasError(f"robot {name_or_path!r} must return the Path of its YAML, not {path!r}")
     return read_robot(Path(path))
@@ -45,11 +43,7 @@ def check_no_urdf(name_or_path: object) -> None:
 
 
 def read_robot(path: Path) -> Robot:
-    """Return the robot of a YAML file, whose keys are those of `spec.RobotSpec`.
-
-    Raises:
-        KinfeasError: If the YAML or its URDF is wrong, or they do not fit each other.
-    """
+    """Return the robot of a YAML file, whose keys are those of `spec.RobotSpec`."""
     spec = config.load(RobotSpec, path)
     urdf_path = path.parent / spec.urdf
     return build_robot(spec, parse_urdf(urdf_path), urdf_path, str(path))
@@ -58,14 +52,7 @@ def read_robot(path: Path) -> Robot:
 def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Robot:
     """Return the robot of a specification and its URDF.
 
-    Args:
-        spec: Content of the YAML file.
-        urdf: Content of the URDF.
-        urdf_path: File that physics engines load.
-        source: Name of the YAML file for errors.
-
-    Raises:
-        KinfeasError: If the two do not fit each other.
+    `urdf_path` is the file that physics engines load; errors begin with `source`.
     """
     _check_chain(spec, urdf, source)
     _check_followers(spec, urdf, source)

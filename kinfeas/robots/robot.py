@@ -120,29 +120,15 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
 
 
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
-    """Return the displacement of each joint, in (-pi, pi] for continuous joints.
-
-    Args:
-        robot: The robot.
-        before: Joint positions, shape (..., j), radians or metres.
-        after: Joint positions, shape (..., j).
-    """
+    """Return the displacement of each joint, (..., j), in (-pi, pi] for continuous joints."""
     return np.where(robot.continuous, spatial.wrap(after - before), after - before)
 
 
 def joint_jumps(robot: Robot, before: Array, after: Array, dt: float) -> NDArray[np.bool_]:
-    """Return whether a joint exceeds its velocity limit, shape (...).
-
-    Args:
-        robot: The robot.
-        before: Joint positions, shape (..., j), radians or metres.
-        after: Joint positions `dt` seconds later, shape (..., j).
-        dt: Seconds.
-    """
+    """Return whether a joint, shape (..., j), exceeds its velocity limit in `dt` seconds, (...)."""
     longest = robot.max_joint_velocity * dt * _ROUNDING
-    jumps: NDArray[np.bool_] = np.any(
-        np.abs(joint_displacement(robot, before, after)) > longest, axis=-1
-    )
+    way = np.abs(joint_displacement(robot, before, after))
+    jumps: NDArray[np.bool_] = np.any(way > longest, axis=-1)
     return jumps
 
 

@@ -207,17 +207,17 @@ def _descendants(on: Mapping[str, list[Joint]], link: str) -> list[str]:
 
 
 def parse_urdf(path: Path) -> Urdf:
-    """Return the links and joints of a URDF file.
-
-    Raises:
-        KinfeasError: If the file cannot be read, is not XML or no tree of supported joints, or
-            holds a number that is missing, not finite or out of its range.
-    """
+    """Return the links and joints of a URDF file."""
     return urdf_of(read_xml(path, "robot"))
 
 
 def urdf_of(robot: Element) -> Urdf:
-    """Return the links and joints of an element <robot>; errors as in `parse_urdf`."""
+    """Return the links and joints of an element <robot>.
+
+    Raises:
+        KinfeasError: If they are no tree of supported joints, or a number is missing, not finite or
+            out of its range.
+    """
     links = {name: _link(name, element) for name, element in _named(robot, "link")}
     joints = {name: _joint(name, element) for name, element in _named(robot, "joint")}
     urdf = Urdf(robot.text("name"), links, joints, _find_root(links, joints.values(), robot))
@@ -285,10 +285,8 @@ def read_moments(inertia: Element) -> Array:
     """Return the matrix of an <inertia>, shape (3, 3), kg m^2."""
     moments = np.zeros((3, 3))
     for name, (row, column) in MOMENTS.items():
-        diagonal = row == column
-        value = inertia.number(
-            name, None if diagonal else 0.0, _MAX_MOMENT, 0.0 if diagonal else -math.inf
-        )
+        default, minimum = (None, 0.0) if row == column else (0.0, -math.inf)
+        value = inertia.number(name, default, _MAX_MOMENT, minimum)
         moments[row, column] = moments[column, row] = value
     return moments
 
@@ -383,8 +381,5 @@ def _axis(joint: Element) -> tuple[float, float, float]:
 
 
 def _mimic(element: Element) -> Mimic:
-    scale, offset = (
-        element.number("multiplier", 1.0, FARTHEST),
-        element.number("offset", 0.0, FARTHEST),
-    )
-    return Mimic(element.text("joint"), scale, offset)
+    numbers = element.number("multiplier", 1.0, FARTHEST), element.number("offset", 0.0, FARTHEST)
+    return Mimic(element.text("joint"), *numbers)

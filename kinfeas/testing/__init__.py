@@ -54,14 +54,7 @@ def check_motion_generator(  # noqa: PLR0913 - keywords with defaults
 ) -> None:
     """Check that a generator fulfils the contract of `MotionGenerator`; takes about a second.
 
-    Args:
-        generator: The motion generator.
-        target_poses: World target poses, shape (m, 7), m >= 1; 8 random ones by default.
-        seed: Seed of the random poses and of the generator's random numbers.
-        duration: Time limit of each motion in seconds.
-        dt: Duration of a step in seconds.
-        max_velocity: Maximum speed, m/s; None for no limit.
-        max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
+    The other arguments are those of `Trial`.
 
     Raises:
         ConformanceError: At the first violation.
@@ -76,25 +69,18 @@ def examine(
     name: str = "",
     on_step: Callable[[], None] | None = None,
 ) -> list[Finding]:
-    """Return the result of each of `RULES`, in order.
+    """Return the result of each of `RULES`, in order; `on_step` is called after each step.
 
-    Args:
-        generator: The motion generator.
-        trial: Motions and limits of the test.
-        name: Name in messages; the class by default.
-        on_step: Called after each step of the trial.
+    Messages have the `name` of the generator, its class by default.
     """
     found: dict[str, str] = {}
-    subject = f"motion generator {name or type(generator).__name__}"
+    ended = False
     try:
         motion = CheckedMotion(generator, name, every_step=True)
-        probe = Probe(motion, trial or Trial(), found)
-        run_trial(probe, on_step)
+        run_trial(Probe(motion, trial or Trial(), found), on_step)
         ended = True
     except ConformanceError as error:
         found[error.rule] = str(error)
-        ended = False
     except PLUGIN_ERRORS as error:
-        found["form"] = describe(error, subject)
-        ended = False
+        found["form"] = describe(error, f"motion generator {name or type(generator).__name__}")
     return [Finding(rule, found.get(rule), ended or rule in found) for rule in RULES]

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 
 from kinfeas.core.checks import ConformanceError
-from kinfeas.core.policy import Policy, PolicyInput, RecurrentPolicy
+from kinfeas.core.policy import Policy, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.robot import Robot
@@ -20,10 +20,6 @@ def check_policy(policy: Policy, robot: Robot) -> None:
     Actions must be finite, in [-1, 1] and of shape (n, action size); no row may depend on the
     others; the inputs must stay as they are; a `reset` must make episodes repeatable; and a copy
     made by pickle, as worker processes get it, must act alike.
-
-    Args:
-        policy: Policy to check.
-        robot: Robot that it commands.
 
     Raises:
         ConformanceError: If a rule is broken.
@@ -55,7 +51,9 @@ def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
         before = {key: value.copy() for key, value in vars(given).items()}
         action = policy.act(given)
         _check_action(policy, action, (len(episodes), world.action_size))
-        _check_untouched(policy, given, before)
+        for key, values in before.items():
+            if not np.array_equal(values, getattr(given, key), equal_nan=True):
+                raise ConformanceError(f"{_name(policy)} writes into its input: {key}")
         actions.append(action.copy())
         world.step(action)
     return np.stack(actions)
@@ -67,12 +65,6 @@ def _check_action(policy: Policy, action: object, shape: tuple[int, int]) -> Non
         raise ConformanceError(f"{_name(policy)} must return shape {shape} from act, not {found}")
     if not (np.isfinite(action).all() and np.abs(action).max() <= 1.0):
         raise ConformanceError(f"{_name(policy)} must return finite numbers in [-1, 1] from act")
-
-
-def _check_untouched(policy: Policy, given: PolicyInput, before: dict[str, Array]) -> None:
-    for key, values in before.items():
-        if not np.array_equal(values, getattr(given, key), equal_nan=True):
-            raise ConformanceError(f"{_name(policy)} writes into its input: {key}")
 
 
 def _name(policy: Policy) -> str:

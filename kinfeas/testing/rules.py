@@ -82,11 +82,7 @@ class Probe:
 
 
 def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
-    """Run the trial of a generator.
-
-    Args:
-        probe: The generator and its trial.
-        on_step: Called after each step.
+    """Run the trial of a generator; `on_step` is called after each step.
 
     Raises:
         ConformanceError: At a severe violation, or the first one if `probe` records none.
@@ -142,14 +138,13 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
     step_state, step_pose = copy.deepcopy(state), ee_pose.copy()
     given, dt = targets.copy(), np.full(len(ee_pose), probe.trial.dt)
     twist, after = copy.deepcopy(probe.twist(state, ee_pose, given, dt))
-    kept = _close(state, step_state, 0.0)
-    probe.require(kept, "copies", "modifies the state passed to twist")
-    kept = np.array_equal(ee_pose, step_pose)
-    probe.require(kept, "copies", "modifies the ee_pose passed to twist")
-    kept = np.array_equal(given, targets)
-    probe.require(kept, "copies", "modifies the target_pose passed to twist")
-    kept = bool(np.all(dt == probe.trial.dt))
-    probe.require(kept, "copies", "modifies the dt passed to twist")
+    for name, kept in (
+        ("state", _close(state, step_state, 0.0)),
+        ("ee_pose", np.array_equal(ee_pose, step_pose)),
+        ("target_pose", np.array_equal(given, targets)),
+        ("dt", np.all(dt == probe.trial.dt)),
+    ):
+        probe.require(kept, "copies", f"modifies the {name} passed to twist")
     again, after_again = probe.twist(state, ee_pose, targets)
     same = np.array_equal(twist, again) and _close(after, after_again, 0.0)
     probe.require(
@@ -158,22 +153,18 @@ def _check_step(probe: Probe, state: State, ee_pose: Array, targets: Array) -> _
         "returns other values from an equal call of twist; the state must hold all that changes",
     )
     uneven = dt * np.resize([1.0, 0.5], len(dt))
-    mixed, after_mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
+    mixed = copy.deepcopy(probe.twist(state, ee_pose, targets, uneven))
     for row in _some(range(len(ee_pose))):
         one = slice(row, row + 1)
-        alone, after_alone = _alone(probe, state, ee_pose, targets, dt, one)
-        same = _near(alone, twist[one]) and _close(after_alone, _rows(after, one), _NEAR)
-        probe.require(same, "rows", "moves a motion differently alone and in a batch")
-        alone, after_alone = _alone(probe, state, ee_pose, targets, uneven, one)
-        same = _near(alone, mixed[one]) and _close(after_alone, _rows(after_mixed, one), _NEAR)
-        probe.require(same, "rows", "moves a motion differently if other rows have another dt")
+        for steps, (moved, later), broken in (
+            (dt, (twist, after), "moves a motion differently alone and in a batch"),
+            (uneven, mixed, "moves a motion differently if other rows have another dt"),
+        ):
+            arrays = [values[one].copy() for values in (ee_pose, targets, steps)]
+            alone, after_alone = probe.twist(_rows(state, one), *arrays)
+            same = _near(alone, moved[one]) and _close(after_alone, _rows(later, one), _NEAR)
+            probe.require(same, "rows", broken)
     return _Step(step_state, step_pose, twist)
-
-
-def _alone(
-    probe: Probe, state: State, ee_pose: Array, targets: Array, dt: Array, one: slice
-) -> tuple[Array, State]:
-    return probe.twist(_rows(state, one), ee_pose[one].copy(), targets[one].copy(), dt[one].copy())
 
 
 def _check_restart(probe: Probe, seen: list[_Step], targets: Array) -> None:

@@ -40,15 +40,11 @@ class Trial:
 
     def __post_init__(self) -> None:
         """Check times and count of steps."""
-        if not (0.0 < self.duration <= LONGEST and 0.0 < self.dt <= LONGEST):
-            raise KinfeasError(
-                f"duration and dt must be times in (0, {LONGEST:g}] s, "
-                f"not {self.duration:g} and {self.dt:g}"
-            )
+        for name, seconds in (("duration", self.duration), ("dt", self.dt)):
+            if not 0.0 < seconds <= LONGEST:
+                raise KinfeasError(f"{name} must be in (0, {LONGEST:g}] s, not {seconds:g}")
         if self.steps > _MOST_STEPS:
-            raise KinfeasError(
-                f"duration / dt must be at most {_MOST_STEPS:,} steps, not {self.steps:,}"
-            )
+            raise KinfeasError(f"duration / dt must be at most {_MOST_STEPS:,} steps")
 
     @property
     def steps(self) -> int:
@@ -61,9 +57,6 @@ class Trial:
         One motion to each target from a random pose up to 2 m away, and four special ones: from the
         target itself, half a turn on the spot, a path without rotation, a rotation almost on the
         spot.
-
-        Raises:
-            KinfeasError: If `target_poses` has a wrong shape or invalid poses.
         """
         rng = np.random.default_rng(self.seed)
         given = self.target_poses
@@ -72,7 +65,14 @@ class Trial:
             raise KinfeasError(f"target_poses must have shape (m, 7), m >= 1, not {targets.shape}")
         if not (np.isfinite(targets).all() and are_unit(targets)):
             raise KinfeasError("target_poses must be finite, with unit quaternions (xyzw)")
-        return _trials(rng, targets)
+        starts = _random_poses(rng, len(targets))
+        starts[:, :3] = targets[:, :3] + rng.uniform(-1.15, 1.15, (len(targets), 3))
+        ends = np.resize(targets, (4, 7))
+        position, orientation = ends[:, :3], Rotation.from_quat(ends[:, 3:])
+        away = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.6], [1e-7, 0.0, 0.0]])
+        turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi], [0.0, 0.0, 0.0], [0.0, 2.5, 0.0]])
+        special = make_pose(position + away, Rotation.from_rotvec(turn) * orientation)
+        return np.concatenate([starts, special]), np.concatenate([targets, ends])
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,18 +117,6 @@ def describe(error: BaseException, subject: str) -> str:
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
     return f"{subject} raises {type(error).__name__}: {error} ({place})"
-
-
-def _trials(rng: np.random.Generator, targets: Array) -> tuple[Array, Array]:
-    """Return starts and targets of shape (m + 4, 7): random motions, then the special ones."""
-    starts = _random_poses(rng, len(targets))
-    starts[:, :3] = targets[:, :3] + rng.uniform(-1.15, 1.15, (len(targets), 3))
-    ends = np.resize(targets, (4, 7))
-    position, orientation = ends[:, :3], Rotation.from_quat(ends[:, 3:])
-    away = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.6], [1e-7, 0.0, 0.0]])
-    turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi], [0.0, 0.0, 0.0], [0.0, 2.5, 0.0]])
-    special = make_pose(position + away, Rotation.from_rotvec(turn) * orientation)
-    return np.concatenate([starts, special]), np.concatenate([targets, ends])
 
 
 def _random_poses(rng: np.random.Generator, n: int) -> Array:

@@ -14,9 +14,5 @@ GROUP = "kinfeas.filters"
 
 
 def build_filters(specs: Sequence[PluginSpec]) -> list[CommandFilter]:
-    """Return the filters of a list, each built with its parameters.
-
-    Raises:
-        KinfeasError: If there is no such filter, or a parameter is invalid.
-    """
+    """Return the filters of a list, each built with its parameters."""
     return [registry.build(GROUP, spec.name, spec.parameters) for spec in specs]

@@ -49,13 +49,10 @@ class FeasibilityFilter:
     def _replace(
         self, command: Array, late: NDArray[np.intp], inputs: tuple[Array, ...], rows: Any
     ) -> None:
-        """Put the nearest feasible candidates into `command`.
+        """Put the nearest feasible candidates into the commands of all robots, shape (n, a).
 
-        Args:
-            command: Commands of all robots, shape (n, a).
-            late: Robots with infeasible commands, shape (m,).
-            inputs: Their base poses, desired poses and arm joints.
-            rows: Indices into these m of the robots that may get another command.
+        `late` are the m robots with infeasible commands, with their base poses, desired poses and
+        arm joints as `inputs`; `rows` are indices into these m of those that may get another one.
         """
         constraints = self._loop.velocity_constraints
         away = np.linalg.norm(self.candidates - command[late[rows], np.newaxis], axis=2)

@@ -79,11 +79,7 @@ class ObstacleFilter:
         self.min_distance = min_distance
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Use the backend and the base of a loop; arguments as in `CommandFilter`.
-
-        Raises:
-            KinfeasError: If the backend does not measure distances to obstacles.
-        """
+        """Use the backend and the base of a loop; arguments as in `CommandFilter`."""
         self._loop, base = loop, loop.robot.base
         *_, self._innermost = chain(loop.backend)
         if not isinstance(loop.backend, SupportsObstacleDistances):
@@ -109,9 +105,6 @@ class ObstacleFilter:
 
         Half of the braking that the base is capable of suffices, and a control period uses at most
         half of the remaining distance.
-
-        Raises:
-            KinfeasError: If the backend fails or returns something else.
         """
         with plugin_note(f"backend {type(self._innermost).__name__}"):
             found: Any = self._loop.backend.obstacle_distances(self._range)

@@ -65,11 +65,7 @@ class RolloutPlanner:
     _loop: Any = field(default=None, init=False, repr=False)
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
-        """Plan for the motions of a loop; arguments as in `CommandFilter`.
-
-        Raises:
-            KinfeasError: If the loop has no policy, or one with a state of its own.
-        """
+        """Plan for the motions of a loop; arguments as in `CommandFilter`."""
         if loop.policy is None or isinstance(loop.policy, RecurrentPolicy):
             raise KinfeasError("the filter rollout_planner needs a policy without a state")
         if loop is not self._loop:

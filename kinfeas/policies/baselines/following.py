@@ -23,9 +23,7 @@ _THERE = 0.05
 
 @dataclass(frozen=True)
 class FollowEe:
-    """Copies the planar velocity of the EE, without rotation.
-
-    The velocity is the mean over `HORIZON` seconds at any control period.
+    """Copies the planar velocity of the EE, its mean over `HORIZON` seconds, without rotation.
 
     Attributes:
         base: Drive and velocity limits.
@@ -55,11 +53,7 @@ def follow_ee_feedback(robot: Robot) -> FollowEe:
 
 @dataclass(frozen=True)
 class BaselineConfig:
-    """Settings of the baselines for a robot.
-
-    Attributes:
-        forward_shift: Distance, metres, by which the robot's base is ahead of the demonstrator's.
-    """
+    """Settings for a robot: metres by which its base is ahead of the demonstrator's."""
 
     forward_shift: float = 0.0
 

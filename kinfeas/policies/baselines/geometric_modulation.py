@@ -35,7 +35,6 @@ _AHEAD = 0.6
 
 _TINY = 1e-6
 
-
 CONE = 0.7
 """Half angle about the preferred bearing for which the ellipses are fitted, radians."""
 
@@ -81,12 +80,7 @@ class ReachEllipses:
 
 
 def approach(robot: Robot, ee_pose: Array) -> tuple[Array, Array]:
-    """Return pitch and azimuth of the approach axis, each of shape (n,), radians.
-
-    Args:
-        robot: Robot that defines the approach axis.
-        ee_pose: Shape (n, 7).
-    """
+    """Return pitch and azimuth, (n,) each, radians, of a robot's approach axis at poses (n, 7)."""
     axis = Rotation.from_quat(robot.gripper_rotation).inv().apply([1.0, 0.0, 0.0])
     axis = rotation(ee_pose).apply(axis)
     return np.arcsin(np.clip(axis[:, 2], -1.0, 1.0)), np.arctan2(axis[:, 1], axis[:, 0])
@@ -99,9 +93,6 @@ def fit_ellipses(robot: Robot) -> ReachEllipses:
     cell of the grid takes the targets near it and near that bearing; the outer ellipse has the
     centre and the proportions of the places from which it reaches most of them, and both are of
     the size at which they hold the most such places and the fewest others.
-
-    Raises:
-        KinfeasError: If the robot has no goal heights for `ggr`, or does not reach any of them.
     """
     low, high = _heights(robot)
     solver = IkSolver(robot, IkOptions(candidates=1, restarts=8))
@@ -236,10 +227,6 @@ class GeometricModulation:
     also closes the arm's error. An omnidirectional base copies the modulated velocity and turns
     freely. A differential one moves as if the velocity were that of a point ahead of it, and turns
     for the bearing besides.
-
-    Attributes:
-        robot: Robot that moves.
-        ellipses: Preferred places of its base.
     """
 
     robot: Robot

@@ -29,10 +29,7 @@ _POSTURE_COST, _POSTURE_GAIN = 0.3, 0.05
 _BASE_COST, _TURN_COST = 0.3, 0.1
 """Weights of base motion, per metre and radian."""
 
-_DAMPING = 1e-6
-"""Damping of all joints."""
-
-_SOLVER = "daqp"
+_DAMPING, _SOLVER = 1e-6, "daqp"
 
 
 @dataclass(frozen=True)
@@ -43,9 +40,6 @@ class WholeBodyQp:
     the middle of their ranges and move the base little, within position and velocity limits. The
     arm part of the solution is not used: the loop's IK places the arm, as for every policy. Without
     a solution the base rests.
-
-    Attributes:
-        robot: Robot that moves.
     """
 
     robot: Robot
@@ -69,11 +63,7 @@ class WholeBodyQp:
 
 
 def whole_body_qp(robot: Robot) -> WholeBodyQp:
-    """Return the policy for a robot.
-
-    Raises:
-        KinfeasError: If the libraries are missing, or a joint of the arm follows another one.
-    """
+    """Return the policy for a robot."""
     missing = [name for name in ("pinocchio", "pink", "qpsolvers", _SOLVER) if not find_spec(name)]
     if missing:
         raise KinfeasError(f'whole_body_qp needs {", ".join(missing)}: pip install "kinfeas[qp]"')
@@ -118,7 +108,7 @@ def _bounds(velocity: float, lower: float, upper: float) -> list[Array]:
 
 
 def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
-    """Return what makes an action of the planned EE pose in the base frame and the arm's joints."""
+    """Return a function from planned EE pose in the base frame, and joints, to the action."""
     import pinocchio as pin
     from pink import Configuration, solve_ik
     from pink.exceptions import NoSolutionFound

@@ -19,11 +19,7 @@ def robots(root: Path | None = None) -> list[str]:
 
 
 def find(robot: str, root: Path | None = None) -> Path:
-    """Return the folder of a robot's shipped policy, or of one below `root`.
-
-    Raises:
-        KinfeasError: If there is none for this robot.
-    """
+    """Return the folder of a robot's shipped policy, or of one below `root`."""
     known = robots(root)
     if robot not in known:
         raise KinfeasError(
