@@ -38,15 +38,10 @@ OPSET, IR_VERSION = 14, 7
 
 
 def export(folder: Path, robot: Robot, out: Path) -> tuple[OnnxPolicy, float]:
-    """Write the policy of a training run as an ONNX file and return it as read back.
-
-    Args:
-        folder: `runs/NAME`, whose best checkpoint is taken, or one checkpoint.
-        robot: Robot that it was trained for.
-        out: The file; it is complete or not written.
+    """Write the policy of a run `runs/NAME` or of a checkpoint as an ONNX file.
 
     Returns:
-        The policy, and the largest difference of its actions from the training policy's.
+        The policy as read back, and the largest difference of its actions from the trained one's.
 
     Raises:
         KinfeasError: If there is no policy for this robot, the file cannot be written, or the

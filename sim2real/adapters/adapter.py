@@ -33,10 +33,6 @@ class Range:
     low: float
     high: float
 
-    def draw(self, shares: Array) -> Array:
-        """Return the numbers at `shares`, 0-1, of the interval; same shape."""
-        return self.low + (self.high - self.low) * shares
-
 
 def read_range(name: str, value: object, within: Interval) -> Range:
     """Return the range of a parameter; a number gives an empty range.
@@ -92,9 +88,6 @@ class Adapter(BackendWrapper):
             robot: The robot.
             numbers: Parameters by name: a number, or a range to draw each episode's number from.
             within: Interval of allowed numbers; [0, 10,000] by default.
-
-        Raises:
-            ValueError: If a number is not allowed.
         """
         self.backend, self.robot, self.memory = backend, robot, Memory()
         self.continuous = robot.continuous
@@ -229,7 +222,10 @@ class Adapter(BackendWrapper):
         """Draw the parameters of all episodes; those of running episodes do not change."""
         shares = random_numbers.per_episode(self._seeds + self._salt, len(self.ranges))
         each = zip(self.ranges.items(), shares.T, strict=True)
-        self._values = {name: one.draw(share[:, np.newaxis]) for (name, one), share in each}
+        self._values = {
+            name: one.low + (one.high - one.low) * share[:, np.newaxis]
+            for (name, one), share in each
+        }
 
     def turned(self, start: Array, end: Array) -> Array:
         """Return joint differences, shape (..., j), wrapped to (-pi, pi] if continuous."""

@@ -176,15 +176,9 @@ def slots_for(seconds: float, dt: float) -> int:
 
 
 def active_shares(arrivals: Array, now: Array, dt: float) -> Array:
-    """Return the share of the next `dt` seconds during which each command is active.
+    """Return the share of the next `dt` seconds during which each command is active, shape (n, s).
 
-    Args:
-        arrivals: Arrival times in seconds, in the order of sending, shape (n, s).
-        now: Time of each row in seconds, shape (n,).
-        dt: Control period in seconds.
-
-    Returns:
-        Shares, shape (n, s); the sum of each row is 1.
+    Arrivals are in seconds and in the order of sending, shape (n, s); `now` has shape (n,).
     """
     steps = np.round((arrivals - now[:, np.newaxis]) / dt / _PERIOD_TOLERANCE)
     begins = np.clip(steps * _PERIOD_TOLERANCE, 0.0, 1.0)
@@ -194,12 +188,9 @@ def active_shares(arrivals: Array, now: Array, dt: float) -> Array:
 
 
 def mixed(buffer: Array, shares: Array, turning: NDArray[np.bool_]) -> Array:
-    """Return weighted means of buffers, shape (n, s, w) -> (n, w).
+    """Return means of buffers, shape (n, s, w) -> (n, w), weighted by shares, shape (n, s).
 
-    Args:
-        buffer: Commands; a weight of 1 returns its command bit for bit.
-        shares: Weights, shape (n, s); the sum of each row is 1.
-        turning: Whether each of the w numbers is the angle of a continuous joint, shape (w,).
+    A weight of 1 returns its command bit for bit. `turning`, shape (w,), marks continuous joints.
     """
     means = np.empty((len(buffer), buffer.shape[2]))
     _mix(buffer, shares, turning, means)
@@ -207,15 +198,10 @@ def mixed(buffer: Array, shares: Array, turning: NDArray[np.bool_]) -> Array:
 
 
 def bracket(times: Array, moment: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the measurements around a moment.
+    """Return the index of the measurement before a moment, and the share of the way to the next.
 
-    Args:
-        times: Times of measurements in seconds, ascending, shape (n, s); -inf before an episode.
-        moment: Seconds, shape (n,).
-
-    Returns:
-        Index of the measurement before, shape (n,), and the share of the way to the next one, in
-        [0, 1), shape (n,).
+    Times are in seconds and ascending, shape (n, s), and -inf before an episode; moments and
+    results have shape (n,).
     """
     index, share = np.empty(len(times), dtype=np.intp), np.empty(len(times))
     _find(times, moment, _TIME_TOLERANCE, index, share)

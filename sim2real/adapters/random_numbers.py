@@ -19,12 +19,7 @@ _SPREAD, _MASK = 0x9FB21C651E98DF25, 2**64 - 1
 
 
 def salt(name: str, number: int) -> np.uint64:
-    """Return an offset of seeds that separates random streams.
-
-    Args:
-        name: Name of the stream.
-        number: Number of streams of the same name before it.
-    """
+    """Return an offset of seeds that separates streams by name and by number within a name."""
     return np.uint64((zlib.crc32(name.encode()) * _SPREAD + number) & _MASK)
 
 

@@ -64,7 +64,7 @@ def make_goal_task(
         position: World position of the EE, metres.
         orientation: Roll, pitch and yaw about the world's axes in radians, or a quaternion xyzw;
             None for the orientation at the start.
-        motion: Motion generator.
+        motion: Specification of the motion generator.
 
     Raises:
         KinfeasError: If a number is not finite or too large, or the quaternion has no unit norm.
@@ -87,14 +87,7 @@ def make_goal_task(
 def begin(
     task: Task, solver: IkSolver, rng: np.random.Generator, measured: RobotState | None
 ) -> Start:
-    """Return the start of a run, with leading axes of one.
-
-    Args:
-        task: Task.
-        solver: IK solver of the robot.
-        rng: Random numbers of the task.
-        measured: State of a real robot; None if the task sets the start.
-    """
+    """Return the start of a run, with leading axes of one, at the state of a real robot if any."""
     start = sample_start(task, solver, rng)
     if measured is not None:
         base, joints = measured.base_pose[0], measured.joint_positions[0]

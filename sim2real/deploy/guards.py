@@ -130,7 +130,7 @@ class SafetyFilter(_Wrapper):
         base_twist: Last world twist that was sent, shape (1, 6).
         joint_targets: Last joint targets that were sent, shape (1, j).
         hold: Reason why the arm held its position in the last step; empty otherwise.
-        stopped: Whether nothing is sent any more, as before the first reset.
+        stopped: Whether nothing is sent, as before the first reset.
         steps: Number of commands sent.
     """
 
@@ -161,8 +161,7 @@ class SafetyFilter(_Wrapper):
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Send a command within the limits; shapes as in `Backend`.
 
-        Raises:
-            Fault: If the command is not finite or too old, or the robot was stopped.
+        Invalid or old commands, and any after a stop, raise Fault.
         """
         self._check_running()
         _check_array("the base command", base_twist, (1, 6))
@@ -256,18 +255,10 @@ class Guarded(_Wrapper):
         rate: Rate | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """Put guards around a backend.
+        """Put guards around the backend of one robot.
 
-        Args:
-            backend: Backend of one robot.
-            robot: Robot model.
-            guards: Limits; the defaults if None.
-            adapters: Adapters of a rehearsal, the first one next to the backend.
-            rate: Ends the control periods of a simulated world; None if the robot does.
-            clock: Clocks; the system's by default.
-
-        Raises:
-            KinfeasError: If an adapter is unknown, or a parameter of it.
+        Adapters of a rehearsal come between, the first one next to the backend. `rate` ends the
+        control periods of a simulated world.
         """
         self.guards, clock = guards or Guards(), clock or Clock()
         self.commands = SafetyFilter(backend, robot, self.guards, clock)
@@ -282,11 +273,7 @@ class Guarded(_Wrapper):
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Start a run; shapes as in `Backend`.
-
-        Raises:
-            KinfeasError: If the backend fails or its state exceeds a limit.
-        """
+        """Start a run; shapes as in `Backend`. Raises KinfeasError if a limit is exceeded."""
         with plugin_note(self._name):
             self.state = self.backend.reset(base_pose, joint_positions, env_ids)
         if self._rate is not None:
@@ -305,11 +292,7 @@ class Guarded(_Wrapper):
         return state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Carry out a command for `dt` seconds; shapes as in `Backend`.
-
-        Raises:
-            Fault: If a limit is exceeded; the robot is stopped before.
-        """
+        """Execute a command; shapes as in `Backend`. Before any error the robot is stopped."""
         steps, passed = self.commands.steps, False
         try:
             state = self.backend.step(base_twist, joint_targets, dt)
@@ -325,11 +308,7 @@ class Guarded(_Wrapper):
         return state
 
     def count(self, *, feasible: bool) -> None:
-        """Count control periods in a row with the arm on hold or without an IK solution.
-
-        Raises:
-            Fault: If there were too many; the robot is stopped before.
-        """
+        """Stop and raise Fault after too many periods in a row on hold or without IK solution."""
         hold, most = self.commands.hold, self.guards.max_consecutive_ik_failures
         self._failures = 0 if feasible and not hold else self._failures + 1
         if self._failures > most:
@@ -357,14 +336,10 @@ class Guarded(_Wrapper):
 def limited_velocity(
     robot: Robot, guards: Guards, wanted: Array, before: Array, dt: float
 ) -> Array:
-    """Return the velocity nearest to the wanted one within the limits of robot and guards.
+    """Return the velocity nearest to the wanted one, `dt` seconds after another one.
 
-    Args:
-        robot: Robot model.
-        guards: Limits, which are never above the robot's own.
-        wanted: Forward, left and rotation, shape (3,), m/s and rad/s.
-        before: Velocity before it, shape (3,).
-        dt: Seconds between the two.
+    Velocities are forward, left and rotation, shape (3,), m/s and rad/s. The limits of the guards
+    are never above the robot's own.
     """
     base = robot.base
     linear = min(base.max_velocity, guards.max_linear_velocity or np.inf)

@@ -34,11 +34,7 @@ _WARM_UP_WAY = np.array([0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # m, from the EE t
 def preflight(loop: Loop, start: Start, rng: np.random.Generator, guards: Guards) -> str:
     """Return a warning if the EE is planned to outrun the base, or an empty string.
 
-    Args:
-        loop: Loop before its start.
-        start: Start of the run, with leading axes of one.
-        rng: Random numbers of the run; none is drawn.
-        guards: Limits.
+    The loop has not started; `start` has leading axes of one; `rng` is not advanced.
 
     Raises:
         KinfeasError: If no base pose is found from which the arm reaches the end of a sub-goal.
@@ -116,10 +112,7 @@ def _each_subgoal(sequence: MotionSequence) -> Iterator[int]:
 
 
 def _check_reach(solver: IkSolver, goals: Array) -> None:
-    """Check that base poses are found from which the arm reaches `goals`, shape (n, 7).
-
-    The tolerances are those of a reached goal.
-    """
+    """Raise KinfeasError for the first of the goals, shape (n, 7), that the arm cannot reach."""
     near = replace(
         solver.options,
         pose_tolerance=False,

@@ -59,15 +59,7 @@ class Rate:
     """
 
     def __init__(self, dt: float, clock: Clock | None = None) -> None:
-        """Start at the first `wait` or `tick`.
-
-        Args:
-            dt: Control period in seconds.
-            clock: The system's clocks by default.
-
-        Raises:
-            KinfeasError: If `dt` is not above 0 and finite.
-        """
+        """Start at the first `wait` or `tick`; periods take `dt` seconds of the system's clock."""
         if not 0.0 < dt < math.inf:
             raise KinfeasError(f"the control period must be above 0 s and finite, not {dt}")
         self.dt, self._clock = dt, clock or Clock()

@@ -96,15 +96,15 @@ class Setup:
 
     Attributes:
         solver: IK solver of the robot.
-        policy: Commands the base.
+        policy: Policy of the base.
         task: Motion and targets.
-        backend: Moves the robot.
+        backend: Robot or simulated world.
         dt: Control period in seconds.
         adapters: Adapters around the backend, the first one innermost.
         seconds: Longest duration.
         seed: Seed of all random numbers.
         execution: Execution of EE motions, before adapters change it.
-        filters: Command filters, in this order.
+        filters: Command filters in order.
         guards: Limits; those of time do not apply to a world without a clock.
         real_time: Whether a simulated world waits for the clock.
         clock: Clocks.
@@ -137,10 +137,9 @@ class Setup:
 
 
 def deploy(setup: Setup, recorder: Recorder) -> Outcome:
-    """Run a policy and return the result; the base is commanded to zero at the end in any case.
+    """Run a policy and return the result; raise KinfeasError if the run cannot start.
 
-    Raises:
-        KinfeasError: If the run cannot start.
+    The base is commanded to zero at the end in any case.
     """
     run = _Run(setup, recorder)
     with ExitStack() as stack:

@@ -66,15 +66,10 @@ class Watchdog:
     """The watchdog from the side of the run; a context."""
 
     def __init__(self, stop: StopCall, seconds: float) -> None:
-        """Start the process and wait until it can stop the base.
+        """Start the process and wait until it can stop the base; raise KinfeasError if it cannot.
 
-        Args:
-            stop: Call that stops the base.
-            seconds: Time without a heartbeat after which the base is stopped, and without an answer
-                after which `beat` reports the watchdog as lost.
-
-        Raises:
-            KinfeasError: If the process cannot connect to the robot.
+        After `seconds` without a heartbeat it stops the base; after as many without an answer
+        `beat` reports it as lost.
         """
         order = json.dumps({"stop": asdict(stop), "seconds": seconds})
         # In a session of its own, since Ctrl-C is sent to all processes of a terminal's group.

@@ -53,9 +53,6 @@ class LinkBackend:
             timeout: Seconds that `reset` waits for the first measurements.
             drift: Fraction by which the robot's clock may be slower than ours, from 0 to 1.
             clock: The system's clocks by default.
-
-        Raises:
-            KinfeasError: If a number is out of range or a name unknown.
         """
         for name, value in (("seconds", seconds), ("timeout", timeout)):
             if not 0.0 < value < math.inf:
@@ -77,8 +74,8 @@ class LinkBackend:
         """Connect, wait for measurements and return the current state; nothing is moved.
 
         Raises:
-            KinfeasError: If a source or receiver is missing, which it names, or a joint outside the
-                arm deviates from the kinematic model.
+            KinfeasError: If a source or receiver is missing, or a joint outside the arm deviates
+                from the kinematic model.
         """
         self._inbox.forget()
         if not self._opened:
@@ -94,11 +91,7 @@ class LinkBackend:
         return self.read()
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
-        """Send a command, wait for the end of the control period and return the newest state.
-
-        Raises:
-            Fault: If the link is broken or measurements cannot be used.
-        """
+        """Send a command, wait for the end of the control period and `read` the newest state."""
         if self.rate is None or self.rate.dt != dt:
             self.rate = Rate(dt, self._clock)
             self.rate.wait()
@@ -112,11 +105,7 @@ class LinkBackend:
         return self.read()
 
     def read(self) -> RobotState:
-        """Return the newest state, with its age.
-
-        Raises:
-            Fault: If the link is broken or measurements cannot be used.
-        """
+        """Return the newest state; raise Fault if the link is broken or the sensors have failed."""
         self.link.check()
         if self._inbox.fault is not None:
             raise Fault(self._inbox.fault)
@@ -197,15 +186,7 @@ class LinkBackend:
 
 
 def robot_names(robot: Robot, names: dict[str, str]) -> dict[str, str]:
-    """Return the robot's own name of each arm joint, in order.
-
-    Args:
-        robot: Robot with the arm.
-        names: The names that differ from the URDF.
-
-    Raises:
-        KinfeasError: If one of them is not of an arm joint.
-    """
+    """Return the robot's own name of each arm joint; `names` holds those other than in the URDF."""
     known = [joint.name for joint in robot.arm]
     for name in names:
         if name not in known:

@@ -52,9 +52,6 @@ class RosBackend(LinkBackend):
             timeout: Seconds that `reset` waits for the first measurements.
             drift: Fraction by which the robot's clock may be slower than ours: 0.9 for a simulator
                 at a tenth of real time.
-
-        Raises:
-            KinfeasError: If the file is invalid, a number out of range or a library missing.
         """
         self.topics = read_topics(robot, self.version, topics)
         link = RosLink(self.topics, make_bus(self.version), drift)

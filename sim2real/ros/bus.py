@@ -102,19 +102,15 @@ def make_bus(version: Version) -> RosBus:
 def stop_base(
     version: Version, topic: str, *, stamped: bool = False, timeout: float = 10.0
 ) -> Callable[[], None]:
-    """Return a function that commands zero velocity over a connection of its own.
+    """Return a function that commands zero velocity, or raises Fault, over its own connection.
 
-    The connection is from process to process and does not need the master of ROS 1. The function
-    raises Fault if nothing can be sent any more.
+    The connection is from process to process and does not need the master of ROS 1.
 
     Args:
         version: Version of ROS.
-        topic: Topic of geometry_msgs/Twist.
-        stamped: Whether it is of geometry_msgs/TwistStamped.
-        timeout: Seconds to wait for a subscriber.
-
-    Raises:
-        KinfeasError: If there is no ROS or no subscriber.
+        topic: Topic of geometry_msgs/Twist, or TwistStamped if `stamped`.
+        stamped: Whether commands have a stamp.
+        timeout: Seconds to wait for a subscriber, before a KinfeasError.
     """
     bus = make_bus(version)
     bus.open("kinfeas_watchdog")

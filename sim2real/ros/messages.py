@@ -25,12 +25,9 @@ def fill_twist(message: Any, velocity: Array) -> None:
 
 
 def drive_command(messages: Messages, velocity: Array, stamp: float | None) -> Any:
-    """Return a geometry_msgs/Twist, or a TwistStamped.
+    """Return a geometry_msgs/Twist, or a TwistStamped for a `stamp` in seconds.
 
-    Args:
-        messages: Message classes.
-        velocity: Velocity in the base frame, shape (3,), m/s and rad/s.
-        stamp: Seconds of the system's clock for a TwistStamped, None for a Twist.
+    The velocity is forward, left and rotation, shape (3,), m/s and rad/s.
     """
     if stamp is None:
         message = messages.Twist()
@@ -134,14 +131,7 @@ class TfTree:
         drift: float = DRIFT,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start without transforms.
-
-        Args:
-            world: Name of the world frame.
-            base: Name of the frame whose pose is measured.
-            drift: Fraction by which the robot's clock may be slower than ours.
-            now: Clock in seconds.
-        """
+        """Start without transforms; `world` and `base` are names of frames."""
         self._world, self._base, self._now = world.lstrip("/"), base.lstrip("/"), now
         self._edges: dict[str, tuple[str, Array, float, float]] = {}  # parent, pose, stamp, sent
         self._delays: defaultdict[str, TransportDelay] = defaultdict(partial(TransportDelay, drift))

@@ -115,13 +115,10 @@ def ros1_message_classes() -> Messages:
 
 
 def ros(module: str) -> Any:
-    """Return a module of ROS 1, such as `rospy` or `geometry_msgs.msg`.
+    """Return a module of ROS 1, such as `rospy`; raise KinfeasError if it is not installed.
 
     It is searched on the path, then among the system's packages, which come last on the path so
     that they replace none of ours.
-
-    Raises:
-        KinfeasError: If it is not installed.
     """
     try:
         return import_module(module)
@@ -138,11 +135,7 @@ def ros(module: str) -> Any:
 
 
 def start_node(name: str) -> None:
-    """Make this process a node whose name begins with `name`, unless it is one already.
-
-    Raises:
-        KinfeasError: If ROS 1 is not installed or there is no master.
-    """
+    """Make this process a node; raise KinfeasError without ROS 1 or a master."""
     rospy = ros("rospy")
     with _lock:
         if rospy.core.is_initialized():

@@ -173,13 +173,7 @@ def ros2_message_classes() -> Messages:
 
 
 def _message(name: str, methods: dict[str, Any] | None = None, /, **members: Any) -> Any:
-    """Return the class of a message, such as `std_msgs/Header`.
-
-    Args:
-        name: Package and name.
-        methods: Its methods.
-        members: Its fields: messages, or pairs of a type and a default factory.
-    """
+    """Return the class of a message; fields are messages, or pairs of a type and a factory."""
     package, short = name.split("/")
     pairs = {key: one if isinstance(one, tuple) else (one, one) for key, one in members.items()}
     space: dict[str, Any] = {key: field(default_factory=new) for key, (_, new) in pairs.items()}

@@ -100,17 +100,11 @@ def read_topics(
     name: str | None = None,
     option: str = "--set backend.topics=FILE",
 ) -> Topics:
-    """Return the names of a robot.
-
-    Args:
-        robot: Robot with the arm that the controllers move.
-        version: Version of ROS.
-        name: Path of a YAML file, or name of a shipped one; the robot's own by default.
-        option: Option that names a file, for errors.
+    """Return the topics in a YAML file, given by path or shipped name, by default the robot's.
 
     Raises:
         KinfeasError: If the file is missing or invalid, or its controllers do not have each joint
-            of the arm once.
+            of the arm once; the message names the `option` for a file.
     """
     path = _find(robot.name if name is None else name, version, option)
     topics = config.load(Topics, path)

@@ -166,14 +166,8 @@ def simulate(
 ) -> SimulationResult:
     """Run a simulated robot for its duration or until Ctrl-C; return the statistics.
 
-    Args:
-        robot: Simulated robot.
-        link: Its end of a transport, which is opened and closed.
-        on_ready: Called once it receives commands.
-
-    Raises:
-        KinfeasError: If there is no bus, or, after 2 s that let deployments notice it, if the bus
-            has broken.
+    The link is opened and closed; `on_ready` is called once it receives commands. If the bus breaks
+    the robot goes on for 2 s, so that deployments notice it, and an error is raised.
     """
     link.open(robot.orders())
     config, clock = robot.config, robot.clock
@@ -204,16 +198,7 @@ def simulate(
 
 
 def robot_link(backend: str, robot: Robot, topics: str | None = None) -> RobotLink:
-    """Return the robot's end of the transport of a backend.
-
-    Args:
-        backend: Entry-point name in the group kinfeas.backends.
-        robot: Simulated robot.
-        topics: Name or path of the file with the names on the bus; the robot's by default.
-
-    Raises:
-        KinfeasError: If the backend is unknown or has no transport, or the names are invalid.
-    """
+    """Return the robot's end of the transport of a backend; `topics` as in `Hosted`."""
     kind = registry.load("kinfeas.backends", backend)
     if not isinstance(kind, Hosted):
         raise KinfeasError(f"backend {backend!r} has no transport for a simulated robot")
@@ -229,19 +214,10 @@ def spawn(
     episode: int = 0,
     gui: bool = False,
 ) -> tuple[PyBulletBackend, RobotState]:
-    """Return a world and the robot's state in it: at the origin, or as an episode of a task begins.
+    """Return a world and the robot's state in it.
 
-    Args:
-        robot: Robot model.
-        task: Task, with a scene of its own.
-        scene: Scene without a task; an empty floor by default.
-        seed: Seed of the task's episodes.
-        episode: Number of the episode.
-        gui: Whether to show a window.
-
-    Raises:
-        KinfeasError: If PyBullet is not installed, the scene is unknown or invalid, or an object
-            stands at the origin.
+    The robot starts as in an episode of the task, or without a task at the origin of a scene, by
+    default an empty floor; an object there raises KinfeasError.
     """
     around = read_scene(scene) if scene is not None else None
     parameters = evaluation_world("pybullet", robot.name).backend_parameters
@@ -254,14 +230,6 @@ def spawn(
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
     simulation = backend.sims[0]
     if around is not None and not simulation.free():
-        found = simulation.contacts()
-        things = simulation.furniture.bodies if simulation.furniture else {}
-        bodies = {number: repr(name) for name, number in things.items()}
-        touched = {body for _, body, _ in found.base | found.arm}
-        names = sorted(bodies.get(one, "the floor") for one in touched)
         backend.close()
-        raise KinfeasError(
-            f"scene {around.name}: robot {robot.name!r} begins at the origin and would touch "
-            f"{', '.join(names)}"
-        )
+        raise KinfeasError(f"scene {around.name}: an object is in the way of the robot's start")
     return backend, state
