@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
@@ -87,18 +88,6 @@ def test_without_effect_it_is_the_identity_to_the_bit(name, pr2):
 
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
-def test_rows_do_not_depend_on_the_batch(adapters, pr2):
-    def run(seeds):
-        backend = wrap(AnalyticBackend(), adapters, pr2)
-        return np.concatenate([flat(on_reset(backend, pr2, seeds))[np.newaxis],
-                               go(backend, pr2, seeds, 12)])  # fmt: skip
-
-    together = run([0, 1, 2, 3, 4])
-    np.testing.assert_array_equal(run([3]), together[:, [3]])
-    np.testing.assert_array_equal(run([4, 1]), together[:, [4, 1]])
-
-
-@pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
 def test_new_episodes_leave_the_others_alone(adapters, pr2):
     backend, alone = (wrap(AnalyticBackend(), adapters, pr2) for _ in "ab")
     on_reset(backend, pr2, [0, 1, 2])
@@ -142,10 +131,35 @@ def test_ranges_are_drawn_for_each_episode(rig):
     drawn = many.adapter.number("linear")[:, 0]
     assert 0.1 <= drawn.min() < 0.11
     assert 0.29 < drawn.max() <= 0.3
+    assert kstest(drawn, "uniform", args=(0.1, 0.2)).pvalue > 1e-3
     few = rig(BaseNoise, n=3, first_seed=7, linear=[0.1, 0.3], angular=0.0)
     np.testing.assert_array_equal(few.adapter.number("linear")[:, 0], drawn[7:10])
     many.run(np.zeros((20, 6)))
     np.testing.assert_array_equal(many.adapter.number("linear")[:, 0], drawn)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        *(
+            ("base_noise", "linear", value)
+            for value in ("much", True, [1], [1, 2, 3], [1, "a"], -1, np.nan, np.inf, [2, 1])
+        ),
+        ("dropped_commands", "share", 1.1),
+        ("acceleration_limit", "linear", 0),
+        ("acceleration_limit", "angular_jerk", 0),
+        ("velocity_clamp", "joints", 0),
+        ("joint_limit_clamp", "margin", 1.0),
+        ("actuator_lag", "arm", -1),
+        ("head_start", "seconds", -1),
+        ("time_scale", "factor", 2.0),
+        ("time_scale", "factor", 0.0),
+        ("time_scale", "factor", [0.5, 1.0]),
+    ],
+)
+def test_invalid_parameters(pr2, name, key, value):
+    with pytest.raises(KinfeasError, match=f"{name}.*{key}"):
+        wrap(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)
 
 
 def test_an_additional_adapter_does_not_change_the_random_numbers_of_others(rig, drive):

@@ -1,20 +1,14 @@
 import numpy as np
 import pytest
 
-from kinfeas.config import PluginSpec
-from kinfeas.control.adapters import wrap
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import yaw
 from kinfeas.sim2real.adapters.latency import (
     CommandLatency,
     DroppedCommands,
     SensorLatency,
     active_shares,
-    mixed,
 )
 from kinfeas.sim2real.adapters.noise import EeNoise
-
-STRAIGHT = np.zeros(1, dtype=bool)
 
 
 def targets(steps, seed=0):
@@ -127,34 +121,11 @@ def test_what_is_lost_leaves_the_last_command_active_shares(rig, drive):
     np.testing.assert_array_equal(lossy.passed[~came], held[~came])
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.1])
-def test_invalid_shares(pr2, share):
-    with pytest.raises(KinfeasError, match="share"):
-        wrap(object(), [PluginSpec("dropped_commands", {"share": share})], pr2)
-
-
 def row(*values):
     return np.array([values], dtype=float)
-
-
-def test_shares_are_those_of_time():
-    arrivals = row(-np.inf, 0.96, 1.03, 1.06)
-    np.testing.assert_allclose(active_shares(arrivals, np.array([1.0]), 0.1), row(0, 0.3, 0.3, 0.4))
-
-
-def test_a_command_that_was_overtaken_is_never_active_shares():
-    arrivals = row(-np.inf, 1.05, 1.02)
-    np.testing.assert_allclose(active_shares(arrivals, np.array([1.0]), 0.1), row(0.2, 0.0, 0.8))
 
 
 def test_rounding_makes_no_fraction():
     now = np.array([sum([0.02] * 50)])
     shares = active_shares(row(-np.inf, *(now - 0.04 + 0.06), *(now + 0.06)), now, 0.02)
     np.testing.assert_array_equal(shares, row(1, 0, 0))
-
-
-def test_means_are_to_the_bit_where_there_is_one_and_short_for_angles():
-    line = np.array([[[0.1], [3.0], [-3.0]]])
-    np.testing.assert_array_equal(mixed(line, row(0, 1, 0), STRAIGHT), [[3.0]])
-    np.testing.assert_allclose(mixed(line, row(0, 0.5, 0.5), STRAIGHT), [[0.0]], atol=1e-15)
-    np.testing.assert_allclose(mixed(line, row(0, 0.5, 0.5), ~STRAIGHT), [[np.pi]])

@@ -5,7 +5,6 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.tasks.ggr import ggr
 
@@ -62,17 +61,3 @@ def test_motions_take_as_much_longer_and_have_as_much_more_time(pr2):
             assert done == (step == steps - 1)
         ways.append(np.linalg.norm(world.loop.desired[:, :3] - on_reset))
     assert ways[0] == pytest.approx(ways[1], rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("name", "key", "value"),
-    [
-        ("head_start", "seconds", -1),
-        ("time_scale", "factor", 2.0),
-        ("time_scale", "factor", 0.0),
-        ("time_scale", "factor", [0.5, 1.0]),
-    ],
-)
-def test_invalid_parameters(pr2, name, key, value):
-    with pytest.raises(KinfeasError, match=f"{name}.*{key}"):
-        wrap(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)

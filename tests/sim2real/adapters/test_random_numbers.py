@@ -2,8 +2,6 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from kinfeas.config import Interval
-from kinfeas.sim2real.adapters.adapter import Range, read_range
 from kinfeas.sim2real.adapters.random_numbers import normal, per_episode, salt, uniform
 
 
@@ -52,16 +50,3 @@ def test_numbers_of_episodes_and_steps_differ():
 def test_salts_differ_by_name_and_number_and_none_keeps_the_seeds():
     assert salt("", 0) == 0
     assert len({int(salt(name, i)) for name in ("", "A", "B") for i in range(3)}) == 9
-
-
-def test_a_range_is_drawn_evenly():
-    drawn = Range(2.0, 4.0).draw(per_episode(seeds(5000), 1)[:, 0])
-    assert kstest(drawn, "uniform", args=(2.0, 2.0)).pvalue > 1e-3
-
-
-@pytest.mark.parametrize(
-    "value", ["much", True, None, [1], [1, 2, 3], [1, "a"], -1, np.nan, np.inf, [2, 1]]
-)
-def test_invalid_numbers_and_ranges(value):
-    with pytest.raises(ValueError, match="x is "):
-        read_range("x", value, Interval(low=0.0))
