@@ -6,6 +6,7 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.spatial import planar_pose
 from kinfeas.robots.loading import load_robot
+from tests.sim2real.doubles import Time
 
 
 class Recorder(AnalyticBackend):
@@ -54,6 +55,11 @@ class Rig:
     def sent(self):
         """Joint targets that got through, shape (steps, n, j)."""
         return np.stack(self.recorder.targets)
+
+
+@pytest.fixture
+def time():
+    return Time()
 
 
 @pytest.fixture(scope="session")

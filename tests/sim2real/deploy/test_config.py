@@ -1,7 +1,6 @@
 import pytest
 
 from kinfeas.config.recipes import load_section
-from kinfeas.core import registry
 from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.config import DeployConfig
@@ -10,15 +9,6 @@ from kinfeas.sim2real.deploy.config import DeployConfig
 def test_any_robot_waits_for_its_arm_and_its_grasp():
     config = load_section(DeployConfig, "deploy", "any")
     assert config == DeployConfig(arm_settle_timeout=8.0, grasp_settle_time=5.0)
-
-
-def test_a_backend_gets_the_parameters_of_the_run_that_it_has(monkeypatch):
-    def backend(robot, wheels=2):
-        return robot, wheels
-
-    monkeypatch.setattr(registry, "load", lambda *_: backend)
-    monkeypatch.setattr(registry, "build", lambda _, __, given: backend(**given))
-    assert build_backend("mine", {"wheels": 4}, robot="pr2", scene="room") == ("pr2", 4)
 
 
 def test_unknown_parameters_and_those_of_the_run_are_errors():

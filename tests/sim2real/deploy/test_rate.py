@@ -3,12 +3,6 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.rate import Clock, Rate
-from tests.sim2real.doubles import Time
-
-
-@pytest.fixture
-def time():
-    return Time()
 
 
 @pytest.fixture

@@ -165,8 +165,3 @@ def test_a_call_that_fails_is_an_error(stops, path, arguments, capfd):
     with pytest.raises(KinfeasError, match=path):
         Watchdog(StopCall(path, arguments), 0.2)
     assert capfd.readouterr().err.startswith("watchdog: ")
-
-
-def test_arguments_must_fit_into_json():
-    with pytest.raises(TypeError):
-        StopCall("stand_in:connect", {"path": object()})

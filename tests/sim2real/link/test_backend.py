@@ -18,11 +18,6 @@ ELBOW, ROLL = ARM.index("r_elbow_flex_joint"), ARM.index("r_forearm_roll_joint")
 
 
 @pytest.fixture
-def time():
-    return Time()
-
-
-@pytest.fixture
 def ends(time):
     """A connected backend and its link."""
     return connected(PR2, time)
@@ -46,18 +41,6 @@ def test_reset_leaves_the_robot_where_it_is(ends):
     np.testing.assert_array_equal(state.joint_positions, AT_HOME)
     assert state.age[0] == 0.0
     assert link.driven == link.moved == []
-
-
-def test_reset_drops_what_was_measured_before(ends, monkeypatch):
-    backend, link = ends
-    link.readings.base(BaseReading(5.0, 0.0, 0.0, stamp=1e9))
-
-    def wait(seconds):
-        present(PR2, x=7.0, stamp=5.0)(link.readings)
-        return True
-
-    monkeypatch.setattr(backend._inbox, "wait", wait)
-    assert backend.reset(None, None).base_pose[0, 0] == 7.0
 
 
 @pytest.mark.parametrize(

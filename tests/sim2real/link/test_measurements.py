@@ -7,7 +7,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import robot_names
 from kinfeas.sim2real.link.measurements import DRIFT, Inbox, TransportDelay
-from tests.sim2real.doubles import Time, joints_at
+from tests.sim2real.doubles import joints_at
 
 PR2 = load_robot("pr2")
 ARM = [joint.name for joint in PR2.arm]
@@ -49,11 +49,6 @@ def test_a_stamp_that_is_repeated_ages_and_one_that_jumps_ahead_does_not():
     assert [delay.sent(5.0, arrival) for arrival in (100.0, 101.0, 150.0)] == [100.0] * 3
     assert delay.sent(1e6, 151.0) == 151.0
     assert delay.sent(1e6 + 1.0, 152.5) == pytest.approx(152.0, abs=0.01)
-
-
-@pytest.fixture
-def time():
-    return Time()
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ from kinfeas.sim2real.ros import ros2
 from kinfeas.sim2real.ros.ros1 import ros1_message_classes
 from kinfeas.sim2real.ros.ros2 import ros2_message_classes
 from kinfeas.sim2real.ros.topics import read_topics
-from tests.sim2real.doubles import Time
 from tests.sim2real.ros_processes import needs_ros1
 
 REFERENCE = get_typestore(Stores.ROS2_HUMBLE)
@@ -169,11 +168,6 @@ def pose(x=0.0, y=0.0, yaw=0.0):
 
 
 @pytest.fixture
-def time():
-    return Time()
-
-
-@pytest.fixture
 def tree(time):
     return ros_messages.TfTree("map", "/base", now=time.clock.monotonic)
 
@@ -201,15 +195,6 @@ def test_tf_is_as_old_as_its_oldest_transform(tree, time):
     tree.take(transforms(("odom", "base", pose(), 4.0)))  # sent again
     tree.take(transforms(("map", "odom", pose(), 6.0)))
     assert tree.reading().age == pytest.approx(2.0)
-
-
-def test_a_queue_of_tf_that_falls_behind_shows_as_age(tree, time):
-    tree.take(transforms(("odom", "base", pose(), 0.0)))
-    for number in range(1, 11):  # sent at 10 Hz, read at 5 Hz
-        time.passes(0.2)
-        tree.take(transforms(("map", "odom", pose(), 0.1 * number)))
-        tree.take(transforms(("odom", "base", pose(), 0.0)))
-    assert tree.reading().age == pytest.approx(0.9, rel=0.01)
 
 
 def test_static_transforms_do_not_age_and_a_cycle_has_no_pose(tree, time):

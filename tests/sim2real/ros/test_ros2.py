@@ -209,7 +209,7 @@ def test_a_robot_that_is_not_there_is_an_error():
     backend.close()
 
 
-@pytest.mark.parametrize("text", ["soon", "-1", "233", "1.5"])
+@pytest.mark.parametrize("text", ["-1", "233", "1.5"])
 def test_an_invalid_domain_is_an_error(monkeypatch, text):
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(KinfeasError, match="ROS_DOMAIN_ID"):

@@ -5,7 +5,6 @@ from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
 from kinfeas.tasks.loading import load_task
-from tests.sim2real.doubles import Time
 
 pytest.importorskip("pybullet")
 
@@ -48,11 +47,6 @@ def world():
     backend, state = spawn(load_robot("hsr"))
     yield backend, state
     backend.close()
-
-
-@pytest.fixture
-def time():
-    return Time()
 
 
 @pytest.fixture
