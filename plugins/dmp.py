@@ -117,9 +117,8 @@ def _phase(time: Array) -> Array:
 def force_at(weights: Array, time: Array) -> Array:
     """Return the force, shape (n, 6), in m and rad per squared duration.
 
-    Args:
-        weights: Force per phase at even moments in [0, 1], shape (m + 1, 6).
-        time: Moments in units of the duration, shape (n,).
+    `weights` are the force per phase at even moments in [0, 1], shape (m + 1, 6), and `time` is in
+    units of the duration, shape (n,).
     """
     steps = np.minimum(time, 1.0) * (len(weights) - 1)
     i = np.minimum(steps.astype(np.intp), len(weights) - 2)
@@ -131,10 +130,7 @@ def force_at(weights: Array, time: Array) -> Array:
 def learn(time: Array, poses: Array, basis_functions: int) -> Array:
     """Return the force per phase with which the spring reproduces a motion, shape (m + 1, 6).
 
-    Args:
-        time: Moments in seconds, strictly ascending, shape (t,).
-        poses: Demonstrated poses in the frame of the goal, shape (t, 7).
-        basis_functions: Number of weights in each direction.
+    The motion is `poses` in the frame of the goal, shape (t, 7), at strictly ascending seconds.
     """
     size = basis_functions
     if not isinstance(size, int) or isinstance(size, bool) or not 2 <= size <= _MOST:

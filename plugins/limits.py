@@ -10,12 +10,9 @@ _LEAST, _MOST = 1e-9, 1e9  # of any parameter; beyond, motions would overflow or
 
 
 def slowed(twist: Array, max_velocity: float, max_angular_velocity: float) -> Array:
-    """Return the factor in (0, 1] by which twists must shrink to keep both limits, shape (n,).
+    """Return the factor in (0, 1] by which twists, (n, 6), must shrink to keep both limits, (n,).
 
-    Args:
-        twist: Wanted twists, shape (n, 6), m/s and rad/s.
-        max_velocity: Upper limit of the speed in m/s.
-        max_angular_velocity: Upper limit of the angular speed in rad/s.
+    Limits and twists are in m/s and rad/s.
     """
     linear = max_velocity / np.maximum(norm(twist[:, :3]), _TINY)
     angular = max_angular_velocity / np.maximum(norm(twist[:, 3:]), _TINY)

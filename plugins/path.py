@@ -48,11 +48,9 @@ class PosePath:
         return integrate(self.knots[i], self.segments[i] * share[:, np.newaxis], 1.0)
 
     def base_at(self, index: Array, object_pose: Array) -> Array:
-        """Return the world poses of the base, shape (n, 7), NaN if unknown.
+        """Return the world poses of the base at `index`, shape (n, 7), NaN if unknown.
 
-        Args:
-            index: Share of the path in [0, 1], shape (n,).
-            object_pose: World pose of the object whose frame the path is in, shape (n, 7).
+        `object_pose` is the world pose of the object whose frame the path is in, shape (n, 7).
         """
         if self.base is None:
             return np.full((len(index), 7), np.nan)
@@ -141,12 +139,9 @@ class PathMotion:
 
 
 def in_frame(poses: Array, frame: Frame, object_pose: Array) -> Array:
-    """Return a path, shape (m, 7), relative to what it moves with.
+    """Return a path, shape (m, 7), relative to its `frame`.
 
-    Args:
-        poses: In any frame, usually the world.
-        frame: What the path moves with.
-        object_pose: The grasped object in the same frame as `poses`, shape (7,).
+    `object_pose` is the grasped object in the same frame as `poses`, shape (7,).
     """
     origins = {"object": object_pose, "goal": poses[-1], "world": IDENTITY}
     return relative(poses, np.broadcast_to(origins[frame], poses.shape))

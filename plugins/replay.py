@@ -55,12 +55,9 @@ class Replay(PathMotion):
 def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
     """Return the time, shape (t,), EE poses, shape (t, 7), and the object's first pose, (7,).
 
-    From the record of a run the desired EE poses are read, not the measured ones.
-
-    Args:
-        path: CSV or NPZ file of a demonstration, in which the base and the object may be missing,
-            or the CSV record of a run.
-        frame: What the motion moves with; the object's pose is NaN if it is unknown.
+    The file is a demonstration, in which the base and the object may be missing, or the CSV record
+    of a run, of which the desired EE poses are read. The pose of an unknown object is NaN, and an
+    error if `frame` needs it.
     """
     if _is_run_log(path):
         record = read_record(path)
@@ -89,13 +86,7 @@ def _is_run_log(path: Path) -> bool:
 
 
 def resampled(time: Array, poses: Array, shares: Array) -> Array:
-    """Return the poses at `shares` of the time, interpolated between samples, shape (m, 7).
-
-    Args:
-        time: Moments, strictly ascending, shape (t,).
-        poses: Poses at these moments, shape (t, 7).
-        shares: Ascending numbers in [0, 1], shape (m,).
-    """
+    """Return poses, (t, 7), interpolated at ascending `shares` of their time, 0-1, (m, 7)."""
     moments = np.minimum(time[0] + shares * (time[-1] - time[0]), time[-1])
     position = np.stack([np.interp(moments, time, poses[:, i]) for i in range(3)], axis=-1)
     return make_pose(position, Slerp(time, rotation(poses))(moments))

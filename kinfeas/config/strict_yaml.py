@@ -69,7 +69,7 @@ for _class in (_Loader, _Dumper):
 def parse(text: str, source: str) -> object:
     """Return the plain data of one YAML document."""
     try:
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader
     except yaml.MarkedYAMLError as error:
         where = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise KinfeasError(f"{source}: broken YAML{where}: {error.problem}") from error

@@ -203,10 +203,9 @@ class ChainTask:
         return Start(planar_pose(x, y, heading), random_arm(solver, rng), targets)
 
     def object_poses(self, targets: Array) -> dict[str, Array]:
-        """Return the world poses of the objects that an episode moves, shape (7,), by their names.
+        """Return the world poses, shape (7,), of the objects that an episode moves, by name.
 
-        Args:
-            targets: Targets of the episode's sub-goals, shape (sub-goals, 7).
+        The episode has the `targets`, shape (sub-goals, 7).
         """
         if self.scene is None:
             return {}
@@ -221,14 +220,10 @@ class ChainTask:
 
 
 def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> ChainTask:
-    """Return the task of a YAML file.
+    """Return the task of a YAML file with the fields of `ChainTask`.
 
-    Files that it names are searched for beside it, then in the current folder.
-
-    Args:
-        path: File with the fields of `ChainTask`.
-        changes: Replacements of the file's entries; a mapping changes its own keys only, and
-            entries of a list by index.
+    Files that it names are searched for beside it, then in the current folder. `changes` replace
+    its entries; a mapping changes its own keys only, and entries of a list by index.
     """
     data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     task = config.from_mapping(ChainTask, data, str(path))

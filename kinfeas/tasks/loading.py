@@ -14,9 +14,7 @@ from kinfeas.tasks.task import Subgoal, Task
 def load_task(name_or_path: str, parameters: Mapping[str, object] | None = None) -> Task:
     """Return the task of a YAML file (`my/task.yaml`) or of an entry point (`ggr`).
 
-    Args:
-        name_or_path: Name or path.
-        parameters: Keyword parameters of the entry point, or changes to the file.
+    `parameters` are keyword parameters of the entry point, or changes to the file.
 
     Raises:
         KinfeasError: If there is no such task, it lacks sub-goals, or a parameter or its YAML is

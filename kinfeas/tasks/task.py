@@ -121,13 +121,9 @@ class ReportsTaskSuccess(Protocol):
 def sample_start(
     task: Task, solver: IkSolver, rng: np.random.Generator, row: int | None = None
 ) -> Start:
-    """Return one random episode of a task, checked.
+    """Return one random episode of a task, also a plugin's, checked.
 
-    Args:
-        task: Any task, also a plugin's.
-        solver: The robot's kinematics.
-        rng: Source of randomness.
-        row: Robot whose objects a `StagedTask` places; None for no backend.
+    `row` is the robot whose objects a `StagedTask` places; None for no backend.
     """
     subject = f"task {task.name!r}"
     with plugin_note(subject):
@@ -188,12 +184,8 @@ def random_arm(
 ) -> Array:
     """Return arm joints drawn uniformly within the limits, shape (j,), tool tip above the floor.
 
-    Args:
-        solver: The robot's kinematics.
-        rng: Source of randomness.
-        accept: Returns which EE poses in the base frame, shape (n, 7), are allowed; by default all.
-        either: Whether a pose that `accept` allows or a configuration without self-collision is
-            enough; by default both are needed.
+    They are free of self-collision, and `accept` allows their EE pose in the base frame, shape
+    (n, 7); with `either` one of the two is enough.
     """
     robot = solver.robot
     lower, upper = robot.finite_joint_limits

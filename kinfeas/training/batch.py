@@ -25,14 +25,9 @@ StepResult = tuple[
 class Batch:
     """n episodes in one world; observations are scaled to about unit range.
 
-    An action is repeated for a few control periods and earns their mean reward. If an episode ends
-    within them, the mean is over the periods until its end; the next one begins after the last
-    period.
-
-    Attributes:
-        world: World of the episodes.
-        size: Number n of episodes.
-        action_repeat: Control periods of an action.
+    An action is repeated for `action_repeat` control periods and earns their mean reward. If an
+    episode ends within them, the mean is over the periods until its end; the next one begins after
+    the last period.
     """
 
     world: World
@@ -50,10 +45,9 @@ class Batch:
         return self._scaled(self.world.start_next(self.size))
 
     def step(self, actions: NDArray[np.float64]) -> StepResult:
-        """Return observations, rewards, dones and infos; where done, a new episode has begun.
+        """Return observations, rewards, dones and infos after commands in [-1, 1], shape (n, a).
 
-        Args:
-            actions: Base commands in [-1, 1], shape (n, a).
+        Where done, a new episode has begun.
         """
         earned, periods = np.zeros(self.size), np.zeros(self.size)
         over = np.zeros(self.size, dtype=np.bool_)

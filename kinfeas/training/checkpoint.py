@@ -24,14 +24,7 @@ Tensors = dict[str, torch.Tensor]
 def save_learner(
     folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
 ) -> None:
-    """Write the state of a run into an existing folder.
-
-    Args:
-        folder: The checkpoint.
-        learner: Networks, optimizers, replay buffer.
-        world: Snapshot of the environments.
-        state: Further entries for the JSON.
-    """
+    """Write a learner, a snapshot of its environments and the entries of `state` into a folder."""
     random, random_tensors = _random_state()
     tensors = _world_tensors(world) | random_tensors
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}

@@ -165,13 +165,9 @@ def without_denormals() -> Iterator[None]:
 def explore(
     learner: Learner, config: LearnerConfig, observation: NDArray[np.float32], random: bool
 ) -> NDArray[np.float32]:
-    """Return actions to learn from, shape (n, a), drawn with torch's generator.
+    """Return actions to learn from, shape (n, a), for scaled observations, shape (n, d).
 
-    Args:
-        learner: Its actor acts.
-        config: TD3's exploration noise.
-        observation: Scaled observations, shape (n, d).
-        random: Whether actions are uniform, without the actor.
+    They are drawn with torch's generator; `random` ones are uniform, without the actor.
     """
     if random:
         assert learner.action_space.shape is not None
@@ -240,12 +236,9 @@ def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
 
 
 def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> None:
-    """Copy a network into a fresh learner's actor; SAC's actions get the deviation `INITIAL_STD`.
+    """Copy a network into a fresh learner's actor, whose hidden layers are as wide.
 
-    Args:
-        learner: Its hidden layers must be as wide as the network's.
-        network: Source of the weights.
-        anchor: Weight that holds SAC near the network; 0 for none.
+    SAC's actions get the deviation `INITIAL_STD`; a positive `anchor` holds SAC near the network.
     """
     with torch.no_grad():
         for layer, weight, bias in zip(

@@ -33,12 +33,7 @@ class Logs:
     """The logs of a run, open for writing; a context manager."""
 
     def __init__(self, out: Path, steps: int) -> None:
-        """Open them for a run that resumes from `steps`; later rows are dropped.
-
-        Args:
-            out: Folder of the run.
-            steps: Environment steps so far.
-        """
+        """Open them in the folder of a run that resumes from `steps`; later rows are dropped."""
         self.path = out / "metrics.csv"
         with writing(self.path):
             rows = _rows_up_to(steps, self.path)

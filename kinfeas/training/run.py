@@ -3,7 +3,7 @@
 import json
 import shlex
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -64,11 +64,6 @@ class Progress:
         """Share of recent training episodes without a failure, NaN before the first has ended."""
         return float(np.mean(self.recent)) if self.recent else float("nan")
 
-    def add(self, steps: int, successes: Iterable[bool]) -> None:
-        """Count `steps` more, and the successes among the episodes that ended in them."""
-        self.steps += steps
-        self.recent.extend(successes)
-
     def saved(self) -> dict[str, object]:
         """Return the fields of a checkpoint."""
         names = ("steps", "seconds", "best", "evaluations")
@@ -113,12 +108,7 @@ def read_settings(out: Path, overrides: Sequence[str] = ()) -> TrainConfig:
 
 
 def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
-    """Return the progress of a finished run, None for any other.
-
-    Args:
-        out: Folder of the run.
-        overrides: Assignments `a.b=c` to its settings.
-    """
+    """Return the progress of a finished run, None for any other; `overrides` are assignments."""
     config, last = read_settings(out, overrides), find_folder(out / "checkpoints" / "last")
     if not last.is_dir():
         return None
@@ -180,12 +170,7 @@ def with_initial_policy(config: TrainConfig) -> TrainConfig:
 
 
 def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None) -> Network:
-    """Return the policy that a run starts from.
-
-    Args:
-        config: Its `init` is not None.
-        scale: Scale of the run's observations, shape (o,), which the policy must share.
-    """
+    """Return the policy that a run starts from, with observations of the same scale, if given."""
     init, robot = config.init, load_robot(config.robot)
     if init == pretrained.NAME:
         folder = pretrained.find(robot.name)

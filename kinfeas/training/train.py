@@ -209,8 +209,8 @@ class _Run:
         assert learner.replay_buffer is not None
         learner.replay_buffer.add(self.observation, after, action, rewards, dones, infos)
         self.observation = seen
-        steps = self.config.num_envs * self.config.action_repeat
-        progress.add(steps, (infos[row]["is_success"] for row in ended))
+        progress.steps += self.config.num_envs * self.config.action_repeat
+        progress.recent.extend(infos[row]["is_success"] for row in ended)
 
     def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs) -> None:
         """Evaluate the policy on fixed episodes; keep it as `best` if none was better."""

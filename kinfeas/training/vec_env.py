@@ -36,10 +36,7 @@ class EpisodesVecEnv(VecEnv):
     """Episodes of one robot that restart by themselves, in batches that workers step.
 
     Stable-Baselines3's own vector environments hold one episode a process; these hold a batch.
-
-    Attributes:
-        robot: The robot.
-        scale: Factors of the observations, shape (d,).
+    Observations are multiplied by `scale`, shape (d,).
     """
 
     render_mode = None
@@ -51,13 +48,9 @@ class EpisodesVecEnv(VecEnv):
         workers: Sequence[Executor],
         call: Callable[..., Any],
     ) -> None:
-        """Set the spaces.
+        """Set the spaces of batches of `sizes` episodes, one a worker.
 
-        Args:
-            robot: The robot.
-            sizes: Number of episodes of each worker.
-            workers: A thread or a process for each batch.
-            call: Calls a method of the worker's batch: its name, then its arguments.
+        `call` calls a method of the worker's batch: its name, then its arguments.
         """
         super().__init__(
             sum(sizes),

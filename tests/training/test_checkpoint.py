@@ -1,7 +1,5 @@
-import ast
 import json
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from kinfeas.training.run import read_state
 from kinfeas.training.train import resume
 from kinfeas.training.vec_env import WorldVecEnv
 
-ROOT = Path(__file__).parents[2]
 ADAPTERS = "[{name: base_noise}, {name: command_latency}, {name: sensor_latency}]"
 
 
@@ -101,10 +98,8 @@ def test_tensors_of_another_form_raise(saved, key):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("format", 7), ("optimizers", []), ("optimizers", {}), ("updates", "many"),
-        ("updates", None), ("updates", float("inf")), ("random", {}), ("random", "none"),
+        ("format", 7), ("optimizers", {}), ("updates", float("inf")), ("random", "none"),
         ("buffer", {"position": 5, "full": False}), ("buffer", {"position": -1, "full": True}),
-        ("buffer", {"position": 10**9, "full": True}), ("buffer", [3, False]),
     ],
 )  # fmt: skip
 def test_foreign_numbers_raise(saved, key, value):
@@ -145,28 +140,3 @@ def test_resuming_unpickles_nothing(whole, monkeypatch):
         monkeypatch.setattr(owner, name, refuse)
     assert resume(whole).steps == 320
     assert read_network(whole, load_robot("hsr")).weights
-
-
-FORBIDDEN = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
-# Checks that policies can be sent to processes: in memory, nothing is read.
-COPIES = {ROOT / "kinfeas" / "testing" / "policies.py"}
-CALLS = {"torch.load", "eval", "exec", "yaml.unsafe_load", "yaml.full_load", "SAC.load", "TD3.load"}
-
-
-def test_no_module_unpickles_or_evaluates_code():
-    for folder in ("kinfeas", "plugins", "scenes", "sim2real", "configs"):
-        for path in sorted({*(ROOT / folder).rglob("*.py")} - COPIES):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                used = set()
-                if isinstance(node, ast.Import):
-                    used = {alias.name.split(".")[0] for alias in node.names} & FORBIDDEN
-                elif isinstance(node, ast.ImportFrom):
-                    used = {(node.module or "").split(".")[0]} & FORBIDDEN
-                elif isinstance(node, ast.Call):
-                    used = {ast.unparse(node.func)} & CALLS
-                    used |= {
-                        "allow_pickle"
-                        for word in node.keywords
-                        if word.arg == "allow_pickle" and ast.unparse(word.value) != "False"
-                    }
-                assert not used, f"{path}, line {node.lineno}"

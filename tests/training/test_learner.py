@@ -90,17 +90,6 @@ def test_exploration_scatters_about_the_actor(config, env):
         np.testing.assert_allclose(exact, mean, atol=1e-6)
 
 
-def test_the_seed_decides_the_weights(config, env):
-    first, same, other = (
-        torch.cat(
-            [values.flatten() for values in make_learner(config, env, seed).actor.parameters()]
-        )
-        for seed in (3, 3, 4)
-    )
-    assert torch.equal(first, same)
-    assert not torch.equal(first, other)
-
-
 @pytest.mark.parametrize(
     ("schedule", "half", "end"), [("constant", 6e-4, 6e-4), ("linear", 3e-4, 0.0)]
 )

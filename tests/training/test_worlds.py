@@ -48,16 +48,6 @@ def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, see
     assert apart(chosen, fresh)
 
 
-def test_nor_does_one_in_pybullet():
-    pytest.importorskip("pybullet")
-    told = {"robot": "hsr", "world": {"backend": "pybullet"}}
-    settings = config.from_mapping(TrainConfig, told, "physical")
-    world = training_world(settings)
-    learned = np.stack([goal(world, episode) for episode in range(EPISODES)])
-    world.close()
-    assert apart(learned, judged(settings, settings.seed))
-
-
 IK = {"restarts": 2, "pose_tolerance": False, "self_collision": False, "position_tolerance": 1e-3}
 
 
