@@ -9,7 +9,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.io.run_log import About, Moment, Recorder
-from kinfeas.plugins.replay import Replay, read_recording, resampled
+from kinfeas.plugins.replay import Replay, read_recording
 from tests.plugins.conftest import DT, SHOWN, apart, random_poses, run, speeds
 
 HEADER = "time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw\n"
@@ -64,9 +64,3 @@ def test_reads_the_desired_motion_of_a_run(tmp_path, name):
     for frame, times in (("object", np.arange(5)), ("goal", [0.1] * 5), ("goal", [0, 2, 1, 1, 1])):
         with pytest.raises(KinfeasError, match=name):
             read_recording(write_run(path, desired, times), frame)
-
-
-def test_resampling_meets_the_samples():
-    shares = (SHOWN.time - SHOWN.time[0]) / (SHOWN.time[-1] - SHOWN.time[0])
-    assert np.allclose(resampled(SHOWN.time, SHOWN.ee_pose, shares), SHOWN.ee_pose, atol=1e-9)
-    assert resampled(SHOWN.time, SHOWN.ee_pose, np.array([0.0, 1.0])).shape == (2, 7)

@@ -112,24 +112,17 @@ def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkey
     ("line", "key"),
     [
         ("subgoals: []", "subgoals"),
-        ("name: ''", "name"),
         ("name: a/b", "name"),
         ("subgoals: [{place: cap}]", r"subgoals\.0\.place.*'cup'"),
-        ("subgoals: [{offset: [0, 0, 1]}]", r"subgoals\.0\.place"),
-        ("subgoals: [{place: cup, weight: 2}]", r"subgoals\.0\.weight"),
         ("subgoals: [{place: cup, dwell: -1}]", "dwell"),
         ("subgoals: [{place: cup, frame: tool}]", r"subgoals\.0\.frame"),
         ("subgoals: [{place: cup, offset: [0, 0, 1e300]}]", r"subgoals\.0\.offset\.2"),
-        ("places: {cup: {position: [1, 2]}}", r"places\.cup\.position"),
-        ("places: {cup: {position: [1, 2, 1e300]}}", r"places\.cup\.position\.2"),
         ("places: {cup: {position: [1, 2, [3]]}}", r"places\.cup\.position\.2"),
         ("places: {cup: {position: [1, 2, [4, 3]]}}", "position"),
         ("places: {cup: {position: [1, 2, 3], rpy: [0, [1, 0], 0]}}", "rpy"),
         ("places: {cup: {position: [1, 2, 3]}, cp: {position: [1, 2, 3]}}", r"places\.cp"),
-        ("start: {square: -1}", r"start\.square"),
         ("start: {heading: 4}", r"start\.heading"),
         ("colour: red", "colour"),
-        ("scene: {name: room}", r"scene\.success"),
         ("scene: {name: room, success: {object: box}}", "parent"),
         ("scene: {name: room, success: {object: box, parent: a, joint: b}}", "parent"),
         (
@@ -147,7 +140,6 @@ def test_wrong_files_raise(write, line, key):
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"colour": "red"}, "colour"),
         ({"subgoals": []}, "subgoals"),
         ({"subgoals": {"2": {"dwell": 1.0}}}, "2"),
         ({"start": {"square": -1}}, r"start\.square"),

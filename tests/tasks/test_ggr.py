@@ -62,9 +62,8 @@ def test_parameters(hsr, sample):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("distanse", (1, 2)), ("distance", (1,)), ("distance", (2, 1)), ("distance", (-1, 1)),
-        ("heights", "high"), ("heights", (2, 1)), ("orientation", "rpm"), ("motion", "linear"),
-        ("restrict_start", 3), ("start", "all"),
+        ("distanse", (1, 2)), ("distance", (2, 1)), ("distance", (-1, 1)), ("heights", (2, 1)),
+        ("orientation", "rpm"), ("motion", "linear"), ("start", "all"),
     ],
 )  # fmt: skip
 def test_wrong_parameters_raise(key, value):
