@@ -69,19 +69,10 @@ def train(  # noqa: PLR0913 - options of the command
     from kinfeas.training.train import train as run
 
     chosen = read_settings(
-        _name(robot),
-        _name(task),
-        seed=seed,
-        minutes=minutes,
-        steps=steps,
-        algorithm=algorithm,
-        adapters=_name(adapters),
-        world=world,
-        init=_name(init),
-        processes=processes,
-        config=_name(config),
-        overrides=options.assignments(settings or {}),
-    )
+        _name(robot), _name(task), seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
+        adapters=_name(adapters), world=world, init=_name(init), processes=processes,
+        config=_name(config), overrides=options.assignments(settings or {}),
+    )  # fmt: skip
     folder = default_folder(chosen) if out is None else Path(out)
     check_new(folder)
     progress = run(chosen, folder, on_progress)

@@ -13,7 +13,7 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, status, write_json
 from kinfeas.cli.train import training_bar
-from kinfeas.config.quantities import MOST_EPISODES, MOST_PROCESSES
+from kinfeas.config.quantities import MOST_PROCESSES
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
@@ -34,45 +34,34 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     config: Annotated[
         str | None,
         typer.Option(
-            "--config",
-            help="YAML file, or a name such as benchmark/study.  [default: by --world and --quick]",
+            help="YAML file, or a name such as benchmark/study.  [default: by --world and --quick]"
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Folder of the results.  [default: runs/benchmark/NAME]"),
+        Path | None, typer.Option(help="Folder of the results.  [default: runs/benchmark/NAME]")
     ] = None,
     world: options.World = "analytic",
     quick: Annotated[bool, typer.Option("--quick", help="Small version of a few minutes.")] = False,
     episodes: Annotated[
-        int | None,
-        typer.Option(
-            "--episodes",
-            min=1,
-            max=MOST_EPISODES,
-            help="Number of episodes for each policy and task.",
-        ),
+        int | None, options.episodes_option("Number of episodes for each policy and task.")
     ] = None,
     runs: Annotated[
         list[Path] | None,
-        typer.Option("--runs", help="Existing training runs, or folders of them; none is trained."),
+        typer.Option(help="Existing training runs, or folders of them; none is trained."),
     ] = None,
     policy: Annotated[
-        Literal["pretrained"] | None,
-        typer.Option("--policy", help="Shipped policies; none is trained."),
+        Literal["pretrained"] | None, typer.Option(help="Shipped policies; none is trained.")
     ] = None,
     processes: Annotated[
         int | None,
         typer.Option(
-            "--processes",
             min=1,
             max=MOST_PROCESSES,
             help="Number of parallel processes.  [default: one for each core]",
         ),
     ] = None,
     publish: Annotated[
-        Path | None,
-        typer.Option("--publish", help="Copy the best policy of each robot to DIR/ROBOT."),
+        Path | None, typer.Option(help="Copy the best policy of each robot to DIR/ROBOT.")
     ] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,

@@ -1,6 +1,5 @@
 """`kinfeas demo`: train, evaluate and report within minutes."""
 
-import json
 import os
 import shlex
 import sys
@@ -25,12 +24,12 @@ PICTURES = ("learning_curve.png", "episodes.png")
 
 def demo(
     robot: options.RobotName = options.DEFAULT_ROBOT,
-    minutes: Annotated[float, typer.Option("--minutes", help="Minutes of training.")] = 2.0,
+    minutes: Annotated[float, typer.Option(help="Minutes of training.")] = 2.0,
     seed: options.Seed = 0,
     episodes: options.Episodes = 500,
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder of the run; numbered if it exists.")
-    ] = Path("runs/demo"),
+    out: Annotated[Path, typer.Option(help="Folder of the run; numbered if it exists.")] = Path(
+        "runs/demo"
+    ),
     overrides: options.Overrides = None,
 ) -> None:
     """Train, evaluate and report within five minutes.
@@ -81,7 +80,7 @@ def _commands(comparison: "Comparison", settings: "TrainConfig") -> list[str]:
     chosen, policies = comparison.chosen, (str(comparison.run), *comparison.baselines)
     same: dict[str, object] = {"robot": settings.robot, "task": settings.task}
     same |= {"episodes": chosen.episodes, "seed": chosen.seed}
-    changes = [f"task.{key}={json.dumps(value)}" for key, value in settings.task_parameters.items()]
+    changes = options.assignments({f"task.{k}": v for k, v in settings.task_parameters.items()})
     evaluations = [_line("evaluate", {**same, "policy": one}, changes) for one in policies]
     return [*evaluations, _line("ceiling", same, changes)]
 

@@ -39,7 +39,6 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
         str,
         typer.Option(
-            "--backend",
             help="analytic, pybullet, ros2, ros1, or a plugin.",
             autocompletion=options.names_of("backends"),
         ),
@@ -47,57 +46,40 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     goal: Annotated[
         Three | None,
         typer.Option(
-            "--goal",
-            metavar="X Y Z",
-            help="Goal of the EE frame in the world frame of the backend, metres.",
+            metavar="X Y Z", help="Goal of the EE frame in the world frame of the backend, metres."
         ),
     ] = None,
     rpy: Annotated[
         Three | None,
         typer.Option(
-            "--rpy",
             metavar="R P Y",
             help="Goal orientation: roll, pitch, yaw in radians.  [default: that at the start]",
         ),
     ] = None,
     quaternion: Annotated[
-        Four | None,
-        typer.Option("--quaternion", metavar="X Y Z W", help="Goal orientation as a quaternion."),
+        Four | None, typer.Option(metavar="X Y Z W", help="Goal orientation as a quaternion.")
     ] = None,
     generator: Annotated[
         str | None,
         typer.Option(
-            "--generator",
             help="Motion generator to the goal.  [default: linear]",
             autocompletion=options.names_of("motion_generators"),
         ),
     ] = None,
-    task: Annotated[
-        str | None,
-        typer.Option(
-            "--task",
-            help=f"In place of --goal. {options.TASK_HELP}.",
-            autocompletion=options.names_of("tasks"),
-        ),
-    ] = None,
-    rate: Annotated[
-        float, typer.Option("--rate", min=1.0, max=1000.0, help="Control rate, Hz.")
-    ] = 50.0,
-    seconds: Annotated[
-        float, typer.Option("--seconds", min=0.0, help="Longest duration of the run.")
-    ] = 300.0,
+    task: Annotated[str | None, options.task_option("In place of --goal. ")] = None,
+    rate: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Control rate, Hz.")] = 50.0,
+    seconds: Annotated[float, typer.Option(min=0.0, help="Longest duration of the run.")] = 300.0,
     seed: options.Seed = 0,
     record: Annotated[
         Path | None,
         typer.Option(
-            "--record",
             metavar="FILE.csv",
             help="New file of the run.  [default: runs/deploy/DATE-ROBOT-TASK.csv]",
         ),
     ] = None,
     adapters: options.AdapterList = None,
     guards: Annotated[
-        Path | None, typer.Option("--guards", metavar="FILE.yaml", help="Limits of the guards.")
+        Path | None, typer.Option(metavar="FILE.yaml", help="Limits of the guards.")
     ] = None,
     real_time: Annotated[
         bool,
@@ -135,27 +117,15 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         else:
             toward = options.read_task(task, config.task)
         setup = _make_setup(
-            policy,
-            backend,
-            options.read_adapters(adapters),
-            robot=known,
-            task=toward,
-            config=config,
-            dt=1.0 / rate,
-            seconds=seconds,
-            seed=seed,
-            real_time=real_time,
-        )
+            policy, backend, known, toward, config, adapters=options.read_adapters(adapters),
+            dt=1.0 / rate, seconds=seconds, seed=seed, real_time=real_time,
+        )  # fmt: skip
+        joints = tuple(joint.name for joint in known.arm)
+        now = datetime.now().astimezone().isoformat(timespec="seconds")
         about = About(
-            robot=from_anywhere(robot),
-            task=setup.task.name,
-            policy=policy,
-            backend=backend,
-            dt=setup.dt,
-            joints=tuple(joint.name for joint in known.arm),
-            started=datetime.now().astimezone().isoformat(timespec="seconds"),
+            from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
             **_drawn_scene(setup),
-        )
+        )  # fmt: skip
         recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
@@ -203,15 +173,14 @@ def _goal_task(
 def _make_setup(  # noqa: PLR0913 - the parts of a run
     policy_name: str,
     backend_name: str,
-    adapters: "tuple[PluginSpec, ...]",
-    *,
     robot: "Robot",
     task: "Task",
     config: "DeployConfig",
+    *,
+    adapters: "tuple[PluginSpec, ...]",
     dt: float,
-    seconds: float,
-    seed: int,
     real_time: bool,
+    **limits: Any,
 ) -> "Setup":
     """Return the parts of the run, after each has computed something."""
     from kinfeas.control.filters import build_filters
@@ -237,19 +206,10 @@ def _make_setup(  # noqa: PLR0913 - the parts of a run
             for one in build_filters(config.filters)
         ]
     return Setup(
-        solver=solver,
-        policy=policy,
-        task=task,
-        backend=backend,
-        dt=dt,
-        adapters=adapters,
-        seconds=seconds,
-        seed=seed,
-        execution=config,
-        filters=tuple(filters),
-        guards=config.guards,
-        real_time=real_time,
-    )
+        solver=solver, policy=policy, task=task, backend=backend, execution=config,
+        filters=tuple(filters), guards=config.guards, adapters=adapters, dt=dt,
+        real_time=real_time, **limits,
+    )  # fmt: skip
 
 
 def _drawn_scene(setup: "Setup") -> dict[str, Any]:

@@ -40,26 +40,17 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     world: options.World = "analytic",
     episodes: Annotated[
         int | None,
-        typer.Option(
-            "--episodes",
-            min=1,
-            max=options.MOST_EPISODES,
-            help="Number of episodes.  [default: 500, with physics 50]",
-        ),
+        options.episodes_option("Number of episodes.  [default: 500, with physics 50]"),
     ] = None,
     seed: options.Seed = 1,
     head_start: Annotated[
-        float | None,
-        typer.Option(
-            "--head-start", help="Seconds that the base moves before the EE.  [default: 0]"
-        ),
+        float | None, typer.Option(help="Seconds that the base moves before the EE.  [default: 0]")
     ] = None,
     time_scale: Annotated[
         float | None,
         typer.Option(
-            "--time-scale",
             help="Speed of EE motions relative to the plan, at most 1.  [default: 1; 0.5 for pr2 "
-            "with physics]",
+            "with physics]"
         ),
     ] = None,
     without_objects: Annotated[
@@ -70,17 +61,14 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     adapters: options.AdapterList = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--picture",
-            metavar="FILE.png",
-            help="Draw an episode; with --adapters success against latency, noise and head start.",
-            callback=options.output_file(".png"),
+        options.file_option(
+            "Draw an episode; with --adapters success against latency, noise and head start.",
+            ".png",
         ),
     ] = None,
     video: Annotated[
         Path | None,
         typer.Option(
-            "--video",
             metavar="FILE",
             help="Write an episode as .gif or .mp4, or four frames as .png.",
             callback=_check_video,
@@ -88,16 +76,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     replay: Annotated[
         Path | None,
-        typer.Option(
-            "--replay",
-            metavar="FILE.html",
-            help="Write an episode as an interactive page.",
-            callback=options.output_file(".html", ".htm"),
-        ),
+        options.file_option("Write an episode as an interactive page.", ".html", ".htm"),
     ] = None,
-    episode: Annotated[
-        int, typer.Option("--episode", min=0, help="Number of the episode to show.")
-    ] = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Number of the episode to show.")] = 0,
     processes: options.Processes = 1,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,

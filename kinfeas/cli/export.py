@@ -18,18 +18,9 @@ def export(
         str | None,
         typer.Argument(help="Folder of a training run or of a checkpoint, or pretrained."),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FILE.onnx",
-            help="File to write.",
-            callback=options.output_file(".onnx"),
-        ),
-    ] = None,
+    out: Annotated[Path | None, options.file_option("File to write.", ".onnx")] = None,
     check: Annotated[
-        Path | None,
-        typer.Option("--check", metavar="FILE.onnx", help="Verify this file, write nothing."),
+        Path | None, typer.Option(metavar="FILE.onnx", help="Verify this file, write nothing.")
     ] = None,
     robot: options.PolicyRobotName = None,
     json: options.JsonPath = None,
@@ -56,11 +47,7 @@ def export(
 
 
 def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolicy", float]:
-    """Write a policy as an ONNX file; return it and its largest deviation from the policy.
-
-    Raises:
-        KinfeasError: If it is no trained policy, not for the robot, or cannot be written.
-    """
+    """Write a policy as an ONNX file; return it and its largest deviation from the policy."""
     from kinfeas.policies import pretrained
 
     if policy != pretrained.NAME and not Path(policy or "-").is_dir():

@@ -14,25 +14,13 @@ if TYPE_CHECKING:
 
 
 def fit(
-    demonstrations: Annotated[
-        Path, typer.Option("--demonstrations", help="Folder of *.csv or *.npz files.")
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            metavar="FILE.yaml",
-            help="Model to write.",
-            callback=options.output_file(".yaml", ".yml"),
-        ),
-    ],
+    demonstrations: Annotated[Path, typer.Option(help="Folder of *.csv or *.npz files.")],
+    out: Annotated[Path, options.file_option("Model to write.", ".yaml", ".yml")],
     kind: Annotated[
         Literal["imitation", "gaussian_mixture"],
-        typer.Option("--kind", help="Motion generator of the model."),
+        typer.Option(help="Motion generator of the model."),
     ] = "imitation",
-    components: Annotated[
-        int, typer.Option("--components", min=1, max=50, help="Number of Gaussians.")
-    ] = 8,
+    components: Annotated[int, typer.Option(min=1, max=50, help="Number of Gaussians.")] = 8,
     seed: options.Seed = 0,
     json: options.JsonPath = None,
 ) -> None:

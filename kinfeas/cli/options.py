@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -42,22 +42,14 @@ def complete_policy(incomplete: str) -> list[str]:
 
 
 def check_robot(name: str | None) -> str | None:
-    """Return the name of a robot once it is known, before anything slow is imported.
-
-    Raises:
-        KinfeasError: If no robot has this name.
-    """
+    """Return the name of a robot once it is known, before anything slow is imported."""
     if name is not None and not is_path(name):
         registry.check_unique("kinfeas.robots", name)
     return name
 
 
 def check_policy(name: str | None) -> str | None:
-    """Return the name of a policy once it is known, before anything slow is imported.
-
-    Raises:
-        KinfeasError: If there is no such policy.
-    """
+    """Return the name of a policy once it is known, before anything slow is imported."""
     from kinfeas.policies.loading import check_name
 
     if name is not None:
@@ -84,34 +76,34 @@ def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
     return target
 
 
-ROBOT_HELP = "Robot: pr2, tiago, hsr, or a YAML file"
-TASK_HELP = "Task: ggr, ggr_restricted, pick_place, door, drawer, or a YAML file"
+def file_option(text: str, *suffixes: str) -> Any:
+    """Return an option for a file to write that ends in one of the suffixes."""
+    return typer.Option(metavar=f"FILE{suffixes[0]}", help=text, callback=output_file(*suffixes))
 
-RobotName = Annotated[
-    str,
-    typer.Option(
-        "--robot",
-        help=f"{ROBOT_HELP}.",
-        callback=check_robot,
-        autocompletion=names_of("robots"),
-    ),
-]
-PolicyRobotName = Annotated[
-    str | None,
-    typer.Option(
-        "--robot",
-        help=f"{ROBOT_HELP}.  [default: robot of the policy, else pr2]",
-        callback=check_robot,
-        autocompletion=names_of("robots"),
-    ),
-]
-TaskName = Annotated[
-    str, typer.Option("--task", help=f"{TASK_HELP}.", autocompletion=names_of("tasks"))
-]
+
+def episodes_option(text: str) -> Any:
+    """Return an option for a number of episodes."""
+    return typer.Option(min=1, max=MOST_EPISODES, help=text)
+
+
+def robot_option(default: str = "") -> Any:
+    """Return an option for a robot; the text on its default is added to the help."""
+    text = f"Robot: pr2, tiago, hsr, or a YAML file.{default}"
+    return typer.Option(help=text, callback=check_robot, autocompletion=names_of("robots"))
+
+
+def task_option(before: str = "", default: str = "") -> Any:
+    """Return an option for a task, with texts before and after its help."""
+    tasks = "Task: ggr, ggr_restricted, pick_place, door, drawer, or a YAML file."
+    return typer.Option(help=before + tasks + default, autocompletion=names_of("tasks"))
+
+
+RobotName = Annotated[str, robot_option()]
+PolicyRobotName = Annotated[str | None, robot_option("  [default: robot of the policy, else pr2]")]
+TaskName = Annotated[str, task_option()]
 PolicyName = Annotated[
     str,
     typer.Option(
-        "--policy",
         help="Run folder, ONNX file, pretrained, module:Class, or a plugin such as the baselines "
         "follow_ee, follow_ee_feedback, demonstrated_base, geometric_modulation, whole_body_qp.",
         callback=check_policy,
@@ -121,30 +113,22 @@ PolicyName = Annotated[
 World = Annotated[
     str,
     typer.Option(
-        "--world",
         help="Backend: analytic (kinematics), pybullet (physics), or a plugin.",
         autocompletion=names_of("backends"),
     ),
 ]
-Episodes = Annotated[
-    int, typer.Option("--episodes", min=1, max=MOST_EPISODES, help="Number of episodes.")
-]
-Seed = Annotated[int, typer.Option("--seed", min=0, max=LAST_SEED, help="Random seed.")]
+Episodes = Annotated[int, episodes_option("Number of episodes.")]
+Seed = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Random seed.")]
 Processes = Annotated[
-    int,
-    typer.Option("--processes", min=1, max=MOST_PROCESSES, help="Number of parallel processes."),
+    int, typer.Option(min=1, max=MOST_PROCESSES, help="Number of parallel processes.")
 ]
 AdapterList = Annotated[
     str | None,
-    typer.Option(
-        "--adapters",
-        help="Adapters of the backend: ideal, paper, pr2_like, harsh, or a YAML file.",
-    ),
+    typer.Option(help="Adapters of the backend: ideal, paper, pr2_like, harsh, or a YAML file."),
 ]
 Filters = Annotated[
     str | None,
     typer.Option(
-        "--filters",
         metavar="NAMES",
         help="Command filters in this order, such as rollout_planner,feasibility; or none.  "
         "[default: those of the robot]",
@@ -157,18 +141,12 @@ Overrides = Annotated[
 JsonPath = Annotated[
     Path | None,
     typer.Option(
-        "--json",
         metavar="FILE",
         help="Write results as JSON; - is standard output.",
         callback=_read_json_path,
     ),
 ]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        "--picture", metavar="FILE.png", help="Draw a picture.", callback=output_file(".png")
-    ),
-]
+Picture = Annotated[Path | None, file_option("Draw a picture.", ".png")]
 
 
 def read_robot(name: str) -> "Robot":
@@ -193,11 +171,7 @@ def read_adapters(name: str | None) -> "tuple[PluginSpec, ...]":
 
 
 def robot_of(policy: str | None) -> str:
-    """Return the robot that a policy was trained for, by name or path; pr2 for other policies.
-
-    Raises:
-        KinfeasError: If the policy's files are broken, or its robot is not on this machine.
-    """
+    """Return the robot that a policy was trained for, by name or path; pr2 for other policies."""
     from kinfeas.io.policy_metadata import read_trained
     from kinfeas.policies.loading import check_name
     from kinfeas.policies.onnx_policy import read_policy_file
@@ -221,12 +195,9 @@ def assignments(values: Mapping[str, object]) -> list[str]:
 def with_filters(
     filters: str | Sequence[str] | None, overrides: Sequence[str], prefix: str = "world."
 ) -> list[str]:
-    """Return assignments, with filters that replace the robot's own in `PREFIXfilters`.
+    """Return assignments with filters that replace the robot's own; None keeps those.
 
-    Args:
-        filters: Names, also as one text with commas, or `none`; None keeps the robot's own.
-        overrides: Assignments.
-        prefix: Of the key.
+    The filters are names, also as one text with commas, or `none`.
     """
     if filters is None:
         return list(overrides)

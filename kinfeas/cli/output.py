@@ -30,11 +30,7 @@ class Advance(Protocol):
 
 
 def check_file_path(path: Path | None) -> Path | None:
-    """Return `path` if a file can be written there, before any work is done.
-
-    Raises:
-        KinfeasError: If it cannot.
-    """
+    """Return `path` if a file can be written there, before any work is done."""
     if path is not None:
         with writing(path):
             if path.is_dir():
@@ -46,21 +42,13 @@ def check_file_path(path: Path | None) -> Path | None:
 
 
 def check_suffix(path: Path, *suffixes: str) -> None:
-    """Check the suffix of a file; a device or a pipe may have any name.
-
-    Raises:
-        KinfeasError: If it is none of `suffixes`.
-    """
+    """Check the suffix of a file; a device or a pipe may have any name."""
     if path.suffix.lower() not in suffixes and replaced(path) is not None:
         raise KinfeasError(f"{path}: must end in {' or '.join(suffixes)}")
 
 
 def write_json(data: object, path: Path | None) -> None:
-    """Write `data` as JSON, atomically; nothing for None.
-
-    Raises:
-        KinfeasError: If the file cannot be written.
-    """
+    """Write `data` as JSON, atomically; nothing for None."""
     if path is not None:
         write_file(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 

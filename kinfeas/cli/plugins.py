@@ -21,10 +21,7 @@ if TYPE_CHECKING:
     from kinfeas.testing import Finding
     from kinfeas.testing.trial import Trial
 
-app = typer.Typer(
-    no_args_is_help=True,
-    help="List, check and create plugins.",
-)
+app = typer.Typer(no_args_is_help=True, help="List, check and create plugins.")
 
 _GENERATORS = "kinfeas.motion_generators"
 _GIVEN = {
@@ -84,10 +81,8 @@ def info(
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the plugin, such as my_motion.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder.  [default: ./kinfeas-NAME]")
-    ] = None,
-    kind: Annotated[Kind, typer.Option("--kind", help="Kind of plugin.")] = Kind.MOTION_GENERATOR,
+    out: Annotated[Path | None, typer.Option(help="Folder.  [default: ./kinfeas-NAME]")] = None,
+    kind: Annotated[Kind, typer.Option(help="Kind of plugin.")] = Kind.MOTION_GENERATOR,
 ) -> None:
     """Create a plugin distribution with example, test and README.
 
@@ -113,17 +108,13 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     ],
     overrides: options.Overrides = None,
     duration: Annotated[
-        float, typer.Option("--duration", min=0.1, help="Seconds within which motions arrive.")
+        float, typer.Option(min=0.1, help="Seconds within which motions arrive.")
     ] = 120.0,
-    dt: Annotated[float, typer.Option("--dt", min=0.001, help="Seconds of a step.")] = 0.1,
-    max_velocity: Annotated[
-        float, typer.Option("--max-velocity", min=0.0, help="Speed limit, m/s.")
-    ] = 0.1,
-    max_angular_velocity: Annotated[
-        float, typer.Option("--max-angular-velocity", min=0.0, help="The same in rad/s.")
-    ] = 0.1,
+    dt: Annotated[float, typer.Option(min=0.001, help="Seconds of a step.")] = 0.1,
+    max_velocity: Annotated[float, typer.Option(min=0.0, help="Speed limit, m/s.")] = 0.1,
+    max_angular_velocity: Annotated[float, typer.Option(min=0.0, help="The same in rad/s.")] = 0.1,
     seed: options.Seed = 0,
-    robot: Annotated[str, typer.Option("--robot", help="Robot of a policy.")] = "pr2",
+    robot: Annotated[str, typer.Option(help="Robot of a policy.")] = "pr2",
     picture: options.Picture = None,
     json: options.JsonPath = None,
 ) -> None:

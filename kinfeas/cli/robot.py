@@ -29,26 +29,23 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     urdf: Annotated[
         Path, typer.Argument(metavar="FILE.urdf", help="URDF of a mobile manipulator.")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for NAME.yaml and NAME.urdf.")],
+    out: Annotated[Path, typer.Option(help="Folder for NAME.yaml and NAME.urdf.")],
     name: Annotated[
-        str | None, typer.Option("--name", help="Name of the robot.  [default: that of the file]")
+        str | None, typer.Option(help="Name of the robot.  [default: that of the file]")
     ] = None,
     drive: Annotated[
         Literal["differential", "omnidirectional"] | None,
-        typer.Option("--drive", help="Drive of the base.  [default: differential, a guess]"),
+        typer.Option(help="Drive of the base.  [default: differential, a guess]"),
     ] = None,
     ee: Annotated[
         str | None,
-        typer.Option(
-            "--ee", help="EE link.  [default: end of the longest chain, before the fingers]"
-        ),
+        typer.Option(help="EE link.  [default: end of the longest chain, before the fingers]"),
     ] = None,
     base: Annotated[
         str | None,
         typer.Option(
-            "--base",
             help="Base link; links above it are left out.  [default: the root, or the link above "
-            "joints that model a floor]",
+            "joints that model a floor]"
         ),
     ] = None,
     json: options.JsonPath = None,

@@ -12,35 +12,26 @@ from kinfeas.core.errors import KinfeasError
 
 def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
-        str, typer.Option("--backend", help="Bus: ros2, ros1, or a plugin with topics.")
+        str, typer.Option(help="Bus: ros2, ros1, or a plugin with topics.")
     ] = "ros2",
     robot: options.RobotName = options.DEFAULT_ROBOT,
-    task: Annotated[
-        str | None, typer.Option("--task", help="Begin as in an episode of this task.")
-    ] = None,
-    episode: Annotated[int, typer.Option("--episode", min=0, help="Number of the episode.")] = 0,
+    task: Annotated[str | None, typer.Option(help="Begin as in an episode of this task.")] = None,
+    episode: Annotated[int, typer.Option(min=0, help="Number of the episode.")] = 0,
     seed: options.Seed = 0,
     scene: Annotated[
-        str | None,
-        typer.Option("--scene", help="Scene by name or YAML file.  [default: that of --task]"),
+        str | None, typer.Option(help="Scene by name or YAML file.  [default: that of --task]")
     ] = None,
     topics: Annotated[
-        str | None,
-        typer.Option("--topics", help="YAML of the topics.  [default: those of the robot]"),
+        str | None, typer.Option(help="YAML of the topics.  [default: those of the robot]")
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", min=10.0, max=1000.0, help="Measurement rate, Hz.")
+        float, typer.Option(min=10.0, max=1000.0, help="Measurement rate, Hz.")
     ] = 100.0,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.0, help="Duration.  [default: unlimited]")
+        float | None, typer.Option(min=0.0, help="Duration.  [default: unlimited]")
     ] = None,
     command_timeout: Annotated[
-        float,
-        typer.Option(
-            "--command-timeout",
-            min=0.0,
-            help="Seconds without a command after which the base stops.",
-        ),
+        float, typer.Option(min=0.0, help="Seconds without a command after which the base stops.")
     ] = 0.25,
     gui: Annotated[bool, typer.Option("--gui", help="Show a window.")] = False,
     json: options.JsonPath = None,

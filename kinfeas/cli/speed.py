@@ -18,7 +18,6 @@ def speed(
     policy: Annotated[
         str | None,
         typer.Option(
-            "--policy",
             help="Run folder of the timed policy.  [default: 256 x 256 random weights]",
             callback=options.check_policy,
         ),

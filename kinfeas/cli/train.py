@@ -26,59 +26,38 @@ Algorithm = Literal["sac", "td3"]
 def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     robot: Annotated[
         str | None,
-        typer.Option(
-            "--robot",
-            help=f"{options.ROBOT_HELP}.  [default: robot of --config or --init, else pr2]",
-            callback=options.check_robot,
-            autocompletion=options.names_of("robots"),
-        ),
+        options.robot_option("  [default: robot of --config or --init, else pr2]"),
     ] = None,
-    task: Annotated[
-        str | None,
-        typer.Option(
-            "--task",
-            help=f"{options.TASK_HELP}.  [default: ggr]",
-            autocompletion=options.names_of("tasks"),
-        ),
-    ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", help="Random seed.  [default: 0]")] = None,
+    task: Annotated[str | None, options.task_option(default="  [default: ggr]")] = None,
+    seed: Annotated[int | None, typer.Option(help="Random seed.  [default: 0]")] = None,
     minutes: Annotated[
-        float | None,
-        typer.Option("--minutes", help="Training time without evaluations.  [default: 3]"),
+        float | None, typer.Option(help="Training time without evaluations.  [default: 3]")
     ] = None,
     steps: Annotated[
-        int | None,
-        typer.Option("--steps", help="Environment steps, in place of or beside --minutes."),
+        int | None, typer.Option(help="Environment steps, in place of or beside --minutes.")
     ] = None,
-    algorithm: Annotated[
-        Algorithm | None, typer.Option("--algorithm", help="Algorithm.  [default: sac]")
-    ] = None,
+    algorithm: Annotated[Algorithm | None, typer.Option(help="Algorithm.  [default: sac]")] = None,
     adapters: options.AdapterList = None,
     world: options.World = "analytic",
     init: Annotated[
-        str | None,
-        typer.Option("--init", help="Policy to start from: a run folder, or pretrained."),
+        str | None, typer.Option(help="Policy to start from: a run folder, or pretrained.")
     ] = None,
     processes: Annotated[
-        int | None,
-        typer.Option("--processes", help="Processes of the PyBullet world.  [default: 2]"),
+        int | None, typer.Option(help="Processes of the PyBullet world.  [default: 2]")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Folder of the run.  [default: runs/ROBOT-TASK-SEED]"),
+        Path | None, typer.Option(help="Folder of the run.  [default: runs/ROBOT-TASK-SEED]")
     ] = None,
     config: Annotated[
         str | None,
         typer.Option(
-            "--config",
             help="Recipe: a YAML file, or a name such as train/tiago or paper/pr2.  "
-            "[default: that of the robot]",
+            "[default: that of the robot]"
         ),
     ] = None,
     overrides: options.Overrides = None,
     resume: Annotated[
-        Path | None,
-        typer.Option("--resume", help="Resume the run of a folder; --minutes and --steps extend."),
+        Path | None, typer.Option(help="Resume the run of a folder; --minutes and --steps extend.")
     ] = None,
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
@@ -111,19 +90,10 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         if out is not None:
             check_new(out)
         settings = read_settings(
-            robot,
-            task,
-            seed=seed,
-            minutes=minutes,
-            steps=steps,
-            algorithm=algorithm,
-            adapters=adapters,
-            world=world,
-            init=init,
-            processes=processes,
-            config=config,
+            robot, task, seed=seed, minutes=minutes, steps=steps, algorithm=algorithm,
+            adapters=adapters, world=world, init=init, processes=processes, config=config,
             overrides=overrides or (),
-        )
+        )  # fmt: skip
         folder = out or default_folder(settings)
         check_new(folder)
         done = train_run(settings, folder)
@@ -145,11 +115,7 @@ def read_settings(  # noqa: PLR0913 - options of the command
     config: str | None = None,
     overrides: Sequence[str] = (),
 ) -> "TrainConfig":
-    """Return the settings of a run: the recipe, then the options, then `overrides`.
-
-    Raises:
-        KinfeasError: If recipe, robot, task, a key or a value is invalid.
-    """
+    """Return the settings of a run: the recipe, then the options, then `overrides`."""
     from kinfeas.config.recipes import load_recipe, load_section
     from kinfeas.core.registry import from_anywhere
     from kinfeas.envs.world import World
@@ -158,13 +124,8 @@ def read_settings(  # noqa: PLR0913 - options of the command
 
     if config is None and robot is None:
         robot = options.robot_of(init)
-    given: dict[str, object] = {
-        "robot": robot,
-        "task": task,
-        "seed": seed,
-        "learner.algorithm": algorithm,
-    }
-    given |= {"init": init, "processes": processes}
+    given: dict[str, object] = {"robot": robot, "task": task, "seed": seed, "init": init}
+    given |= {"processes": processes, "learner.algorithm": algorithm}
     if adapters is not None:
         given["world.adapters"] = [vars(one) for one in options.read_adapters(adapters)]
     changes = [*options.assignments(given), *_duration(minutes, steps), *overrides]
@@ -263,11 +224,7 @@ def describe(now: "Progress") -> str:
 
 
 def write_evaluation(folder: Path) -> dict[str, Any]:
-    """Write `evaluation.json` of a finished run and return its metrics on fresh episodes.
-
-    Raises:
-        KinfeasError: If the run has no best checkpoint, or it cannot be read.
-    """
+    """Write `evaluation.json` of a finished run and return its metrics on fresh episodes."""
     from kinfeas.config import from_mapping
     from kinfeas.io.policy_metadata import read_best
     from kinfeas.training.config import TrainConfig

@@ -1,5 +1,6 @@
 """`kinfeas view`: a scene or a recorded run as a table, a picture or an interactive page."""
 
+from contextlib import closing
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -17,24 +18,16 @@ if TYPE_CHECKING:
 
 def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     scene: Annotated[
-        str | None,
-        typer.Option("--scene", help="Scene by name or YAML file.  [default: room]"),
+        str | None, typer.Option(help="Scene by name or YAML file.  [default: room]")
     ] = None,
     record: Annotated[
-        Path | None,
-        typer.Option("--record", metavar="FILE.csv", help="Record of kinfeas deploy."),
+        Path | None, typer.Option(metavar="FILE.csv", help="Record of kinfeas deploy.")
     ] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
     picture: options.Picture = None,
     html: Annotated[
-        Path | None,
-        typer.Option(
-            "--html",
-            metavar="FILE.html",
-            help="Write an interactive page.",
-            callback=options.output_file(".html", ".htm"),
-        ),
+        Path | None, options.file_option("Write an interactive page.", ".html", ".htm")
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Serve a scene with sliders until Ctrl-C.")
@@ -46,14 +39,12 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas view --record runs/deploy/FILE.csv --picture run.png --html run.html
     """
-    if record is not None:
-        if scene is not None or overrides or live:
-            raise KinfeasError("--record excludes --scene, --set and --live")
-        _view_run(record, json, picture, html)
-    else:
-        _view_scene(scene or "room", overrides or [], json, picture, html)
-        if live:
-            _serve(scene or "room", overrides or [])
+    if record is None:
+        _view_scene(scene or "room", overrides or [], json, picture, html, live=live)
+        return
+    if scene is not None or overrides or live:
+        raise KinfeasError("--record excludes --scene, --set and --live")
+    _view_run(record, json, picture, html)
 
 
 def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
@@ -68,11 +59,8 @@ def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | 
     write_json(facts, json)
     print_facts(f"record {path}", facts)
     write_drawing(lambda: png(record_figure(run, robot), dpi=110), picture)
-
-    def page() -> bytes:
-        return episode_html(as_recording(run, robot), robot, scene_of(run), run.time).encode()
-
-    write_drawing(page, html)
+    shown = as_recording(run, robot)
+    write_drawing(lambda: episode_html(shown, robot, scene_of(run), run.time).encode(), html)
 
 
 def _run_facts(run: "Record") -> dict[str, object]:
@@ -99,10 +87,17 @@ def _run_facts(run: "Record") -> dict[str, object]:
 
 
 def _view_scene(
-    name: str, overrides: list[str], json: Path | None, picture: Path | None, html: Path | None
+    name: str,
+    overrides: list[str],
+    json: Path | None,
+    picture: Path | None,
+    html: Path | None,
+    *,
+    live: bool,
 ) -> None:
     from kinfeas.scenes.scene import read_scene
     from kinfeas.viz.figures import scene_figure
+    from kinfeas.viz.pages import ScenePage
     from kinfeas.viz.style import png
 
     scene = read_scene(name, overrides)
@@ -110,30 +105,14 @@ def _view_scene(
     write_json(facts, json)
     print_facts(f"scene {scene.name}", facts)
     write_drawing(lambda: png(scene_figure(scene), dpi=110), picture)
-    write_drawing(lambda: _page(scene), html)
-
-
-def _page(scene: "Scene") -> bytes:
-    from kinfeas.viz.pages import ScenePage
-
-    page = ScenePage(scene)
-    try:
-        return page.html().encode()
-    finally:
-        page.close()
-
-
-def _serve(name: str, overrides: list[str]) -> None:
-    from kinfeas.scenes.scene import read_scene
-    from kinfeas.viz.pages import ScenePage
-
-    page = ScenePage(read_scene(name, overrides))
-    page.add_sliders()
-    typer.echo(f"open {page.address} in a browser; Ctrl-C ends it")
-    try:
-        Event().wait()
-    finally:
-        page.close()
+    if html is not None:
+        with closing(ScenePage(scene)) as page:
+            write_drawing(lambda: page.html().encode(), html)
+    if live:
+        with closing(ScenePage(scene)) as page:
+            page.add_sliders()
+            typer.echo(f"open {page.address} in a browser; Ctrl-C ends it")
+            Event().wait()
 
 
 def _scene_facts(scene: "Scene") -> dict[str, object]:

@@ -28,22 +28,24 @@ class Outcome:
 
 @pytest.fixture
 def kinfeas(monkeypatch, capfd, tmp_path):
-    """Return a function that runs `kinfeas ARGUMENTS` in an empty folder."""
+    """Return a function that runs `kinfeas ARGUMENTS` in an empty folder and checks the code."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments: str) -> Outcome:
+    def run(*arguments: str, code: int | None = None) -> Outcome:
         capfd.readouterr()  # what was printed before is not the command's
         monkeypatch.setattr(sys, "argv", ["kinfeas", *arguments])
-        code = 0
-        try:
+        with pytest.raises(SystemExit) as end:
             main.main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        return Outcome(code, *capfd.readouterr())
+        outcome = Outcome(int(end.value.code or 0), *capfd.readouterr())
+        assert code in (None, outcome.code), outcome.err
+        return outcome
 
     return run
 
 
-def is_one_line(outcome: Outcome) -> bool:
-    """Return whether a command ended as bad input has to: code 2, one line, no traceback."""
-    return outcome.code == 2 and outcome.err.startswith("error: ") and outcome.err.count("\n") == 1
+def check_one_line(outcome: Outcome, named: str = "") -> None:
+    """Check that a command ended as bad input has to: code 2, one line that names the input."""
+    assert outcome.code == 2, outcome.err
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert named in outcome.err

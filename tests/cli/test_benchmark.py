@@ -5,7 +5,7 @@ import pytest
 from kinfeas.benchmark import jobs
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
-from tests.cli.conftest import TINY, is_one_line
+from tests.cli.conftest import TINY, check_one_line
 
 STUDY = f"""
 note: A very small one.
@@ -109,16 +109,12 @@ def test_physics_beside_the_analytic_world(run, tmp_path):
 )
 def test_bad_input_is_one_line(run, tmp_path, arguments, named, monkeypatch):
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path / "none")
-    outcome = run(*arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(run(*arguments), named)
     assert not (tmp_path / "out").exists()
 
 
 def test_publishing_needs_trained_policies(run, tmp_path):
-    outcome = run("--policy", "pretrained", "--publish", "ship")
-    assert is_one_line(outcome), outcome.err
-    assert "--publish" in outcome.err
+    check_one_line(run("--policy", "pretrained", "--publish", "ship"), "--publish")
     assert not (tmp_path / "out").exists()
 
 
@@ -127,6 +123,4 @@ def test_unusable_baseline_is_an_error_before_training(run, monkeypatch):
         raise KinfeasError("no such library")
 
     monkeypatch.setattr(jobs, "load_policy", missing)
-    outcome = run()
-    assert is_one_line(outcome), outcome.err
-    assert "training" not in outcome.err
+    check_one_line(run(), "no such library")

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.cli import deploy
 from kinfeas.core import registry
-from kinfeas.io.run_log import REACHED, About, read_record
+from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.policies import pretrained
 from kinfeas.tasks.loading import load_task
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
 
 
@@ -69,11 +68,15 @@ def test_filters_without_a_clock_are_repeatable(run):
 
 
 def test_every_run_has_a_record(kinfeas, tmp_path):
-    done = kinfeas("deploy", *BRIEF)
-    assert done.code == 4
+    done = kinfeas("deploy", *BRIEF, code=4)
     assert done.err.startswith("stopped: ")
     (record,) = (tmp_path / "runs" / "deploy").glob("*-hsr-goal.csv")
     assert len(read_record(record).time) == 5 + 2
+    before = record.read_bytes()
+    for _ in range(2):  # also within a second
+        kinfeas("deploy", *BRIEF, code=4)
+    assert len(list(record.parent.iterdir())) == 3
+    assert record.read_bytes() == before
 
 
 def test_record_of_an_own_robot_can_be_read_elsewhere(run, kinfeas, tmp_path, monkeypatch):
@@ -83,7 +86,7 @@ def test_record_of_an_own_robot_can_be_read_elsewhere(run, kinfeas, tmp_path, mo
     assert record.about.robot == str(tmp_path / "own" / "scout.yaml")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    assert kinfeas("view", "--record", "../run.csv").code == 0
+    kinfeas("view", "--record", "../run.csv", code=0)
 
 
 def test_adapters_change_the_run(run, tmp_path):
@@ -136,9 +139,7 @@ def test_bad_input_is_one_line_and_leaves_no_record(kinfeas, tmp_path, arguments
     policy = "follow_ee" if "ros2" in arguments else "pretrained"
     if arguments == ("--robot", "pr2"):
         policy = str(pretrained.find("tiago"))
-    done = kinfeas("deploy", policy, *HSR, *GOAL, *arguments)
-    assert is_one_line(done), done.err
-    assert named in done.err
+    check_one_line(kinfeas("deploy", policy, *HSR, *GOAL, *arguments), named)
     assert list(tmp_path.rglob("*.csv")) == [tmp_path / "taken.csv"]
     assert (tmp_path / "taken.csv").read_text() == "mine"
 
@@ -154,7 +155,7 @@ def test_bad_input_is_one_line_and_leaves_no_record(kinfeas, tmp_path, arguments
     ],
 )
 def test_policy_and_target_must_be_given(kinfeas, arguments):
-    assert is_one_line(kinfeas("deploy", *arguments))
+    check_one_line(kinfeas("deploy", *arguments))
 
 
 def test_unreachable_sub_goal_is_an_error(kinfeas, tmp_path):
@@ -163,9 +164,10 @@ def test_unreachable_sub_goal_is_an_error(kinfeas, tmp_path):
     (tmp_path / "up.yaml").write_text(
         f"name: up\n{places}\nsubgoals: [{{place: low}}, {{place: high}}]"
     )
-    done = kinfeas("deploy", "pretrained", "--backend", "analytic", "--task", "up.yaml")
-    assert is_one_line(done), done.err
-    assert "sub-goal 2 of 2" in done.err
+    check_one_line(
+        kinfeas("deploy", "pretrained", "--backend", "analytic", "--task", "up.yaml"),
+        "sub-goal 2 of 2",
+    )
 
 
 def test_reach_guard_can_be_switched_off(run):
@@ -181,8 +183,7 @@ def test_base_slower_than_the_hand_is_warned_of(run, more, warns):
 
 
 def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
-    done = kinfeas("deploy", *BRIEF, "--record", "run.csv", "--json", "/dev/full")
-    assert done.code == 4
+    done = kinfeas("deploy", *BRIEF, "--record", "run.csv", "--json", "/dev/full", code=4)
     stopped, unwritten = done.err.splitlines()
     assert stopped.startswith("stopped: ")
     assert unwritten.startswith("--json: /dev/full")
@@ -199,22 +200,11 @@ def test_backend_that_cannot_be_closed_keeps_the_exit_code(run, monkeypatch, tmp
     assert "still busy" in json.loads((tmp_path / "run.json").read_text())["unclosed"]
 
 
-def test_names_of_records(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    started = "2026-01-02T03:04:05+00:00"
-    about = About("pr2", "../up *", "pretrained", "analytic", 0.02, ("elbow",), started)
-    names = [f"20260102-030405-pr2-___up__{end}.csv" for end in ("", "-2", "-3")]
-    for name in names:
-        path = deploy._record_path(about)
-        assert path == Path("runs") / "deploy" / name
-        path.touch()
-
-
 @pytest.mark.parametrize("policy", ["run", "tiago.onnx"])
 def test_policy_moves_its_robot(run, kinfeas, tmp_path, policy):
     shutil.copytree(pretrained.find("tiago"), tmp_path / "run")
     if policy != "run":
-        assert kinfeas("export", "run", "--out", policy).code == 0
+        kinfeas("export", "run", "--out", policy, code=0)
     done, record = run(policy, *GOAL, "--no-real-time", "--seconds", "0.1")
     assert done.code == 4, done.err
     assert record.about.robot == "tiago"

@@ -7,7 +7,7 @@ from kinfeas.benchmark import speed as speed_module
 from kinfeas.benchmark.speed import Figure, random_network
 from kinfeas.policies.network import write_network
 from kinfeas.robots.loading import load_robot
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 
 EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "2")
 SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
@@ -19,8 +19,7 @@ def evaluate(kinfeas, tmp_path):
     """Return a function that returns the JSON of `kinfeas evaluate`."""
 
     def run(*arguments):
-        outcome = kinfeas(*arguments, "--json", "out.json")
-        assert outcome.code == 0, outcome.err
+        kinfeas(*arguments, "--json", "out.json", code=0)
         return json.loads((tmp_path / "out.json").read_text())
 
     return run
@@ -76,12 +75,8 @@ def test_options_of_physics(evaluate):
 def test_cost_of_each_adapter(evaluate, tmp_path):
     (tmp_path / "mine.yaml").write_text("adapters: [base_noise, {name: head_start, seconds: 1}]")
     figures = evaluate(*SHORT, "--adapters", "mine.yaml")
-    assert [cost["adapter"] for cost in figures["costs"]] == [
-        "none",
-        "base_noise",
-        "head_start",
-        "all",
-    ]
+    adapters = [cost["adapter"] for cost in figures["costs"]]
+    assert adapters == ["none", "base_noise", "head_start", "all"]
     assert figures["success"] == figures["costs"][-1]["success"]
 
 
@@ -97,8 +92,7 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")
     pytest.importorskip("pybullet")
     outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
-    outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "1")
-    assert outcome.code == 0, outcome.err
+    outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "1", code=0)
     assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}
     for name in ("four.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
@@ -132,17 +126,13 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
 )
 def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
     (tmp_path / "broken.yaml").write_text("adapters: [{name: base_noise, linear: [2, 1]}]")
-    outcome = kinfeas(*SHORT, *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(kinfeas(*SHORT, *arguments), named)
 
 
 def test_window_needs_a_screen(kinfeas, monkeypatch):
     pytest.importorskip("pybullet")
     monkeypatch.delenv("DISPLAY", raising=False)
-    outcome = kinfeas(*SHORT, *PYBULLET, "--gui")
-    assert is_one_line(outcome), outcome.err
-    assert "DISPLAY" in outcome.err
+    check_one_line(kinfeas(*SHORT, *PYBULLET, "--gui"), "DISPLAY")
 
 
 def test_speed(evaluate, kinfeas, tmp_path, monkeypatch):
@@ -162,4 +152,4 @@ def test_speed(evaluate, kinfeas, tmp_path, monkeypatch):
     shown = kinfeas("speed").out
     for text in ("1.50 us", "not installed", "25.0 %", "12,346 steps/s"):
         assert text in shown
-    assert is_one_line(kinfeas("speed", "--policy", "follow_ee"))
+    check_one_line(kinfeas("speed", "--policy", "follow_ee"))

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from kinfeas.robots.loading import load_robot
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 from tests.sim2real.policy_cases import write_run
 
 
@@ -11,8 +11,7 @@ from tests.sim2real.policy_cases import write_run
 def file(kinfeas, tmp_path):
     """The export of a training run of the HSR, `run`."""
     write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
-    outcome = kinfeas("export", "run", "--robot", "hsr", "--out", "hsr.onnx", "--json", "out.json")
-    assert outcome.code == 0, outcome.err
+    kinfeas("export", "run", "--robot", "hsr", "--out", "hsr.onnx", "--json", "out.json", code=0)
     return tmp_path / "hsr.onnx"
 
 
@@ -20,8 +19,9 @@ def test_export_and_check_show_the_same_metadata(kinfeas, file, tmp_path):
     exported = json.loads((tmp_path / "out.json").read_text())
     assert 0.0 <= exported.pop("parity") <= 1e-5
     assert exported["robot"]["name"] == "hsr"
-    outcome = kinfeas("export", "--check", "hsr.onnx", "--robot", "hsr", "--json", "check.json")
-    assert outcome.code == 0, outcome.err
+    outcome = kinfeas(
+        "export", "--check", "hsr.onnx", "--robot", "hsr", "--json", "check.json", code=0
+    )
     assert json.loads((tmp_path / "check.json").read_text()) == exported
     for words in ("name: hsr", "arm_lift_joint", "not compared"):
         assert (words in outcome.out) is (words != "not compared")
@@ -32,22 +32,17 @@ def test_file_acts_as_its_run(kinfeas, file, tmp_path):
     found = []
     for policy in ("run", "hsr.onnx"):
         words = ("--robot", "hsr", "--episodes", "2", "--set", "world.max_seconds=2")
-        outcome = kinfeas("evaluate", "--policy", policy, *words, "--json", "figures.json")
-        assert outcome.code == 0, outcome.err
+        kinfeas("evaluate", "--policy", policy, *words, "--json", "figures.json", code=0)
         found.append(json.loads((tmp_path / "figures.json").read_text()))
     assert found[0]["ik_failures_per_episode"] == found[1]["ik_failures_per_episode"]
 
 
 def test_altered_file_and_other_robot_are_one_line(kinfeas, file):
     words = ("evaluate", "--policy", "hsr.onnx", "--robot", "pr2", "--episodes", "1")
-    outcome = kinfeas(*words)
-    assert is_one_line(outcome), outcome.err
-    assert "'hsr'" in outcome.err
+    check_one_line(kinfeas(*words), "'hsr'")
     file.write_bytes(file.read_bytes()[:-1000])
     for words in (("export", "--check"), ("evaluate", "--policy")):
-        outcome = kinfeas(*words, "hsr.onnx")
-        assert is_one_line(outcome), outcome.err
-        assert "hsr.onnx" in outcome.err
+        check_one_line(kinfeas(*words, "hsr.onnx"), "hsr.onnx")
 
 
 @pytest.mark.parametrize(
@@ -73,7 +68,5 @@ def test_altered_file_and_other_robot_are_one_line(kinfeas, file):
 def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
     write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
     (tmp_path / "empty.onnx").touch()
-    outcome = kinfeas("export", *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(kinfeas("export", *arguments), named)
     assert not (tmp_path / "x.onnx").exists()

@@ -6,7 +6,7 @@ import pytest
 
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 from tests.plugins.conftest import door_demonstrations
 
 
@@ -20,20 +20,16 @@ def shown(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("generator", "words"),
-    [
-        (Imitation, ("--components", "8")),
-        (GaussianMixture, ("--kind", "gaussian_mixture", "--components", "5", "--seed", "3")),
-    ],
+    ("generator", "kind", "components"),
+    [(Imitation, "imitation", 8), (GaussianMixture, "gaussian_mixture", 5)],
 )
-def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, words):
+def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, components):
     given = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "door.json")
-    outcome = kinfeas("fit", *given, *words)
-    assert outcome.code == 0, outcome.err
+    kinfeas("fit", *given, "--kind", kind, "--components", str(components), "--seed", "3", code=0)
     generator(model="./door.yaml")
     figures = json.loads((tmp_path / "door.json").read_text())
     assert (figures["demonstrations"], figures["base"]) == (4, True)
-    assert figures["components"] == int(words[words.index("--components") + 1])
+    assert figures["components"] == components
     assert max(figures["position_residual_m"]) < 0.04
     text = (tmp_path / "door.yaml").read_text()
     assert "kinfeas fit --demonstrations shown" in text
@@ -43,8 +39,7 @@ def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, words)
 def test_demonstrations_without_a_base_are_named(kinfeas, shown):
     one = door_demonstrations(1)[0]
     write_demonstration(replace(one, base_pose=None), shown / "2.npz")
-    outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml")
-    assert outcome.code == 0, outcome.err
+    outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
     assert "2.npz" in outcome.out
 
 
@@ -66,6 +61,4 @@ def test_bad_input_is_one_line(arguments, named, kinfeas, shown):
     poses = ("ee_pose", "base_pose", "object_pose")
     still = {name: np.tile(getattr(one, name)[:1], (len(one.time), 1)) for name in poses}
     write_demonstration(replace(one, **still), shown / "1.csv")
-    outcome = kinfeas("fit", "--out", "door.yaml", *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(kinfeas("fit", "--out", "door.yaml", *arguments), named)

@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.core.registry import GROUPS, load
 from kinfeas.testing import RULES
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 
 BROKEN = {"leaves": "import sys\nsys.exit(7)\n", "number": "target = 3\n"}
 
@@ -39,8 +39,7 @@ def info(kinfeas, tmp_path):
 
 
 def test_list_has_every_group(kinfeas, tmp_path):
-    outcome = kinfeas("plugins", "list", "--json", "plugins.json")
-    assert outcome.code == 0
+    outcome = kinfeas("plugins", "list", "--json", "plugins.json", code=0)
     found = json.loads((tmp_path / "plugins.json").read_text())
     assert {one["group"] for one in found} == set(GROUPS)
     own = [one for one in found if one["distribution"] == "kinfeas"]
@@ -50,13 +49,11 @@ def test_list_has_every_group(kinfeas, tmp_path):
 
 @pytest.mark.parametrize("broken", BROKEN, indirect=True)
 def test_broken_plugin_does_not_disturb_others(kinfeas, broken, tmp_path):
-    assert kinfeas("plugins", "list", "--json", "plugins.json").code == 0
+    kinfeas("plugins", "list", "--json", "plugins.json", code=0)
     found = {one["name"]: one for one in json.loads((tmp_path / "plugins.json").read_text())}
     assert found["linear"]["error"] is None
     assert broken in found[broken]["error"]
-    outcome = kinfeas("plugins", "info", broken)
-    assert is_one_line(outcome), outcome.err
-    assert broken in outcome.err
+    check_one_line(kinfeas("plugins", "info", broken), broken)
 
 
 def test_info_on_parameters(info):
@@ -92,8 +89,7 @@ def test_info_on_a_robot(info, name):
 
 
 def test_check_reports_every_rule(kinfeas, tmp_path):
-    outcome = kinfeas("plugins", "check", "linear", "--picture", "a.png", "--json", "a.json")
-    assert outcome.code == 0
+    kinfeas("plugins", "check", "linear", "--picture", "a.png", "--json", "a.json", code=0)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     found = json.loads((tmp_path / "a.json").read_text())
     assert found["passed"] is True
@@ -104,7 +100,7 @@ def test_check_of_a_generator_that_breaks_rules(kinfeas, tmp_path):
     settings = ["--set", "max_velocity=0.4", "--set", "max_angular_velocity=null"]
     words = [*settings, "--duration", "9", "--json", "a.json"]
     outcome = kinfeas("plugins", "check", "linear", *words)
-    assert is_one_line(outcome), outcome.err
+    check_one_line(outcome)
     found = json.loads((tmp_path / "a.json").read_text())
     assert found["passed"] is False
     broken = {one["rule"] for one in found["rules"] if one["result"] == "broken"}
@@ -138,6 +134,4 @@ def test_new_writes_a_distribution_and_quotes_its_folder(kinfeas, tmp_path):
 )
 def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
     (tmp_path / "other.yaml").write_text("{adapters: []}")
-    outcome = kinfeas("plugins", *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(kinfeas("plugins", *arguments), named)

@@ -4,7 +4,7 @@ import re
 import pytest
 
 from kinfeas.robots.loading import read_robot
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 from tests.importer.conftest import ARM
 
 
@@ -27,7 +27,7 @@ def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
     assert len(found["heights_m"]) == len(found["reachable"])
     assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
     words = ("--policy", "follow_ee", "--episodes", "1", "--set", "world.max_seconds=1")
-    assert kinfeas("evaluate", "--robot", "new/dolly.yaml", *words).code == 0
+    kinfeas("evaluate", "--robot", "new/dolly.yaml", *words, code=0)
 
 
 def test_robot_without_shapes(robot, tmp_path):
@@ -51,9 +51,7 @@ def test_guesses_are_shown(robot):
 def test_existing_files_are_kept(robot, tmp_path):
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "dolly.yaml").write_text("mine")
-    outcome = robot("--out", "new")
-    assert is_one_line(outcome), outcome.err
-    assert "new/dolly.yaml" in outcome.err
+    check_one_line(robot("--out", "new"), "new/dolly.yaml")
     assert (tmp_path / "new" / "dolly.yaml").read_text() == "mine"
     assert robot("--out", "new", "--name", "other").code == 0
 
@@ -71,9 +69,6 @@ def test_existing_files_are_kept(robot, tmp_path):
 )
 def test_bad_input_is_one_line(robot, kinfeas, tmp_path, arguments, named):
     outcome = robot("--out", "new", *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(outcome, named)
     assert not (tmp_path / "new").exists()
-    outcome = kinfeas("robot", "import", "none.urdf", "--out", "new")
-    assert is_one_line(outcome), outcome.err
-    assert "none.urdf" in outcome.err
+    check_one_line(kinfeas("robot", "import", "none.urdf", "--out", "new"), "none.urdf")

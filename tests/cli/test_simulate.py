@@ -1,6 +1,6 @@
 import pytest
 
-from tests.cli.conftest import is_one_line
+from tests.cli.conftest import check_one_line
 
 
 @pytest.mark.parametrize(
@@ -17,6 +17,4 @@ def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
     pytest.importorskip("pybullet")
     tables = "objects: {desk: {urdf: table.urdf}}"
     (tmp_path / "origin.yaml").write_text(f"name: office\nsize: [4, 4]\n{tables}\n")
-    outcome = kinfeas("simulate", "--robot", "hsr", *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(kinfeas("simulate", "--robot", "hsr", *arguments), named)

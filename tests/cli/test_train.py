@@ -6,13 +6,12 @@ from dataclasses import replace
 import pytest
 import yaml
 
-from kinfeas.cli.train import describe, read_settings
+from kinfeas.cli.train import read_settings
 from kinfeas.control.adapters import read_sim2real
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.training import train as training
-from kinfeas.training.run import Progress
-from tests.cli.conftest import TINY, is_one_line
+from tests.cli.conftest import TINY, check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
 from tests.sim2real.policy_cases import write_run
 
@@ -21,7 +20,7 @@ SHORT = ("train", "--robot", "hsr", "--steps", "64", "--out", "run", *TINY)
 
 @pytest.fixture
 def run_folder(kinfeas, tmp_path):
-    assert kinfeas(*SHORT).code == 0
+    kinfeas(*SHORT, code=0)
     return tmp_path / "run"
 
 
@@ -30,8 +29,7 @@ def files(folder):
 
 
 def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas, tmp_path):
-    outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh")
-    assert outcome.code == 0, outcome.err
+    outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", code=0)
     assert "kinfeas evaluate --robot hsr --task ggr --policy run" in outcome.out
     run = tmp_path / "run"
     metrics = json.loads((run / "evaluation.json").read_text())
@@ -54,8 +52,7 @@ def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
         shutil.copy(file, tmp_path / file.name)
     (tmp_path / "recipe.yaml").write_text("robot: ./hsr.yaml\nnum_envs: 8\nseed: 5\n")
     words = ("--config", "recipe.yaml", "--steps", "16", "--algorithm", "td3", *TINY)
-    outcome = kinfeas("train", *words)
-    assert outcome.code == 0, outcome.err
+    kinfeas("train", *words, code=0)
     settings = yaml.safe_load((tmp_path / "runs" / "hsr-ggr-5" / "config.yaml").read_text())
     assert settings["robot"] == str(tmp_path / "hsr.yaml")
     assert settings["learner"]["algorithm"] == "td3"
@@ -65,8 +62,7 @@ def test_resume_of_a_finished_run_changes_nothing(kinfeas, run_folder):
     before = files(run_folder)
     (run_folder / "evaluation.json").unlink()
     for more in ((), ("--steps", "32")):
-        outcome = kinfeas("train", "--resume", "run", *more)
-        assert outcome.code == 0
+        outcome = kinfeas("train", "--resume", "run", *more, code=0)
         assert outcome.err.startswith("run: finished")
         assert "--policy run" in outcome.out
     assert files(run_folder) == before
@@ -74,8 +70,7 @@ def test_resume_of_a_finished_run_changes_nothing(kinfeas, run_folder):
 
 def test_longer_schedule_extends_a_finished_run(kinfeas, run_folder):
     before = (run_folder / "config.yaml").read_text()
-    outcome = kinfeas("train", "--resume", "run", "--steps", "128")
-    assert outcome.code == 0, outcome.err
+    outcome = kinfeas("train", "--resume", "run", "--steps", "128", code=0)
     assert "finished" not in outcome.err
     assert (run_folder / "config.yaml").read_text() == before.replace("steps: 64", "steps: 128")
     assert json.loads((run_folder / "evaluation.json").read_text())["steps"] in (64, 128)
@@ -90,10 +85,9 @@ def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(training._Run, "_step", interrupted)
-    outcome = kinfeas(*SHORT)
-    assert outcome.code == 130
+    outcome = kinfeas(*SHORT, code=130)
     assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
-    assert kinfeas("train", "--resume", "run").code == 0
+    kinfeas("train", "--resume", "run", code=0)
 
 
 def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_path):
@@ -101,8 +95,7 @@ def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_
         raise KeyboardInterrupt
 
     monkeypatch.setattr(training._Run, "__init__", interrupted)
-    outcome = kinfeas(*SHORT)
-    assert outcome.code == 130
+    outcome = kinfeas(*SHORT, code=130)
     assert "--resume" not in outcome.err
     assert not (tmp_path / "run").exists()
 
@@ -135,25 +128,22 @@ def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_
 )
 def test_bad_input_is_one_line(kinfeas, monkeypatch, tmp_path, arguments, named):
     monkeypatch.setattr("kinfeas.cli.train.train_run", None)
-    outcome = kinfeas("train", *arguments)
-    assert is_one_line(outcome), outcome.err
-    assert named in outcome.err
+    check_one_line(kinfeas("train", *arguments), named)
     assert not (tmp_path / "runs").exists()
 
 
 def test_broken_and_taken_folders_are_one_line(kinfeas, run_folder):
     before = files(run_folder)
     outcome = kinfeas(*SHORT)
-    assert is_one_line(outcome), outcome.err
-    assert "--resume run" in outcome.err
+    check_one_line(outcome, "--resume run")
     assert files(run_folder) == before
     outcome = kinfeas(*SHORT, "--out", "run/config.yaml/run")
-    assert is_one_line(outcome), outcome.err
+    check_one_line(outcome)
     state = run_folder / "checkpoints" / "last" / "state.safetensors"
     state.write_bytes(state.read_bytes()[:100])
-    assert is_one_line(kinfeas("train", "--resume", "run", "--steps", "128"))
+    check_one_line(kinfeas("train", "--resume", "run", "--steps", "128"))
     shutil.rmtree(run_folder / "checkpoints" / "best")
-    assert is_one_line(kinfeas("train", "--resume", "run"))
+    check_one_line(kinfeas("train", "--resume", "run"))
 
 
 @pytest.mark.parametrize("words", [("--out", "."), ("--resume", ".")])
@@ -181,10 +171,3 @@ def test_options_win_over_the_recipe_and_set_over_both():
     assert settings.learner.net_arch == (256, 256, 256)
     physics = read_settings("pr2", world="pybullet")
     assert (physics.world.backend, physics.world.time_scale) == ("pybullet", 0.5)
-
-
-def test_progress_of_a_run_is_one_line():
-    now = Progress(steps=3000, seconds=60.0, share=0.25, best=0.5, recent=[True, False])
-    assert describe(now) == "3,000 steps, 50/s, success 50%, best score 50.0%, 3:00 left"
-    assert "success -, best score -" in describe(Progress())
-    assert "evaluating" in describe(replace(now, evaluating=True))
