@@ -1,6 +1,5 @@
 """Folder and lock of numba's cache of compiled kernels."""
 
-import fcntl
 import os
 import stat
 import tempfile
@@ -13,6 +12,7 @@ from typing import Any
 import numba
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.io.files import try_lock
 
 _POLL, _DEADLINE = 0.02, time.monotonic() + 60.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""
@@ -63,21 +63,11 @@ def _alone() -> Iterator[bool]:
         yield True  # without a folder there is no cache
         return
     try:
-        while not (locked := _try_lock(lock)) and time.monotonic() < _DEADLINE:
+        while not (locked := try_lock(lock)) and time.monotonic() < _DEADLINE:
             time.sleep(_POLL)
         yield locked
     finally:
         os.close(lock)
-
-
-def _try_lock(lock: int) -> bool:
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        pass  # the file system has no locks
-    return True
 
 
 def _any() -> None:
@@ -102,8 +92,7 @@ def _own_folder() -> Path:
 def _private(folder: Path) -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
+    others = not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid()
+    if others or status.st_mode & 0o022 or not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"{folder} is not this user's alone")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(f"{folder} cannot be written")
     return folder

@@ -29,7 +29,7 @@ class Demonstration:
     Attributes:
         time: Times in seconds, strictly ascending, shape (t,), t >= 2.
         ee_pose: Poses of the demonstrating EE, shape (t, 7).
-        base_pose: Poses of its base, shape (t, 7); all NaN, or None in the constructor, if unknown.
+        base_pose: Poses of its base, shape (t, 7); all NaN if it was not recorded.
         object_pose: Poses of the handled object, the frame of the learned motion, shape (t, 7).
     """
 
@@ -37,12 +37,6 @@ class Demonstration:
     ee_pose: Array
     base_pose: Array
     object_pose: Array
-
-    def __post_init__(self) -> None:
-        """Replace a missing base by NaN."""
-        if self.base_pose is None:
-            unknown = np.full((len(self.time), 7), np.nan)  # type: ignore[unreachable] # untyped callers
-            object.__setattr__(self, "base_pose", unknown)
 
     @property
     def has_base(self) -> bool:

@@ -130,15 +130,22 @@ def alone(folder: Path) -> Iterator[None]:
     with writing(folder):
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise KinfeasError(f"{folder}: another process is at work in it") from error
-        except OSError:
-            pass  # the file system has no locks
+        if not try_lock(lock):
+            raise KinfeasError(f"{folder}: another process is at work in it")
         yield
     finally:
         os.close(lock)
+
+
+def try_lock(descriptor: int) -> bool:
+    """Return whether no other process has locked an open file, which is locked now."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # the file system has no locks
+    return True
 
 
 @contextmanager

@@ -227,10 +227,6 @@ class Adapter(BackendWrapper):
             for (name, one), share in each
         }
 
-    def turned(self, start: Array, end: Array) -> Array:
-        """Return joint differences, shape (..., j), wrapped to (-pi, pi] if continuous."""
-        return np.where(self.continuous, spatial.wrap(end - start), end - start)
-
     def joints(self, positions: Array) -> Array:
         """Return joint positions, shape (..., j), with continuous ones in (-pi, pi]."""
         beyond = self.continuous & (np.abs(positions) > np.pi)

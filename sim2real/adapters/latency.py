@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinfeas.config import Interval
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.spatial import Array, integrate, twist_between
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
 
 # Tolerances of rounding: in control periods and in seconds.
@@ -125,7 +125,7 @@ class SensorLatency(Adapter):
         if name in _POSES:
             moved = integrate(before, twist_between(before, after, 1.0) * share, 1.0)
         elif name == _JOINTS:
-            moved = self.joints(before + self.turned(before, after) * share)
+            moved = self.joints(before + joint_displacement(self.robot, before, after) * share)
         else:
             moved = before + (after - before) * share
         return np.where(share > 0.0, moved, before)

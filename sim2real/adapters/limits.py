@@ -5,7 +5,7 @@ import numpy as np
 from kinfeas.config import Interval
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.spatial import Array
-from kinfeas.robots.robot import Robot
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number
 
 _POSITIVE = Interval(low=0.0, open_low=True)
@@ -111,7 +111,7 @@ class VelocityClamp(Adapter):
         clamped[:, :3] = shortened(twist[:, :3], self.number("linear"))
         clamped[:, 3:] = shortened(twist[:, 3:], self.number("angular"))
         before = self.memory["joints"]
-        way = self.turned(before, targets)
+        way = joint_displacement(self.robot, before, targets)
         longest = self.robot.max_joint_velocity * self.number("joints") * dt
         short = self.joints(before + np.clip(way, -longest, longest))
         joints = np.where(np.abs(way) <= longest, targets, short)
@@ -166,7 +166,7 @@ class ActuatorLag(Adapter):
         behind = self.memory["velocity"] - twist
         mean = twist + behind * (base * (1.0 - left) / dt)
         _, remaining = self._left("arm", dt)
-        way = self.turned(targets, self.memory["joints"])
+        way = joint_displacement(self.robot, targets, self.memory["joints"])
         joints = self.joints(targets + way * remaining)
         self.remember(velocity=twist + behind * left, joints=joints)
         return mean, joints

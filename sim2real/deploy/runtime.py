@@ -29,7 +29,7 @@ from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.rate import Clock, Rate, Timing
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
-from kinfeas.sim2real.deploy.watchdog import StopCall, Watchdog, Watched
+from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
 from kinfeas.tasks.task import Task, build_subgoals
 
 
@@ -191,11 +191,7 @@ class _Run:
         backend, seconds = self.setup.backend, self.setup.guards.watchdog
         if seconds is not None and isinstance(backend, Watched):
             with plugin_note(f"backend {type(backend).__name__}"):
-                call: Any = backend.stop_call()
-            if not isinstance(call, StopCall):
-                name, found = type(backend).__name__, type(call).__name__
-                raise KinfeasError(f"backend {name}: stop_call must return a StopCall, not {found}")
-            return Watchdog(call, seconds)
+                return Watchdog(backend.stop_call(), seconds)
         if seconds is not None and self.setup.live:
             name = type(backend).__name__
             sys.stderr.write(

@@ -40,17 +40,10 @@ class StopCall:
             function without arguments that commands zero velocity. If this raises, it is called
             again.
         arguments: Keyword arguments of the first call, which must fit into JSON.
-
-    Raises:
-        TypeError: If the arguments do not fit into JSON.
     """
 
     path: str
     arguments: dict[str, object] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check the arguments."""
-        json.dumps(self.arguments)
 
 
 @runtime_checkable

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from kinfeas.control.drive import base_velocity
 from kinfeas.core.backend import Grip, RobotState
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
-from kinfeas.core.spatial import Array, wrap
-from kinfeas.robots.robot import Robot
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import Link
 from kinfeas.sim2real.link.measurements import DRIFT, Inbox
@@ -154,7 +154,7 @@ class LinkBackend:
         """Send the arm to joint positions, shape (j,)."""
         measured = self._inbox.arm()
         # Continuous joints are measured with their turns and take the shorter way.
-        way = np.where(self.robot.continuous, wrap(targets - measured), targets - measured)
+        way = joint_displacement(self.robot, measured, targets)
         # An arm that lags has a longer way, at a limited velocity.
         seconds = max(self._seconds, float(np.max(np.abs(way) / self._joint_speed)))
         names = self._names.values()

@@ -82,7 +82,7 @@ def test_the_documented_file_can_be_read(tmp_path):
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_the_base_may_be_missing(tmp_path, suffix):
     full, path = demonstration(), tmp_path / f"one{suffix}"
-    write_demonstration(Demonstration(full.time, full.ee_pose, None, full.object_pose), path)
+    write_demonstration(replace(full, base_pose=np.full((5, 7), np.nan)), path)
     found = read_demonstration(path)
     assert found.base_pose.shape == (5, 7)
     assert not found.has_base
