@@ -52,12 +52,11 @@ def chain():
     ]
 
 
-def begin(robot, n=6, subgoals=None, dt=HORIZON):
+def begin(robot, n=6, subgoals=None, dt=HORIZON, **execution):
     subgoals = chain() if subgoals is None else subgoals
-    sequence = MotionSequence(subgoals, robot, dt)
-    sequence.start(
-        poses(n), poses(n * len(subgoals), 1).reshape(n, len(subgoals), 7), rngs(range(n))
-    )
+    sequence = MotionSequence(subgoals, robot, dt, ExecutionConfig(**execution))
+    targets = poses(n * len(subgoals), 1).reshape(n, len(subgoals), 7)
+    sequence.start(poses(n), targets, rngs(range(n)))
     return sequence
 
 
@@ -112,10 +111,8 @@ def test_subgoals_follow_each_other_from_the_desired_pose(robot):
     sequence = begin(robot, 1)
     subgoals, last = [0], sequence.desired
     for _ in range(3000):
-        sequence.move(sequence.plan(HORIZON))
+        follow(sequence, 1)
         assert np.linalg.norm(sequence.desired[:, :3] - last[:, :3]) < 0.1  # never a leap
-        metres, radians = spatial.distance(sequence.desired, sequence.goal)
-        sequence.advance((metres < 0.02) & (radians < 0.2))
         subgoals.append(int(sequence.subgoal[0]))
         last = sequence.desired
     assert sorted(set(subgoals)) == [0, 1, 2, 3]
@@ -171,8 +168,7 @@ def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
 
 
 def test_randomness_differs_between_rows_and_subgoals(robot):
-    subgoals = [SubgoalMotion(Wander()), SubgoalMotion(Wander())]
-    sequence = MotionSequence(subgoals, robot, HORIZON)
+    sequence = MotionSequence([SubgoalMotion(Wander()), SubgoalMotion(Wander())], robot, HORIZON)
     sequence.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
     first = sequence.goal
     sequence.advance(everyone(sequence))
@@ -199,9 +195,7 @@ def test_the_demonstrated_base_is_given_on_its_subgoals_only(robot):
 
 def test_a_head_start_delays_the_first_subgoal_only(robot):
     subgoals = [SubgoalMotion(Linear(), dwell=0.2), SubgoalMotion(Linear())]
-    sequence = MotionSequence(subgoals, robot, HORIZON, ExecutionConfig(head_start=0.5))
-    targets = np.repeat(poses(2, 1)[:, np.newaxis], 2, axis=1)
-    sequence.start(poses(2), targets, rngs(range(2)))
+    sequence = begin(robot, 2, subgoals, head_start=0.5)
     seen = follow(sequence, 8, lambda i: np.array([i == 6, False]))
     assert np.all(seen[:5] == poses(2))
     assert np.all(np.any(seen[5] != seen[4], axis=1))
@@ -211,13 +205,9 @@ def test_a_head_start_delays_the_first_subgoal_only(robot):
 
 
 def test_a_head_start_is_for_each_episode_alone(robot):
-    sequence = MotionSequence(
-        [SubgoalMotion(Linear())], robot, HORIZON, ExecutionConfig(head_start=0.3)
-    )
-    targets = poses(2, 1)[:, np.newaxis]
-    sequence.start(poses(2), targets, rngs(range(2)))
+    sequence = begin(robot, 2, [SubgoalMotion(Linear())], head_start=0.3)
     follow(sequence, 3)
-    sequence.start(poses(2)[:1], targets[:1], rngs([0]), np.array([0]))
+    sequence.start(poses(1), poses(1, 1)[:, np.newaxis], rngs([0]), np.array([0]))
     before = sequence.desired
     (after,) = follow(sequence, 1)
     assert np.all(after[0] == before[0])
@@ -226,14 +216,8 @@ def test_a_head_start_is_for_each_episode_alone(robot):
 
 @pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
 def test_a_subgoal_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
-    subgoals = [
-        SubgoalMotion(Linear(), dwell=0.3, grip="close"),
-        SubgoalMotion(Linear(), grip="open"),
-    ]
-    sequence = MotionSequence(
-        subgoals, robot, HORIZON, ExecutionConfig(time_scale=0.5, grasp_settle_time=0.2)
-    )
-    sequence.start(poses(1), np.repeat(poses(1, 1)[:, np.newaxis], 2, axis=1), rngs([0]))
+    close, finish = (SubgoalMotion(Linear(), dwell=0.3, grip=grip) for grip in ("close", "open"))
+    sequence = begin(robot, 1, [close, finish], time_scale=0.5, grasp_settle_time=0.2)
     stops, moves = [], []
     for i in range(7):
         before = sequence.desired

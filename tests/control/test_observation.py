@@ -46,8 +46,7 @@ def test_terms_are_in_order_and_those_that_are_asked_for(solver):
     np.testing.assert_array_equal(pose, ee_in_base)
     pose = np.hstack([term("goal_position", *given), term("goal_orientation", *given)])
     np.testing.assert_allclose(pose, relative(goal, base), atol=1e-12)
-    some = observe(Seen(*given), ["joint_positions", "goal_position"])
-    np.testing.assert_array_equal(some[:, : joints.shape[1]], joints)
+    np.testing.assert_array_equal(term("joint_positions", *given), joints)
 
 
 def test_planned_motion_leads_from_the_achieved_to_the_planned_pose(solver):
@@ -83,14 +82,6 @@ def test_quaternions_are_unit_with_w_not_negative(solver):
         assert quaternion[:, 3].min() >= 0.0
 
 
-def test_scale_has_a_factor_for_each_number(robot):
-    factors = scale(robot)
-    assert factors.shape == (size(robot),)
-    assert np.all(factors > 0.0)
-    # The w of a small rotation is 1.
-    np.testing.assert_array_equal(scale(robot, ["planned_rotation"]), [20.0, 20.0, 20.0, 1.0])
-
-
 def test_rows_do_not_depend_on_the_batch(solver):
     given = parts(solver, 37)
     together = observe(Seen(*given))
@@ -99,7 +90,10 @@ def test_rows_do_not_depend_on_the_batch(solver):
         np.testing.assert_array_equal(one, together[i : i + 1])
 
 
-def test_descriptions_name_sizes_and_limits(robot):
+def test_scales_and_descriptions_have_the_size_of_observations(robot):
+    assert scale(robot).shape == (size(robot),)
+    # The w of a small rotation is 1.
+    np.testing.assert_array_equal(scale(robot, ["planned_rotation"]), [20.0, 20.0, 20.0, 1.0])
     described = describe_observation(robot, OBSERVATION)
     assert [one.name for one in described] == list(OBSERVATION)
     assert sum(one.size for one in described) == size(robot)

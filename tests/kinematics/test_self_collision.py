@@ -1,5 +1,4 @@
-from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import fcl
 import numpy as np
@@ -84,20 +83,6 @@ def test_mimic_joints_carry_their_shapes(odd_robot, odd_judge):
     assert touching > 10
 
 
-def test_chains_of_links_may_be_long(odd_robot):
-    urdf, hand = odd_robot.urdf, odd_robot.ee_frame
-    mount = next(joint for joint in urdf.joints.values() if joint.kind == "fixed")
-    ends = [hand, *(f"frame_{i}" for i in range(1500))]
-    links = {name: replace(urdf.links[hand], name=name, shapes=()) for name in ends[1:]}
-    joints = {
-        child: replace(mount, name=child, parent=parent, child=child)
-        for parent, child in pairwise(ends)
-    }
-    deep = replace(urdf, links=urdf.links | links, joints=urdf.joints | joints)
-    pairs = build_collision_model(replace(odd_robot, urdf=deep)).pairs
-    np.testing.assert_array_equal(pairs, build_collision_model(odd_robot).pairs)
-
-
 def test_checked_pairs_are_those_that_the_arm_moves_less_adjacent_ones(robot, judge):
     links = sorted(name for name, link in robot.urdf.links.items() if link.shapes)
     poses = {name: [] for name in links}
@@ -130,16 +115,3 @@ def test_rows_do_not_depend_on_the_batch(odd_robot):
     for shape in ((2,), (), (5, 99)):
         with pytest.raises(KinfeasError, match="joint positions"):
             self_collides(model, np.zeros(shape))
-
-
-def test_free_configurations_keep_the_margin(odd_robot, odd_judge):
-    model, solids = build_collision_model(odd_robot), Solids(odd_robot, odd_judge)
-    joints = draw(odd_robot, 2000, seed=1)
-    closest = np.inf
-    for positions in joints[~self_collides(model, joints)][:150]:
-        solids.touch(positions)
-        for i, k in solids.pairs:
-            request, result = fcl.DistanceRequest(), fcl.DistanceResult()
-            gap = fcl.distance(solids.solids[i], solids.solids[k], request, result)
-            closest = min(closest, gap)
-    assert closest > 1e-3 - 1e-5

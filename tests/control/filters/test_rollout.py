@@ -11,7 +11,6 @@ from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
-EPISODES = 8
 NEAR = {"horizon": 2.0, "replan_interval": 1.0, "num_samples": 8}
 
 
@@ -32,7 +31,7 @@ def world_of(robot, task="ggr_restricted", **parameters):
     return World(load_robot(robot), load_task(task, {}), config, seed=3)
 
 
-def run(robot, policy, task="ggr_restricted", episodes=EPISODES, first=0, **parameters):
+def run(robot, policy, task="ggr_restricted", episodes=8, first=0, **parameters):
     world = world_of(robot, task, **parameters)
     return run_episodes(world, load_policy(policy, world.robot), episodes, first=first)
 
