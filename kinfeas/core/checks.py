@@ -80,28 +80,26 @@ def are_unit(poses: Array) -> bool:
     return bool(deviation < _UNIT_TOLERANCE)
 
 
-def check_state(
-    state: object, robots: int, joints: int, source: str, *, finite: bool = True
-) -> None:
-    """Check the state of n robots with j arm joints that a backend or adapter returns.
+def check_state(state: object, robots: int, joints: int, source: str) -> None:
+    """Check the state that a backend or adapter returns.
 
     Raises:
         KinfeasError: If it is no `RobotState`, an array has another shape, or a pose or joint
-            position is not `finite`; the message begins with `source`.
+            position is not finite; the message begins with `source`.
     """
     if not isinstance(state, RobotState):
         raise KinfeasError(f"{source} must return a RobotState, not a {type(state).__name__}")
     poses, arms = (robots, 7), (robots, joints)
-    check_array(state.base_pose, poses, f"{source}: base_pose", finite=finite)
-    check_array(state.joint_positions, arms, f"{source}: joint_positions", finite=finite)
+    check_array(state.base_pose, poses, f"{source}: base_pose")
+    check_array(state.joint_positions, arms, f"{source}: joint_positions")
     if state.ee_in_base is not None:
-        check_array(state.ee_in_base, poses, f"{source}: ee_in_base", finite=finite)
+        check_array(state.ee_in_base, poses, f"{source}: ee_in_base")
     shapes = {"base_twist": (robots, 6), "joint_velocities": arms, "age": (robots,)}
     for name, shape in shapes.items():
         if (value := getattr(state, name)) is not None:
             check_array(value, shape, f"{source}: {name}", finite=False)
     if state.true_state is not None:
-        check_state(state.true_state, robots, joints, f"{source}: true_state", finite=finite)
+        check_state(state.true_state, robots, joints, f"{source}: true_state")
 
 
 class ConformanceError(KinfeasError):

@@ -44,11 +44,6 @@ class Demonstration:
         return not bool(np.isnan(self.base_pose).all())
 
 
-def read_demonstrations(folder: Path) -> list[Demonstration]:
-    """Return the demonstrations in a folder, in the order of `demonstration_files`."""
-    return [read_demonstration(path) for path in demonstration_files(folder)]
-
-
 def demonstration_files(folder: Path) -> list[Path]:
     """Return the CSV and NPZ files in `folder` by name; raise KinfeasError if there are none."""
     if not folder.is_dir():

@@ -181,45 +181,29 @@ def active_shares(arrivals: Array, now: Array, dt: float) -> Array:
     Arrivals are in seconds and in the order of sending, shape (n, s); `now` has shape (n,).
     """
     steps = np.round((arrivals - now[:, np.newaxis]) / dt / _PERIOD_TOLERANCE)
-    begins = np.clip(steps * _PERIOD_TOLERANCE, 0.0, 1.0)
-    shares = np.empty_like(begins)
-    _share(begins, shares)
+    shares: Array = _active_shares(np.clip(steps * _PERIOD_TOLERANCE, 0.0, 1.0))
     return shares
 
 
-def mixed(buffer: Array, shares: Array, turning: NDArray[np.bool_]) -> Array:
-    """Return means of buffers, shape (n, s, w) -> (n, w), weighted by shares, shape (n, s).
-
-    A weight of 1 returns its command bit for bit. `turning`, shape (w,), marks continuous joints.
-    """
-    means = np.empty((len(buffer), buffer.shape[2]))
-    _mix(buffer, shares, turning, means)
-    return means
-
-
-def bracket(times: Array, moment: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the index of the measurement before a moment, and the share of the way to the next.
-
-    Times are in seconds and ascending, shape (n, s), and -inf before an episode; moments and
-    results have shape (n,).
-    """
-    index, share = np.empty(len(times), dtype=np.intp), np.empty(len(times))
-    _find(times, moment, _TIME_TOLERANCE, index, share)
-    return index, share
-
-
 @njit(cache=True)
-def _share(begins, shares):
+def _active_shares(begins):
+    shares = np.empty_like(begins)
     for i in range(len(begins)):
         end = 1.0
         for k in range(begins.shape[1] - 1, -1, -1):
             shares[i, k] = max(end - begins[i, k], 0.0)
             end = min(end, begins[i, k])
         shares[i, 0] += end  # the command before all of these
+    return shares
 
 
 @njit(cache=True)
-def _mix(buffer, shares, turning, means):
+def mixed(buffer, shares, turning):
+    """Return means of buffers, shape (n, s, w) -> (n, w), weighted by shares, shape (n, s).
+
+    A weight of 1 returns its command bit for bit. `turning`, shape (w,), marks continuous joints.
+    """
+    means = np.empty((len(buffer), buffer.shape[2]))
     for i in range(len(buffer)):
         first = 0
         while shares[i, first] == 0.0:
@@ -233,16 +217,24 @@ def _mix(buffer, shares, turning, means):
                         way -= 2.0 * np.pi * np.round(way / (2.0 * np.pi))
                     mean += shares[i, j] * way
             means[i, k] = mean
+    return means
 
 
 @njit(cache=True)
-def _find(times, moment, tolerance, index, share):
+def bracket(times, moment):
+    """Return the index of the measurement before a moment, and the share of the way to the next.
+
+    Times are in seconds and ascending, shape (n, s), and -inf before an episode; moments and
+    results have shape (n,).
+    """
+    index, share = np.empty(len(times), dtype=np.intp), np.zeros(len(times))
     for i in range(len(times)):
         k = times.shape[1] - 1
-        while k > 0 and times[i, k] > moment[i] + tolerance:
+        while k > 0 and times[i, k] > moment[i] + _TIME_TOLERANCE:
             k -= 1
-        index[i], share[i] = k, 0.0
+        index[i] = k
         if k + 1 < times.shape[1] and times[i, k] > -np.inf:
             way = (moment[i] - times[i, k]) / (times[i, k + 1] - times[i, k])
-            if moment[i] - times[i, k] > tolerance:
+            if moment[i] - times[i, k] > _TIME_TOLERANCE:
                 share[i] = way
+    return index, share

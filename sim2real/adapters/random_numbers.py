@@ -23,44 +23,6 @@ def salt(name: str, number: int) -> np.uint64:
     return np.uint64((zlib.crc32(name.encode()) * _SPREAD + number) & _MASK)
 
 
-def normal(seeds: Seeds, steps: Seeds, width: int) -> Array:
-    """Return standard normal numbers, shape (n, width), for seeds and steps of shape (n,)."""
-    numbers = np.empty((len(seeds), width))
-    _normal(seeds, steps, numbers)
-    return numbers
-
-
-def uniform(seeds: Seeds, steps: Seeds, width: int) -> Array:
-    """Return numbers in (0, 1], shape (n, width), for seeds and steps of shape (n,)."""
-    numbers = np.empty((len(seeds), width))
-    _uniforms(seeds + np.uint64(_UNIFORM), steps, numbers)
-    return numbers
-
-
-def per_episode(seeds: Seeds, width: int) -> Array:
-    """Return numbers in (0, 1], shape (n, width), that are constant during an episode."""
-    return uniform(seeds + np.uint64(_EPISODE), np.zeros_like(seeds), width)
-
-
-@njit(cache=True)
-def _normal(seeds, steps, out):
-    # Box-Muller transform.
-    for i in range(len(out)):
-        for k in range(out.shape[1]):
-            # Each step has sixteen counters of a seed, for eight numbers.
-            seed = seeds[i] + np.uint64(k // 8) * np.uint64(0xA0761D6478BD642F)
-            counter = steps[i] * np.uint64(16) + np.uint64(2 * (k % 8))
-            first, second = _hash(seed, counter), _hash(seed, counter + np.uint64(1))
-            out[i, k] = math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
-
-
-@njit(cache=True)
-def _uniforms(seeds, steps, out):
-    for i in range(len(out)):
-        for k in range(out.shape[1]):
-            out[i, k] = _hash(seeds[i], steps[i] * np.uint64(out.shape[1]) + np.uint64(k))
-
-
 @njit(cache=True)
 def _hash(seed, counter):
     """Return a number in (0, 1]: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014)."""
@@ -69,3 +31,34 @@ def _hash(seed, counter):
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     z = z ^ (z >> np.uint64(31))
     return (np.float64(z >> np.uint64(11)) + 1.0) / 9007199254740992.0
+
+
+@njit(cache=True)
+def normal(seeds, steps, width):
+    """Return standard normal numbers, shape (n, width), for seeds and steps of shape (n,)."""
+    out = np.empty((len(seeds), width))
+    for i in range(len(out)):
+        for k in range(width):
+            # Each step has sixteen counters of a seed, for eight numbers; Box-Muller transform.
+            seed = seeds[i] + np.uint64(k // 8) * np.uint64(0xA0761D6478BD642F)
+            counter = steps[i] * np.uint64(16) + np.uint64(2 * (k % 8))
+            first, second = _hash(seed, counter), _hash(seed, counter + np.uint64(1))
+            out[i, k] = math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
+    return out
+
+
+@njit(cache=True)
+def uniform(seeds, steps, width):
+    """Return numbers in (0, 1], shape (n, width), for seeds and steps of shape (n,)."""
+    out = np.empty((len(seeds), width))
+    for i in range(len(out)):
+        for k in range(width):
+            counter = steps[i] * np.uint64(width) + np.uint64(k)
+            out[i, k] = _hash(seeds[i] + np.uint64(_UNIFORM), counter)
+    return out
+
+
+def per_episode(seeds: Seeds, width: int) -> Array:
+    """Return numbers in (0, 1], shape (n, width), that are constant during an episode."""
+    numbers: Array = uniform(seeds + np.uint64(_EPISODE), np.zeros_like(seeds), width)
+    return numbers

@@ -10,7 +10,6 @@ from kinfeas.core.checks import (
     are_unit,
     check_array,
     check_state,
-    require_parameters,
 )
 from kinfeas.core.errors import KinfeasError, check_name, plugin_note, raised_by
 from kinfeas.core.spatial import IDENTITY
@@ -35,11 +34,7 @@ SOUND = RobotState(np.tile(IDENTITY, (3, 1)), np.zeros((3, 5)))
 def test_other_arrays_raise_errors(value):
     with pytest.raises(KinfeasError, match=r"^mine "):
         check_array(value, SHAPE, "mine")
-
-
-@pytest.mark.parametrize("kind", [float, np.float32, int])
-def test_numeric_arrays_pass(kind):
-    check_array(np.full(SHAPE, 3, dtype=kind), SHAPE, "mine")
+    check_array(np.ones(SHAPE, dtype=int), SHAPE, "mine")
     check_array(np.full(SHAPE, np.nan), SHAPE, "mine", finite=False)
 
 
@@ -65,27 +60,6 @@ def test_other_states_raise_errors(name):
     check_state(replace(SOUND, age=np.full(3, np.nan), true_state=SOUND), 3, 5, "mine")
     with pytest.raises(KinfeasError, match="^mine.*" + ("RobotState" if name == "state" else name)):
         check_state(STATES[name](SOUND), 3, 5, "mine")
-
-
-def test_measurements_of_robots_need_not_be_finite():
-    lost = RobotState(SOUND.base_pose * np.nan, SOUND.joint_positions)
-    check_state(lost, 3, 5, "mine", finite=False)
-    with pytest.raises(KinfeasError, match="base_pose"):
-        check_state(lost, 3, 5, "mine")
-
-
-class Old:
-    def twist(self, state, ee_pose, dt):
-        pass
-
-
-def test_methods_with_other_parameters_raise_errors():
-    require_parameters(Old(), {"twist": ("state", "ee_pose", "dt"), "absent": ("x",)}, "mine")
-    with pytest.raises(
-        KinfeasError, match=r"^mine .*twist\(state, dt\), not twist\(state, ee_"
-    ) as e:
-        require_parameters(Old(), {"twist": ("state", "dt")}, "mine")
-    assert isinstance(e.value, TypeError)
 
 
 def test_exceptions_keep_their_type_and_name_the_plugin():

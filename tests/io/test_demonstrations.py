@@ -13,11 +13,16 @@ from kinfeas.io.demonstrations import (
     columns,
     demonstration_files,
     read_demonstration,
-    read_demonstrations,
     write_demonstration,
 )
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "demonstrations.md"
+
+
+def read_demonstrations(folder):
+    return [read_demonstration(path) for path in demonstration_files(folder)]
+
+
 FIELDS = ("time", "ee_pose", "base_pose", "object_pose")
 
 
@@ -106,11 +111,14 @@ def test_invalid_samples_of_tables(tmp_path, rows, place):
 
 
 @pytest.mark.parametrize("name", ["time", "ee_qz", "base_x", "object_y"])
-def test_missing_columns(tmp_path, name):
+def test_missing_columns_and_arrays(tmp_path, name):
     header = [column for column in columns() if column != name]
     path = write_table(tmp_path / "one.csv", header, [])
     with pytest.raises(KinfeasError, match=f"line 1: column '{name}'"):
         read_demonstration(path)
+    np.savez(tmp_path / "one.npz", time=np.arange(5.0))
+    with pytest.raises(KinfeasError, match="'ee_pose'"):
+        read_demonstration(tmp_path / "one.npz")
 
 
 INVALID = {
@@ -135,12 +143,6 @@ def test_invalid_arrays_are_neither_read_nor_written(tmp_path, key):
         with pytest.raises(KinfeasError, match=place):
             write_demonstration(replace(shown, **{name: INVALID[key]}), tmp_path / f"two.{suffix}")
         assert not (tmp_path / f"two.{suffix}").exists()
-
-
-def test_missing_arrays(tmp_path):
-    np.savez(tmp_path / "one.npz", time=np.arange(5.0))
-    with pytest.raises(KinfeasError, match="'ee_pose'"):
-        read_demonstration(tmp_path / "one.npz")
 
 
 def test_other_files_and_folders(tmp_path):

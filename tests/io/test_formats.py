@@ -28,11 +28,9 @@ def test_csv_columns_are_chosen_by_name(tmp_path):
     ("text", "place"),
     [
         ("", "line 1: column 'a'"),
-        ("b\n1\n", "line 1: column 'a'"),
         ("a,a\n1,2\n", "line 1: column 'a'"),
         ("a,b\n1\n", "line 2: "),
         ("a,b\n1,2\nfar,2\n", "line 3, a: "),
-        ("a,b\n1,2\n,2\n", "line 3, a: "),
     ],
 )
 def test_csv_errors_name_line_and_column(tmp_path, text, place):
@@ -103,18 +101,11 @@ def test_npz_members_that_are_no_plain_arrays(tmp_path, content):
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_STORED])
 def test_broken_npz_archives(tmp_path, method):
     path = archive(tmp_path / "a.npz", member(np.zeros(100)), compression=method)
-    content = bytearray(path.read_bytes())
-    content[60:80] = b"\xff" * 20
-    path.write_bytes(bytes(content))
-    with pytest.raises(KinfeasError, match=r"a\.npz: "):
-        read_npz(path, NAMES)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut", member(np.zeros(3))])
-def test_files_that_are_no_npz_archive(tmp_path, content):
-    (tmp_path / "a.npz").write_bytes(content)
-    with pytest.raises(KinfeasError, match=r"a\.npz"):
-        read_npz(tmp_path / "a.npz", NAMES)
+    whole = path.read_bytes()
+    for content in (whole[:60] + b"\xff" * 20 + whole[80:], whole[:50], b"", member(np.zeros(3))):
+        path.write_bytes(content)
+        with pytest.raises(KinfeasError, match=r"a\.npz: "):
+            read_npz(path, NAMES)
 
 
 def test_npz_archives_that_unpack_to_too_much(tmp_path, monkeypatch):

@@ -138,9 +138,7 @@ def test_invalid_quaternions_and_empty_runs(path):
         read_record(path)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\xff\xfe", b"time,x\n1,2\n", b"# kinfeas record 1 " + b"[" * 100_000 + b"\n"]
-)
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"# kinfeas record 1 [[\n"])
 def test_other_files(path, content):
     path.write_bytes(content)
     with pytest.raises(KinfeasError, match=f"^{path}"):

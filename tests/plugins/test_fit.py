@@ -9,7 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, relative
-from kinfeas.io.demonstrations import Demonstration, read_demonstrations, write_demonstration
+from kinfeas.io.demonstrations import (
+    Demonstration,
+    demonstration_files,
+    read_demonstration,
+    write_demonstration,
+)
 from kinfeas.plugins.fit import fit, write_model
 from kinfeas.plugins.imitation import learned_path, read_model
 from tests.plugins.conftest import ANGLE, KINDS, RADIUS, door_demonstrations, random_poses
@@ -49,7 +54,8 @@ def test_file_formats_give_the_same_model(suffix, models, tmp_path):
     for number, shown in enumerate(door_demonstrations()):
         write_demonstration(shown, tmp_path / f"{number}.{suffix}")
     expected = learned_path(read_model(models["imitation"], "imitation")).knots
-    assert np.allclose(knots(read_demonstrations(tmp_path)), expected, atol=1e-9)
+    read = [read_demonstration(path) for path in demonstration_files(tmp_path)]
+    assert np.allclose(knots(read), expected, atol=1e-9)
 
 
 def _paused(shown):
