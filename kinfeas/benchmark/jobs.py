@@ -45,16 +45,11 @@ class Job:
     """One evaluation of a policy on a task, or the ceiling of the task.
 
     Attributes:
-        robot: Name or YAML file.
-        robot_name: Name of the robot.
-        task: Name or YAML file.
+        robot: Name or YAML file, as of the task.
         policy: Name in the table: `sac`, `td3`, `pretrained`, a baseline or `ceiling`.
         source: Name for `load_policy`.
-        training_seed: Seed of the training, if known.
-        episodes: Number of episodes.
         seed: Seed of the episodes.
         first: Number of the first episode.
-        backend: Entry point in the group kinfeas.backends.
         settings: Assignments to the settings of the evaluation.
         row: Label of the further row that it belongs to.
         variant: Label of the further table that it belongs to.
@@ -95,10 +90,8 @@ class Job:
 def plan_jobs(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
     """Return the jobs of a benchmark: ceiling and policies of each robot and task.
 
-    Args:
-        benchmark: The benchmark.
-        runs: Training runs of the learned policies; a robot without any has the shipped policy, if
-            the benchmark takes it, or none.
+    The learned policies are those of the runs; a robot without any has the shipped policy, if the
+    benchmark takes it, or none.
     """
     names = {robot: load_robot(robot).name for robot in benchmark.robots}
     numbers = benchmark.episodes, benchmark.evaluation_seed
@@ -125,11 +118,7 @@ def run_jobs(
 ) -> list[Result]:
     """Return the result of each job; existing files in `folder` are kept.
 
-    Args:
-        jobs: What to compute.
-        folder: Folder of the results, each written as soon as it is there.
-        processes: Processes that share the work; no result depends on it.
-        on_done: Called for each new result.
+    Each new result is written as soon as it is there. None depends on the number of processes.
 
     Raises:
         KinfeasError: If a job is invalid, a file is broken or cannot be written, or a worker dies.

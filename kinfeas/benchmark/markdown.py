@@ -54,13 +54,9 @@ Entry = Callable[[Cell], str]
 def to_markdown(
     cells: Sequence[Cell], note: str, commands: Sequence[str], pictures: Sequence[str] = ()
 ) -> str:
-    """Return the tables of a benchmark as Markdown.
+    """Return the tables of a benchmark as Markdown, with the commands that produce them.
 
-    Args:
-        cells: The results.
-        note: A sentence above the tables; may be empty.
-        commands: Commands that produce them.
-        pictures: Files to show, relative to the text.
+    `pictures` are files to show, relative to the text.
     """
     world = cells[0].world
     lines = [f"# Benchmark{'' if world == 'analytic' else f' in {world}'}", ""]

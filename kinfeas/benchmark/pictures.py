@@ -48,12 +48,7 @@ _LEGEND_INCHES = (7.4, 9.0)
 
 
 def table_figure(cells: Sequence[Cell], note: str = "") -> Figure:
-    """Return the picture of success: ours with its interval, the paper's, and the ceiling.
-
-    Args:
-        cells: The results.
-        note: A sentence above it; may be empty.
-    """
+    """Return the picture of success: ours with its interval, the paper's, and the ceiling."""
     tasks = list(dict.fromkeys(cell.task for cell in cells))
     tables = {
         group: rows_of([cell for cell in cells if (cell.robot, cell.variant) == group])
@@ -151,9 +146,7 @@ def _table_legend(*, beside: bool) -> list[Line2D]:
 def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]) -> Figure:
     """Return the picture of the learning curves, a panel for each robot.
 
-    Args:
-        runs: Training runs, at least one.
-        levels: Shares in 0-1 to compare each robot with, by name.
+    `levels` are shares in 0-1 to compare each robot with, by name.
     """
     robots = list(dict.fromkeys(run.robot for run in runs))
     with rc_context(STYLE):
@@ -202,8 +195,7 @@ def evaluation_curve(metrics: Sequence[Mapping[str, Array]]) -> tuple[Array, Arr
 def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
     """Return the picture of the EE workspace in the base frame, from above and from the side.
 
-    Args:
-        robots: Results of the learned policies of each robot, at least one each.
+    `robots` are the results of the learned policies of each robot.
     """
     with rc_context(STYLE):
         width = max(0.4 + 4.3 * len(robots), 5.4)

@@ -35,15 +35,7 @@ Plan = tuple[TrainConfig, Path]
 
 @dataclass(frozen=True)
 class Run:
-    """A training run.
-
-    Attributes:
-        folder: Its folder.
-        robot: Name of its robot.
-        algorithm: `sac` or `td3`.
-        seed: Its training seed.
-        task: Name of the task.
-    """
+    """A training run: its folder and settings."""
 
     folder: Path
     robot: str
@@ -135,13 +127,8 @@ def publish(
 ) -> list[Path]:
     """Copy the best policy of each robot into `folder/ROBOT` and return these folders.
 
-    The best one has the highest success in the evaluation that selected its checkpoint; `metrics`
-    come from other episodes.
-
-    Args:
-        runs: Runs to choose from.
-        metrics: Metrics by task for the folder of each run, written into `policy.json`.
-        folder: Folder to write to, such as `kinfeas/policies/pretrained`.
+    The best one has the highest success in the evaluation that selected its checkpoint. The
+    `metrics` by task for the folder of each run, from other episodes, go into `policy.json`.
     """
     found = [(run, read_best(run.folder)) for run in runs]
     published = []

@@ -42,13 +42,9 @@ _EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
 
 @dataclass(frozen=True)
 class Figure:
-    """One measurement.
+    """One measurement: its name, its value, the unit (none for shares), and its key in JSON.
 
-    Attributes:
-        text: Name in the table.
-        value: The number; None if the peer is not installed.
-        unit: Unit of the number; empty for a share in 0-1.
-        key: Key in machine-readable output, if it has one.
+    The value is None if the peer is not installed.
     """
 
     text: str
@@ -59,13 +55,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Effort:
-    """Size of the measurements.
-
-    Attributes:
-        targets: IK targets of each kind.
-        repeats: Repetitions, of which the fastest counts.
-        train_minutes: Length of the training run.
-    """
+    """Size of the measurements: IK targets of each kind, repetitions, and length of a training."""
 
     targets: int = 2000
     repeats: int = 5
@@ -96,11 +86,8 @@ def measure_speed(
 ) -> list[Figure]:
     """Return all measurements: on one core, except training, which uses all.
 
-    Args:
-        robot: Name or YAML file.
-        network: Policy whose latency is measured; 256 x 256 random weights by default.
-        effort: Size of the measurements.
-        on_part: Called with the name of each part at its beginning.
+    The latency is that of `network`, by default of 256 x 256 random weights. `on_part` is called
+    with the name of each part at its beginning.
     """
     effort, known = effort or Effort(), load_robot(robot)
     network = network or random_network(known)
@@ -152,17 +139,13 @@ def environment_rate(
 ) -> float:
     """Return environment steps per second, including the policy and restarts.
 
-    Args:
-        robot: Robot that moves.
-        policy: Policy that commands the base.
-        batch: Robots side by side.
-        steps: Timed control periods.
-        repeats: Repetitions, of which the fastest counts.
+    `batch` robots move side by side for `steps` control periods; the fastest repetition counts.
     """
     world = World(robot, registry.build("kinfeas.tasks", "ggr", {}), WorldConfig(), seed=0)
     rates = []
     for _ in range(repeats):
-        world.start(range(batch))
+        world.next_episode = 0
+        world.start_next(batch)
         rates.append(batch * steps / best_of(1, lambda: _drive(world, policy, steps), 0.0))
     return max(rates)
 
@@ -265,10 +248,7 @@ def time_peer(robot: Robot, peer: peers.Peer, targets: Targets, repeats: int = 2
 def best_of(repeats: int, work: Callable[[], object], at_least: float = 0.3) -> float:
     """Return the seconds of the fastest of several runs of `work`.
 
-    Args:
-        repeats: Least number of runs.
-        work: Function to time.
-        at_least: Seconds for which short work is repeated.
+    There are at least `repeats` runs, which take `at_least` seconds together.
     """
     seconds: list[float] = []
     while len(seconds) < repeats or sum(seconds) < at_least:
@@ -314,7 +294,7 @@ def _drive(world: World, policy: Policy, steps: int) -> None:
         transition = world.step(policy.act(world.loop.policy_input))
         ended = np.flatnonzero(transition.done)
         if ended.size:
-            world.start(range(len(transition.done), len(transition.done) + ended.size), ended)
+            world.start_next(ended.size, ended)
 
 
 def _verified(solver: IkSolver, targets: Targets, joints: Array) -> NDArray[np.bool_]:

@@ -25,31 +25,20 @@ class Cell:
     """Results of one policy of one robot on one task; shares in 0-1, distances in metres.
 
     Attributes:
-        robot: Name of the robot.
         variant: Label of a further table; else empty.
-        task: Name of the task.
         policy: `sac`, `td3`, `pretrained` or a baseline.
         row: Label of a further row of the policy; else empty.
         world: Backend.
-        filters: Names of the command filters.
-        time_scale: Speed of the EE motions as a share of the planned one.
-        head_start: Seconds that the EE rests at first.
         seeds: Number of policies, each from another training seed.
         training_seeds: These seeds, as far as known.
-        episodes_per_seed: Episodes of each of them.
         success: Share of episodes that reach the goal without an IK failure.
         success_std: Standard deviation over the training seeds, as for `within_5cm`; null for one.
         success_low: Ends of the 95 % interval, with `success_high`; see `interval`.
         within_5cm: Share of episodes with an EE deviation below 5 cm throughout.
-        ik_failures_per_episode: Mean number of steps without an IK solution.
-        mean_deviation_m: Mean distance of the EE from the desired position.
-        joint_jumps_per_episode: Mean number of steps beyond a joint velocity limit.
         ceiling: Share of the goals that some base pose reaches, with its Wilson interval.
         paper_success: Success in the paper, as `paper_within_5cm`; null if it has none.
         task_success: Share of tasks done, with its interval; null if the backend cannot tell.
         base_collisions: Collisions per episode; null if the backend cannot tell.
-        arm_collisions: Likewise of the arm.
-        collision_free_rate: Share of episodes without a collision.
         analytic_success: Success in the analytic world, as `analytic_within_5cm`; null there.
     """
 
@@ -97,10 +86,7 @@ class Cell:
 def tabulate(jobs: Sequence[Job], results: Sequence[Result], backend: str) -> list[Cell]:
     """Return the cells of a benchmark, learned policies first if there is physics.
 
-    Args:
-        jobs: Policies on tasks, and the ceiling of each task.
-        results: Their results.
-        backend: Backend of the table; jobs in the analytic world beside it are its references.
+    Jobs in the analytic world beside another `backend` are references of its cells.
     """
     groups: dict[tuple[str, ...], list[tuple[Job, Result]]] = {}
     for job, result in zip(jobs, results, strict=True):
@@ -125,10 +111,6 @@ def interval(shares: Sequence[float], episodes: int) -> Share:
 
     On each side the wider one of two: Student's t over the seeds, and Wilson's for `episodes`,
     which are the same for all seeds.
-
-    Args:
-        shares: Share of each training seed, 0-1.
-        episodes: Episodes of each.
     """
     mean = float(np.mean(shares))
     centre = wilson(round(mean * episodes), episodes)

@@ -42,16 +42,7 @@ def run_episodes(
     watch: Watch | None = None,
     first: int = 0,
 ) -> EpisodeRecords:
-    """Return the records of episodes `first` to `first + episodes - 1` of the world's seed.
-
-    Args:
-        world: World to run them in.
-        policy: Policy that commands the base.
-        episodes: How many to run.
-        on_done: Called with the number of episodes that have just ended.
-        watch: Called after each step, for pictures and statistics.
-        first: Number of the first one.
-    """
+    """Return the records of episodes `first` to `first + episodes - 1` of the world's seed."""
     tally = _Tally(world, first, episodes)
     beyond = first + episodes
     running = np.arange(first, first + min(_batch(world), episodes))
@@ -86,13 +77,7 @@ def evaluate_episodes(
 ) -> EpisodeRecords:
     """Return the records of a range of episodes, in worlds built for them.
 
-    Args:
-        build: Returns a world; picklable for more than one process.
-        policy: Policy that commands the base.
-        episodes: Numbers of the episodes, at least one.
-        processes: Processes that share the episodes; no result depends on it.
-        on_done: Called with the number of episodes that have just ended.
-        watch: Called after each step, in one process only.
+    Several processes need a picklable `build` and do not call `watch`. No result depends on them.
 
     Raises:
         KinfeasError: If a world cannot be built, or a worker process dies.

@@ -57,21 +57,14 @@ class WorldConfig(ExecutionConfig):
 def evaluation_section(backend: str, robot: str) -> tuple[dict[str, Any], str]:
     """Return the settings of the evaluations of a robot as plain data, and their source.
 
-    Args:
-        backend: Entry point in the group kinfeas.backends; one without a section has the defaults.
-        robot: Name of the robot.
+    A backend without a section has the defaults.
     """
     data, source = section(backend, robot)
     return {**data, "world": {"backend": backend, **data.get("world", {})}}, source
 
 
 def evaluation_world(backend: str = "analytic", robot: str = "default") -> WorldConfig:
-    """Return the settings in which the policies of a robot are evaluated.
-
-    Args:
-        backend: Entry point in the group kinfeas.backends.
-        robot: Name of the robot.
-    """
+    """Return the settings in which the policies of a robot are evaluated."""
     data, source = evaluation_section(backend, robot)
     return from_mapping(WorldConfig, data["world"], source)
 
@@ -119,13 +112,7 @@ class World:
     stream: tuple[int, ...] = ()
 
     def __init__(self, robot: Robot, task: Task, config: WorldConfig, seed: int) -> None:
-        """Build a world.
-
-        Args:
-            robot: Robot that moves.
-            task: Task that draws episodes.
-            config: Everything else.
-            seed: Seed of all episodes.
+        """Build a world whose episodes have one seed.
 
         Raises:
             KinfeasError: If backend, task or an adapter cannot be built, or the backend is a robot.

@@ -79,10 +79,7 @@ class EvalSettings:
 def read_settings(robot: str, backend: str, overrides: Sequence[str] = ()) -> EvalSettings:
     """Return the settings in which the policies of a robot are evaluated.
 
-    Args:
-        robot: Name of the robot.
-        backend: Entry point in the group kinfeas.backends.
-        overrides: Assignments such as `world.dt=0.05`.
+    `overrides` are assignments such as `world.dt=0.05`.
     """
     return from_mapping(EvalSettings, *evaluation_section(backend, robot), overrides)
 
@@ -99,14 +96,8 @@ def prepare(  # noqa: PLR0913 - the options of the command
 ) -> tuple[EvalConfig, Policy]:
     """Return an evaluation and its policy by their names.
 
-    Args:
-        policy: Baseline, folder of a run, ONNX file or `pretrained`.
-        robot: Name or YAML file.
-        task: Name or YAML file.
-        backend: Entry point in the group kinfeas.backends.
-        episodes: Number of episodes; `default_episodes` by default.
-        seed: Seed of all episodes.
-        overrides: Assignments to `EvalSettings`.
+    The policy is a baseline, the folder of a run, an ONNX file or `pretrained`; `overrides` are
+    assignments to `EvalSettings`.
 
     Raises:
         KinfeasError: If a name is unknown or a setting is wrong.
@@ -141,14 +132,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
 ) -> Summary:
     """Return the metrics of a policy: shares in 0-1, distances in metres.
 
-    Args:
-        config: The evaluation.
-        policy: Policy that commands the base.
-        name: Its name in the summary.
-        ceiling: Share of reachable goals, from `reachability_of`; null in the summary by default.
-        processes: Processes that share the episodes; no result depends on it.
-        on_done: Called with the number of episodes that have just ended.
-        watch: Called after each step, in one process only.
+    The ceiling is that of `reachability_of`; further arguments as in `evaluate_episodes`.
     """
     records = run(config, policy, processes, on_done, watch)
     world = config.world
@@ -179,7 +163,7 @@ def run(
     on_done: OnDone | None = None,
     watch: Watch | None = None,
 ) -> EpisodeRecords:
-    """Return the record of each episode; arguments as in `evaluate`."""
+    """Return the record of each episode; further arguments as in `evaluate_episodes`."""
     build = partial(World, config.robot, config.task, config.world, config.seed)
     episodes = range(config.first, config.first + config.episodes)
     return evaluate_episodes(build, policy, episodes, processes, on_done, watch)

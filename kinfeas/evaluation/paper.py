@@ -40,10 +40,7 @@ class PaperFigures:
 def paper_figures(robot: str, task: str, world: str = "analytic") -> dict[str, PaperFigures]:
     """Return the paper's figures by policy; none for an unknown robot or task.
 
-    Args:
-        robot: Name of the robot.
-        task: Name of the task.
-        world: `analytic` or `physics`.
+    The world is `analytic` or `physics`.
     """
     shares: Shares = getattr(_table(), world).get(robot, {}).get(task, {})
     return {

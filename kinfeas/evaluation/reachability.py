@@ -62,15 +62,9 @@ def measure_reachability(
 ) -> Reachability:
     """Return for each episode whether some base pose reaches the goals of all sub-goals.
 
-    A robot with pose tolerance reaches a goal within the tolerance of success, others exactly.
-
-    Args:
-        robot: Robot that moves.
-        task: Task that draws the goals, the same as in an evaluation.
-        episodes: Number of episodes, at least 1.
-        seed: Seed of the episodes.
-        ik: Search effort of IK, and whether self-collision is allowed.
-        on_done: Called with the share of all work, 0-1, that has just been done.
+    A robot with pose tolerance reaches a goal within the tolerance of success, others exactly. The
+    episodes are those of an evaluation. `on_done` is called with the share of all work, 0-1, that
+    has just been done.
     """
     return _reached([_goals(robot, task, episodes, seed, ik)], on_done)
 
@@ -122,14 +116,7 @@ def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Reachability:
 
 
 def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
-    """Return the EE poses at the ends of all sub-goals, shape (episodes, sub-goals, 7).
-
-    Args:
-        solver: Kinematics of the robot.
-        task: Task that draws episodes 0 to `episodes` - 1.
-        episodes: Number of episodes.
-        seed: Seed of the episodes.
-    """
+    """Return the EE poses at the ends of all sub-goals, shape (episodes, sub-goals, 7)."""
     sequence = _begin(solver, task, episodes, seed)
     everyone = np.ones(episodes, dtype=np.bool_)
     goals = []
@@ -145,14 +132,11 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     """Return desired EE poses along each sub-goal, shape (episodes, sub-goals * A_SUBGOAL, 7).
 
     They are evenly spaced in time and end within the tolerance of the sub-goal, where the next one
-    begins. Arguments as in `draw_goals`.
+    begins.
     """
     sequence = _begin(solver, task, episodes, seed)
     steps = list(_follow(sequence))
-    desired, subgoal = (
-        np.stack([pose for pose, _ in steps], 1),
-        np.stack([subgoal for _, subgoal in steps], 1),
-    )
+    desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
     chosen = [
         np.concatenate([_spread(row, number) for number in range(len(sequence.subgoals))])
         for row in subgoal
