@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinfeas.cli import options
-from kinfeas.cli.output import print_table, status, write_json
+from kinfeas.cli.output import print_facts, status, write_json
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.registry import from_anywhere
 
@@ -243,25 +243,10 @@ def _record_path(about: "About") -> Path:
 
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
     from kinfeas.benchmark.speed import peak_memory_mb
-    from kinfeas.io.run_log import TASK_DONE
 
-    timing = outcome.timing
-    rows = [
-        ["end", outcome.reason + TASK_DONE[outcome.task_done]],
-        ["duration", f"{outcome.seconds:.1f} s"],
-        ["control periods without an IK solution", f"{outcome.failures}"],
-        ["control period, median", f"{1000.0 * timing.p50:.1f} ms"],
-        ["control period, 99th percentile", f"{1000.0 * timing.p99:.1f} ms"],
-        ["control period, longest", f"{1000.0 * timing.longest:.1f} ms"],
-        ["missed deadlines", f"{timing.misses} of {timing.periods}"],
-    ]
-    if timing.work_p50 is not None and timing.work_p99 is not None:
-        rows.append(["computation in a period, median", f"{1000.0 * timing.work_p50:.2f} ms"])
-        rows.append(["computation, 99th percentile", f"{1000.0 * timing.work_p99:.2f} ms"])
-    rows.append(["peak memory", f"{peak_memory_mb():.0f} MB"])
-    rows.append(["record", str(record)])
+    facts = {**asdict(outcome), "code": int(outcome.code), "peak_memory_mb": peak_memory_mb()}
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"
-    print_table(title, ["", ""], rows)
+    print_facts(title, {**facts, "record": str(record)})
     if outcome.code:
         sys.stderr.write(f"stopped: {outcome.reason}\n")
     if outcome.unstopped:

@@ -82,10 +82,11 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
         longer = _duration(minutes, steps)
         folder, done = resume, finished(resume, longer)
         if done is None:
-            done = resume_run(resume, longer)
+            from kinfeas.training.train import resume as continue_run
+
+            done = _run(resume, lambda report: continue_run(resume, report, longer))
         else:
             sys.stderr.write(f"{folder}: finished; larger --steps or --minutes extend the run\n")
-            write_evaluation(folder)
     else:
         if out is not None:
             check_new(out)
@@ -170,19 +171,12 @@ def train_run(settings: "TrainConfig", folder: Path) -> "Progress":
     return _run(folder, lambda report: run(settings, folder, report))
 
 
-def resume_run(folder: Path, overrides: Sequence[str] = ()) -> "Progress":
-    """Resume a run, its settings changed by `overrides`, and return the progress at the end."""
-    from kinfeas.training.train import resume as run
-
-    return _run(folder, lambda report: run(folder, report, overrides))
-
-
 def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
     from kinfeas.training.run import SETTINGS
 
     try:
         with training_bar() as report:
-            done = work(report)
+            return work(report)
     except KeyboardInterrupt:
         resume = shlex.join(["kinfeas", "train", "--resume", str(folder)])
         sys.stderr.write(
@@ -191,8 +185,6 @@ def _run(folder: Path, work: Callable[["Report"], "Progress"]) -> "Progress":
             else "interrupted before the run began\n"
         )
         raise typer.Exit(130) from None
-    write_evaluation(folder)
-    return done
 
 
 @contextmanager

@@ -20,7 +20,7 @@ SUFFIXES = (".gif", ".mp4", ".png")
 SIZE = (480, 360)
 """Width and height of a picture in pixels."""
 
-_GIF, _MP4 = (8.0, 56), (25.0, 300)  # pictures per second, largest number of pictures
+_RATES = {".gif": (8.0, 56), ".mp4": (25.0, 300)}  # pictures per second, largest number
 _REST_SECONDS = 1.5  # of the last picture
 _COLOURS = 128  # of a GIF
 _PANELS = (2, 2)  # of a PNG
@@ -53,7 +53,7 @@ def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = N
     """
     check_film_path(path)
     moments, suffix = _moments(film, path), path.suffix.lower()
-    rate = 0.0 if suffix == ".png" else (_GIF if suffix == ".gif" else _MP4)[0]
+    rate, _ = _RATES.get(suffix, (0.0, 0))
     speed = max(1.0, film.recording.times[-1] * rate / len(moments))
 
     shown = []
@@ -107,11 +107,8 @@ def captioned(film: Film, moment: int, speed: float = 1.0) -> Image.Image:
 
 def _moments(film: Film, path: Path) -> NDArray[np.intp]:
     times = film.recording.times
-    if path.suffix.lower() == ".png":
-        count = _PANELS[0] * _PANELS[1]
-    else:
-        rate, most = _GIF if path.suffix.lower() == ".gif" else _MP4
-        count = min(most, int(np.ceil(times[-1] * rate)))
+    rate, most = _RATES.get(path.suffix.lower(), (0.0, 0))
+    count = min(most, int(np.ceil(times[-1] * rate))) if rate else _PANELS[0] * _PANELS[1]
     return np.unique(np.linspace(0, len(times) - 1, max(2, count)).round().astype(np.intp))
 
 

@@ -1,7 +1,6 @@
 import numpy as np
 
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.drawing import scene_solids
 from kinfeas.viz.figures import robot_figure, scene_figure
 from kinfeas.viz.style import png
 
@@ -22,14 +21,6 @@ def test_a_scene_has_its_objects_and_the_paths_of_its_handles():
     ends = {tuple(np.round([axis[0] for axis in path], 6)) for path in paths}
     assert ends == {tuple(np.round(room.handle_pose(name)[:3], 6)) for name in room.handles}
     assert png(figure, dpi=40).startswith(b"\x89PNG")
-
-
-def test_body_leaf_and_handle_differ_in_colour():
-    colours = {}
-    for name, solid in scene_solids(read_scene("room")):
-        colours.setdefault(name, set()).add(solid.colour)
-    assert len(colours["door_shelf"]) == len(colours["drawer_shelf"]) == 3
-    assert colours["pick_table"] == colours["place_table"] != colours["walls"]
 
 
 def test_continuous_and_fixed_handles_are_drawn(tmp_path):

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.core import registry, spatial
+from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
@@ -139,16 +138,6 @@ def test_one_row_is_reset_while_others_go_on(hsr, scene, opened):
     np.testing.assert_array_equal(after.base_pose[[0, 2]], before.base_pose[[0, 2]])
     np.testing.assert_allclose(after.base_pose[1], places[1], atol=1e-12)
     assert np.all(before.base_pose[:, 0] > places[:, 0])
-
-
-def test_is_built_by_name_and_closes_twice(hsr):
-    backend = registry.build("kinfeas.backends", "pybullet", {"robot": hsr})
-    assert isinstance(backend, PyBulletBackend)
-    backend.reset(spatial.IDENTITY[np.newaxis], hsr.home["home"][np.newaxis])
-    backend.close()
-    backend.close()
-    with pytest.raises(KinfeasError):
-        stay(backend, 1)
 
 
 def test_wrong_shapes_and_numbers_are_errors(world, begin):

@@ -42,11 +42,14 @@ def test_a_body_is_placed_by_its_link_frame(physics, scene):
     assert np.abs(physics.mass_pose(body, -1)[:3] - pose[:3]).max() > 0.1
 
 
-def test_a_urdf_that_cannot_be_loaded_is_one_line(physics, tmp_path, capfd):
-    mesh = "<visual><geometry><mesh filename='none.stl'/></geometry></visual>"
+@pytest.mark.parametrize("kind", ["visual", "collision"])
+@pytest.mark.parametrize("mesh", ["none.stl", "text.stl"])
+def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, kind, mesh):
+    (tmp_path / "text.stl").write_text("solid a\nendsolid a\n")
+    shape = f"<{kind}><geometry><mesh filename='{mesh}'/></geometry></{kind}>"
     path = tmp_path / "thing.urdf"
-    path.write_text(f"<robot name='a'><link name='a'>{mesh}</link></robot>")
-    with pytest.raises(KinfeasError, match=r"thing\.urdf: .*none\.stl") as caught:
+    path.write_text(f"<robot name='a'><link name='a'>{shape}</link></robot>")
+    with pytest.raises(KinfeasError, match=rf"thing\.urdf: .*{mesh}") as caught:
         physics.load(path, fixed=False)
     assert "\n" not in str(caught.value)
     with pytest.raises(KinfeasError, match=r"thing\.urdf"):

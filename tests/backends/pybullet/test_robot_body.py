@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.robot_body import (
     FRAME,
     PLANAR_JOINTS,
@@ -130,12 +129,7 @@ def test_repaired_moments_satisfy_the_triangle_inequality(moments, seed, mass):
     small, middle, large = np.linalg.eigvalsh(repaired.moments)
     assert small > 0.0
     assert small + middle >= large * (1.0 - 1e-9)
-
-
-@given(st.lists(st.floats(0.1, 1.0), min_size=3, max_size=3), st.integers(0, 1000))
-def test_physical_moments_are_left_alone(squares, seed):
-    inertia = Inertia(2.0, np.zeros(3), tensor(np.sum(squares) - np.array(squares), seed))
-    assert physical(inertia) is inertia
+    assert physical(repaired) is repaired
 
 
 @pytest.mark.parametrize(("tool", "joint"), [("", "fixed"), (BOX, "fixed"), ("", "revolute")])
@@ -158,7 +152,6 @@ def own_robot(folder, kind, mesh):
     for name in ("rover/urdf", "rover/meshes"):
         (folder / name).mkdir(parents=True)
     (folder / "rover" / "meshes" / "part.stl").write_bytes(STL)
-    (folder / "rover" / "meshes" / "text.stl").write_text("solid a\nendsolid a\n")
     text, urdf = (EXAMPLE / "scout.urdf").read_text(), folder / "rover" / "urdf" / "scout.urdf"
     start = text.index(f"<{kind}>", text.index('<link name="mast_link">'))
     end = text.index(f"</{kind}>", start)
@@ -181,11 +174,3 @@ def test_meshes_are_loaded(tmp_path, kind, mesh, capfd, opened):
     }
     assert any(name.endswith(b"part.stl") for name in shapes[kind])
     assert capfd.readouterr().out == ""
-
-
-@pytest.mark.parametrize("kind", ["visual", "collision"])
-def test_an_unreadable_mesh_is_an_error(tmp_path, kind, capfd):
-    robot = own_robot(tmp_path, kind, "../meshes/text.stl")
-    with pytest.raises(KinfeasError, match=r"scout\.urdf: .*text\.stl"):
-        PyBulletBackend(robot).simulation(0)
-    assert capfd.readouterr() == ("", "")
