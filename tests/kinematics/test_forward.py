@@ -1,11 +1,9 @@
 import ast
 import importlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from numba.core.registry import CPUDispatcher
 from scipy.spatial.transform import Rotation
 
@@ -15,14 +13,8 @@ from kinfeas.core.spatial import rotation, twist_between
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.kernels import write_matrix, write_pose
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.robot import ArmJoint
 from tests.kinematics.conftest import Pinocchio, draw
 
-GOLDEN = yaml.safe_load((Path(__file__).parents[1] / "robots" / "golden_fk.yaml").read_text())
-CASES = [
-    pytest.param(name, chain["joints"], case, id=f"{name}-{chain['joints'][1]}-{case['name']}")
-    for name, chains in GOLDEN.items() for chain in chains for case in chain["cases"]
-]  # fmt: skip
 EXACT = {"rtol": 0.0, "atol": 1e-9}
 
 
@@ -39,18 +31,6 @@ def test_poses_and_jacobians_are_those_of_pinocchio(name, odd_robot):
         np.testing.assert_allclose(jacobians[i], judge.jacobian(positions), **EXACT)
     np.testing.assert_allclose(np.linalg.norm(ee_pose[:, 3:], axis=1), 1.0, **EXACT)
     assert ee_pose[:, 6].min() >= 0.0
-
-
-@pytest.mark.parametrize(("name", "joints", "case"), CASES)
-def test_golden_poses(name, joints, case):
-    robot = load_robot(name)
-    arm = tuple(ArmJoint(joint, -9.0, 9.0, 1.0, continuous=False) for joint in joints)
-    for frame, expected in case["frames"].items():
-        chain = build_chain(replace(robot, arm=arm, ee_frame=frame))
-        found = forward(chain, np.array(case["positions"]))
-        turn = Rotation.from_quat(expected[3:]).as_matrix()
-        np.testing.assert_allclose(found[:3], expected[:3], **EXACT)
-        np.testing.assert_allclose(rotation(found).as_matrix(), turn, **EXACT)
 
 
 def test_the_jacobian_is_the_derivative_of_the_pose(odd_robot):

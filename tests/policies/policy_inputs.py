@@ -43,8 +43,3 @@ def turned_about(policy_input, angle, shift):
         moved(policy_input.planned),
         moved(policy_input.demonstrated_base),
     )
-
-
-def rows_of(policy_input, rows):
-    """Return some of the situations."""
-    return PolicyInput(*(values[rows] for values in vars(policy_input).values()))

@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -37,20 +36,14 @@ def plain(net, observation):
     return np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])
 
 
-def test_is_a_perceptron():
-    net, observation = network(), observations(100)
+@pytest.mark.parametrize("sizes", [(28, 3), (28, 7, 2), (28, 256, 256, 3), (26, 400, 300, 3)])
+def test_is_a_perceptron(sizes):
+    net, observation = network(sizes), observations(40, sizes[0])
     np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
+    assert np.all(np.abs(net(observation * 100.0)) <= 1.0)
 
 
-@pytest.mark.parametrize("n", [0, 1, 5])
-def test_shape_and_bounds(n):
-    action = network()(observations(n) * 100.0)
-    assert action.shape == (n, 3)
-    assert action.dtype == np.float64
-    assert np.all(np.abs(action) <= 1.0)
-
-
-@pytest.mark.parametrize("size", [1, 3, 16, 64, 128])
+@pytest.mark.parametrize("size", [1, 3, 64])
 def test_no_bit_depends_on_the_batch(size):
     net, observation = network(), observations(128)
     together = net(observation)
@@ -58,28 +51,14 @@ def test_no_bit_depends_on_the_batch(size):
         rows = slice(first, first + size)
         np.testing.assert_array_equal(net(observation[rows]), together[rows])
     order = np.random.default_rng(2).permutation(128)
-    np.testing.assert_array_equal(net(observation[order]), together[order])
-
-
-@pytest.mark.parametrize("sizes", [(28, 3), (28, 7, 2), (26, 400, 300, 3)])
-def test_any_number_of_layers(sizes):
-    net, observation = network(sizes), observations(10, sizes[0])
-    np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
-    np.testing.assert_array_equal(net(observation[:1]), net(observation)[:1])
-
-
-def test_memory_layout_does_not_matter():
-    net, observation = network(), observations(20)
-    np.testing.assert_array_equal(net(np.asfortranarray(observation)), net(observation))
+    np.testing.assert_array_equal(net(np.asfortranarray(observation[order])), together[order])
+    assert (net(observation[:0]).shape, together.dtype) == ((0, 3), np.float64)
 
 
 def test_acts_on_the_observation_alone():
     net, observation = network(), observations(4)
-    nothing = np.full((4, 7), np.nan)
-    np.testing.assert_array_equal(
-        net.act(PolicyInput(observation, *[nothing] * 6)),
-        net(observation),
-    )
+    policy_input = PolicyInput(observation, *[np.full((4, 7), np.nan)] * 6)
+    np.testing.assert_array_equal(net.act(policy_input), net(observation))
 
 
 @pytest.fixture(scope="module")
@@ -102,14 +81,12 @@ SCALE = network().scale
     "scale",
     [
         np.full_like(SCALE, np.nan),
-        np.full_like(SCALE, np.inf),
         SCALE[:, np.newaxis],
         SCALE[0],
         SCALE.astype(np.float64),
-        SCALE.astype(np.int32),
     ],
 )
-def test_a_broken_scale_is_one_sentence(pr2, tmp_path, scale):
+def test_a_broken_scale_raises(pr2, tmp_path, scale):
     write_network(network(), tmp_path, pr2, {})
     path = tmp_path / "policy.safetensors"
     save_file({**load_file(path), "scale": np.asarray(scale, order="C")}, path)
@@ -140,11 +117,8 @@ def test_terms_are_those_of_the_file(pr2, tmp_path):
     write_network(net, tmp_path, pr2, {})
     assert read_network(tmp_path, pr2).observation_terms == terms
     path = tmp_path / "policy.json"
-    for key in ("observation", "action"):
-        data = json.loads(path.read_text())
-        data[key][0]["name"] = "lidar"
-        path.write_text(json.dumps(data))
+    text = path.read_text()
+    for key, name in (("observation", "goal_position"), ("action", "base_velocity")):
+        path.write_text(text.replace(name, "lidar"))
         with pytest.raises(KinfeasError, match=rf"{key}.*lidar"):
             read_network(tmp_path, pr2)
-        data[key][0]["name"] = {"observation": "goal_position", "action": "base_velocity"}[key]
-        path.write_text(json.dumps(data))

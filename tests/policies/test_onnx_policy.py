@@ -1,11 +1,9 @@
-import json
 import pickle
 import subprocess
 import sys
 from dataclasses import replace
 
 import numpy as np
-import onnx
 import pytest
 from onnx import numpy_helper
 
@@ -57,11 +55,10 @@ def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
     np.testing.assert_array_equal(policy.act(policy_input), together)
 
 
-@pytest.mark.parametrize("n", [0, 1, 5])
+@pytest.mark.parametrize("n", [0, 5])
 def test_shape_and_bounds(path, hsr, n):
     action = read_policy_file(path, hsr)(np.full((n, size(hsr)), 1e6))
-    assert action.shape == (n, action_size(hsr.base))
-    assert action.dtype == np.float64
+    assert (action.shape, action.dtype) == ((n, action_size(hsr.base)), np.float64)
     assert np.all(np.abs(action) <= 1.0)
 
 
@@ -135,21 +132,17 @@ def test_truncated_or_changed_anywhere(path, exported, hsr):
         rejected(path, hsr, ".")
 
 
-@pytest.mark.parametrize("more", [b"\0", b"\x08\x07", b"some words", b"\xa2\x06\x01x"])
+@pytest.mark.parametrize("more", [b"\0", b"\x08\x07", b"\xa2\x06\x01x"])
 def test_something_appended(path, exported, hsr, more):
     path.write_bytes(exported[1] + more)
     rejected(path, hsr, ".")
 
 
-@pytest.mark.parametrize("other", [b"", b"{}", b"PK\x03\x04" * 99, pickle.dumps([1.0])])
-def test_other_files(path, hsr, other):
-    path.write_bytes(other)
-    rejected(path, hsr, "not written by `kinfeas export`")
-
-
-def test_a_foreign_onnx_file(path, hsr):
+def test_other_files(path, hsr):
     change(path, lambda model: model.ClearField("metadata_props"), sign=False)
-    rejected(path, hsr, "not written by `kinfeas export`")
+    for other in (path.read_bytes(), b"", b"{}", b"PK\x03\x04" * 99):
+        path.write_bytes(other)
+        rejected(path, hsr, "not written by `kinfeas export`")
 
 
 def test_missing_and_huge_files(path, hsr, monkeypatch):
@@ -200,11 +193,3 @@ def test_changes_with_a_matching_digest(path, hsr, case):
     edit, word = SIGNED[case]
     change(path, edit)
     rejected(path, hsr, word)
-
-
-def test_the_entries_are_json(path):
-    entries = {one.key: one.value for one in onnx.load(path).metadata_props}
-    assert len(entries) == 10
-    for key, value in entries.items():
-        assert key.startswith("kinfeas.")
-        json.loads(value)

@@ -1,15 +1,15 @@
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-import fcl
 import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, compose, make_pose, rotation
+from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.robots.robot import fingerprint, joint_displacement, joint_jumps
 
@@ -86,15 +86,14 @@ def test_reads_a_robot(tmp_path):
 
 def test_arm_limits_are_read_only_arrays(tmp_path):
     robot = read_robot(write(tmp_path, crane()))
-    expected = (
+    for found, values in (
         (robot.continuous, [False, False, True]),
         (robot.max_joint_velocity, [0.1, 0.5, 3.0]),
         (robot.joint_limits[0], [0.2, -1.5, -math.inf]),
         (robot.joint_limits[1], [1.0, 1.5, math.inf]),
         (robot.finite_joint_limits[0], [0.2, -1.5, -math.pi]),
         (robot.finite_joint_limits[1], [1.0, 1.5, math.pi]),
-    )
-    for found, values in expected:
+    ):
         np.testing.assert_array_equal(found, values, strict=True)
         with pytest.raises(ValueError, match="read-only"):
             found[0] = 0.0
@@ -128,24 +127,19 @@ BASE, ARM = crane()["base"], crane()["arm"]
 @pytest.mark.parametrize(
     ("changes", "where"),
     [
-        ({"wheels": 4}, "'wheels'"),
-        ({"tool_tip": [0.1, 0.0]}, "'tool_tip'"),
         ({"tool_tip": [0.1, 0.0, math.nan]}, "'tool_tip.2'"),
         ({"urdf": "none.urdf"}, "none.urdf"),
         ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
         ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
         ({"base": BASE | {"drive": "legs"}}, "'base.drive'"),
         ({"base": BASE | {"max_velocity": 0}}, "'base.max_velocity'"),
-        ({"base": BASE | {"max_velocity": math.inf}}, "'base.max_velocity'"),
         ({"base": BASE | {"max_acceleration": 1e9}}, "'base.max_acceleration'"),
         ({"name": "a/b"}, "'name'"),
         ({"pose_tolerance": {"position": -0.1, "rotation": 0.2}}, "'pose_tolerance.position'"),
-        ({"pose_tolerance": {"position": 0.1, "rotation": 100}}, "'pose_tolerance.rotation'"),
         ({"arm": {}}, "'arm'"),
         ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
         ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
         ({"arm": {"lift": {"speed": 1}}}, "'arm.lift.speed'"),
-        ({"arm": {"lift": {"velocity": 0}}}, "'arm.lift.velocity'"),
         ({"arm": {"swing": {}, "lift": {}}}, "'arm'"),
         ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
         ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
@@ -166,10 +160,8 @@ BASE, ARM = crane()["base"], crane()["arm"]
         ({"ignored_collisions": [["mast", "mast"]]}, "'ignored_collisions'"),
         ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
         ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
-        ({"gripper": GRIPPER | {"fingers": ["wave", "wave"]}}, "'fingers'"),
         ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
         ({"gripper": GRIPPER | {"open": 0.5}}, "'open'"),
-        ({"gripper": GRIPPER | {"effort": 0.0}}, "effort"),
         ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
         *[({key: None}, f"'{key}'") for key in crane()],  # None stands for a missing key
     ],
@@ -187,35 +179,31 @@ def test_a_robot_is_a_yaml_file_or_a_known_name(name):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    "changes",
     [
-        ('lower="-2" upper="2"', 'lower="0" upper="0"'),  # no room to move
-        ('upper="2" velocity="1"', 'upper="2" velocity="1e16"'),  # no velocity limit
+        {'lower="-2" upper="2"': 'lower="0" upper="0"', "1.5": "0"},  # no range of motion
+        {'upper="2" velocity="1"': 'upper="2" velocity="1e16"'},  # no velocity limit
     ],
 )
-def test_joints_of_the_arm_need_limits(tmp_path, old, new):
-    spec = crane() | {"arm": ARM | {"swing": {}}}
-    urdf = URDF.replace(old, new)
-    if "0" in new[:10]:
-        urdf = urdf.replace("1.5", "0")
+def test_joints_of_the_arm_need_limits(tmp_path, changes):
+    urdf = URDF
+    for old, new in changes.items():
+        urdf = urdf.replace(old, new)
     with pytest.raises(KinfeasError, match=r"'arm\.swing'"):
-        read_robot(write(tmp_path, spec, urdf))
+        read_robot(write(tmp_path, crane() | {"arm": ARM | {"swing": {}}}, urdf))
 
 
 @pytest.mark.parametrize(
-    ("follower", "multiplier", "allowed"),
-    [("revolute", "-2", True), ("revolute", "0.5", False), ("prismatic", "1", False)],
+    ("follower", "multiplier", "named"),
+    [("revolute", "-2", None), ("revolute", "0.5", "'grip'"), ("prismatic", "1", "'grip'")],
 )
-def test_mimics_of_a_continuous_joint_have_its_period(tmp_path, follower, multiplier, allowed):
+def test_mimics_of_a_continuous_joint_have_its_period(tmp_path, follower, multiplier, named):
     joint = URDF[URDF.index('<joint name="grip"') : URDF.index("</robot>")]
     other = joint.replace('"revolute"', f'"{follower}"')
     other = other.replace('joint="swing"', f'joint="spin" multiplier="{multiplier}"')
     path = write(tmp_path, crane(), URDF.replace(joint, other))
-    if allowed:
+    with pytest.raises(KinfeasError, match=rf"'arm\.spin'.*{named}") if named else nullcontext():
         read_robot(path)
-    else:
-        with pytest.raises(KinfeasError, match=r"'arm\.spin'.*'grip'"):
-            read_robot(path)
 
 
 def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path):
@@ -250,45 +238,6 @@ def test_the_shipped_gripper_axes_follow_the_convention(robot):
     np.testing.assert_allclose(turn.apply(robot.tool_tip), [length, 0, 0], atol=1e-12)
     fingers = {"pr2": [0, 1, 0], "tiago": [0, 0, 1], "hsr": [0, 1, 0]}  # in the EE frame
     np.testing.assert_allclose(np.abs(turn.apply(fingers[robot.name])), [0, 1, 0], atol=1e-12)
-
-
-def test_shipped_configurations_are_free_of_self_collision(robot):
-    for configuration in robot.home.values():
-        assert touching(robot, configuration) == set()
-
-
-def test_self_collision_is_found():
-    across = np.array([0.5, 0.8, -1.4, -1.2, 0.0, -0.7, 0.0])  # into the idle left arm
-    assert any("l_" in link for pair in touching(load_robot("pr2"), across) for link in pair)
-
-
-def touching(robot, positions):
-    """Return the pairs of links that FCL finds in contact, less adjacent and ignored ones."""
-    at = robot.fixed_joints | {j.name: q for j, q in zip(robot.arm, positions, strict=True)}
-    solids = []
-    for link in robot.urdf.links.values():
-        pose = IDENTITY
-        for joint in robot.urdf.path_to(link.name):
-            leader, scale, offset = robot.urdf.followed(joint)
-            position = scale * at[leader.name] + offset if joint.moves else 0.0
-            pose = compose(pose, joint.pose_at(position))
-        solids += [(link.name, solid(shape, compose(pose, shape.pose))) for shape in link.shapes]
-    rigid = robot.urdf.rigid
-    joined = {frozenset((rigid[j.parent], rigid[j.child])) for j in robot.urdf.joints.values()}
-    return {
-        frozenset((a, b))
-        for i, (a, one) in enumerate(solids)
-        for b, other in solids[:i]
-        if frozenset((rigid[a], rigid[b])) not in joined | {frozenset([rigid[a]])}
-        and frozenset((a, b)) not in robot.ignored_collisions
-        and fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult())
-    }
-
-
-def solid(shape, pose):
-    kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
-    placement = fcl.Transform(rotation(pose).as_matrix(), pose[:3])
-    return fcl.CollisionObject(kinds[shape.kind](*shape.size), placement)
 
 
 # Policies of another fingerprint raise an error, so these change only with the robot.
@@ -346,16 +295,11 @@ SAME = {
 }
 
 
-@pytest.mark.parametrize("change", OTHER)
-def test_other_kinematics_have_another_fingerprint(change):
+@pytest.mark.parametrize("change", [*OTHER, *SAME])
+def test_only_other_kinematics_have_another_fingerprint(change):
     pr2 = load_robot("pr2")
-    assert fingerprint(OTHER[change](pr2)) != fingerprint(pr2)
-
-
-@pytest.mark.parametrize("change", SAME)
-def test_other_changes_keep_the_fingerprint(change):
-    pr2 = load_robot("pr2")
-    assert fingerprint(SAME[change](pr2)) == fingerprint(pr2)
+    changed = (OTHER | SAME)[change](pr2)
+    assert (fingerprint(changed) == fingerprint(pr2)) == (change in SAME)
 
 
 def test_the_sign_of_a_quaternion_keeps_the_fingerprint():

@@ -74,14 +74,6 @@ def test_shipped_inertias_are_those_of_solid_bodies(name):
         assert small + middle >= large * (1.0 - 1e-6)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_urdfs_hold_no_soft_limits_and_no_meshes(name):
-    urdf = parse_urdf(SHIPPED[name])
-    assert not any(link.mesh_collisions for link in urdf.links.values())
-    for joint in urdf.joints.values():
-        assert (joint.soft_lower, joint.soft_upper) == (joint.lower, joint.upper)
-
-
 def test_reads_links_and_joints(tmp_path):
     urdf = parse_urdf(write(tmp_path, ARM))
     assert (urdf.name, urdf.root, list(urdf.links)) == ("arm", "base", ["base", "hand"])
@@ -92,6 +84,11 @@ def test_reads_links_and_joints(tmp_path):
     np.testing.assert_allclose(elbow.origin, [1, 2, 3, 0, 0, 0.5**0.5, 0.5**0.5])
     assert (elbow.lower, elbow.upper, elbow.velocity, elbow.effort) == (-1.0, 2.0, 3.0, 4.0)
     assert (elbow.soft_lower, elbow.soft_upper, elbow.mimic) == (-1.0, 2.0, None)
+
+
+def fixed(name, parent, child):
+    links = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="fixed">{links}</joint></robot>'
 
 
 SOFT = '<safety_controller soft_lower_limit="-0.5" soft_upper_limit="1.5"/></joint>'
@@ -131,31 +128,21 @@ def test_mimic_joints_lead_to_the_joint_that_they_follow(tmp_path):
     ("old", "new", "where"),
     [
         ("</robot>", "", "XML"),
-        ("<robot", "<!DOCTYPE robot><robot", "document types"),
         ("<robot", '<!DOCTYPE r [<!ENTITY a "1">]><robot', "document types"),
         ('<robot name="arm">', '<?xml version="1.0" encoding="nonsense"?><robot>', "XML"),
         ('robot name="arm"', "robot", "'name'"),
         ('link name="hand"', 'link name="base"', "link 'base'"),
-        ('link name="base"', 'link name=" "', "'name'"),
         ('mass value="0.5"', 'mass value="nan"', "link 'hand', <inertial>, <mass>: 'value'"),
-        ('mass value="0.5"', 'mass value="-1"', "'value'"),
-        ('mass value="0.5"', "mass", "'value'"),
         ('mass value="0.5"', 'mass value="1e308"', "'value'"),
-        ('ixx="1"', 'ixx="inf"', "<inertia>: 'ixx'"),
         ('ixx="1"', 'ixx="-1"', "'ixx'"),
         ('<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>', "", "<inertia>"),
         ('filename="hand.stl"', "", "<mesh>: the attribute 'filename'"),
         ('filename="hand.stl"', 'filename="a.stl" scale="1"', "'scale'"),
         ('size="1 2 3"', 'size="1 2e5 3"', "'size'"),
-        ('size="1 2 3"', 'size="1 2"', "'size'"),
-        ('size="1 2 3"', 'size="1 -2 3"', "'size'"),
         ('size="1 2 3"', 'size="1 two 3"', "'size'"),
         ('xyz="1 2 3"', 'xyz="1 2 1e999"', "joint 'elbow', <origin>: 'xyz'"),
-        ('xyz="0 3 4"', 'xyz="0 0 1e200"', "'xyz'"),
-        ('<box size="1 2 3"/>', '<sphere radius="0"/>', "'radius'"),
         ('<box size="1 2 3"/>', '<cylinder radius="1"/>', "<cylinder>: the attribute 'length'"),
         ('<box size="1 2 3"/>', "<cone/>", "<geometry>"),
-        ('<geometry><box size="1 2 3"/></geometry>', "", "<geometry>"),
         ('"revolute"', '"floating"', "joint 'elbow': type"),
         ('xyz="0 3 4"', 'xyz="0 0 0"', "axis"),
         ("<limit ", "<limits ", "<limit>"),
@@ -171,6 +158,9 @@ def test_mimic_joints_lead_to_the_joint_that_they_follow(tmp_path):
         ("</joint>", '<mimic joint="elbow"/></joint>', "<mimic>"),
         ("</joint>", '<mimic joint="elbow" multiplier="1e9"/></joint>', "'multiplier'"),
         ("</robot>", '<joint name="elbow"/></robot>', "joint 'elbow'"),
+        ("</robot>", fixed("loop", "hand", "base"), "root"),
+        ("</robot>", fixed("again", "base", "hand"), "joint 'again'"),
+        ("</robot>", '<link name="a"/>' + fixed("aa", "a", "a"), "'a'"),
     ],
 )
 def test_a_broken_urdf_is_an_error_with_its_place(tmp_path, old, new, where):
@@ -178,24 +168,6 @@ def test_a_broken_urdf_is_an_error_with_its_place(tmp_path, old, new, where):
     path = write(tmp_path, ARM.replace(old, new).strip())
     with pytest.raises(KinfeasError, match=f"^{path}.*{where}"):
         parse_urdf(path)
-
-
-def fixed(name, parent, child):
-    links = f'<parent link="{parent}"/><child link="{child}"/>'
-    return f'<joint name="{name}" type="fixed">{links}</joint>'
-
-
-@pytest.mark.parametrize(
-    ("joints", "where"),
-    [
-        (fixed("loop", "hand", "base"), "root"),
-        (fixed("again", "base", "hand"), "joint 'again'"),
-        ('<link name="a"/><link name="b"/>' + fixed("ab", "a", "b") + fixed("ba", "b", "a"), "'a'"),
-    ],
-)
-def test_links_form_a_tree(tmp_path, joints, where):
-    with pytest.raises(KinfeasError, match=where):
-        parse_urdf(write(tmp_path, ARM.replace("</robot>", f"{joints}</robot>")))
 
 
 def test_other_files_are_errors(tmp_path):
@@ -238,13 +210,7 @@ def test_meshes_are_found(rover, tmp_path, monkeypatch, name, where):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "../none.stl",
-        "package://lander/part.stl",
-        "part.ply",
-        "http://a/part.stl",
-        "a" * 300 + ".stl",
-    ],
+    ["../none.stl", "package://lander/part.stl", "part.ply", "http://a/b.stl", 300 * "a" + ".stl"],
 )
 def test_missing_meshes_are_errors(rover, name):
     with pytest.raises(KinfeasError, match=f"rover.urdf: <mesh>: .*{name[:40]}"):
