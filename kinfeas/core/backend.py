@@ -27,7 +27,7 @@ class RobotState:
         joint_velocities: Velocities of the arm joints, shape (n, j), where they are measured.
         age: Seconds since the oldest part was measured, shape (n,), if known.
         ee_in_base: EE pose in the base frame, shape (n, 7), where it differs from the kinematics.
-        true_state: True state, where sensors have errors and a simulator knows it.
+        true_state: True state of a simulator whose sensors have errors.
     """
 
     base_pose: Array

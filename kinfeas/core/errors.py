@@ -43,7 +43,7 @@ class plugin_note:  # noqa: N801 - used like contextlib.suppress, and faster tha
 
 
 def raised_by(error: BaseException) -> str | None:
-    """Return the name of the plugin that raised an exception, if a `plugin_note` tells."""
+    """Return the plugin that raised an exception, by its `plugin_note`; None if there is none."""
     notes = [note for note in getattr(error, "__notes__", ()) if note.startswith(_RAISED_BY)]
     return notes[0].removeprefix(_RAISED_BY) if notes else None
 

@@ -30,9 +30,9 @@ class EpisodeRecords:
         joint_jumps: Steps in which a joint moved faster than its limit, shape (n,).
         steps: Length of the episode, shape (n,).
         task_done: Whether the objects ended as the task asks for, or the goal was reached if the
-            task has no objects, shape (n,); None if the backend cannot tell.
-        base_collisions: Collisions of the base, shape (n,); None if the backend cannot tell.
-        arm_collisions: Collisions of the arm, shape (n,); None if the backend cannot tell.
+            task has no objects, shape (n,); None if the backend does not measure it.
+        base_collisions: Collisions of the base, shape (n,); None likewise.
+        arm_collisions: Collisions of the arm, shape (n,); None likewise.
     """
 
     reached: NDArray[np.bool_]
@@ -92,7 +92,7 @@ def wilson(hits: int, trials: int) -> Share:
 class Metrics(TypedDict):
     """Metrics of episodes; `low` and `high` are the ends of the interval of a share.
 
-    Task success and collisions are null where the backend cannot tell.
+    Task success and collisions are null if the backend does not measure them.
     """
 
     episodes: int

@@ -44,7 +44,7 @@ class TermInfo:
         frame: Frame of the numbers; `joint` for joint positions.
         unit: Their unit.
         entries: Name of each number, for terms that are no vector.
-        scale: Value of each number that an action of 1 stands for.
+        scale: Value of each number at an action of 1.
     """
 
     name: str

@@ -119,18 +119,16 @@ class RowByRow:
         return twist, answer[1]
 
     def _stacked(self, method: str, states: list[Mapping[str, ArrayLike]]) -> State:
-        if not states:
-            return {}
         where = f"{type(self).__name__}.{method}"
-        rows = [_numbers(state, where) for state in states]
-        shapes = {k: v.shape for k, v in rows[0].items()}
-        for row in rows:
-            if (other := {k: v.shape for k, v in row.items()}) != shapes:
-                raise KinfeasError(
-                    f"{where} returned states of unlike shapes, {shapes} and {other}; "
-                    "every motion must have the same"
-                )
-        return {k: np.stack([row[k] for row in rows]) for k in shapes}
+        rows: list[State] = []
+        for state in states:
+            try:
+                rows.append({k: np.asarray(v, dtype=np.float64) for k, v in state.items()})
+            except (AttributeError, TypeError, ValueError) as error:
+                raise KinfeasError(f"{where} must return a dict of numbers: {error}") from error
+        if len({tuple((k, v.shape) for k, v in sorted(row.items())) for row in rows}) > 1:
+            raise KinfeasError(f"{where} must return equal keys and shapes for all motions")
+        return {k: np.stack([row[k] for row in rows]) for k in rows[0]} if rows else {}
 
 
 def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:
@@ -147,18 +145,3 @@ def _poses(
 
 def _row(state: State, i: int) -> dict[str, Any]:
     return {k: v[i].copy() for k, v in state.items()}
-
-
-def _numbers(state: object, where: str) -> State:
-    if not isinstance(state, Mapping):
-        kind = type(state).__name__
-        raise KinfeasError(f"{where} must return a state that is a dict of numbers, not a {kind}")
-    rows: State = {}
-    for key, value in state.items():
-        try:
-            rows[key] = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise KinfeasError(
-                f"{where} must return a state of numbers and arrays, and {key!r} is neither"
-            ) from error
-    return rows

@@ -1,7 +1,7 @@
 """Guards between a deployed policy and its robot.
 
 `StateMonitor` checks measurements, `SafetyFilter` limits and checks commands, and `Guarded` stops
-the robot if either raises. The adapters of a rehearsal stand between the filter and the monitor:
+the robot if either raises. The adapters of a rehearsal lie between the filter and the monitor:
 
     loop -> Guarded (StateMonitor) -> adapters -> SafetyFilter -> backend of the robot
 """

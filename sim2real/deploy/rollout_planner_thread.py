@@ -60,7 +60,7 @@ class RolloutPlannerThread(RolloutPlanner):
         return super().__call__(command, policy_input)
 
     def replan(self, now: State, due: Rows) -> None:
-        """Begin to look for a new offset."""
+        """Start the search for a new offset."""
         assert self._worker is not None
         if self._coming is None:
             self._coming = self._worker.submit(self.plan, now, due)

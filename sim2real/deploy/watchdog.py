@@ -175,7 +175,7 @@ class _Stop:
 def _watch(stop: _Stop, seconds: float, answers: int) -> bool:
     """Stop the base while heartbeats are missing, after the first one; return whether one died.
 
-    Once it has stopped the base it goes on: a run that comes back must not drive on.
+    After the first stop it repeats them, since a stalled run that continues must not move the base.
     """
     timeout: float | None = None
     fired, stalled = False, f"no heartbeat of the run for {seconds:g} s"

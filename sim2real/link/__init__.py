@@ -23,7 +23,7 @@ class BaseReading:
         yaw: Heading in radians.
         velocity: Forward, left and rotation in the base frame, shape (3,), m/s and rad/s, or None.
         stamp: Time of the measurement by the robot's clock, seconds, or None.
-        age: Age on arrival, seconds, as far as the transport can tell.
+        age: Age on arrival, seconds, as far as the transport measures it.
     """
 
     x: float
@@ -150,7 +150,7 @@ class RobotLink(Protocol):
 
 @runtime_checkable
 class Hosted(Protocol):
-    """A backend class with a robot's end, so that `kinfeas simulate` can stand in for the robot."""
+    """A backend class with a robot's end, for the simulated robot of `kinfeas simulate`."""
 
     @staticmethod
     def robot_link(robot: Robot, topics: str | None = None) -> RobotLink:

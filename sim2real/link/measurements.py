@@ -27,7 +27,7 @@ class TransportDelay:
     """Estimates when stamped measurements were sent, by our clock.
 
     The smallest difference of arrival and stamp so far is taken as the offset of the two clocks. A
-    message that waited in a queue, or is sent again, is as old as its stamp plus this offset tells.
+    message that waited in a queue, or is sent again, was sent at its stamp plus this offset.
     Neither a constant offset nor a stamp that jumps ahead makes a measurement old. A robot's clock
     that is slower than `drift` allows shows as a growing delay.
 

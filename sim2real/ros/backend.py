@@ -178,14 +178,12 @@ class RosLink:
         tree = ros_messages.TfTree(base.world_frame, base.frame, self._drift)
         kind = self._bus.messages.TFMessage
 
-        def take(message: Any) -> None:
+        def read(message: Any) -> BaseReading | None:
             tree.take(message)
-            reading = tree.reading()
-            if reading is not None:
-                readings.base(reading)
+            return tree.reading()
 
         # Each message has other transforms, so that none may be skipped.
-        self._bus.subscribe("/tf", kind, take, every=True)
+        self._bus.subscribe("/tf", kind, _passing(read, readings.base), every=True)
         self._bus.subscribe("/tf_static", kind, partial(tree.take, static=True), every=True)
 
 

@@ -24,7 +24,7 @@ from kinfeas.sim2real.link import BaseReading, Hosted, JointPath, JointReading, 
 from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
-_LINGER = 2.0  # s that a robot goes on without its bus
+_LINGER = 2.0  # s that a robot continues without its bus
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def simulate(
     """Run a simulated robot for its duration or until Ctrl-C; return the statistics.
 
     The link is opened and closed; `on_ready` is called once it receives commands. If the bus breaks
-    the robot goes on for 2 s, so that deployments notice it, and an error is raised.
+    the robot continues for 2 s, so that deployments can detect it, and an error is raised.
     """
     link.open(robot.orders())
     config, clock = robot.config, robot.clock

@@ -166,7 +166,7 @@ class NoState(Approach):
     [
         (NoPair, "NoPair.twist"),
         (ShortTwist, "ShortTwist.twist"),
-        (WordInState, "WordInState.start.*'way'"),
+        (WordInState, "WordInState.start.*'up'"),
         (NoState, "NoState.start"),
         (Growing, "Growing.start"),
     ],

@@ -28,7 +28,7 @@ def test_names_and_paths():
         assert not is_path(name)
 
 
-def test_standard_output_is_told_from_files(tmp_path):
+def test_recognizes_standard_output(tmp_path):
     for path in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
         assert is_standard_output(Path(path))
     for path in ("/dev/stderr", "/dev/null", "/dev/fd/2", tmp_path / "1", "-"):

@@ -38,7 +38,7 @@ def path(tmp_path):
     return tmp_path / "run.csv"
 
 
-def test_reads_back_what_was_written(path):
+def test_round_trip(path):
     moments = [moment(0, event="start"), moment(1, age=np.nan), moment(2, event='a, "b"\nc')]
     write(path, moments)
     record = read_record(path)

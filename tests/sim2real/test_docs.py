@@ -20,7 +20,7 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
 
 
-def test_every_rung_is_told_of():
+def test_every_recipe_has_a_row():
     for name in recipes("sim2real"):
         assert f"| `{name.removeprefix('sim2real/')}` |" in PAGE
 

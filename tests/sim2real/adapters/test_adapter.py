@@ -112,7 +112,7 @@ def test_new_episodes_leave_the_others_alone(adapters, pr2):
 
 
 @pytest.mark.parametrize("adapters", [*([PluginSpec(name)] for name in NAMES), HARSH])
-def test_goes_on_from_a_snapshot_to_the_bit(adapters, pr2):
+def test_continues_from_a_snapshot_to_the_bit(adapters, pr2):
     twice = [*adapters, *adapters]
     backend, other = (wrap(AnalyticBackend(), twice, pr2) for _ in "ab")
     on_reset(backend, pr2, [5, 6])

@@ -101,7 +101,7 @@ def test_a_late_reading_never_shows_an_older_robot(rig):
     np.testing.assert_allclose(behind, age, atol=1e-9)
 
 
-def test_all_that_is_measured_is_late(rig):
+def test_all_measurements_are_late(rig):
     late, inner = rig(SensorLatency, seconds=0.1), rig(EeNoise)
     late.adapter.backend = inner.adapter
     late.adapter.reset(inner.first.base_pose, late.joints)
@@ -111,7 +111,7 @@ def test_all_that_is_measured_is_late(rig):
     np.testing.assert_array_equal(seen[0].ee_in_base, inner.first.ee_in_base)
 
 
-def test_what_is_lost_leaves_the_last_command_active_shares(rig, drive):
+def test_after_a_lost_command_the_last_one_is_active(rig, drive):
     lossy = rig(DroppedCommands, n=30, share=0.3)
     twists = drive(200, n=30)
     lossy.run(twists)

@@ -37,7 +37,7 @@ def stands(robot, seconds, episodes, dt=0.1):
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.05])
-def test_the_ee_stands_for_as_long(pr2, dt):
+def test_the_ee_rests_for_the_head_start(pr2, dt):
     assert stands(pr2, 0.5, range(3), dt) == [round(0.5 / dt)] * 3
 
 

@@ -16,8 +16,7 @@ from kinfeas.robots.robot import joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
-from kinfeas.sim2real.link.backend import LinkBackend
-from tests.sim2real.doubles import MemoryLink, Time, present
+from tests.sim2real.doubles import Time
 
 DT = 0.02
 ROBOTS = {name: load_robot(name) for name in ("pr2", "tiago", "hsr")}
@@ -473,19 +472,3 @@ def test_every_command_is_within_the_limits_or_zero(name, steps):
         before, joints_before = drive, joints[0]
     if guard.commands.stopped and backend.sent:
         assert not backend.sent[-1][0].any()
-
-
-@pytest.mark.parametrize("share", [1.0, 0.2])
-def test_an_arm_behind_a_link_that_lags_is_no_faster_than_the_guards_allow(share):
-    time, link, joint = Time(), MemoryLink(present(PR2)), 3
-    backend = LinkBackend(PR2, link, clock=time.clock)
-    guard = Guarded(backend, PR2, Guards(joint_speed=share), clock=time.clock)
-    start = guard.reset(None, None).joint_positions[0]
-    targets, speeds = arm(guard, joint, 1.0), []
-    for _ in range(30):
-        link.answer(link.readings)
-        guard.step(twist(), targets, DT)
-        positions, seconds = link.moved[-1]
-        way = np.abs(np.array(list(positions.values())) - start)
-        speeds.append(way[joint] / seconds / PR2.max_joint_velocity[joint])
-    assert max(speeds) == pytest.approx(share)

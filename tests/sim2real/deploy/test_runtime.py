@@ -132,7 +132,7 @@ class WithObjects:
 
 
 @pytest.mark.parametrize(("done", "end"), [(True, ", task done"), (False, ", task not done")])
-def test_drives_to_the_goal_and_tells_whether_the_task_is_done(run, trained, done, end):
+def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
     target = goal(0.9, 0.1, 0.8)
     task = WithObjects(target, done)
     outcome, record = run(AnalyticBackend(), trained, task, seconds=100.0, real_time=False)

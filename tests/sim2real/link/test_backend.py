@@ -67,7 +67,7 @@ def test_reset_leaves_the_robot_where_it_is(ends):
         ),
     ],
 )
-def test_reset_names_what_is_missing_or_wrong(answer, deaf, named):
+def test_errors_of_reset_name_the_missing_part(answer, deaf, named):
     with pytest.raises(KinfeasError, match=named):
         LinkBackend(PR2, MemoryLink(answer, deaf), timeout=0.05).reset(None, None)
 

@@ -139,7 +139,7 @@ def test_runs_in_real_time(world, time):
     assert stamps == sorted(stamps)
 
 
-def test_goes_on_for_a_while_without_its_bus(world, time):
+def test_continues_for_a_while_without_its_bus(world, time):
     memory = Memory(breaks=5)
     robot = SimulatedRobot(*world, SimulationConfig(rate=50.0), time.clock)
     with pytest.raises(KinfeasError, match="gone"):
