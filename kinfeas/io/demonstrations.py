@@ -146,13 +146,12 @@ def _checked(
     time = arrays.pop("time")
     if len(time) < 2:
         raise KinfeasError(f"{path}: has {len(time)} samples, at least 2 are needed")
-    for name, value in (("time", time[:, np.newaxis]), *arrays.items()):
-        require(np.isfinite(value).all(axis=1), name, "is not finite")
+    require(np.isfinite(time), "time", "is not finite")
     require(np.diff(time, prepend=-np.inf) > 0.0, "time", "does not ascend")
     require(time - time[0] <= LONGEST, "time", f"is more than {LONGEST:g} s after the first")
     for name, pose in arrays.items():
         near = np.all(np.abs(pose) <= REMOTEST, axis=1)
-        require(near, name, f"is beyond {REMOTEST:,.0f} m")
+        require(near, name, f"is not finite or beyond {REMOTEST:,.0f} m")
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
         require(np.abs(norm - 1.0) <= _UNIT_TOLERANCE, name, "has no unit quaternion (xyzw)")
         pose[:, 3:] /= norm[:, np.newaxis]
