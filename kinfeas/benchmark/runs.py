@@ -21,7 +21,7 @@ from kinfeas.policies.network import WEIGHTS
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.run import finished
+from kinfeas.training.run import finished, read_settings
 
 if TYPE_CHECKING:
     from kinfeas.training.train import Report
@@ -46,9 +46,7 @@ class Run:
 
 def read_run(folder: Path) -> Run:
     """Return the training run of a folder."""
-    if not (folder / "config.yaml").is_file():
-        raise KinfeasError(f"{folder}: not a training run: there is no config.yaml in it")
-    settings = config.load(TrainConfig, folder / "config.yaml")
+    settings = read_settings(folder)
     robot = load_robot(settings.robot).name
     return Run(folder, robot, settings.learner.algorithm, settings.seed, task_name(settings.task))
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from kinfeas.config import Interval, PluginSpec, from_mapping
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
-from kinfeas.control import observation
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
@@ -139,11 +138,6 @@ class World:
         )
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
-
-    @property
-    def observation_size(self) -> int:
-        """Length of an observation."""
-        return observation.size(self.robot)
 
     @property
     def action_size(self) -> int:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark import jobs as module
-from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs, thinned
+from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import run_episodes
@@ -140,14 +140,6 @@ def test_workspace_samples():
     assert len(kept["infeasible"]) == records.failures.sum() > 0
     assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
     assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)
-
-
-@pytest.mark.parametrize(("count", "kept"), [(0, 0), (1, 1), (7, 7), (30, 10)])
-def test_thinning_spreads_evenly(count, kept):
-    points = np.repeat(np.arange(count, dtype=float)[:, np.newaxis], 3, axis=1)
-    thin = thinned(points, 10)
-    assert thin.shape == (kept, 3)
-    assert kept < 2 or (thin[0, 0], thin[-1, 0]) == (0.0, count - 1.0)
 
 
 def test_baselines_are_built_first(monkeypatch):

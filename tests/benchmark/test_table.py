@@ -1,5 +1,4 @@
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -77,11 +76,6 @@ def test_parts_are_joined_beside_the_analytic_world():
 
 def test_a_metric_that_a_part_lacks_is_unknown():
     assert merged([result(0.5, task_success=0.1), result(0.5)])["task_success"] is None
-
-
-def test_cells_are_json():
-    entries = [asdict(one) for one in (*cells(), *physical())]
-    assert json.loads(json.dumps(entries, allow_nan=False))[0]["robot"] == "pr2"
 
 
 @given(st.lists(st.integers(0, 50).map(lambda hits: hits / 50.0), min_size=1, max_size=6))

@@ -57,12 +57,6 @@ def test_no_filter_changes_commands_unless_the_world_has_one():
     assert make("pr2", world=own).unwrapped.world.config.filters == own.filters
 
 
-@pytest.mark.parametrize("wrong", [{"task": "fly"}, {"world": 3}, {"backend": "gazebo"}])
-def test_wrong_arguments(wrong):
-    with pytest.raises(KinfeasError):
-        make(**wrong)
-
-
 def test_a_window_without_a_screen(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":77")
     with pytest.raises(KinfeasError, match="DISPLAY"):

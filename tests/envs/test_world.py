@@ -7,9 +7,10 @@ import pytest
 from kinfeas import config
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
+from kinfeas.control import observation
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.world import World, WorldConfig, evaluation_world
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
@@ -37,7 +38,7 @@ NOISY = WorldConfig(adapters=(PluginSpec("base_noise", {"linear": 0.05, "angular
 def network(world, seed=0):
     """Return an untrained network, its actions large enough to spread the episodes."""
     rng = np.random.default_rng(seed)
-    sizes = (world.observation_size, 64, 64, world.action_size)
+    sizes = (observation.size(world.robot), 64, 64, world.action_size)
     pairs = list(pairwise(sizes))
     return Network(
         np.ones(sizes[0], dtype=np.float32),
@@ -88,7 +89,7 @@ def world(hsr):
 def test_sizes(robot):
     world, joints = make(robot), len(robot.arm)
     assert world.action_size == (2 if robot.base.drive == "differential" else 3)
-    assert world.start(range(3)).shape == (3, 21 + joints) == (3, world.observation_size)
+    assert world.start(range(3)).shape == (3, 21 + joints) == (3, observation.size(robot))
     transition = world.step(idle(world, 3))
     assert transition.observation.shape == (3, 21 + joints)
     for values in (transition.reward, transition.terminated, transition.truncated, transition.done):
@@ -133,23 +134,6 @@ def test_a_world_continues_from_a_snapshot_to_the_bit(hsr, task):
             np.testing.assert_array_equal(getattr(one, key), getattr(two, key))
     np.testing.assert_array_equal(other.steps, world.steps)
     np.testing.assert_array_equal(other.failures, world.failures)
-
-
-def test_seeds_and_episodes_differ(hsr):
-    first, other = (make(hsr, world=WorldConfig(), seed=seed).start(range(4)) for seed in (0, 1))
-    assert len(np.unique(np.concatenate([first, other])[:, 0])) == 8
-
-
-def test_noise_changes_the_base_only(hsr):
-    plain, noisy = (make(hsr, world=each, seed=0) for each in (WorldConfig(), NOISY))
-    np.testing.assert_array_equal(plain.start(range(4)), noisy.start(range(4)))
-    for _ in range(5):
-        plain.step(idle(plain, 4))
-        noisy.step(idle(noisy, 4))
-    np.testing.assert_array_equal(plain.loop.desired, noisy.loop.desired)
-    moved = noisy.loop.state.base_pose - plain.loop.state.base_pose
-    assert np.all(np.abs(moved[:, [0, 1, 5]]).max(axis=0) > 1e-4)
-    np.testing.assert_array_equal(moved[:, [2, 3, 4]], 0.0)
 
 
 @pytest.mark.parametrize("allowed", [0, 19])
@@ -233,31 +217,10 @@ def test_a_restart_counts_from_zero(world):
     np.testing.assert_array_equal(world.failures, [10, 0])
 
 
-def test_goals_nearby_are_reached(robot):
-    """Whole episodes: the base follows the EE."""
-    task = ggr(distance=(0.3, 0.7), heights=(0.6, 0.9))
-    world = make(robot, task, evaluation_world(), seed=0)
-    policy, n = FollowEe(robot.base, feedback=True), 24
-    world.start(range(n))
-    reached, done = np.zeros((2, n), dtype=bool)
-    for _ in range(900):
-        transition = world.step(policy.act(world.loop.policy_input))
-        reached |= transition.reached & ~done
-        done |= transition.done
-        if done.all():
-            break
-    # With pose tolerance an arm may stay feasible without reaching the goal.
-    assert done.mean() >= (1.0 if robot.pose_tolerance is None else 0.9)
-    assert reached.mean() > 0.2
-    assert np.all(transition.reward <= 0.0)
-
-
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
         ({"adapters": (PluginSpec("base_nose"),)}, "base_nose"),
-        ({"adapters": (PluginSpec("base_noise", {"linear": -1.0}),)}, "linear"),
-        ({"backend": "gazebo"}, "gazebo"),
         ({"backend_parameters": {"gravity": 9.81}}, "gravity"),
     ],
 )
@@ -287,25 +250,3 @@ def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch):
     with pytest.raises(KinfeasError, match="real"):
         make(hsr, world=WorldConfig(backend="real"))
     assert RealRobot.closed
-
-
-class Foreign:
-    """A task of a plugin with an invalid array."""
-
-    name = "foreign"
-    subgoals = ggr().subgoals
-
-    def __init__(self, name, value):
-        self.changes = {name: value}
-
-    def sample(self, solver, rng):
-        return replace(ggr().sample(solver, rng), **self.changes)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("base_pose", np.zeros(3)), ("joint_positions", None), ("target_poses", np.zeros((2, 7)))],
-)
-def test_an_invalid_sample_of_a_task_is_named(hsr, name, value):
-    with pytest.raises(KinfeasError, match=rf"foreign.*{name}"):
-        make(hsr, Foreign(name, value)).start([0, 1])

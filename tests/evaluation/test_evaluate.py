@@ -1,5 +1,7 @@
 import json
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +84,24 @@ def test_a_killed_worker_is_an_error():
     with pytest.raises(KinfeasError, match="--processes"):  # noqa: SIM117
         with worker_pool(2) as pool:
             pool.submit(os._exit, 1).result()
+
+
+POOL = """
+import time
+from kinfeas.envs.episodes import worker_pool
+with worker_pool(1) as pool:
+    print(pool.submit(int).result(), flush=True)
+    pool.submit(time.sleep, 600).result()
+"""
+
+
+@pytest.mark.slow
+def test_workers_end_with_their_parent():
+    with subprocess.Popen([sys.executable, "-c", POOL], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"0\n"
+        process.kill()
+        # Ends when no process holds the pipe any more.
+        assert process.communicate(timeout=60)[0] == b""
 
 
 def test_settings_begin_at_the_backend_s_own():

@@ -64,7 +64,7 @@ def test_the_network_acts_as_the_actor_and_is_a_copy(config, env, net_arch, tmp_
 
 def test_random_actions_are_uniform_and_come_from_torch(config, env):
     learner = make_learner(config, env, 0)
-    seen = np.zeros((20_000, env.world.observation_size), dtype=np.float32)
+    seen = np.zeros((20_000, *env.observation_space.shape), dtype=np.float32)
     state = torch.get_rng_state()
     first, second = (explore(learner, config, seen, random=True) for _ in range(2))
     torch.set_rng_state(state)
@@ -155,7 +155,7 @@ def test_without_an_anchor_updates_equal_those_of_sb3(env, ent_coef):
 
 
 def test_an_anchor_holds_the_actor(env):
-    origin, away = torch.zeros(1, env.world.observation_size), []
+    origin, away = torch.zeros(1, *env.observation_space.shape), []
     for weight in (0.0, 100.0):
         learner = filled(env, replace(SMALL, learning_rate=1e-2))
         before = learner.actor(origin, deterministic=True).detach()
