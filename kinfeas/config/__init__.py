@@ -2,7 +2,7 @@
 
 A dataclass is the schema. Pydantic validates its fields in strict mode: unknown keys, values of
 another type, NaN and infinity raise an error with the path of the key. `quantities` has numbers
-with bounds. A dataclass checks what involves two fields in `__post_init__` and raises ValueError.
+with bounds. A dataclass checks relations of its fields in `__post_init__` and raises ValueError.
 """
 
 import math
@@ -209,7 +209,7 @@ def _validated(
 
 
 def _explained(error: "ValidationError", kind: Any, data: object, above: str) -> tuple[str, str]:
-    """Return the path of the first wrong key, below the key `above`, and what is wrong with it."""
+    """Return the path of the first wrong key, below the key `above`, and the fault."""
     unknown = "unexpected_keyword_argument"
     # A misspelt key is often a missing one as well.
     errors = sorted(error.errors(include_url=False), key=lambda one: one["type"] != unknown)

@@ -41,8 +41,8 @@ class Step:
         position_error: Distance from the desired pose to the IK solution or its closest attempt,
             metres.
         rotation_error: The same in radians.
-        deviation: Distance of the achieved EE from the desired position, metres; the true one
-            where the backend knows it.
+        deviation: Distance of the achieved EE from the desired position, metres; the true one if
+            the backend measures it.
         subgoal: Number of the sub-goal of this step.
         goal_distance: Distance of the achieved EE from the end of that sub-goal, metres.
         goal_angle: The same in radians.
@@ -212,7 +212,7 @@ class Loop:
         }
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what `snapshot` returned."""
+        """Continue from a state that `snapshot` returned."""
         backend = self._resumable
         self.sequence.restore(snapshot)
         self._measure(backend.restore(snapshot))

@@ -46,7 +46,7 @@ class MotionSequence:
         desired: Desired world pose of the EE, shape (n, 7).
         sub-goal: Number of the sub-goal that each row is at, shape (n,).
         waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
-            the motion settles, then those in which it stands still. Below zero, periods until it
+            the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
     """
 
@@ -192,17 +192,17 @@ class MotionSequence:
             return np.zeros(len(self.subgoal), dtype=np.bool_)
         left = self.waiting - np.sign(self.waiting)
         ends = arrived & (self.waiting == 0) & ~self.last
-        stand = self._periods[self.subgoal]
-        moved = ends | (self.waiting > stand)
-        left = np.where(ends, stand + self._grasp_settle_time[self.subgoal], left)
+        dwell = self._periods[self.subgoal]
+        moved = ends | (self.waiting > dwell)
+        left = np.where(ends, dwell + self._grasp_settle_time[self.subgoal], left)
         if settled is not None:
-            left = np.where(settled, np.minimum(left, stand), left)
+            left = np.where(settled, np.minimum(left, dwell), left)
         goes_on = ((self.waiting > 0) | ends) & (left == 0)
         self.waiting = left
         if goes_on.any():
             self.subgoal = self.subgoal + goes_on
             self._begin(np.flatnonzero(goes_on))
-        stops: NDArray[np.bool_] = moved & (left <= stand)
+        stops: NDArray[np.bool_] = moved & (left <= dwell)
         return stops
 
     def snapshot(self) -> dict[str, NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""Observation and action terms: what a policy gets and what it commands."""
+"""Observation and action terms of policies."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -56,16 +56,9 @@ Band = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A drafted robot.
+    """A drafted robot: content and text of its YAML file, and text of its URDF.
 
-    Attributes:
-        spec: Content of its YAML file.
-        yaml: Text of that file.
-        urdf: Text of its URDF.
-        heights: Share of reachable goals by height.
-        free: Share of configurations without self-collision, 0-1.
-        guesses: Values that are not in the URDF.
-        robot: The robot that the files describe.
+    `free` is the share of configurations without self-collision, 0-1.
     """
 
     spec: RobotSpec
@@ -99,9 +92,9 @@ def draft_robot(
         KinfeasError: If the URDF or one of its meshes is invalid, there is no arm or more than one,
             or the arm reaches hardly any goal.
     """
-    tell, source = on_done or (lambda share: None), str(path)
+    report, source = on_done or (lambda share: None), str(path)
     links = len(read_robot_element(path).children("link"))
-    boxed = boxed_urdf(path, base, lambda _: tell(_BOXING / links))
+    boxed = boxed_urdf(path, base, lambda _: report(_BOXING / links))
     arm = find_arm(_parsed(boxed, source), hand, source)
     text, lifted = on_the_floor(boxed, arm, source)
     urdf = _parsed(text, source)
@@ -111,8 +104,8 @@ def draft_robot(
     pose_tolerance = _POSE_TOLERANCE if freedom(robot) < POSE_DIMENSIONS else None
     robot = replace(with_pairs(robot, touching), pose_tolerance=pose_tolerance)
     home = comfortable(robot)
-    tell(_TOUCHING)
-    heights = useful_heights(robot, lambda share: tell(_REACHING * share))
+    report(_TOUCHING)
+    heights = useful_heights(robot, lambda share: report(_REACHING * share))
     ggr, restricted = bands(heights, source)
     spec = replace(
         spec,

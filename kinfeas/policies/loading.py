@@ -74,7 +74,7 @@ def _is_target(name: str) -> bool:
 
 
 def _from_module(target: str, robot: "Robot") -> "Policy":
-    """Return what `module:Class` makes of the robot; the module may be in the working directory."""
+    """Return the policy `module:Class` for the robot; searches the working directory, too."""
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     policy: Policy = registry.build_target(GROUP, target, {"robot": robot})

@@ -1,26 +1,21 @@
-"""The nearest of what a few linear limits allow."""
+"""Projection of points into half-spaces."""
 
 import numpy as np
 
 from kinfeas.kinematics.kernels import inlined, kernel
 
-_ROUNDS = 1000
-"""Of the projection, at most; most take fewer than ten."""
+_PROJECTIONS = 1000
+"""Rounds of projections at most; most constraints take fewer than ten."""
 
 
 @kernel
 def project(points, normals, offsets, slack):
-    """Bring points into half-spaces, and return which were outside, shape (n, t).
+    """Move points (n, t, a) into the half-spaces of their row; return which were outside, (n, t).
 
-    By projections on one half-space after the other (Hildreth, "A quadratic programming procedure",
-    1957). What is left of a breach, where many of them are nearly parallel, is scaled away: the
-    origin is within all of them.
-
-    Args:
-        points: Where they are, shape (n, t, a), t for each row; where they come to, after it.
-        normals: Of k half-spaces a row, shape (n, k, a): `normals @ point <= offsets`.
-        offsets: Shape (n, k), at least 0.
-        slack: By which an offset may be exceeded, above 0.
+    The half-spaces are `normals @ point <= offsets`, shapes (n, k, a) and (n, k), offsets at least
+    0; `slack` is allowed, above 0. By projections on one half-space after the other (Hildreth, "A
+    quadratic programming procedure", 1957); where that does not converge, since many are nearly
+    parallel, points are scaled towards the origin, which is in all of them.
     """
     n, t, _ = points.shape
     outside = np.zeros((n, t), dtype=np.bool_)
@@ -30,7 +25,7 @@ def project(points, normals, offsets, slack):
             if _excess(point, normals[row], offsets[row]) > slack:
                 outside[row, one] = True
                 pushes = np.zeros(offsets.shape[1])
-                for _ in range(_ROUNDS):
+                for _ in range(_PROJECTIONS):
                     if _push(point, normals[row], offsets[row], pushes) <= slack:
                         break
                 _shrink(point, normals[row], offsets[row], slack)
@@ -39,7 +34,7 @@ def project(points, normals, offsets, slack):
 
 @inlined
 def _excess(point, normals, offsets):
-    """Return by how much the worst of the offsets is exceeded."""
+    """Return the largest excess over the offsets."""
     worst = -np.inf
     for i in range(len(offsets)):
         worst = max(worst, _dot(normals[i], point) - offsets[i])
@@ -48,7 +43,7 @@ def _excess(point, normals, offsets):
 
 @inlined
 def _push(point, normals, offsets, pushes):
-    """Project on each half-space in turn; return by how much the farthest one was moved along."""
+    """Project on each half-space in turn; return the largest move along a normal."""
     farthest = 0.0
     for i in range(len(offsets)):
         square = _dot(normals[i], normals[i])

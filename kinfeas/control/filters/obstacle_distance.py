@@ -10,10 +10,7 @@ from kinfeas.config import Interval
 from kinfeas.control.adapters import chain
 from kinfeas.control.drive import action_size, carried_out
 from kinfeas.control.filters.half_spaces import project
-from kinfeas.core.backend import (
-    ObstacleDistances,
-    SupportsObstacleDistances,
-)
+from kinfeas.core.backend import ObstacleDistances, SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
@@ -106,14 +103,11 @@ class ObstacleFilter:
         Half of the braking that the base is capable of suffices, and a control period uses at most
         half of the remaining distance.
         """
-        with plugin_note(f"backend {type(self._innermost).__name__}"):
+        name = f"backend {type(self._innermost).__name__}"
+        with plugin_note(name):
             found: Any = self._loop.backend.obstacle_distances(self._range)
-        name = type(self._innermost).__name__
         if not isinstance(found, ObstacleDistances) or len(found.distance) != n:
-            raise KinfeasError(
-                f"backend {name} must return ObstacleDistances of {n} robots from "
-                f"obstacle_distances, not {type(found).__name__}"
-            )
+            raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
         way = np.maximum(found.distance - self.min_distance, 0.0)
         limit = np.minimum(np.sqrt(self._braking * way), way / (2.0 * self._loop.dt))
         normal = _approach(found, len(self._full))

@@ -19,19 +19,19 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver, spread
 
 _RESTARTS = 2
-"""Of IK in rollouts; the loop itself uses more."""
+"""Restarts of IK in rollouts; the loop itself uses more."""
 
 _FEW = 8
 """Samples of the first round; the second round simulates the others where none of them helps."""
 
 _ROUNDING = 1e-6
-"""Of a number of periods, which must not add a period to a whole number."""
+"""Rounding error of a number of periods, so that it adds no period to a whole number."""
 
 _FINISHED = 0.1
 """Share of finished rollouts from which on they are dropped from the batch."""
 
 _DISCOUNT = 0.99
-"""Of the cost, for each period of `HORIZON`."""
+"""Discount of the cost for each period of `HORIZON`."""
 
 State = dict[str, NDArray[np.generic]]
 """Result of `Loop.kinematic_state` for n rows."""
@@ -89,7 +89,7 @@ class RolloutPlanner:
         best = np.zeros((len(due), self._loop.action_size))
         costs, fails = self._rollout(now, due, best[:, np.newaxis], np.full(len(due), np.inf))
         cost, stuck = costs[:, 0], fails[:, 0]
-        # A row that fails already finds a way out nearby or, as a rule, nowhere.
+        # A row that fails now is helped by a nearby sample or, in most cases, by none.
         everyone = np.ones_like(stuck)
         for samples, chosen in ((self._samples[1:_FEW], everyone), (self._samples[_FEW:], ~stuck)):
             bad = np.flatnonzero(chosen & (cost > 0.0))

@@ -187,7 +187,7 @@ def _fit(targets: _Targets, height: float, pitch: float) -> Array:
 
 
 def _share(targets: _Targets, kernel: Array) -> Array:
-    """Return how much of what the best places reach the places of the grid do, shape (c,)."""
+    """Return the reach of the grid's places as shares of that of the best ones, shape (c,)."""
     x, y = targets.place[:, 0], targets.place[:, 1]
     edges = np.append(_CENTRES - _CELL / 2.0, _HALF_WIDTH)
 
@@ -251,7 +251,7 @@ class GeometricModulation:
         return np.clip(action, -1.0, 1.0)
 
     def _correction(self, ee: Array, planned: Array, offset: Array) -> Array:
-        """Return what the ellipses add to the EE's velocity, world axes, shape (n, 2), m/s.
+        """Return the correction of the EE's velocity by the ellipses, world axes, (n, 2), m/s.
 
         They turn with the azimuth of the approach, so that a base that only moves as the EE does
         drifts through them.
