@@ -126,7 +126,6 @@ class Recorder:
                 raise
 
     def __enter__(self) -> "Recorder":
-        """Return the recorder."""
         return self
 
     def __exit__(self, *_: object) -> None:

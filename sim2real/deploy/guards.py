@@ -40,7 +40,6 @@ class StateMonitor:
     """Checks one measurement after the other, and the clocks they are dated by."""
 
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        """Start without a measurement of `robot` by `backend`."""
         self._source = f"backend {type(backend).__name__}"
         self._robot, self._guards, self._clock = robot, guards, clock
         self._needs_age = isinstance(backend, RealTimeBackend)
@@ -135,7 +134,6 @@ class SafetyFilter(_Wrapper):
     """
 
     def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        """Wrap the backend of `robot`."""
         super().__init__(backend)
         self._robot, self._guards, self._clock = robot, guards, clock
         self._joint_speed = guards.joint_speed * robot.max_joint_velocity

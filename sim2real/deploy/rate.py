@@ -59,7 +59,7 @@ class Rate:
     """
 
     def __init__(self, dt: float, clock: Clock | None = None) -> None:
-        """Start at the first `wait` or `tick`; periods take `dt` seconds of the system's clock."""
+        """Start at the first `wait` or `tick`; periods take `dt` seconds."""
         if not 0.0 < dt < math.inf:
             raise KinfeasError(f"the control period must be above 0 s and finite, not {dt}")
         self.dt, self._clock = dt, clock or Clock()

@@ -318,7 +318,6 @@ class Signals:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "Signals":
-        """Install the handlers."""
         noted = [signal.SIGINT, signal.SIGQUIT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             noted.append(signal.SIGHUP)

@@ -86,7 +86,6 @@ class Watchdog:
             raise KinfeasError(f"the watchdog could not connect to the robot by {stop.path!r}")
 
     def __enter__(self) -> "Watchdog":
-        """Return the watchdog."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

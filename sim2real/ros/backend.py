@@ -92,7 +92,6 @@ class RosLink:
     """
 
     def __init__(self, topics: Topics, bus: RosBus, drift: float = DRIFT) -> None:
-        """Prepare a link; `open` connects."""
         base = topics.base
         tf = f"/tf ({base.world_frame} to {base.frame})"
         self.base_source = base.odometry if base.measured_by == "odometry" else tf
@@ -191,7 +190,6 @@ class RosRobotLink:
     """The robot's end: reads commands, publishes odometry, joint states and TF."""
 
     def __init__(self, topics: Topics, bus: RosBus) -> None:
-        """Prepare a link; `open` connects."""
         self._topics, self._bus = topics, bus
 
     def open(self, orders: Orders) -> None:

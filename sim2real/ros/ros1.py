@@ -35,7 +35,6 @@ class Ros1Bus:
     messages: Messages
 
     def __init__(self) -> None:
-        """Prepare a bus; `open` connects."""
         self._master: MasterWatch | None = None
         self._topics: list[Any] = []
 

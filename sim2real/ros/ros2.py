@@ -53,7 +53,6 @@ class Ros2Bus:
     messages: Messages
 
     def __init__(self) -> None:
-        """Prepare a bus; `open` connects."""
         self.messages = ros2_message_classes()
         self._participant: Any = None
         self._publishers: list[_Ros2Publisher] = []

@@ -70,7 +70,6 @@ class JointSetpoints:
     """
 
     def __init__(self, positions: Mapping[str, float]) -> None:
-        """Hold positions, by joint."""
         self._paths = {name: (np.zeros(1), np.array([at])) for name, at in positions.items()}
 
     def follow(self, path: JointPath, time: float) -> None:
