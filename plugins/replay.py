@@ -61,7 +61,7 @@ def read_recording(path: Path, frame: Frame) -> tuple[Array, Array, Array]:
     """
     if _is_run_log(path):
         record = read_record(path)
-        # The last row of a run tells how it ended, at the time of the row before.
+        # The last row of a run has its end, at the time of the row before.
         later = np.diff(record.time, prepend=-np.inf) > 0.0
         time, desired = record.time[later], record.desired[later]
         if len(time) < 2 or (np.diff(time) <= 0.0).any():

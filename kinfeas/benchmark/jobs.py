@@ -79,11 +79,11 @@ class Job:
     @property
     def name(self) -> str:
         """Name of its file: readable, and different for jobs with different results."""
-        told = [
+        parts = [
             self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
             self.first, self.backend, self.settings, self.parameters,
         ]  # fmt: skip
-        digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:10]
+        digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
         return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
 

@@ -88,8 +88,8 @@ def title(robot: str, variant: str) -> str:
 
 def label(cell: Cell) -> str:
     """Return the name of the row of a cell: its policy and the label of the row."""
-    told = [_LEARNED.get(cell.policy, cell.policy), cell.row.replace("_", " ")]
-    return ", ".join(part for part in told if part)
+    parts = [_LEARNED.get(cell.policy, cell.policy), cell.row.replace("_", " ")]
+    return ", ".join(part for part in parts if part)
 
 
 def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:

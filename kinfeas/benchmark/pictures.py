@@ -203,10 +203,10 @@ def workspace_figure(robots: Mapping[str, Sequence[Result]]) -> Figure:
         panels = figure.subplots(2, len(robots), squeeze=False)
         for column, (name, results) in zip(panels.T, robots.items(), strict=True):
             for axes, (shown, across) in zip(column, _VIEWS, strict=True):
-                for kind, look in _KINDS.items():
+                for kind, style in _KINDS.items():
                     points = [np.reshape(one["workspace"][kind], (-1, 3)) for one in results]
                     flat = thinned(np.concatenate(points), _POINTS_SHOWN)[:, shown]
-                    axes.plot(*flat.T, "o", mew=0.0, **look)
+                    axes.plot(*flat.T, "o", mew=0.0, **style)
                 axes.plot([0.0], [0.0], "k+", ms=12, label="base frame")
                 axes.set(
                     xlabel="x, ahead of the base (m)",

@@ -252,9 +252,9 @@ def best_of(repeats: int, work: Callable[[], object], at_least: float = 0.3) -> 
     """
     seconds: list[float] = []
     while len(seconds) < repeats or sum(seconds) < at_least:
-        begun = time.perf_counter()
+        start = time.perf_counter()
         work()
-        seconds.append(time.perf_counter() - begun)
+        seconds.append(time.perf_counter() - start)
     return min(seconds)
 
 

@@ -37,8 +37,8 @@ class Cell:
         within_5cm: Share of episodes with an EE deviation below 5 cm throughout.
         ceiling: Share of the goals that some base pose reaches, with its Wilson interval.
         paper_success: Success in the paper, as `paper_within_5cm`; null if it has none.
-        task_success: Share of tasks done, with its interval; null if the backend cannot tell.
-        base_collisions: Collisions per episode; null if the backend cannot tell.
+        task_success: Share of tasks done, with its interval; null if not measured.
+        base_collisions: Collisions per episode; null if not measured.
         analytic_success: Success in the analytic world, as `analytic_within_5cm`; null there.
     """
 
@@ -123,7 +123,7 @@ def interval(shares: Sequence[float], episodes: int) -> Share:
 
 
 def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the means over the episodes of all parts; None where a backend cannot tell."""
+    """Return the means over the episodes of all parts; None where not measured."""
     episodes = sum(part["episodes"] for part in parts)
     means: dict[str, Any] = {"episodes": episodes}
     for key in _MEANS:

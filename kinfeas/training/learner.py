@@ -247,7 +247,7 @@ def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> Non
             layer.weight.copy_(torch.from_numpy(weight.T.copy()))
             layer.bias.copy_(torch.from_numpy(bias))
         if isinstance(learner, SAC):
-            log_std: Any = learner.actor.log_std  # a layer, whatever its type says
+            log_std: Any = learner.actor.log_std  # a layer, unlike its annotation
             log_std.weight.zero_()
             log_std.bias.fill_(math.log(INITIAL_STD))
         else:

@@ -122,11 +122,11 @@ def read_progress(config: TrainConfig, last: Path) -> Progress:
     state = read_state(last)
     with loading(last):
         # Keys that did not exist when the checkpoint was written have their defaults.
-        told = identity(configuration.from_mapping(TrainConfig, state["config"], str(last)))
+        before = identity(configuration.from_mapping(TrainConfig, state["config"], str(last)))
         for key, value in identity(config).items():
-            if told[key] != value:
+            if before[key] != value:
                 raise KinfeasError(
-                    f"{last}: a checkpoint of another run: its {key} is {told[key]}, "
+                    f"{last}: a checkpoint of another run: its {key} is {before[key]}, "
                     f"but {last.parents[1] / SETTINGS} has {value}"
                 )
         entries = {one.name: state["progress"][one.name] for one in fields(_Saved)}

@@ -157,7 +157,7 @@ class _Run:
             # Before the first `best`, so that a run with a `best` can always be resumed.
             self._save()
         evaluator = periodic_evaluator(self.config)
-        begun = time.monotonic() - self.progress.seconds
+        start = time.monotonic() - self.progress.seconds
         logged = saved = self.progress.seconds
         while True:
             # First, so that an interrupted evaluation is repeated.
@@ -167,13 +167,13 @@ class _Run:
                 self._evaluate(evaluator, logs)
                 self._save()
                 # Evaluations do not count as training time.
-                begun = time.monotonic() - self.progress.seconds
+                start = time.monotonic() - self.progress.seconds
                 saved = self.progress.seconds
             if self.progress.share >= 1.0:
                 break
             with uninterrupted():
                 self._step()
-                self.progress.seconds = now = time.monotonic() - begun
+                self.progress.seconds = now = time.monotonic() - start
                 self.progress.share = share_done(self.config.schedule, self.progress)
             if now - saved >= self.config.schedule.checkpoint_seconds:
                 self._save()
@@ -245,11 +245,11 @@ class _Run:
             return
         evaluator = periodic_evaluator(self.config, FRESH_SEED)
         figures = _measured(evaluator(network, self.config.schedule.final_episodes))
-        judged = replace(trained, fresh_evaluation=figures)
+        updated = replace(trained, fresh_evaluation=figures)
 
         def fill(folder: Path) -> None:
             shutil.copyfile(best / WEIGHTS, folder / WEIGHTS)
-            write_trained(judged, folder)
+            write_trained(updated, folder)
 
         self._write("best", fill)
 

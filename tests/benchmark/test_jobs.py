@@ -23,8 +23,8 @@ def small(*overrides):
 
 
 def test_plan():
-    told = [(job.robot, job.task, job.variant, job.policy, job.row) for job in small()]
-    assert told == [
+    planned = [(job.robot, job.task, job.variant, job.policy, job.row) for job in small()]
+    assert planned == [
         ("hsr", "ggr", "", CEILING, ""),
         ("hsr", "ggr", "", "pretrained", ""),
         ("hsr", "ggr", "", "follow_ee", ""),
@@ -45,9 +45,9 @@ def test_plan():
 
 def test_rows_are_of_sac_and_runs_replace_the_shipped_policy(tmp_path):
     runs = [Run(tmp_path / name, "tiago", name, 3, "ggr") for name in ("sac", "td3")]
-    told = [(job.policy, job.row) for job in plan_jobs(study(SMALL), runs)
+    planned = [(job.policy, job.row) for job in plan_jobs(study(SMALL), runs)
             if (job.robot, job.task) == ("tiago", "pick_place")]  # fmt: skip
-    assert told == [(CEILING, ""), ("sac", ""), ("td3", ""), ("sac", "feasibility filter")]
+    assert planned == [(CEILING, ""), ("sac", ""), ("td3", ""), ("sac", "feasibility filter")]
 
 
 def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():

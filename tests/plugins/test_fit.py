@@ -11,12 +11,9 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, relative
 from kinfeas.io.demonstrations import (
     Demonstration,
-    demonstration_files,
-    read_demonstration,
-    write_demonstration,
 )
 from kinfeas.plugins.fit import fit, write_model
-from kinfeas.plugins.imitation import learned_path, read_model
+from kinfeas.plugins.imitation import learned_path
 from tests.plugins.conftest import ANGLE, KINDS, RADIUS, door_demonstrations, random_poses
 
 
@@ -47,15 +44,6 @@ def test_a_seed_decides_the_bits_but_hardly_the_path(kind, models, tmp_path):
     assert (tmp_path / "again.yaml").read_text() == Path(models[kind]).read_text()
     first, other = (knots(shown, kind=kind, seed=seed) for seed in (0, 1))
     assert distance(first, other)[0].max() < 0.02
-
-
-@pytest.mark.parametrize("suffix", ["csv", "npz"])
-def test_file_formats_give_the_same_model(suffix, models, tmp_path):
-    for number, shown in enumerate(door_demonstrations()):
-        write_demonstration(shown, tmp_path / f"{number}.{suffix}")
-    expected = learned_path(read_model(models["imitation"], "imitation")).knots
-    read = [read_demonstration(path) for path in demonstration_files(tmp_path)]
-    assert np.allclose(knots(read), expected, atol=1e-9)
 
 
 def _paused(shown):

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import pytest
 
 from kinfeas import config
@@ -10,8 +8,6 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-
 
 @pytest.mark.parametrize("name", [*recipes("train"), *recipes("paper")])
 def test_every_recipe_makes_a_world(name):
@@ -19,19 +15,6 @@ def test_every_recipe_makes_a_world(name):
     task = load_task(recipe.task, recipe.task_parameters)
     World(load_robot(recipe.robot), task, recipe.world, recipe.seed)
     assert config.from_mapping(TrainConfig, config.to_mapping(recipe), "again") == recipe
-
-
-@pytest.mark.parametrize("name", ["pr2", "tiago", "hsr", "td3"])
-def test_recipes_of_the_paper_have_its_numbers(name):
-    recipe = config.load(TrainConfig, CONFIGS / "paper" / f"{name}.yaml")
-    learner, reward, schedule = recipe.learner, recipe.world.reward, recipe.schedule
-    assert recipe.robot == ("pr2" if name == "td3" else name)
-    assert (recipe.num_envs, learner.gradient_steps, recipe.task) == (1, 1, "ggr")
-    assert (schedule.steps, schedule.minutes, learner.buffer_size) == (1_000_000, None, 100_000)
-    assert (reward.failure, reward.limit_penalty, reward.jump_penalty) == ("indicator", 0.0, 0.0)
-    td3 = learner.algorithm == "td3"
-    assert td3 == (name == "td3")
-    assert learner.net_arch == ((400, 300) if td3 else (256, 256))
 
 
 @pytest.mark.parametrize(

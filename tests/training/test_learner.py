@@ -94,8 +94,10 @@ def test_exploration_scatters_about_the_actor(config, env):
     ("schedule", "half", "end"), [("constant", 6e-4, 6e-4), ("linear", 3e-4, 0.0)]
 )
 def test_hyperparameters_reach_sb3(env, schedule, half, end):
-    told = replace(SMALL, schedule=schedule, learning_rate=6e-4, ent_coef=0.3, gamma=0.9, tau=0.02)
-    sac = make_learner(told, env, 0)
+    chosen = replace(
+        SMALL, schedule=schedule, learning_rate=6e-4, ent_coef=0.3, gamma=0.9, tau=0.02
+    )
+    sac = make_learner(chosen, env, 0)
     rates = [sac.lr_schedule(remaining) for remaining in (1.0, 0.5, 0.0)]
     np.testing.assert_allclose(rates, [6e-4, half, end])
     assert (sac.gamma, float(sac.ent_coef_tensor), sac.tau) == (0.9, pytest.approx(0.3), 0.02)

@@ -77,7 +77,7 @@ def test_success_is_that_of_recent_episodes():
 
 
 @pytest.fixture
-def stand(tiny, tmp_path):
+def write_run(tiny, tmp_path):
     """A function that writes the files of a run and returns its settings and last checkpoint."""
     best, last = tmp_path / "checkpoints" / "best", tmp_path / "checkpoints" / "last"
 
@@ -96,8 +96,8 @@ def stand(tiny, tmp_path):
     return write
 
 
-def test_a_run_with_nothing_left_to_do_is_finished(stand, tmp_path):
-    stand()
+def test_a_run_with_nothing_left_to_do_is_finished(write_run, tmp_path):
+    write_run()
     progress = finished(tmp_path)
     assert (progress.steps, progress.seconds, progress.share) == (320, 9.0, 1.0)
     assert finished(tmp_path, ["schedule.steps=640"]) is None
@@ -106,13 +106,13 @@ def test_a_run_with_nothing_left_to_do_is_finished(stand, tmp_path):
 
 
 @pytest.mark.parametrize("left", [{"steps": 312}, {"evaluations": 1}, {"fresh": False}])
-def test_a_run_with_something_left_to_do_is_not(stand, tmp_path, left):
-    stand(**left)
+def test_a_run_with_something_left_to_do_is_not(write_run, tmp_path, left):
+    write_run(**left)
     assert finished(tmp_path) is None
 
 
-def test_a_longer_schedule_changes_share_and_evaluations(stand, tiny):
-    _, last = stand()
+def test_a_longer_schedule_changes_share_and_evaluations(write_run, tiny):
+    _, last = write_run()
     progress = read_progress(tiny("schedule.steps=640"), last)
     assert (progress.share, progress.evaluations) == (0.5, 1)
 
@@ -121,14 +121,14 @@ def test_a_longer_schedule_changes_share_and_evaluations(stand, tiny):
     ("override", "key"),
     [("seed=3", "seed"), ("num_envs=4", "num_envs"), ("learner.gamma=0.9", "learner")],
 )
-def test_a_checkpoint_of_other_settings_raises(stand, tiny, override, key):
-    _, last = stand()
+def test_a_checkpoint_of_other_settings_raises(write_run, tiny, override, key):
+    _, last = write_run()
     with pytest.raises(KinfeasError, match=f"{last}: .* its {key} is"):
         read_progress(tiny(override), last)
 
 
-def test_settings_that_a_checkpoint_lacks_have_their_defaults(stand):
-    settings, last = stand()
+def test_settings_that_a_checkpoint_lacks_have_their_defaults(write_run):
+    settings, last = write_run()
     state = read_state(last)
     del state["config"]["init"], state["config"]["learner"]["critic_steps"]
     (last / "state.json").write_text(json.dumps(state))
@@ -142,8 +142,8 @@ def test_settings_that_a_checkpoint_lacks_have_their_defaults(stand):
         ("evaluations", -1), ("recent", [0.5]),
     ],
 )  # fmt: skip
-def test_wrong_progress_raises(stand, tmp_path, key, value):
-    _, last = stand()
+def test_wrong_progress_raises(write_run, tmp_path, key, value):
+    _, last = write_run()
     state = read_state(last)
     state["progress"][key] = value
     (last / "state.json").write_text(json.dumps(state))
@@ -152,8 +152,8 @@ def test_wrong_progress_raises(stand, tmp_path, key, value):
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"format": 2}', '{"format": 1}', None])
-def test_a_foreign_checkpoint_raises(stand, content):
-    settings, last = stand()
+def test_a_foreign_checkpoint_raises(write_run, content):
+    settings, last = write_run()
     if content is None:
         (last / "state.json").unlink()
     else:

@@ -1,4 +1,4 @@
-"""No training meets the episodes that its policy is judged on."""
+"""Episodes of training and of evaluation differ."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def goal(world, episode):
     return world.loop.sequence.goal[0].copy()
 
 
-def judged(settings, seed):
+def evaluated(settings, seed):
     """Return the goals of the first episodes of an evaluation, shape (4, 7)."""
     robot, task = load_robot(settings.robot), load_task(settings.task)
     world = World(robot, task, evaluation_world(), seed)
@@ -41,8 +41,8 @@ def test_a_training_meets_none_of_the_episodes_of_its_seeds_evaluation(tiny, see
         for _ in range(2)
     )
     np.testing.assert_array_equal(learned, again)
-    assert apart(learned, judged(settings, seed))
-    chosen, fresh = (judged(settings, seed + offset) for offset in (EVALUATION_SEED, FRESH_SEED))
+    assert apart(learned, evaluated(settings, seed))
+    chosen, fresh = (evaluated(settings, seed + offset) for offset in (EVALUATION_SEED, FRESH_SEED))
     assert apart(learned, chosen)
     assert apart(learned, fresh)
     assert apart(chosen, fresh)
@@ -55,9 +55,9 @@ IK = {"restarts": 2, "pose_tolerance": False, "self_collision": False, "position
 def test_an_evaluation_keeps_the_tolerances_and_filters_of_its_run(monkeypatch, backend):
     used = []
     monkeypatch.setattr(worlds, "evaluate_episodes", lambda build, *_: used.append(build.args[2]))
-    told = {"backend": backend, "ik": IK, "filters": ["feasibility"], "max_failures": 3}
-    told["adapters"] = [{"name": "base_noise"}]
-    settings = config.from_mapping(TrainConfig, {"robot": "hsr", "world": told}, "told")
+    world = {"backend": backend, "ik": IK, "filters": ["feasibility"], "max_failures": 3}
+    world["adapters"] = [{"name": "base_noise"}]
+    settings = config.from_mapping(TrainConfig, {"robot": "hsr", "world": world}, "world")
     worlds.periodic_evaluator(settings)(None, 3)
     (world,) = used
     assert world.backend == backend
