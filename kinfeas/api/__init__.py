@@ -65,7 +65,6 @@ def train(  # noqa: PLR0913 - options of the command
     Raises:
         KinfeasError: If an argument or a setting is invalid, or the folder holds a run.
     """
-    from kinfeas.training.run import check_new
     from kinfeas.training.train import train as run
 
     chosen = read_settings(
@@ -74,7 +73,6 @@ def train(  # noqa: PLR0913 - options of the command
         config=_name(config), overrides=options.assignments(settings or {}),
     )  # fmt: skip
     folder = default_folder(chosen) if out is None else Path(out)
-    check_new(folder)
     progress = run(chosen, folder, on_progress)
     return Run(folder, write_evaluation(folder), progress.steps, progress.seconds)
 

@@ -96,7 +96,6 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
             overrides=overrides or (),
         )  # fmt: skip
         folder = out or default_folder(settings)
-        check_new(folder)
         done = train_run(settings, folder)
     _show(done, folder)
 

@@ -107,7 +107,7 @@ def visual_shapes(physics: Physics) -> list[VisualShape]:
     """Return the visible primitives of a world without its floor; meshes are left out."""
     client, found = physics.client, []
     for number in range(client.getNumBodies()):
-        shapes = client.getVisualShapeData(number) if number != physics.floor else ()
+        shapes = client.getVisualShapeData(number)
         for body, link, kind, size, _, position, orientation, colour, *_ in shapes:
             pose = np.array([*position, *orientation])
             if kind == client.GEOM_BOX:
