@@ -21,15 +21,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results of several policies in the same episodes.
-
-    Attributes:
-        chosen: The evaluation.
-        run: Folder of the trained policy.
-        policy: Its metrics.
-        baselines: Metrics of each baseline, by name.
-        ceiling: Share of the reachable goals.
-    """
+    """Results of the policy of a run and of baselines in the same episodes."""
 
     chosen: EvalConfig
     run: Path
@@ -44,13 +36,9 @@ def compare(
     processes: int = 1,
     on_done: Callable[[float], None] | None = None,
 ) -> Comparison:
-    """Return the results of a trained policy, the baselines and the ceiling.
+    """Return the results of the policy of a run, the baselines and the ceiling.
 
-    Args:
-        chosen: The evaluation.
-        run: Folder of the trained policy.
-        processes: Processes that share the episodes; no result depends on it.
-        on_done: Called with the share of all work, 0-1, that has just been done.
+    `on_done` is called with the share of all work, 0-1, that has just been done.
     """
     work = 2 + len(QUICK_BASELINES)
 

@@ -30,10 +30,8 @@ _DAMPING_FLOOR, _DAMPING_GAIN = 1e-6, 0.02
 class Peer:
     """A solver of another library.
 
-    Attributes:
-        name: Name of the library.
-        prepare: Converts a target pose, shape (7,), for `solve`; not timed.
-        solve: Returns joint positions, shape (j,), for a target and a seed; not verified.
+    `prepare`, which is not timed, converts a target pose, shape (7,), for `solve`, which returns
+    joint positions, shape (j,), for a target and a seed.
     """
 
     name: str

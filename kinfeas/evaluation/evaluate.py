@@ -38,17 +38,7 @@ class Summary(Metrics):
 
 @dataclass(frozen=True)
 class EvalConfig:
-    """An evaluation.
-
-    Attributes:
-        robot: Robot that moves.
-        task: Task that draws the episodes.
-        episodes: Number of episodes, at least 1: numbers `first` to
-            `first + episodes - 1` of the seed.
-        seed: Seed of all episodes.
-        world: Settings of the world.
-        first: Number of the first episode.
-    """
+    """An evaluation in episodes `first` to `first + episodes - 1` of a seed."""
 
     robot: Robot
     task: Task
@@ -65,12 +55,7 @@ class EvalConfig:
 
 @dataclass(frozen=True)
 class EvalSettings:
-    """Settings of an evaluation from YAML or the command line.
-
-    Attributes:
-        task: Keyword parameters of the task.
-        world: Settings of the world.
-    """
+    """Parameters of the task and settings of the world, from YAML or the command line."""
 
     task: dict[str, object] = field(default_factory=dict)
     world: WorldConfig = field(default_factory=evaluation_world)

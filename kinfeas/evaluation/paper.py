@@ -18,12 +18,7 @@ LEARNED = "policy"
 
 @dataclass(frozen=True)
 class PaperTable:
-    """The schema of `configs/benchmark/paper.yaml`: by robot and task.
-
-    Attributes:
-        analytic: In the analytic environment.
-        physics: In the physics simulator.
-    """
+    """The schema of `configs/benchmark/paper.yaml`: shares by robot and task."""
 
     analytic: dict[str, dict[str, Shares]] = field(default_factory=dict)
     physics: dict[str, dict[str, Shares]] = field(default_factory=dict)

@@ -32,12 +32,7 @@ OnDone = Callable[[float], None]
 
 @dataclass(frozen=True)
 class ReachabilityConfig:
-    """Settings of a measurement beside robot, task and seed.
-
-    Attributes:
-        task: Keyword parameters of the task.
-        ik: Search effort of IK, and whether self-collision is allowed.
-    """
+    """Parameters of the task and settings of IK in a measurement."""
 
     task: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)

@@ -16,13 +16,7 @@ NONE, ALL = "none", "all"
 
 @dataclass(frozen=True)
 class Cost:
-    """The effect of one adapter.
-
-    Attributes:
-        adapter: Its name, `none` or `all`.
-        figures: Metrics of the policy within it, or within all others.
-        left_out: Whether it is the only one left out.
-    """
+    """Metrics within one adapter, `none` or `all`; or within all others, if it is left out."""
 
     adapter: str
     figures: Summary
@@ -36,14 +30,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class Axis:
-    """A swept parameter; all other adapters stay as they are.
-
-    Attributes:
-        title: Name in a picture, with its unit.
-        adapter: Name of its adapter.
-        parameters: Parameters that are set to the value.
-        values: Values of the sweep.
-    """
+    """A sweep: parameters of one adapter are set to each of the values; the title has the unit."""
 
     title: str
     adapter: str
