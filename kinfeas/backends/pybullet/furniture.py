@@ -1,17 +1,11 @@
 """The objects of a scene as PyBullet bodies."""
 
-from collections.abc import Mapping
-from typing import TypeVar
-
 import numpy as np
 
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-
-T = TypeVar("T")
 
 _REST = 0.05  # m/s, largest speed at rest
 _TOUCH = 1e-3  # m, largest distance of a contact
@@ -38,13 +32,6 @@ class Furniture:
         self.apply_step_time()
         self.place()
 
-    def furnish(self, scene: Scene) -> None:
-        """Set the poses and joint positions for the next resets."""
-        if scene.objects.keys() != self.bodies.keys():
-            known, given = ", ".join(sorted(self.bodies)), ", ".join(sorted(scene.objects))
-            raise KinfeasError(f"the scene must have the world's objects {known}, not {given}")
-        self.scene = scene
-
     def apply_step_time(self) -> None:
         """Set joint friction again: PyBullet keeps impulses, which depend on the step time."""
         for name, one in self.scene.objects.items():
@@ -66,10 +53,7 @@ class Furniture:
 
     def link(self, name: str, link: str) -> tuple[int, int]:
         """Return PyBullet's numbers of an object and of one of its links."""
-        links = self._of(name, self._links)
-        if link not in links:
-            raise KinfeasError(f"object {name!r} has no link {link!r}{no_such(link, links)}")
-        return self.bodies[name], links[link]
+        return self.bodies[name], self._links[name][link]
 
     def link_pose(self, name: str, link: str) -> Array:
         """Return the world pose of a link of an object, shape (7,)."""
@@ -77,16 +61,14 @@ class Furniture:
 
     def joint_position(self, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""
-        joints = self._of(name, self._joints)
-        if joint not in joints:
-            raise KinfeasError(f"object {name!r} has no joint {joint!r}{no_such(joint, joints)}")
-        position: float = self._physics.client.getJointState(self.bodies[name], joints[joint])[0]
+        number = self._joints[name][joint]
+        position: float = self._physics.client.getJointState(self.bodies[name], number)[0]
         return position
 
     def stands(self, name: str, on: str) -> bool:
         """Return whether an object is at rest on another one, and upright as in the scene."""
         client = self._physics.client
-        body, below = (self._of(one, self.bodies) for one in (name, on))
+        body, below = self.bodies[name], self.bodies[on]
         speed = float(np.linalg.norm(client.getBaseVelocity(body)[0]))
         points = client.getContactPoints(bodyA=body, bodyB=below)
         # The contact normal points from the other object to this one.
@@ -98,8 +80,3 @@ class Furniture:
         urdf = self.scene.objects[name].urdf
         now = rotation(self.link_pose(name, urdf.root)).as_matrix()
         return float((now @ rotation(self.scene.objects[name].pose).as_matrix().T)[2, 2])
-
-    def _of(self, name: str, known: Mapping[str, T]) -> T:
-        if name not in known:
-            raise KinfeasError(f"there is no object {name!r}{no_such(name, known)}")
-        return known[name]

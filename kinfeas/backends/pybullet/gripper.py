@@ -4,8 +4,8 @@ import numpy as np
 
 from kinfeas.backends.pybullet.robot_body import RobotBody, finger_followers
 from kinfeas.control.execution import tool_pose
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
+from kinfeas.robots.spec import Gripper
 
 _RELAXED = 0.1  # of a finger's effort
 _COUPLING = 0.5  # of a finger's effort: below 1, so that both close round an object off centre
@@ -23,22 +23,20 @@ class GripperDrive:
         fingers: Indices of the links of each finger.
     """
 
-    def __init__(self, body: RobotBody) -> None:
+    def __init__(self, body: RobotBody, gripper: Gripper) -> None:
         """Connect to the fingers of a robot."""
         robot = body.robot
-        if robot.gripper is None:
-            raise KinfeasError(f"robot {robot.name!r} has no gripper: its YAML lacks 'gripper'")
-        self._body, self._gripper = body, robot.gripper
+        self._body, self._gripper = body, gripper
         self._followers = finger_followers(robot)
         self.fingers = tuple(
             frozenset(body.links[link] for link in robot.urdf.below(finger))
-            for finger in robot.gripper.fingers
+            for finger in gripper.fingers
         )
         client, config = body.physics.client, body.physics.config
         for link in frozenset().union(*self.fingers):
             client.changeDynamics(body.body, link, lateralFriction=config.finger_friction)
         # A gear keeps both fingers equally far open.
-        joints = [(body.body, body.joints[name]) for name in robot.gripper.fingers]
+        joints = [(body.body, body.joints[name]) for name in gripper.fingers]
         self._gear: int = client.createConstraint(
             *joints[0], *joints[1], client.JOINT_GEAR, [1.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3
         )

@@ -38,7 +38,7 @@ class Simulation:
         self.body = RobotBody(self.physics, robot)
         self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
         self._surroundings = Surroundings(self.body)
-        self.gripper = GripperDrive(self.body) if robot.gripper else None
+        self.gripper = GripperDrive(self.body, robot.gripper) if robot.gripper else None
         self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
         self._handled: tuple[int, int] | None = None
         self._rigid, self._closing = True, False

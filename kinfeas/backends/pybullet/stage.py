@@ -64,7 +64,7 @@ class Stage:
         """Return one random episode; place robot and objects of a row."""
         first, simulation = self.task.sample(solver, rng), self.backend.simulation(row)
         if self.scene is not None and simulation.furniture is not None:
-            simulation.furniture.furnish(self._moved(self.scene, first))
+            simulation.furniture.scene = self._moved(self.scene, first)
         for number in range(_DRAWS):
             start = self._again(first, solver, rng) if number else first
             simulation.reset(start.base_pose, start.joint_positions)

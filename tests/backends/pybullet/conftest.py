@@ -73,7 +73,7 @@ def begin(world, scene):
     """A function that resets the world to the home configuration, at the origin by default."""
 
     def reset(x=0.0, y=0.0, yaw=0.0, joints=None, **poses):
-        world.sims[0].furniture.furnish(scene.with_poses(poses))
+        world.sims[0].furniture.scene = scene.with_poses(poses)
         return place(world, x, y, yaw, joints)
 
     return reset

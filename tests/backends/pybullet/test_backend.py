@@ -85,7 +85,7 @@ def play(world, scene, seed):
     """Return all measurements of an episode in which the robot pushes a bar."""
     rng, sim = np.random.default_rng(seed), world.sims[0]
     bar = np.array([0.6, *rng.uniform(-0.1, 0.1, 1), 0.05, 0.0, 0.0, 0.0, 1.0])
-    sim.furniture.furnish(scene.with_poses({"bar": bar}))
+    sim.furniture.scene = scene.with_poses({"bar": bar})
     place(world)
     sim.gripper.close()
     seen, touched = [], 0
