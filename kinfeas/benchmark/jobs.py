@@ -14,9 +14,9 @@ from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
 from kinfeas.config import PluginSpec
-from kinfeas.control.loop import Rows
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.envs.episodes import worker_pool
 from kinfeas.envs.world import Transition, World

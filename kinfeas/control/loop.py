@@ -29,8 +29,6 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.robots.robot import joint_displacement, joint_jumps
 
-__all__ = ["Loop", "Rows", "Step"]
-
 
 @dataclass(frozen=True)
 class Step:

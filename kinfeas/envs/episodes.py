@@ -13,10 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from kinfeas.control.loop import Rows
 from kinfeas.core.backend import BatchLimited, SupportsContacts
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, join
+from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
 from kinfeas.envs.world import Transition, World
 from kinfeas.tasks.task import ReportsTaskSuccess

@@ -14,9 +14,10 @@ from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
-from kinfeas.control.loop import Loop, Rows, Step
+from kinfeas.control.loop import Loop, Step
 from kinfeas.core.backend import RealTimeBackend, build_backend
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start, episode_rng
 from kinfeas.envs.reward import RewardConfig, reward

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.loop import Rows
 from kinfeas.core import spatial
+from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.episodes import Watch, run_episodes

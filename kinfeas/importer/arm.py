@@ -172,12 +172,9 @@ def _off_axis(urdf: Urdf, joint: Joint) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """The hand of a robot.
+    """The tool tip (3,), metres, in the hand's frame, and the rotation of the gripper to it, xyzw.
 
-    Attributes:
-        tip: Tool tip between the ends of the fingers, in the hand's frame, shape (3,), metres.
-        rotation: Quaternion xyzw (4,), from the common gripper convention to that frame.
-        gripper: The fingers; None unless there are two with the same range of positions.
+    `gripper` is None unless there are two fingers with the same range of positions.
     """
 
     tip: Array

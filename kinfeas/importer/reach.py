@@ -36,12 +36,7 @@ _STIFF = 1e-3  # singular values below count as zero
 
 @dataclass(frozen=True)
 class Heights:
-    """Reachable goals by height.
-
-    Attributes:
-        at: Heights, ascending, shape (h,), metres.
-        share: Share of goals of any orientation that are reachable, 0-1, shape (h,).
-    """
+    """Ascending heights in metres, and the shares of reachable goals there, 0-1, shape (h,)."""
 
     at: Array
     share: Array

@@ -72,17 +72,10 @@ class GoldenPairs:
 
 @dataclass(frozen=True)
 class PolicyMetadata:
-    """Description of an exported policy.
+    """Description of an exported policy, written by kinfeas of `version`.
 
-    Attributes:
-        version: Version of kinfeas that wrote the file.
-        robot: Robot that the policy controls.
-        observation: Terms of the observation, in order.
-        action: Terms of the action, in order.
-        control: Timing.
-        training: Configuration, seed and steps of the training run.
-        success: Evaluation metrics by kind.
-        golden: Pairs that the loaded policy has to reproduce.
+    `training` has the configuration, seed and steps of the run, `success` evaluation metrics by
+    kind, `golden` pairs that the loaded policy has to reproduce.
     """
 
     version: str

@@ -33,15 +33,7 @@ class Base(BaseSpec):
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A joint that IK moves, in radians, or metres if it is prismatic.
-
-    Attributes:
-        name: Name in the URDF.
-        lower: Soft lower limit, -inf if continuous.
-        upper: Soft upper limit, inf if continuous.
-        velocity: Velocity limit, per second.
-        continuous: Whether it has no limits.
-    """
+    """A joint that IK moves; soft limits in rad or m, infinite if continuous; velocity limit."""
 
     name: str
     lower: float

@@ -54,13 +54,9 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A rigid body.
+    """A rigid body with a mass in kg (0 for a frame without inertia) and collision primitives.
 
-    Attributes:
-        name: Unique name.
-        mass: Kilograms; 0 for a frame without inertia.
-        shapes: Primitives of its collision geometry.
-        mesh_collisions: Whether it also has collision meshes, which are not read.
+    `mesh_collisions` is whether it also has collision meshes, which are not read.
     """
 
     name: str
@@ -83,10 +79,6 @@ class Joint:
     """A joint; positions are radians, or metres if it is prismatic.
 
     Attributes:
-        name: Unique name.
-        kind: Joint type.
-        parent: Parent link.
-        child: Child link.
         origin: Pose of the child in the parent's frame at position 0, shape (7,).
         axis: Unit vector in the joint's frame.
         lower: Hard lower limit; -inf for a continuous joint, 0 for a fixed one.
@@ -97,7 +89,6 @@ class Joint:
         effort: Effort limit, N or N m; inf where none is given.
         damping: N s/m or N m s/rad.
         friction: N or N m.
-        mimic: Coupling to another joint, or None.
     """
 
     name: str
@@ -140,14 +131,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A tree of links and joints.
-
-    Attributes:
-        name: Name of the robot.
-        links: Links by name, in the file's order.
-        joints: Joints by name, in the file's order.
-        root: The link without a parent.
-    """
+    """A tree of links and joints by name, in the file's order; `root` has no parent."""
 
     name: str
     links: dict[str, Link]

@@ -37,13 +37,7 @@ _FATAL = ("form", "quaternions", "copies", "layout")
 
 @dataclass(frozen=True)
 class Probe:
-    """A generator with its trial and the violations found so far.
-
-    Attributes:
-        motion: The motion generator.
-        trial: Motions and limits of the test.
-        found: Violations by rule; None to raise at the first one.
-    """
+    """A generator with its trial and the violations by rule; without them, the first one raises."""
 
     motion: CheckedMotion
     trial: Trial
@@ -119,9 +113,7 @@ def _check_start(probe: Probe, ee_pose: Array, targets: Array) -> State:
     kept = np.array_equal(given[0], ee_pose) and np.array_equal(given[1], targets)
     probe.require(kept, "copies", "modifies the poses passed to start")
     shared = any(np.may_share_memory(v, pose) for v in state.values() for pose in given)
-    probe.require(
-        not shared, "copies", "keeps the poses passed to start in its state; it must copy them"
-    )
+    probe.require(not shared, "copies", "must copy the poses passed to start into its state")
     again = probe.start(ee_pose.copy(), targets.copy(), rows)
     same = _close(state, again, 0.0)
     probe.require(same, "repeatable", "returns another state from start for equal poses and rngs")

@@ -26,9 +26,6 @@ class Trial:
         dt: Duration of a step in seconds.
         max_velocity: Maximum speed, m/s; None for no limit.
         max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
-
-    Raises:
-        KinfeasError: If the times are not positive, or make more than a million steps.
     """
 
     target_poses: Array | None = None
@@ -77,13 +74,9 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Steps of the motions of a trial: t steps of n motions.
+    """t steps of n motions: world poses (t + 1, n, 7), twists (t, n, 6) and goals (n, 7).
 
-    Attributes:
-        ee_pose: World poses, including first and last, shape (t + 1, n, 7).
-        twist: Twists between them, shape (t, n, 6), m/s and rad/s.
-        goal: World goal poses, shape (n, 7).
-        broken: Error that ended the motions; None if there was none.
+    `broken` is the error that ended the motions, or None.
     """
 
     ee_pose: Array

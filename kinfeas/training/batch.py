@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control import observation
-from kinfeas.control.loop import Rows
+from kinfeas.core.motion import Rows
 from kinfeas.envs.episodes import begin_worker
 from kinfeas.envs.world import Transition, World
 from kinfeas.training.config import TrainConfig

@@ -12,7 +12,6 @@ from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.backend import BackendWrapper
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -121,50 +120,31 @@ def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2,
     assert execution_of(innermost, ExecutionConfig()) == ExecutionConfig()
 
 
-class Sway:
-    """Drives to and fro, by what it sees."""
-
-    def act(self, policy_input: PolicyInput):
-        return np.sin(40.0 * policy_input.observation[:, :3])
-
-
-def trace(world, episodes, steps):
-    world.start(episodes)
+def trace(world, steps):
+    """Return observations and deviations of a base that sways by its observation."""
     seen = []
     for _ in range(steps):
-        transition = world.step(Sway().act(world.loop.policy_input))
+        action = np.sin(40.0 * world.loop.observation[:, :3])
+        transition = world.step(action)
         seen.append(np.column_stack([transition.observation, transition.step.deviation]))
     return np.stack(seen)
 
 
-@pytest.mark.parametrize("name", ["pr2_like", "harsh"])
-@pytest.mark.parametrize("dt", [0.1, 0.02])
-def test_episodes_are_the_same_to_the_bit_in_any_batch(pr2, name, dt):
+@pytest.mark.parametrize(("name", "dt"), [("pr2_like", 0.1), ("harsh", 0.02)])
+def test_batches_and_resumed_runs_are_the_same_to_the_bit(pr2, name, dt):
     config = WorldConfig(dt=dt, adapters=read_sim2real(name).adapters)
-    together = trace(World(pr2, ggr(), config, seed=3), range(6), 40)
-    alone = trace(World(pr2, ggr(), config, seed=3), [4], 40)
-    np.testing.assert_array_equal(alone[:, 0], together[:, 4])
+    together, alone, resumed = (World(pr2, ggr(), config, seed=3) for _ in range(3))
+    together.start(range(6))
+    alone.start([4])
+    np.testing.assert_array_equal(trace(alone, 40)[:, 0], trace(together, 40)[:, 4])
+    resumed.restore(together.snapshot())
+    np.testing.assert_array_equal(trace(resumed, 30), trace(together, 30))
 
 
-@pytest.mark.parametrize("name", ["pr2_like", "harsh"])
-def test_a_run_goes_on_to_the_bit(pr2, name):
-    config = WorldConfig(adapters=read_sim2real(name).adapters)
-    world, other = (World(pr2, ggr(), config, seed=3) for _ in "ab")
-    trace(world, range(4), 30)
-    other.restore(world.snapshot())
-    for _ in range(30):
-        one, two = (each.step(Sway().act(each.loop.policy_input)) for each in (world, other))
-        np.testing.assert_array_equal(one.observation, two.observation)
-        np.testing.assert_array_equal(one.step.deviation, two.step.deviation)
-        np.testing.assert_array_equal(one.done, two.done)
-
-
-def test_what_is_seen_is_measured_and_the_deviation_is_true(pr2):
+def test_observations_are_measured_and_the_deviation_is_true(pr2):
     config = WorldConfig(adapters=(PluginSpec("localisation", {"rate": 50.0, "jump": 0.3}),))
     world = World(pr2, ggr(), config, seed=0)
-    plain = World(pr2, ggr(), WorldConfig(), seed=0)
-    for each in (world, plain):
-        each.start(range(20))
+    world.start(range(20))
     for _ in range(5):
         step = world.step(np.zeros((20, 3))).step
     assert step.goal_distance == pytest.approx(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.drive import base_twist
 from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, Seen, observe
@@ -81,11 +81,11 @@ def make_loop(solver, n, backend=None, **options):
 
 
 def actions(loop, n, rng):
-    return rng.uniform(-1.0, 1.0, (n, action_size(loop.robot.base)))
+    return rng.uniform(-1.0, 1.0, (n, loop.action_size))
 
 
 def still(loop):
-    return np.zeros((len(loop.desired), action_size(loop.robot.base)))
+    return np.zeros((len(loop.desired), loop.action_size))
 
 
 def test_begins_at_the_ee_with_the_start_configuration(solver):
@@ -97,19 +97,8 @@ def test_begins_at_the_ee_with_the_start_configuration(solver):
     np.testing.assert_array_equal(loop.state.base_pose, start.base_pose)
 
 
-def test_actions_do_not_change_the_desired_motion(solver):
-    rng = np.random.default_rng(0)
-    loops = [make_loop(solver, 8) for _ in range(3)]
-    for _ in range(60):
-        for loop, share in zip(loops, (0.0, 0.5, 1.0), strict=True):
-            loop.step(share * actions(loop, 8, rng))
-        for loop in loops[1:]:
-            np.testing.assert_array_equal(loop.desired, loops[0].desired)
-    assert np.abs(loops[2].ee_pose - loops[0].ee_pose).max() > 0.01
-
-
-def test_desired_pose_is_the_generators_integrated_and_planned_the_next_one(solver):
-    loop, generator = make_loop(solver, 4), Linear()
+def test_desired_pose_is_the_generators_integrated_whatever_the_base_does(solver):
+    loop, generator, rng = make_loop(solver, 4), Linear(), np.random.default_rng(0)
     desired = loop.desired.copy()
     target, dt = starts(solver.robot, 4).target_poses[:, 0], np.full(4, HORIZON)
     state = generator.start(desired, target, rngs(4))
@@ -117,7 +106,7 @@ def test_desired_pose_is_the_generators_integrated_and_planned_the_next_one(solv
         twist, state = generator.twist(state, desired, target, dt)
         desired = spatial.integrate(desired, twist, HORIZON)
         np.testing.assert_array_equal(loop.policy_input.planned, desired)
-        loop.step(still(loop))
+        loop.step(actions(loop, 4, rng))
         np.testing.assert_array_equal(loop.desired, desired)
 
 
@@ -278,10 +267,7 @@ def test_subgoals_end_within_25_mm_and_the_last_one_finishes(solver):
     seen = [loop.step(still(loop)) for _ in range(5)]
     assert [int(step.subgoal[0]) for step in seen] == [0, 1, 1, 1, 2]
     assert [bool(step.finished[0]) for step in seen] == [False] * 4 + [True]
-    goal = targets_at(loop, 0.0)[:, 0]
-    for step in seen:
-        assert np.all(step.goal_distance <= 0.025)
-    np.testing.assert_array_equal(loop.goal[:, :2], goal[:, :2])
+    assert max(step.goal_distance.max() for step in seen) <= 0.025
 
 
 @pytest.mark.parametrize(
@@ -319,9 +305,7 @@ def test_only_a_feasible_step_ends_a_subgoal(solver):
 def test_the_base_moves_while_the_ee_dwells(solver):
     loop = chained(solver, 1, ({"dwell": 1.0}, {}), (0.0, -0.3))
     loop.step(still(loop))
-    stood, base = loop.desired, loop.state.base_pose
-    action = still(loop)
-    action[:, 0] = 0.3
+    stood, base, action = loop.desired, loop.state.base_pose, np.array([[0.3, 0.0, 0.0]])
     for _ in range(10):
         np.testing.assert_array_equal(loop.planned, stood)
         assert loop.step(action).subgoal == [0]
@@ -380,15 +364,14 @@ def test_ik_starts_from_the_last_joint_command(solver):
 
 
 class Swinging(Recorder):
-    """The first arm is on its way to another configuration, until it is said to be there."""
+    """The first arm is on its way to another configuration, or there."""
 
     there = False
 
     @property
     def state(self):
         joints = self.joints.copy()
-        if not self.there:
-            joints[0, 1] += 1.0
+        joints[0, 1] += 0.0 if self.there else 1.0
         return RobotState(self.base.copy(), joints)
 
 
@@ -396,17 +379,16 @@ def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
     backend = Swinging()
     loop = make_loop(solver, 2, backend, execution=ExecutionConfig(arm_settle_timeout=0.5))
     loop.joint_command = backend.joints.copy()
-    max_joint_step = []
+    moves = []
     for period in range(10):
         backend.there = period == 7
         before = loop.desired
-        loop.step(np.ones((2, action_size(solver.robot.base))))
-        twist = backend.steps[-1][0]
-        max_joint_step.append(np.any(loop.desired != before, axis=1).tolist())
-        assert np.any(twist != 0.0, axis=1).tolist() == max_joint_step[-1]
+        loop.step(np.ones((2, loop.action_size)))
+        moves.append(np.any(loop.desired != before, axis=1).tolist())
+        assert np.any(backend.steps[-1][0] != 0.0, axis=1).tolist() == moves[-1]
     paused, free = [False, True], [True, True]
     # For half a second, and later again, since it was there in between.
-    assert max_joint_step == [paused] * 5 + [free] * 4 + [paused]
+    assert moves == [paused] * 5 + [free] * 4 + [paused]
 
 
 def test_random_backends_do_not_change_the_motion(solver):
@@ -464,11 +446,12 @@ def test_policies_and_filters_are_reset_for_rows_that_begin_anew(solver):
     assert halves.fresh == [[0, 1, 2], [1]]
 
 
-def test_filters_apply_in_order(solver):
-    class Ones(Halves):
-        def __call__(self, command, policy_input):
-            return np.ones_like(command)
+class Ones(Halves):
+    def __call__(self, command, policy_input):
+        return np.ones_like(command)
 
+
+def test_filters_apply_in_order(solver):
     sent = []
     for filters in ([Ones(), Halves()], [Halves(), Ones()]):
         recorder = Recorder()

@@ -41,30 +41,22 @@ def drive(policy, given, base):
 
 def moving(robot, velocity, lag=(0.0, 0.0)):
     """Return inputs of a base with heading 0.7 whose EE moves at `velocity` and lags by `lag`."""
-    velocity = np.atleast_2d(velocity)
-    n = len(velocity)
-    twist = np.zeros((n, 6))
-    twist[:, :2], twist[:, 2] = velocity, 0.05
-    base = planar_pose(np.ones(n), np.zeros(n), np.full(n, 0.7))
-    given = policy_inputs(robot, n, twist, base_pose=base)
+    base = planar_pose(np.ones(1), np.zeros(1), np.full(1, 0.7))
+    given = policy_inputs(robot, 1, np.array([*velocity, 0.05, 0.0, 0.0, 0.0]), base_pose=base)
     ee = given.desired.copy()
     ee[:, :2] -= lag
     return replace(given, ee_pose=ee)
 
 
 @pytest.mark.parametrize("feedback", [False, True])
-def test_follow_ee_copies_the_planar_velocity(robot, feedback):
-    along = np.array([np.cos(0.7), np.sin(0.7)]) * 0.08
-    twist = drive(FollowEe(robot.base, feedback), moving(robot, along), robot.base)
-    np.testing.assert_allclose(twist[0], [*along, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
-
-
-def test_only_feedback_reduces_the_tracking_error(robot):
-    lag = np.array([np.cos(0.7), np.sin(0.7)]) * 0.005
-    given = moving(robot, [[0.0, 0.0]], lag)
-    np.testing.assert_allclose(drive(FollowEe(robot.base), given, robot.base), 0.0, atol=1e-9)
-    twist = drive(FollowEe(robot.base, feedback=True), given, robot.base)
-    np.testing.assert_allclose(twist[0, :2], lag / HORIZON, atol=1e-9)
+def test_follow_ee_copies_the_planar_velocity_and_feedback_adds_the_error(robot, feedback):
+    along = np.array([np.cos(0.7), np.sin(0.7)])
+    policy = FollowEe(robot.base, feedback)
+    twist = drive(policy, moving(robot, 0.08 * along), robot.base)
+    np.testing.assert_allclose(twist[0], [*(0.08 * along), 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+    twist = drive(policy, moving(robot, 0.0 * along, 0.005 * along), robot.base)
+    error = 0.05 * along if feedback else np.zeros(2)
+    np.testing.assert_allclose(twist[0], [*error, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
 
 
 def demonstrated(robot, count=20):

@@ -9,11 +9,12 @@ from scipy.special import ndtri
 
 from kinfeas.config import Interval
 from kinfeas.config.quantities import LONGEST, PositiveSeconds, Share
-from kinfeas.control.loop import Loop, Rows
+from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import WITHIN
+from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolver, spread
