@@ -233,7 +233,12 @@ class Ros2(Bus):
     version = 2
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, {"ROS_DOMAIN_ID": "87", "ROS_LOCALHOST_ONLY": "1"})
+        super().__init__(folder, {"ROS_DOMAIN_ID": own_domain(), "ROS_LOCALHOST_ONLY": "1"})
+
+
+def own_domain() -> str:
+    """Return a domain that other test processes on this machine hardly use."""
+    return str(1 + os.getpid() % 100)
 
 
 def wait(condition) -> None:

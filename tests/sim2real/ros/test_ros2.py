@@ -18,6 +18,7 @@ from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import make_bus, stop_base
 from kinfeas.sim2real.ros.ros2 import Ros2Bus, ros2_message_classes
 from kinfeas.sim2real.ros.topics import read_topics
+from tests.sim2real.ros_processes import own_domain
 
 TOPICS = """
 base: {command: /cmd_vel, stamped: %s, measured_by: %s}
@@ -32,7 +33,7 @@ gripper: {command: /gripper/joint_trajectory, kind: trajectory, joints: [finger]
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "88")
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
     monkeypatch.setenv("CYCLONEDDS_URI", os.environ.get("CYCLONEDDS_URI", ""))
     if not os.environ["CYCLONEDDS_URI"]:
@@ -218,7 +219,7 @@ def test_an_invalid_domain_is_an_error(monkeypatch, text):
 
 def test_missing_or_invalid_dds_is_an_error(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///nowhere.xml")
-    monkeypatch.setenv("ROS_DOMAIN_ID", "89")  # the settings of a domain are read once
+    monkeypatch.setenv("ROS_DOMAIN_ID", "101")  # the settings of a domain are read once
     with pytest.raises(KinfeasError, match=r"nowhere\.xml"):
         Ros2Bus().open("nobody")
     monkeypatch.delitem(sys.modules, "kinfeas.sim2real.ros.ros2")
