@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -387,24 +388,15 @@ def test_a_measurement_that_an_adapter_hides_makes_no_invalid_command(monkeypatc
 def test_any_error_stops_the_robot_and_a_failing_stop_is_reported(error):
     guard, backend = guarded()
     guard.step(twist(0.01), arm(guard), DT)
-    step = backend.step
-
-    def breaks(*_):
-        backend.step = step
-        raise error
-
-    backend.step = breaks
+    backend.step = Mock(side_effect=[error, backend.state])
     with pytest.raises(type(error)):
         guard.step(twist(0.02), arm(guard), DT)
     assert guard.commands.stopped
-    assert not backend.sent[-1][0].any()
+    assert not backend.step.call_args.args[0].any()
     guard.reset(None, None)
-
-    def always(*_):
-        raise error
-
+    backend.step = Mock(side_effect=[backend.state, error])
+    backend.close = Mock(side_effect=error)
     guard.step(twist(0.01), arm(guard), DT)
-    backend.step = backend.close = always
     guard.close()
     assert (guard.unstopped, guard.unclosed) == ("boom", "")
 

@@ -3,6 +3,8 @@ import signal
 import sys
 import threading
 from dataclasses import replace
+from itertools import chain, repeat
+from unittest.mock import MagicMock, Mock
 
 import numpy as np
 import pytest
@@ -251,34 +253,18 @@ def test_a_clock_that_is_set_and_an_arm_that_cannot_follow_end_a_run(run, time):
 def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fails(
     run, time, monkeypatch, lost
 ):
-    class Dog:
-        def __init__(self, call, seconds):
-            dogs.append(self)
-            self.call, self.beats, self.abandoned = call, 0, False
-
-        __enter__ = __exit__ = lambda self, *_: self
-
-        def beat(self):
-            self.beats += 1
-            return not (lost and self.beats > 10)
-
-        def abandon(self):
-            self.abandoned = True
-
-    dogs = []
-    monkeypatch.setattr(runtime, "Watchdog", Dog)
+    dog = MagicMock()
+    dog.__enter__.return_value, dog.__exit__.return_value = dog, None
+    dog.beat.side_effect = chain(repeat(True, 10), repeat(not lost))
+    watchdog = Mock(return_value=dog)
+    monkeypatch.setattr(runtime, "Watchdog", watchdog)
     robot = WatchedRobot(time)
-
-    def breaks():
-        raise ConnectionError("gone")
-
     if not lost:
-        robot.stop = breaks
+        robot.stop = Mock(side_effect=ConnectionError("gone"))
     outcome, _ = run(robot, Drive())
-    (dog,) = dogs
-    assert dog.call == robot.stop_call()
+    watchdog.assert_called_once_with(robot.stop_call(), Guards().watchdog)
     assert outcome.code is (Code.FAULT if lost else Code.TIME_OVER)
-    assert (dog.abandoned, outcome.unstopped) == (not lost, "" if lost else "gone")
+    assert (dog.abandon.called, outcome.unstopped) == (not lost, "" if lost else "gone")
     assert outcome.timing.periods == pytest.approx(9 if lost else 100, abs=2)
 
 
@@ -307,11 +293,7 @@ def test_a_run_that_cannot_start_is_an_error_and_moves_nothing(run, time, troubl
 
 def test_a_robot_that_cannot_be_closed_is_reported(run, time):
     robot = RealTimeRobot(time)
-
-    def close():
-        raise RuntimeError("boom")
-
-    robot.close = close
+    robot.close = Mock(side_effect=RuntimeError("boom"))
     outcome, _ = run(robot, Drive(), seconds=0.1)
     assert (outcome.code, outcome.unstopped, outcome.unclosed) == (Code.TIME_OVER, "", "boom")
 
