@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import strict_yaml
@@ -35,6 +35,7 @@ from kinfeas.core.spatial import (
 from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.imitation import DURATIONS, Component, Kind, Model, Source, learned_path
 from kinfeas.plugins.path import below
+from kinfeas.plugins.replay import resampled
 
 MOST_COMPONENTS = 50
 """Size of the largest mixture: four samples each."""
@@ -70,13 +71,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Path:
-    """A demonstration in the frame of the object, at even steps of the index.
+    """EE poses, (m, 7), in the frame of the object, and x, y and unwrapped yaw of the base, (m, 3).
 
-    Attributes:
-        ee_pose: Poses of the EE, shape (m, 7).
-        base: x, y and unwrapped yaw of the base, shape (m, 3); NaN if unknown.
-        duration: Seconds.
-        length: Metres.
+    Both are at even steps of the index; an unknown base is NaN. Duration and length in SI units.
     """
 
     ee_pose: Array
@@ -95,15 +92,9 @@ def fit(
 ) -> Fit:
     """Return the motion learned from demonstrations by expectation maximization.
 
-    The base is learned too if its poses are finite in all of them.
-
-    Args:
-        demonstrations: One or more, of one motion.
-        kind: `imitation` indexes the motion by length, `gaussian_mixture` by time.
-        components: Size of the mixture.
-        seed: Of the search for the mixture.
-        command: Origin to write into the model.
-        names: Of the demonstrations in errors, such as files; by default their numbers.
+    The base is learned too if its poses are finite in all of them. `imitation` indexes the motion
+    by length, `gaussian_mixture` by time. `command` is the origin to write into the model, `names`
+    are those of the demonstrations in errors, by default their numbers.
 
     Raises:
         KinfeasError: If there are none, one does not move or moves too far, or they turn too far.
@@ -155,15 +146,14 @@ def _sampled(shown: Demonstration, kind: Kind, name: str) -> _Path:
     moves = np.concatenate([[True], np.diff(index) > 0.0])
     index, even = index[moves], np.linspace(0.0, 1.0, _SAMPLES)
     index[-1] = 1.0
-    position = _interpolate(even, index, ee_pose[moves, :3])
-    base = _interpolate(even, index, _planar(shown.base_pose, frame)[moves])
-    if np.nanmax(np.abs([position, base])) > _FARTHEST:
+    sampled, planar = resampled(index, ee_pose[moves], even), _planar(shown.base_pose, frame)
+    base = np.stack([np.interp(even, index, column) for column in planar[moves].T], axis=-1)
+    if np.nanmax(np.abs([sampled[:, :3], base])) > _FARTHEST:
         raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
-    orientation = Slerp(index, rotation(ee_pose[moves]))(even)
     duration = float(shown.time[-1] - shown.time[0])
     if duration not in DURATIONS:
         raise KinfeasError(f"{name}: its seconds must be a number {DURATIONS}")
-    return _Path(make_pose(position, orientation), base, duration, float(metres.sum()))
+    return _Path(sampled, base, duration, float(metres.sum()))
 
 
 def _planar(base_pose: Array, frame: Array) -> Array:
@@ -217,10 +207,6 @@ def _residual(model: Model, path: _Path) -> tuple[float, float]:
     learned = learned_path(model).at(np.linspace(0.0, 1.0, _SAMPLES))
     metres, radians = distance(learned, path.ee_pose)
     return float(metres.mean()), float(radians.mean())
-
-
-def _interpolate(at: Array, index: Array, values: Array) -> Array:
-    return np.stack([np.interp(at, index, column) for column in values.T], axis=-1)
 
 
 def _plain(values: Any) -> Any:

@@ -166,16 +166,9 @@ class Source:
 
 @dataclass(frozen=True)
 class Model:
-    """A learned motion, in the frame of the grasped object; the module's head explains the fields.
+    """A learned motion, in the frame of the grasped object; the module's docstring has the fields.
 
-    Attributes:
-        format: Version of the file format.
-        kind: Motion generator that follows it.
-        duration: Seconds.
-        goal: Pose of the EE at the end.
-        mean_orientation: Quaternion xyzw that rotation vectors are relative to.
-        fitted_from: Origin of the model.
-        components: The mixture.
+    `format` is the version of the file format.
     """
 
     format: Literal[1]

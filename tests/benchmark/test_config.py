@@ -57,11 +57,8 @@ VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
     [
         ("baselines={follow_me: [ggr]}", "follow_me"),
         ("tasks=[ggr, fly]", "fly"),
-        ("robots=[pr3]", "pr3"),
         ("robots=[]", "robots"),
         ("seeds=[1, 1]", "seeds"),
-        ("episodes=0", "episodes"),
-        ("policies=both", "policies"),
         ("trainings=[{robot: pr2, algorithm: ppo}]", "trainings.0.algorithm"),
         (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
         ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
