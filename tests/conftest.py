@@ -86,6 +86,7 @@ _ON_A_BUS = (
 )  # fmt: skip
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items):
     """Run tests on a DDS bus, and those of real clocks, on one worker."""
     for item in items:
