@@ -1,4 +1,6 @@
-"""Test doubles: simulated clocks, and a link that keeps what is sent."""
+"""Test doubles: simulated clocks and a link that records commands; waiting for processes."""
+
+import time as clock
 
 import numpy as np
 
@@ -6,6 +8,17 @@ from kinfeas.core.errors import Fault
 from kinfeas.sim2real.deploy.rate import Clock
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
+
+TIMEOUT = 300.0
+"""Seconds that a busy machine may take to start a process and to compile its kernels."""
+
+
+def wait(condition):
+    """Wait until a condition holds; fail after `TIMEOUT`."""
+    end = clock.monotonic() + TIMEOUT
+    while not condition():
+        assert clock.monotonic() < end, "timed out"
+        clock.sleep(0.02)
 
 
 class Time:

@@ -18,6 +18,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.ros import ros1
 from kinfeas.sim2real.ros.topics import read_topics
+from tests.sim2real.doubles import TIMEOUT, wait
 
 
 def _ros1_is_there() -> bool:
@@ -38,9 +39,6 @@ needs_ros1 = pytest.mark.skipif(
     reason="ROS 1 is not installed: apt install python3-rospy python3-roslaunch python3-nav-msgs "
     "python3-sensor-msgs python3-trajectory-msgs python3-tf2-msgs",
 )
-
-TIMEOUT = 300.0
-"""Seconds that a busy machine may take to start a process and to compile its kernels."""
 
 LIMIT = 5.0
 """Seconds within which the base must be commanded to zero on a busy machine."""
@@ -239,11 +237,3 @@ class Ros2(Bus):
 def own_domain() -> str:
     """Return a domain that other test processes on this machine hardly use."""
     return str(1 + os.getpid() % 100)
-
-
-def wait(condition) -> None:
-    """Wait until something holds; fail after `TIMEOUT`."""
-    end = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.05)

@@ -1,7 +1,6 @@
 """The transport of examples/udp_backend.py."""
 
 import socket
-import time
 import types
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from kinfeas.core.backend import RealTimeBackend
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import BaseReading, Hosted, Orders
-from tests.sim2real.doubles import joints_at
+from tests.sim2real.doubles import joints_at, wait
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "udp_backend.py"
 
@@ -29,13 +28,6 @@ def udp():
     for one in free:
         one.close()
     return module
-
-
-def wait(condition):
-    end = time.monotonic() + 60.0
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert condition()
 
 
 def test_carries_measurements_commands_and_stops(udp):

@@ -8,11 +8,9 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.sim2real.deploy.watchdog import LAST_TRY, REPEATS, StopCall, Watchdog
+from tests.sim2real.doubles import wait
 
 pytestmark = pytest.mark.slow
-
-TIMEOUT = 120.0
-"""Seconds that a busy machine may take."""
 
 ROBOT = """
 import time
@@ -61,13 +59,6 @@ def watchdog(stops, seconds, **arguments):
 
 def stopped(stops):
     return [float(line) for line in stops.read_text().split()] if stops.exists() else []
-
-
-def wait(condition):
-    end = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_does_nothing_before_the_first_heartbeat_nor_while_there_are_any(stops):

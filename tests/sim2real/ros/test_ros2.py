@@ -18,6 +18,7 @@ from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import make_bus, stop_base
 from kinfeas.sim2real.ros.ros2 import Ros2Bus, ros2_message_classes
 from kinfeas.sim2real.ros.topics import read_topics
+from tests.sim2real.doubles import wait
 from tests.sim2real.ros_processes import own_domain
 
 TOPICS = """
@@ -38,13 +39,6 @@ def domain(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", os.environ.get("CYCLONEDDS_URI", ""))
     if not os.environ["CYCLONEDDS_URI"]:
         monkeypatch.delenv("CYCLONEDDS_URI")
-
-
-def eventually(condition, seconds=120.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.01)
 
 
 @pytest.fixture(params=[("false", "odometry"), ("true", "tf")], ids=["plain", "stamped-tf"])
@@ -71,8 +65,8 @@ def _into(handed, name):
 
 def test_commands_arrive(ends):
     ours, _, _, ordered = ends
-    eventually(lambda: ours.waits_for() is None)
-    eventually(lambda: ours._publishers["/gripper/joint_trajectory"].listeners())
+    wait(lambda: ours.waits_for() is None)
+    wait(lambda: ours._publishers["/gripper/joint_trajectory"].listeners())
     ours.check()
     arm = [joint.name for joint in load_robot("tiago").arm]
     positions = dict(zip(arm, np.linspace(0.1, 0.8, 8).tolist(), strict=True))
@@ -84,7 +78,7 @@ def test_commands_arrive(ends):
         joints = {name for way in ordered.get("move", []) for name in way.joints}
         return joints == positions.keys() and {"drive", "grip"} <= ordered.keys()
 
-    eventually(arrived)
+    wait(arrived)
     np.testing.assert_array_equal(ordered["drive"][-1], [0.1, -0.2, 0.3])
     assert set(ordered["grip"]) == {"close"}
     moved = {}
@@ -105,7 +99,7 @@ def test_measurements_arrive(ends):
         time.sleep(0.02)
         return {"base", "joints"} <= measured.keys()
 
-    eventually(arrived)
+    wait(arrived)
     place, seen = measured["base"][-1], measured["joints"][-1]
     np.testing.assert_allclose([place.x, place.y, place.yaw], [1.5, -2.0, 0.75], atol=1e-12)
     assert place.stamp == base.stamp
@@ -124,7 +118,7 @@ def test_late_subscribers_get_static_transforms():
     sender.publisher("/tf_static", messages.TFMessage).publish(messages.TFMessage([edge]))
     late.open("late")
     late.subscribe("/tf_static", messages.TFMessage, heard.append, every=True)
-    eventually(lambda: heard)
+    wait(lambda: heard)
     assert heard[0].transforms[0].child_frame_id == "odom"
     np.testing.assert_array_equal(heard[0].transforms[0].transform.rotation.w, spatial.IDENTITY[6])
     sender.close()
@@ -133,11 +127,11 @@ def test_late_subscribers_get_static_transforms():
 
 def test_the_call_of_the_watchdog_stops_the_base(ends):
     ours, _, _, ordered = ends
-    eventually(lambda: ours.waits_for() is None)
-    eventually(lambda: ours.drive(np.array([0.1, 0.0, 0.0])) or ordered.get("drive"))
+    wait(lambda: ours.waits_for() is None)
+    wait(lambda: ours.drive(np.array([0.1, 0.0, 0.0])) or ordered.get("drive"))
     stop = stop_base(2, "/cmd_vel", stamped=ours._topics.base.stamped)
     ours.close()
-    eventually(lambda: stop() or not np.any(ordered["drive"][-1]))
+    wait(lambda: stop() or not np.any(ordered["drive"][-1]))
 
 
 @pytest.fixture
