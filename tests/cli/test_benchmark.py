@@ -34,16 +34,17 @@ def run(kinfeas, tmp_path):
     (tmp_path / "study.yaml").write_text(STUDY)
     (tmp_path / "pybullet.yaml").write_text(PYBULLET)
 
-    def benchmark(*arguments):
+    def benchmark(*arguments, **checks):
         config = () if "--config" in arguments else ("--config", "study.yaml")
-        return kinfeas("benchmark", "--out", "out", "--processes", "1", *config, *arguments)
+        return kinfeas(
+            "benchmark", "--out", "out", "--processes", "1", *config, *arguments, **checks
+        )
 
     return benchmark
 
 
 def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, monkeypatch):
-    outcome = run("--publish", "ship", "--json", "out.json")
-    assert outcome.code == 0, outcome.err
+    outcome = run("--publish", "ship", "--json", "out.json", code=0)
     out = tmp_path / "out"
     for name in ("table.md", "table.json", "table.png", "learning_curves.png"):
         assert (out / name).is_file()
@@ -61,8 +62,7 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
     monkeypatch.setattr(jobs, "compute", None)
     before = (out / "table.json").read_bytes()
     for more in ((), ("--runs", "out/runs")):
-        again = run(*more)
-        assert again.code == 0, again.err
+        again = run(*more, code=0)
         assert "training" not in again.err
         assert (out / "table.json").read_bytes() == before
 
@@ -72,16 +72,14 @@ def test_interruption_keeps_results(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(jobs, "compute", interrupted)
-    outcome = run("--set", "trainings=[]", "--set", "policies=either")
-    assert outcome.code == 130
+    outcome = run("--set", "trainings=[]", "--set", "policies=either", code=130)
     assert outcome.err.splitlines()[-1].startswith("interrupted")
 
 
 def test_physics_beside_the_analytic_world(run, tmp_path):
     pytest.importorskip("pybullet")
     words = ("--config", "pybullet.yaml", "--world", "pybullet", "--episodes", "2")
-    outcome = run(*words, "--json", "out.json")
-    assert outcome.code == 0, outcome.err
+    run(*words, "--json", "out.json", code=0)
     entries = json.loads((tmp_path / "out.json").read_text())
     worlds = [(one["policy"], one["world"]) for one in entries]
     assert worlds == [("pretrained", "pybullet"), ("follow_ee", "pybullet")]

@@ -1,5 +1,6 @@
 import json
 import re
+from functools import partial
 
 import pytest
 
@@ -14,12 +15,11 @@ def robot(kinfeas, tmp_path, monkeypatch):
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
     (tmp_path / "dolly.urdf").write_text(ARM)
-    return lambda *arguments: kinfeas("robot", "import", "dolly.urdf", *arguments)
+    return partial(kinfeas, "robot", "import", "dolly.urdf")
 
 
 def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
-    outcome = robot("--out", "new", "--json", "found.json", "--picture", "dolly.png")
-    assert outcome.code == 0, outcome.err
+    robot("--out", "new", "--json", "found.json", "--picture", "dolly.png", code=0)
     found = json.loads((tmp_path / "found.json").read_text())
     known = read_robot(tmp_path / "new" / "dolly.yaml")
     assert found["arm"] == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
@@ -33,8 +33,7 @@ def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
 def test_robot_without_shapes(robot, tmp_path):
     (tmp_path / "dolly.urdf").write_text(re.sub(r"<collision>.*?</collision>", "", ARM))
     words = ("--ee", "palm", "--picture", "dolly.png", "--json", "found.json")
-    outcome = robot("--out", "new", *words)
-    assert outcome.code == 0, outcome.err
+    robot("--out", "new", *words, code=0)
     assert json.loads((tmp_path / "found.json").read_text())["collision_shapes"] == 0
     assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
 
@@ -53,7 +52,7 @@ def test_existing_files_are_kept(robot, tmp_path):
     (tmp_path / "new" / "dolly.yaml").write_text("mine")
     check_one_line(robot("--out", "new"), "new/dolly.yaml")
     assert (tmp_path / "new" / "dolly.yaml").read_text() == "mine"
-    assert robot("--out", "new", "--name", "other").code == 0
+    robot("--out", "new", "--name", "other", code=0)
 
 
 @pytest.mark.parametrize(
