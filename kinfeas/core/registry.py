@@ -5,7 +5,6 @@ Plugins are loaded one at a time when their name is used; a broken one does not 
 
 import inspect
 import math
-import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -27,9 +26,6 @@ GROUPS = {
     "kinfeas.filters": "command filter",
 }
 """Entry-point groups and the noun for their entries."""
-
-# Groups whose entries may also be given as the path of a YAML file.
-_FILES = ("kinfeas.robots", "kinfeas.tasks")
 
 # Required methods; `CheckedMotion` checks those of motion generators.
 _METHODS = {
@@ -209,12 +205,9 @@ def _entries(group: str) -> list[EntryPoint]:
 
 
 def _find(group: str, name: object) -> EntryPoint:
-    if not isinstance(name, str):
-        known = ", ".join(names(group)) + (" or the path of a YAML file" if group in _FILES else "")
-        raise KinfeasError(f"{GROUPS[group]} must be one of {known}, not {reprlib.repr(name)}")
     matches = [entry for entry in _entries(group) if entry.name == name]
     if not matches:
-        raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{no_such(name, names(group))}")
+        raise KinfeasError(f"unknown {GROUPS[group]} {name!r}{no_such(str(name), names(group))}")
     if len(matches) > 1:
         owners = " and ".join(sorted(_plugin(entry).distribution for entry in matches))
         raise KinfeasError(f"{GROUPS[group]} {name!r} exists in {owners}; uninstall all but one")

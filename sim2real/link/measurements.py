@@ -95,12 +95,12 @@ class Inbox:
     def wait(self, seconds: float) -> bool:
         """Wait for all parts, `seconds` at most; return whether all have arrived."""
         with self._changed:
-            return self._changed.wait_for(lambda: not any(self._missing()), seconds)
+            return self._changed.wait_for(lambda: not any(self.missing()), seconds)
 
     def missing(self) -> tuple[bool, list[str]]:
         """Return whether the base pose is missing, and the names of the missing arm joints."""
-        with self._changed:
-            return self._missing()
+        with self._changed:  # reentrant
+            return self._base is None, [name for name in self._names if name not in self._joints]
 
     def positions(self) -> dict[str, float]:
         """Return the newest positions of all joints by name, of the arm and others."""
@@ -129,9 +129,6 @@ class Inbox:
             joint_velocities=velocity[np.newaxis] if np.isfinite(velocity).all() else None,
             age=np.array([self._now() - min(sent, joint_sent.min())]),
         )
-
-    def _missing(self) -> tuple[bool, list[str]]:
-        return self._base is None, [name for name in self._names if name not in self._joints]
 
     def _take_base(self, reading: BaseReading) -> None:
         now = self._now()
