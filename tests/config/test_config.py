@@ -79,11 +79,6 @@ def test_file_and_back_is_the_identity(tmp_path_factory, recipe):
         ("many", {"a": {}, "b": {"lag": 1}}, {"a": Noise(), "b": Noise(lag=1)}),
         ("adapters", ["clamp"], (PluginSpec("clamp"),)),
         ("adapters", [{"name": "clamp", "by": 2}], (PluginSpec("clamp", {"by": 2}),)),
-        (
-            "adapters",
-            [{"name": "clamp", "parameters": {"by": 1, "at": 3}, "by": 2}],
-            (PluginSpec("clamp", {"by": 2, "at": 3}),),
-        ),
     ],
 )
 def test_value_is_converted(key, value, expected):

@@ -24,11 +24,6 @@ def test_shipped_sections_are_valid(name):
     assert load_section(SCHEMAS[part], part, robot)
 
 
-@pytest.mark.parametrize("name", recipes("paper"))
-def test_shipped_trainings_are_valid(name):
-    assert load_recipe(TrainConfig, name, "train")
-
-
 def test_robot_file_changes_keys_of_the_default():
     default = section("train", "default")[0]
     tiago = load_section(TrainConfig, "train", "tiago")

@@ -25,10 +25,14 @@ class Pinocchio:
     def place(self, joint_positions: Array) -> None:
         """Move all links to the arm's joint positions, shape (v,)."""
         self.q = pinocchio.neutral(self.model)
-        for joint in self.robot.urdf.joints.values():
+        for name, joint in self.robot.urdf.joints.items():
             if joint.moves:
-                constant, slopes = self.drive(joint.name)
-                self._set(joint.name, constant + float(slopes @ joint_positions))
+                constant, slopes = self.drive(name)
+                position = constant + float(slopes @ joint_positions)
+                place = self.model.joints[self.model.getJointId(name)]
+                endless = place.nq == 2
+                values = [math.cos(position), math.sin(position)] if endless else [position]
+                self.q[place.idx_q : place.idx_q + place.nq] = values
         pinocchio.framesForwardKinematics(self.model, self.data, self.q)
 
     def pose(self, joint_positions: Array) -> tuple[Array, Array]:
@@ -64,12 +68,6 @@ class Pinocchio:
             return self.robot.fixed_joints[name], np.zeros(len(names))
         constant, slopes = self.drive(mimic.joint)
         return mimic.multiplier * constant + mimic.offset, mimic.multiplier * slopes
-
-    def _set(self, name: str, position: float) -> None:
-        joint = self.model.joints[self.model.getJointId(name)]
-        endless = joint.nq == 2
-        values = [math.cos(position), math.sin(position)] if endless else [position]
-        self.q[joint.idx_q : joint.idx_q + joint.nq] = values
 
     def miss(self, ee_pose: Array, joint_positions: Array) -> Array:
         """Return the errors of joint positions (n, v) for EE poses (n, 7): (n, 2), metres, rad."""
