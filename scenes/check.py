@@ -79,17 +79,15 @@ def check(
     objects: Mapping[str, SceneObject],
     handles: Mapping[str, Array],
 ) -> None:
-    """Check that no objects overlap and that every handle can be reached.
+    """Check that objects are on the floor without overlap and that every handle can be reached.
+
+    A handle needs room for a gripper in front of it and for a base near it.
 
     Args:
-        source: Beginning of the error.
+        source: File name for errors.
         size: Size of the floor along x and y, metres.
         objects: Objects by name.
         handles: World poses (7,) with x along the approach, by name.
-
-    Raises:
-        KinfeasError: If an object is off or below the floor or overlaps another one, or there is no
-            room for a gripper in front of a handle, or for a base near it.
     """
     check_places(source, size, objects)
     shapes = [shape for one in objects.values() for _, shape in one.shapes()]
@@ -165,16 +163,10 @@ def _room_for_a_base(size: tuple[float, float], scene: Solids, handle: Array) ->
 def check_inertia(path: Path, urdf: Urdf, *, fixed: bool) -> None:
     """Check that each link that can move has a mass and plausible moments of inertia.
 
-    Args:
-        path: The URDF.
-        urdf: Its links and joints.
-        fixed: Whether its root link is fixed to the world.
-
-    Raises:
-        KinfeasError: If one has not.
+    `fixed` is whether the root link of the URDF at `path` is fixed to the world.
     """
     robot = read_xml(path, "robot")
-    hangs = {joint.child for joint in urdf.joints.values() if not joint.moves}
+    attached = {joint.child for joint in urdf.joints.values() if not joint.moves}
     for link in robot.children("link"):
         name = link.text("name")
         if fixed and moving_joint(urdf, name) is None:
@@ -184,7 +176,7 @@ def check_inertia(path: Path, urdf: Urdf, *, fixed: bool) -> None:
             raise named.error("a moving link needs <inertial>")
         if urdf.links[name].mass > 0.0:
             _check_moments(named, read_moments(inertial.need("inertia")))
-        elif name not in hangs:  # frames on a link with mass need none
+        elif name not in attached:  # frames on a link with mass need none
             raise named.error("a moving link needs a mass above 0")
 
 

@@ -52,14 +52,7 @@ class HandleSpec:
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """The YAML file of a scene.
-
-    Attributes:
-        name: Short name.
-        size: Size of the floor along x and y, metres; the origin is its centre.
-        objects: Objects by name.
-        handles: Handles by name.
-    """
+    """The YAML file of a scene; the floor has a size along x and y, metres, around the origin."""
 
     name: str
     size: tuple[Side, Side]

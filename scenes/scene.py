@@ -49,11 +49,7 @@ class Scene:
     handles: dict[str, Handle]
 
     def handle_pose(self, name: str) -> Array:
-        """Return the world pose of a handle, shape (7,), x along the approach and z up.
-
-        Raises:
-            KinfeasError: If there is no such handle.
-        """
+        """Return the world pose of a handle, shape (7,), x along the approach and z up."""
         handle = _of(self.handles, name, f"scene {self.name}: there is no handle")
         return compose(self.objects[handle.object].link_poses()[handle.link], handle.pose)
 
@@ -62,9 +58,6 @@ class Scene:
 
         Args:
             poses: World poses, shape (7,), by the names of objects.
-
-        Raises:
-            KinfeasError: If there is no such object.
         """
         moved = {name: replace(self._object(name), pose=pose) for name, pose in poses.items()}
         return replace(self, objects={**self.objects, **moved})
@@ -74,9 +67,6 @@ class Scene:
 
         Args:
             positions: Positions in rad or m, by the names of objects and joints.
-
-        Raises:
-            KinfeasError: If there is no such object or joint, or a position is out of its limits.
         """
         moved = {}
         for name, given in positions.items():
@@ -90,9 +80,6 @@ class Scene:
 
         Args:
             source: Beginning of the error.
-
-        Raises:
-            KinfeasError: If they are not.
         """
         check_places(source, self.size, self.objects)
 

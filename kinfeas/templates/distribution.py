@@ -18,15 +18,9 @@ _SUFFIX, _PLACEHOLDER = ".txt", "NAME"
 
 
 def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a new distribution with one plugin and return its files.
+    """Write a new distribution with one plugin of a `Kind`, and return its files.
 
-    Args:
-        kind: One of `Kind`.
-        name: Name of the plugin, in lower case.
-        folder: Folder of the distribution, empty or missing.
-
-    Raises:
-        KinfeasError: If the name is invalid or taken, or the folder is not empty or not writable.
+    The name is in lower case; the folder is empty or missing.
     """
     kinds = {known.value: known for known in Kind}
     if kind not in kinds:
@@ -48,8 +42,8 @@ def write_distribution(kind: str, name: str, folder: Path) -> list[Path]:
 def _check_name(group: str, name: str) -> None:
     if not _NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.iskeyword(_class(name)):
         raise KinfeasError(
-            f"{name!r} cannot be a name: use lower-case letters, digits and single _, first a "
-            "letter, and no keyword of Python; such as my_motion"
+            f"{name!r}: a name has lower-case letters, digits and single _, such as my_motion, and "
+            "is no keyword of Python"
         )
     taken = [plugin for plugin in registry.plugins(group) if plugin.name == name]
     if taken:
