@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark import jobs as module
-from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs
+from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs, thinned
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import run_episodes
@@ -140,6 +140,12 @@ def test_workspace_samples():
     assert len(kept["infeasible"]) == records.failures.sum() > 0
     assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
     assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)
+
+
+def test_thinning_spreads_evenly():
+    points = np.repeat(np.arange(30.0)[:, np.newaxis], 3, axis=1)
+    assert thinned(points, 10)[[0, 9], 0].tolist() == [0.0, 29.0]
+    assert [len(thinned(points[:count], 10)) for count in (0, 7, 30)] == [0, 7, 10]
 
 
 def test_baselines_are_built_first(monkeypatch):

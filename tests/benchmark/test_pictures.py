@@ -37,6 +37,11 @@ def test_curves_have_common_steps():
     np.testing.assert_allclose(success, [[0.7, 0.9], [0.5, 0.7]])
 
 
+def test_a_run_without_a_finished_episode_has_no_curve():
+    short = {**metrics(1000, 0.8, 0.9), "train/success": np.full(5, np.nan)}
+    assert np.isnan(training_curve([short, metrics(1000, 0.8, 0.9)])[1][0]).all()
+
+
 @pytest.fixture
 def runs(tmp_path):
     made = []

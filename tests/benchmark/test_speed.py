@@ -100,6 +100,13 @@ def test_targets(pr2, cold, warm):
     np.testing.assert_array_equal(again.pose, warm.pose)
 
 
+def test_warm_targets_within_a_pose_tolerance_differ_from_the_start():
+    hsr = load_robot("hsr")
+    targets = warm_targets(hsr, 50, np.random.default_rng(1))
+    metres, _ = spatial.distance(forward(IkSolver(hsr).chain, targets.seed), targets.pose)
+    assert 0.0 < metres.min() < np.median(metres) <= 0.03
+
+
 def test_solved_targets_are_verified(pr2, cold, warm):
     for targets in (cold, warm):
         timing = time_ours(pr2, targets, self_collision=True, repeats=1)

@@ -3,7 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinfeas import config
 from kinfeas.control.loop import Step
+from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig, limit_distance, reward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import PoseTolerance
@@ -91,3 +93,9 @@ def test_continuous_joints_have_no_limit():
         replace(joint, continuous=True, lower=-np.inf, upper=np.inf) for joint in robot.arm
     )
     np.testing.assert_array_equal(limit_distance(replace(robot, arm=endless), joints), [1.0])
+
+
+@pytest.mark.parametrize("entry", [{"limit_penalty": -1}, {"limit_margin": 0.0}, {"failure": "x"}])
+def test_invalid_weights_are_named(entry):
+    with pytest.raises(KinfeasError, match=next(iter(entry))):
+        config.from_mapping(RewardConfig, entry, "reward")

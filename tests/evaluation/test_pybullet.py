@@ -35,34 +35,10 @@ def records(chosen, policy):
     return run(chosen, policy)
 
 
-def test_settings_of_the_robots():
-    worlds = {name: evaluation_world("pybullet", name) for name in ("pr2", "tiago", "hsr")}
-    assert {name: one.time_scale for name, one in worlds.items()} == {
-        "pr2": 0.5,
-        "tiago": 1.0,
-        "hsr": 1.0,
-    }
-    assert [[spec.name for spec in one.filters] for one in worlds.values()] == [
-        ["obstacle_distance", "feasibility"],
-        ["feasibility"],
-        [],
-    ]
-    assert {(one.backend, one.dt, one.max_failures) for one in worlds.values()} == {
-        ("pybullet", 0.02, 99)
-    }
-
-
 @pytest.mark.parametrize("wrong", ["world.time_scale=1.5", "world.action_repeat=3"])
 def test_wrong_settings_are_named(wrong):
     with pytest.raises(KinfeasError, match=wrong.partition("=")[0]):
         read_settings("hsr", "pybullet", [wrong])
-
-
-@pytest.mark.parametrize("parameters", [{"physics": {"gravity": -1}}, {"colour": "red"}])
-def test_wrong_parameters_of_the_backend_are_named(chosen, parameters):
-    world = replace(chosen.world, backend_parameters=parameters)
-    with pytest.raises(KinfeasError, match=r"gravity|colour"):
-        World(chosen.robot, chosen.task, world, 1)
 
 
 @pytest.mark.slow

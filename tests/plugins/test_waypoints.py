@@ -55,6 +55,11 @@ def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
         Waypoints(file=write_waypoints(tmp_path / "untimed.csv", rest))
 
 
+def test_a_ramp_longer_than_the_path_is_all_of_it(files):
+    knots = [Waypoints(file=files["waypoints"], ramp=ramp).path.knots for ramp in (1e3, 1e9)]
+    assert np.array_equal(*knots)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "time"),
     [("w.yml", YAML + "time: [0.5, 2]\n", [0.5, 2.0]), ("w.csv", CSV, None),

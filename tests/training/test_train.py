@@ -179,6 +179,12 @@ def test_a_run_that_lost_its_last_checkpoint_raises(half):
         resume(half)
 
 
+def test_checkpoints_of_a_writer_killed_between_its_renames_are_found(half):
+    for name in ("last", "best"):
+        (half / "checkpoints" / name).rename(half / "checkpoints" / f".{name}.old")
+    assert resume(half).steps == 480
+
+
 def test_a_finished_run_resumes_to_nothing_and_a_longer_one_goes_on(whole, half, digest):
     before = digest(whole / "checkpoints")
     assert resume(whole).steps == 320
