@@ -78,9 +78,7 @@ def make_goal_task(
     if len(turn) == 3:
         turn = Rotation.from_euler("xyz", turn).as_quat()
     elif abs(float(np.linalg.norm(turn)) - 1.0) > _UNIT:
-        raise KinfeasError(
-            f"the goal's quaternion must be of length 1, not {np.linalg.norm(turn):g}"
-        )
+        raise KinfeasError("the goal's quaternion must be of length 1")
     return GoalTask(numbers[:3], turn / np.linalg.norm(turn), motion)
 
 

@@ -180,8 +180,7 @@ class LinkBackend:
             fixed, measured = self.robot.fixed_joints.get(joint.name), positions.get(joint.name)
             if fixed is not None and measured is not None and not abs(measured - fixed) <= _OFFSET:
                 raise KinfeasError(
-                    f"joint {joint.name} is at {measured:.3f}, but the kinematic model of "
-                    f"{self.robot.name} holds it at {fixed:.3f}: move it there first"
+                    f"move joint {joint.name} from {measured:.3f} to {fixed:.3f}, as in the model"
                 )
 
 

@@ -67,8 +67,7 @@ class RosBackend(LinkBackend):
     @classmethod
     def robot_link(cls, robot: Robot, topics: str | None = None) -> RobotLink:
         """Return the robot's end, for a simulated robot; arguments as in `Hosted`."""
-        names = read_topics(robot, cls.version, topics, "--topics FILE")
-        return RosRobotLink(names, make_bus(cls.version))
+        return RosRobotLink(read_topics(robot, cls.version, topics), make_bus(cls.version))
 
 
 class Ros1Backend(RosBackend):

@@ -93,9 +93,7 @@ def make_bus(version: Version) -> RosBus:
     try:
         from kinfeas.sim2real.ros.ros2 import Ros2Bus
     except ImportError as error:
-        raise KinfeasError(
-            f"ROS 2 needs a library for DDS ({error}): pip install 'kinfeas[ros2]'"
-        ) from error
+        raise KinfeasError(f"ROS 2 needs pip install 'kinfeas[ros2]' ({error})") from error
     return Ros2Bus()
 
 

@@ -128,8 +128,7 @@ def ros(module: str) -> Any:
     except ImportError as error:
         package = "python3-" + module.split(".")[0].replace("_", "-")
         raise KinfeasError(
-            f"ROS 1 is not installed, {module} is missing: apt install {package}, or source the "
-            "setup.bash of your ROS"
+            f"{module} is missing: apt install {package}, or source the setup.bash of ROS 1"
         ) from error
 
 
@@ -179,8 +178,7 @@ class MasterWatch:
             self._socket = socket.create_connection((host, port), _CONNECT_TIMEOUT)
         except OSError as error:
             raise KinfeasError(
-                f"there is no ROS master at {self.uri} ({error}): start roscore or the robot, or "
-                "set ROS_MASTER_URI"
+                f"no ROS master at {self.uri} ({error}): start roscore or set ROS_MASTER_URI"
             ) from error
         self._socket.setblocking(False)
         # A cable that is pulled closes no connection: probe it every second.

@@ -94,40 +94,33 @@ class Topics:
     gripper: GripperTopics | None = None
 
 
-def read_topics(
-    robot: Robot,
-    version: Version,
-    name: str | None = None,
-    option: str = "--set backend.topics=FILE",
-) -> Topics:
+def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topics:
     """Return the topics in a YAML file, given by path or shipped name, by default the robot's.
 
     Raises:
         KinfeasError: If the file is missing or invalid, or its controllers do not have each joint
-            of the arm once; the message names the `option` for a file.
+            of the arm once.
     """
-    path = _find(robot.name if name is None else name, version, option)
+    path = _find(robot.name if name is None else name, version)
     topics = config.load(Topics, path)
     commanded = Counter(name for one in topics.joints.controllers for name in one.joints)
     arm = Counter(topics.joints.names.get(joint.name, joint.name) for joint in robot.arm)
     if commanded != arm:
         wrong = sorted((commanded - arm) + (arm - commanded))
         raise KinfeasError(
-            f"{path}: 'joints.controllers' must hold each joint of the arm once and no other; "
-            f"see {', '.join(wrong)}"
+            f"{path}: 'joints.controllers' needs each arm joint once; see {', '.join(wrong)}"
         )
     if version != 1 and topics.gripper is not None and topics.gripper.kind == "pr2":
         raise KinfeasError(f"{path}: 'gripper.kind' must be trajectory in ROS {version}")
     return topics
 
 
-def _find(name: str, version: Version, option: str) -> Path:
+def _find(name: str, version: Version) -> Path:
     if (own := Path(name)).is_file():
         return own
     folder = Path(str(files("kinfeas.sim2real.ros").joinpath(f"ros{version}_topics")))
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
-        raise KinfeasError(
-            f"unknown topics {name!r}{no_such(name, known)}, or a YAML file: {option}"
-        )
+        files_too = "; or a YAML file: --set backend.topics=FILE, --topics FILE"
+        raise KinfeasError(f"unknown topics {name!r}{no_such(name, known)}{files_too}")
     return folder / f"{name}.yaml"

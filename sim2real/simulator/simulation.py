@@ -229,6 +229,10 @@ def spawn(
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
     simulation = backend.sims[0]
     if around is not None and not simulation.free():
+        found = simulation.contacts()
+        touched = {body for _, body, _ in found.base | found.arm}
+        things = simulation.furniture.bodies if simulation.furniture else {}
+        names = ", ".join(repr(name) for name, body in things.items() if body in touched)
         backend.close()
-        raise KinfeasError(f"scene {around.name}: an object is in the way of the robot's start")
+        raise KinfeasError(f"scene {around.name}: the robot would touch {names or 'the floor'}")
     return backend, state

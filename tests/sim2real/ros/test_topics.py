@@ -57,5 +57,5 @@ def test_the_gripper_message_of_the_pr2_is_one_of_ros_1(tmp_path):
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(KinfeasError, match=r"pr3.*hsr, pr2, tiago.*--names FILE"):
-        read_topics(HSR, 2, "pr3", "--names FILE")
+    with pytest.raises(KinfeasError, match=r"pr3.*hsr, pr2, tiago"):
+        read_topics(HSR, 2, "pr3")
