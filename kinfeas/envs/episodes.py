@@ -6,8 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 
@@ -107,15 +106,23 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
         initializer=begin_worker,
         initargs=(signal.SIG_DFL,),
     )
+    with workers_alive(processes):
+        try:
+            yield pool
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def workers_alive(processes: int) -> Iterator[None]:
+    """Raise a KinfeasError if a worker process dies in the block."""
     try:
-        yield pool
-    except BrokenProcessPool as error:
+        yield
+    except BrokenExecutor as error:
         raise KinfeasError(
             f"one of {processes} worker processes died, as if killed or out of memory; "
             "try fewer --processes"
         ) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def begin_worker(on_interrupt: signal.Handlers) -> None:

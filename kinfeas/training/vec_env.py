@@ -2,15 +2,8 @@
 
 import multiprocessing
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-)
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -21,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from kinfeas.control import observation
 from kinfeas.control.drive import action_size
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.episodes import workers_alive
 from kinfeas.envs.gym import read_actions
 from kinfeas.envs.world import World
 from kinfeas.robots.loading import load_robot
@@ -122,7 +116,7 @@ class EpisodesVecEnv(VecEnv):
 
     def _begin(self, method: str, *arguments: Sequence[Any]) -> None:
         """Let each worker call a method of its batch, with its own arguments."""
-        with _alive(len(self._workers)):
+        with workers_alive(len(self._workers)):
             self._coming = [
                 worker.submit(self._call, method, *given)
                 for worker, given in zip(self._workers, arguments, strict=True)
@@ -130,23 +124,12 @@ class EpisodesVecEnv(VecEnv):
 
     def _results(self) -> list[Any]:
         coming, self._coming = self._coming, []
-        with _alive(len(self._workers)):
+        with workers_alive(len(self._workers)):
             return [future.result() for future in coming]
 
     def _ask(self, method: str, *arguments: Sequence[Any]) -> list[Any]:
         self._begin(method, *(arguments or [()] * len(self._workers)))
         return self._results()
-
-
-@contextmanager
-def _alive(count: int) -> Iterator[None]:
-    try:
-        yield
-    except BrokenExecutor as error:
-        raise KinfeasError(
-            f"one of {count} training processes died, as if killed or out of memory; "
-            "try fewer --processes"
-        ) from error
 
 
 class WorldVecEnv(EpisodesVecEnv):
