@@ -2,7 +2,6 @@
 
 import json
 import shlex
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
@@ -14,10 +13,9 @@ from kinfeas.benchmark.config import BenchmarkConfig, Training
 from kinfeas.config.recipes import load_recipe, load_section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import worker_pool
-from kinfeas.io.files import write_folder
-from kinfeas.io.policy_metadata import Trained, policy_folder, read_best, write_trained
+from kinfeas.io.policy_metadata import policy_folder, read_best
 from kinfeas.policies import pretrained
-from kinfeas.policies.network import WEIGHTS
+from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
@@ -141,7 +139,8 @@ def publish(
             command=command,
             benchmark=dict(metrics.get(run.folder, {})),
         )
-        published.append(_copy(policy_folder(run.folder), about, folder / robot))
+        copy_network(policy_folder(run.folder), about, folder / robot)
+        published.append(folder / robot)
     return published
 
 
@@ -182,12 +181,3 @@ def _changes(
         elif value != usual:
             found[f"{above}{key}"] = value
     return found
-
-
-def _copy(place: Path, about: Trained, target: Path) -> Path:
-    def fill(folder: Path) -> None:
-        shutil.copyfile(place / WEIGHTS, folder / WEIGHTS)
-        write_trained(about, folder)
-
-    write_folder(target, fill)
-    return target

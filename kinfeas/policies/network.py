@@ -1,5 +1,6 @@
 """Trained networks of base policies, evaluated without torch."""
 
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from kinfeas.control.observation import (
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
+from kinfeas.io.files import write_folder
 from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, write_trained
 from kinfeas.robots.robot import Robot, fingerprint
 
@@ -91,6 +93,16 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
         **known,
     )
     write_trained(trained, folder)
+
+
+def copy_network(source: Path, trained: Trained, target: Path) -> None:
+    """Write the network of the folder `source` into the folder `target`, with its own metadata."""
+
+    def fill(folder: Path) -> None:
+        shutil.copyfile(source / WEIGHTS, folder / WEIGHTS)
+        write_trained(trained, folder)
+
+    write_folder(target, fill)
 
 
 def read_network(folder: Path, robot: Robot) -> Network:

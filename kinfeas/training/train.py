@@ -1,6 +1,5 @@
 """A training run: collect, learn, evaluate, save; and resume after any interruption."""
 
-import shutil
 import signal
 import threading
 import time
@@ -17,8 +16,8 @@ from kinfeas import config as configuration
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import EpisodeRecords, summarize
 from kinfeas.io.files import alone, find_folder, write_folder, writing
-from kinfeas.io.policy_metadata import read_trained, write_trained
-from kinfeas.policies.network import WEIGHTS, read_network, write_network
+from kinfeas.io.policy_metadata import read_trained
+from kinfeas.policies.network import copy_network, read_network, write_network
 from kinfeas.training.checkpoint import load_learner, save_learner
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.learner import (
@@ -246,12 +245,7 @@ class _Run:
         evaluator = periodic_evaluator(self.config, FRESH_SEED)
         figures = _measured(evaluator(network, self.config.schedule.final_episodes))
         updated = replace(trained, fresh_evaluation=figures)
-
-        def fill(folder: Path) -> None:
-            shutil.copyfile(best / WEIGHTS, folder / WEIGHTS)
-            write_trained(updated, folder)
-
-        self._write("best", fill)
+        copy_network(best, updated, self.out / "checkpoints" / "best")
 
     def _row(self) -> dict[str, float]:
         p = self.progress

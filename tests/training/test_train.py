@@ -147,7 +147,7 @@ def interrupt():
 
 STOPS = [
     (vec_env.EpisodesVecEnv, "step_wait", 20, kill),
-    (training, "write_trained", 1, kill),
+    (shutil, "copyfile", 1, kill),
     (vec_env.EpisodesVecEnv, "step_wait", 20, interrupt),
     (training, "explore", 15, interrupt),
     (training, "summarize", 1, interrupt),
