@@ -156,14 +156,14 @@ def train_command(settings: TrainConfig) -> str:
 
 
 def _settings(training: Training, seed: int) -> TrainConfig:
-    said: dict[str, object] = {
+    values: dict[str, object] = {
         "robot": training.robot,
         "seed": seed,
         "learner.algorithm": training.algorithm,
     }
     if training.steps is not None or training.minutes is not None:
-        said |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
-    assignments = [f"{key}={json.dumps(value)}" for key, value in said.items()]
+        values |= {"schedule.steps": training.steps, "schedule.minutes": training.minutes}
+    assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
     assignments += training.settings
     if training.recipe is not None:
         return load_recipe(TrainConfig, training.recipe, "train", assignments)

@@ -87,13 +87,12 @@ def prepare(  # noqa: PLR0913 - the options of the command
     Raises:
         KinfeasError: If a name is unknown or a setting is wrong.
     """
-    known = load_robot(robot)
-    settings = read_settings(known.name, backend, overrides)
-    check_adapters(settings.world.adapters, known)
+    model = load_robot(robot)
+    settings = read_settings(model.name, backend, overrides)
+    check_adapters(settings.world.adapters, model)
     count = default_episodes(backend) if episodes is None else episodes
-    drawn_by = load_task(task, settings.task)
-    driver = load_policy(policy, known)
-    return EvalConfig(known, drawn_by, count, seed, settings.world), driver
+    config = EvalConfig(model, load_task(task, settings.task), count, seed, settings.world)
+    return config, load_policy(policy, model)
 
 
 def default_episodes(backend: str) -> int:
