@@ -354,13 +354,16 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
 
 def test_ik_starts_from_the_last_joint_command(solver):
     """An arm that lags behind is no reason to look for another configuration."""
-    loop, expected = (make_loop(solver, 1, Recorder()) for _ in range(2))
+    loop, expected = (make_loop(solver, 2, Recorder()) for _ in range(2))
     for _ in range(5):
         loop.step(still(loop))
         expected.step(still(expected))
         loop.state = RobotState(loop.state.base_pose, loop.state.joint_positions - 0.05)
     joint_command, same = (one.backend.steps[-1][1] for one in (loop, expected))
     np.testing.assert_array_equal(joint_command, same)
+    loop.backend.joints -= 0.05
+    loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))
+    np.testing.assert_array_equal(loop.joint_command[0], joint_command[0])
 
 
 class Swinging(Recorder):

@@ -123,7 +123,8 @@ def test_subgoals_follow_each_other_from_the_desired_pose(robot):
 @pytest.mark.parametrize(("dt", "periods"), [(0.1, 20), (0.02, 100), (0.3, 7)])
 def test_a_dwell_keeps_its_time(robot, dt, periods):
     linear = Linear()
-    sequence = begin(robot, 2, [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)], dt)
+    subgoals = [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)]
+    sequence = begin(robot, 2, subgoals, dt, grasp_settle_time=1.0)  # they have no grip
     sequence.move(sequence.plan(dt))
     sequence.advance(np.array([True, False]))
     assert sequence.waiting.tolist() == [periods, 0]

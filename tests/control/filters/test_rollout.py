@@ -36,12 +36,12 @@ def run(robot, policy, task="ggr_restricted", episodes=8, first=0, **parameters)
     return run_episodes(world, load_policy(policy, world.robot), episodes, first=first)
 
 
-def planner_of(world, policy, **parameters):
+def planner_of(world, policy, rows=4, **parameters):
     """Return a planner of a started world's loop."""
     world.loop.set_policy(policy)
-    world.start(range(4))
+    world.start(range(rows))
     planner = RolloutPlanner(**parameters)
-    planner.reset(world.loop, np.arange(4))
+    planner.reset(world.loop, np.arange(rows))
     return planner
 
 
@@ -96,9 +96,9 @@ def test_more_samples_only_where_they_may_help(monkeypatch):
 
 def test_offsets_do_not_depend_on_other_rows_and_aborted_rollouts(monkeypatch):
     world = world_of("tiago")
-    planner = planner_of(world, load_policy("follow_ee", world.robot), num_samples=16)
-    short = planner.plan(planner._now(), np.arange(4))
-    for row in range(4):
+    planner = planner_of(world, load_policy("follow_ee", world.robot), 12, num_samples=16)
+    short = planner.plan(planner._now(), np.arange(12))
+    for row in range(12):
         alone = planner.plan(planner._now(), np.array([row]))
         np.testing.assert_array_equal(alone[0], short[row])
     rollout = planner._rollout
@@ -107,7 +107,7 @@ def test_offsets_do_not_depend_on_other_rows_and_aborted_rollouts(monkeypatch):
         return rollout(now, rows, offsets, np.full(len(rows), np.inf))
 
     monkeypatch.setattr(planner, "_rollout", to_the_end)
-    np.testing.assert_array_equal(short, planner.plan(planner._now(), np.arange(4)))
+    np.testing.assert_array_equal(short, planner.plan(planner._now(), np.arange(12)))
     assert short.any()
 
 
