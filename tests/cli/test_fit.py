@@ -38,7 +38,7 @@ def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, 
 
 def test_demonstrations_without_a_base_are_named(kinfeas, shown):
     one = door_demonstrations(1)[0]
-    write_demonstration(replace(one, base_pose=None), shown / "2.npz")
+    write_demonstration(replace(one, base_pose=one.base_pose * np.nan), shown / "2.npz")
     outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
     assert "2.npz" in outcome.out
 
