@@ -21,6 +21,12 @@ from kinfeas.tasks.loading import load_task
 DT, ROWS = 0.5, 64
 
 
+@pytest.fixture(scope="module")
+def solver():
+    """IK of TIAGo, whose slow torso often exceeds its velocity."""
+    return IkSolver(load_robot("tiago"))
+
+
 @pytest.fixture
 def loop(solver):
     """Arms anywhere, EEs that are to rest, and the parts of a loop that the filter reads."""

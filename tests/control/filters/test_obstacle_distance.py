@@ -136,6 +136,19 @@ def corner(x, y):
     return Fixed(lambda: ObstacleDistances(point, ahead, np.array([[KEPT]])))
 
 
+@pytest.mark.parametrize(("dt", "limit"), [(1e-3, "braking"), (1.0, "period")])
+def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
+    way, ahead = 0.02, np.array([[[1.0, 0.0]]])
+    near = Fixed(ObstacleDistances(0.3 * ahead, ahead, np.array([[KEPT + way]])))
+    one = ObstacleFilter(KEPT)
+    one.reset(SimpleNamespace(robot=robot, backend=near, dt=dt), np.arange(1))
+    velocity = one.constraints(1).limit[0, 0]
+    base = robot.base
+    braking = min(base.max_acceleration, 0.5 * base.max_rotation_acceleration)
+    expected = way / (2.0 * dt) if limit == "period" else np.sqrt(2.0 * 0.5 * braking * way)
+    assert velocity == pytest.approx(expected)
+
+
 def test_a_base_turns_its_corner_away_before_it_leaves_its_way(robot):
     held = constraints(robot, corner(0.3, 0.3)).hold(np.array([[[0.5, 0.0, 0.0]]]))[0, 0]
     assert held[0] == pytest.approx(0.5, rel=0.05)
