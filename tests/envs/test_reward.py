@@ -39,6 +39,17 @@ def test_indicator_of_the_paper(exact_robot):
     np.testing.assert_allclose(earned, [0.0, -1.0, -0.01, -1.02], atol=1e-15)
 
 
+def test_joint_jumps_and_deviations_cost(exact_robot):
+    weights = RewardConfig("indicator", 0.0, 0.1, limit_penalty=0.0, deviation_penalty=0.4)
+    seen = replace(
+        step(np.ones(4, dtype=bool)),
+        joint_jump=np.array([False, True, False, False]),
+        deviation=np.array([0.0, 0.0, 0.025, 1.0]),
+    )
+    earned = reward(weights, exact_robot, seen, np.zeros((4, 2)), middle(exact_robot, 4))
+    np.testing.assert_allclose(earned, [0.0, -0.1, -0.1, -0.4])
+
+
 def test_graded_failure_grows_with_what_is_missing(exact_robot):
     graded = RewardConfig(failure="graded", action_penalty=0.0, limit_penalty=0.0)
     metres = np.array([0.0, 0.05, 0.1, 0.0, 0.1, 5.0, np.inf])

@@ -139,7 +139,7 @@ def corner(x, y):
 @pytest.mark.parametrize(("dt", "limit"), [(1e-3, "braking"), (1.0, "period")])
 def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
     way, ahead = 0.02, np.array([[[1.0, 0.0]]])
-    near = Fixed(ObstacleDistances(0.3 * ahead, ahead, np.array([[KEPT + way]])))
+    near = Fixed(lambda: ObstacleDistances(0.3 * ahead, ahead, np.array([[KEPT + way]])))
     one = ObstacleFilter(KEPT)
     one.reset(SimpleNamespace(robot=robot, backend=near, dt=dt), np.arange(1))
     velocity = one.constraints(1).limit[0, 0]
