@@ -70,7 +70,8 @@ class Plugin:
     target: str = field(default="", compare=False)
 
     def __str__(self) -> str:
-        return f"{GROUPS[self.group]} {self.name!r} ({self.distribution} {self.version})"
+        origin = f" ({self.distribution} {self.version})" if self.distribution != "?" else ""
+        return f"{GROUPS[self.group]} {self.name!r}{origin}"
 
 
 def register(group: str, name: str, factory: type | FunctionType) -> None:
