@@ -74,7 +74,7 @@ class Transition:
     """The result of a step of n episodes, each of leading shape (n,).
 
     Attributes:
-        observation: Shape (n, 21 + j).
+        observation: Shape (n, d).
         reward: Reward of the step.
         terminated: Whether the episode ended by success or by too many failures.
         truncated: Whether it ended by the time limit.
@@ -150,7 +150,7 @@ class World:
         return episode_rng(self.seed, episode, self.stream)
 
     def start(self, episodes: Sequence[int], rows: Rows | None = None) -> Array:
-        """Begin episodes and return the observation of all n, shape (n, 21 + j).
+        """Begin episodes and return the observation of all n, shape (n, d).
 
         Args:
             episodes: Numbers of the m episodes.
@@ -213,7 +213,7 @@ class World:
         return {**self.loop.snapshot(), **counts}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Array:
-        """Continue from a `snapshot` and return the observation, shape (n, 21 + j)."""
+        """Continue from a `snapshot` and return the observation, shape (n, d)."""
         self.loop.restore(snapshot)
         self.failures, self.steps = snapshot["failures"].copy(), snapshot["steps"].copy()
         return self.loop.observation

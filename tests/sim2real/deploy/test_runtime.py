@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
+from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import REACHED, About, Recorder, read_record
@@ -228,9 +229,11 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, capsys, trouble, reaso
         (Drive(at=5, do=lambda: 1 / 0), "ZeroDivisionError"),
     ],
 )
-def test_a_policy_that_fails_stops_the_robot(run, time, driver, named):
+@pytest.mark.parametrize("filters", [(), (FeasibilityFilter(),)])
+def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
     robot = RealTimeRobot(time)
-    outcome, record = run(robot, driver)
+    driver.steps = 0
+    outcome, record = run(robot, driver, filters=filters)
     assert outcome.code is Code.FAULT
     assert named in outcome.reason
     assert record.event[-1] == outcome.reason
