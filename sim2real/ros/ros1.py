@@ -20,6 +20,7 @@ from kinfeas.sim2real.ros.bus import Messages, Publisher
 _DEBIAN = "/usr/lib/python3/dist-packages", "/opt/ros/noetic/lib/python3/dist-packages"
 _CONNECT_TIMEOUT = 2.0  # s, for the master
 _FLUSH = 0.05  # s for rospy's writing threads before their connections are closed
+_SHUT_DOWN = "this node was shut down, as rosnode kill does it"
 _LOCAL = {"localhost", "127.0.0.1", "::1"}
 
 _lock = threading.Lock()
@@ -65,8 +66,8 @@ class Ros1Bus:
 
     def check_sending(self) -> None:
         """Raise Fault if the node was shut down: rospy then drops messages without an error."""
-        if ros("rospy").is_shutdown():
-            raise Fault("this node was shut down, as rosnode kill does it")
+        if _shut_down():
+            raise Fault(_SHUT_DOWN)
 
     def close(self) -> None:
         """Deliver what was sent and release the topics; the node stays."""
@@ -85,11 +86,20 @@ class _Ros1Publisher:
         self._publisher = publisher
 
     def publish(self, message: Any) -> None:
-        self._publisher.publish(message)
+        try:
+            self._publisher.publish(message)
+        except ros("rospy").ROSException as error:
+            # rospy closes topics a moment before it calls itself shut down.
+            raise Fault(_SHUT_DOWN if _shut_down() else str(error)) from error
 
     def listeners(self) -> int:
         count: int = self._publisher.get_num_connections()
         return count
+
+
+def _shut_down() -> bool:
+    """Return whether the node was told to shut down, or has done so."""
+    return bool(ros("rospy").core.is_shutdown_requested())
 
 
 def ros1_message_classes() -> Messages:
