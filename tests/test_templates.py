@@ -2,7 +2,6 @@
 
 import runpy
 
-import numpy as np
 import pytest
 
 from kinfeas.core import registry
@@ -48,16 +47,3 @@ def test_folders_and_kinds_that_are_invalid_raise(tmp_path):
     assert write_distribution("task", "mine", tmp_path / "empty")
     with pytest.raises(KinfeasError, match=r"'robt'.*'robot'"):
         write_distribution("robt", "mine", tmp_path / "new")
-
-
-def test_a_backend_checks_its_own_numbers(tmp_path, offer):
-    write_distribution("backend", "lagging", tmp_path / "new")
-    offer(tmp_path / "new")
-    for lag in (-0.1, float("inf"), float("nan")):
-        with pytest.raises(KinfeasError, match="lag"):
-            registry.build("kinfeas.backends", "lagging", {"lag": lag})
-    with pytest.raises(KinfeasError, match="lag"):
-        registry.build("kinfeas.backends", "lagging", {"lag": "x"})
-    backend = registry.build("kinfeas.backends", "lagging", {"lag": 0})
-    backend.reset(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.zeros((1, 2)))
-    assert backend.step(np.zeros((1, 6)), np.ones((1, 2)), 0.1).joint_positions.tolist() == [[1, 1]]

@@ -42,13 +42,6 @@ def test_robots_and_tasks_need_different_names(mine, tmp_path):
         read_benchmark(mine, [f"tasks={json.dumps(['a/fetch.yaml', 'b/fetch.yaml'])}"])
 
 
-def test_invalid_motion(mine, tmp_path):
-    motion = "subgoals: [{place: cup, motion: {generator: leap}}]"
-    (tmp_path / "fetch.yaml").write_text(TASK.replace("subgoals: [{place: cup}]", motion))
-    with pytest.raises(KinfeasError, match="leap"):
-        read_benchmark(mine, ["tasks=[fetch.yaml]"])
-
-
 VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
 
 
@@ -59,20 +52,13 @@ VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
         ("tasks=[ggr, fly]", "fly"),
         ("robots=[]", "robots"),
         ("seeds=[1, 1]", "seeds"),
-        ("trainings=[{robot: pr2, algorithm: ppo}]", "trainings.0.algorithm"),
         (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
         ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
         ("rows=[{label: a}, {label: a, tasks: [ggr]}]", "rows"),
         ("rows=[{label: ''}]", "rows"),
         ("rows=[{label: a, settings: ['world.slw=1']}]", "slw"),
-        ("settings=['world.dt=0']", "dt"),
     ],
 )
 def test_the_wrong_key_or_value_is_named(mine, override, named):
     with pytest.raises(KinfeasError, match=named):
         read_benchmark(mine, [override])
-
-
-def test_rows_of_other_robots_or_tasks_may_share_a_label():
-    rows = "rows=[{label: a, tasks: [ggr]}, {label: a, tasks: [ggr_restricted]}]"
-    assert len(study({}, rows).rows) == 2

@@ -5,14 +5,13 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark import jobs as module
-from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs, thinned
+from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.evaluate import evaluate, prepare
 from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
@@ -108,22 +107,6 @@ def test_results_are_those_of_an_evaluation_and_are_kept(tmp_path, monkeypatch):
         run_jobs(few, tmp_path)
 
 
-def test_an_interruption_keeps_finished_jobs(tmp_path, monkeypatch):
-    few, compute = small("robots=[hsr]", "tasks=[ggr]")[:3], module.compute
-
-    def interrupted(job):
-        if job.policy == "follow_ee":
-            raise KeyboardInterrupt
-        return {"success": 0.5}
-
-    monkeypatch.setattr(module, "compute", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run_jobs(few, tmp_path)
-    assert len(list(tmp_path.iterdir())) == 2
-    monkeypatch.setattr(module, "compute", compute)
-    assert run_jobs(few, tmp_path)[0] == {"success": 0.5}
-
-
 @pytest.mark.slow
 def test_processes_change_nothing(tmp_path):
     few = small("robots=[hsr]")
@@ -140,19 +123,3 @@ def test_workspace_samples():
     assert len(kept["infeasible"]) == records.failures.sum() > 0
     assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
     assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)
-
-
-def test_thinning_spreads_evenly():
-    points = np.repeat(np.arange(30.0)[:, np.newaxis], 3, axis=1)
-    assert thinned(points, 10)[[0, 9], 0].tolist() == [0.0, 29.0]
-    assert [len(thinned(points[:count], 10)) for count in (0, 7, 30)] == [0, 7, 10]
-
-
-def test_baselines_are_built_first(monkeypatch):
-    def missing(name, robot):
-        raise KinfeasError("needs a package")
-
-    monkeypatch.setattr(module, "load_policy", missing)
-    with pytest.raises(KinfeasError, match="package"):
-        module.check_baselines(small())
-    assert load_policy("follow_ee", load_robot("hsr"))

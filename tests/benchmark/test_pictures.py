@@ -6,12 +6,10 @@ from kinfeas.benchmark.pictures import (
     curves_figure,
     draw_pictures,
     evaluation_curve,
-    table_figure,
     training_curve,
     workspace_figure,
 )
 from kinfeas.benchmark.runs import Run
-from kinfeas.viz.style import png
 from tests.benchmark.benchmark_cases import cells, findings, result, study
 
 
@@ -37,11 +35,6 @@ def test_curves_have_common_steps():
     np.testing.assert_allclose(success, [[0.7, 0.9], [0.5, 0.7]])
 
 
-def test_a_run_without_a_finished_episode_has_no_curve():
-    short = {**metrics(1000, 0.8, 0.9), "train/success": np.full(5, np.nan)}
-    assert np.isnan(training_curve([short, metrics(1000, 0.8, 0.9)])[1][0]).all()
-
-
 @pytest.fixture
 def runs(tmp_path):
     made = []
@@ -53,25 +46,6 @@ def runs(tmp_path):
         )
         made.append(Run(folder, robot, algorithm, seed, "ggr"))
     return made
-
-
-def test_learning_curves(runs):
-    figure = curves_figure(runs, {"pr2": {"ceiling": 0.98, "paper": 0.902}})
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["PR2, ggr"]
-    names = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
-    assert "SAC training, mean and std of 2 seeds" in names
-    assert [text.get_text() for text in figure.axes[0].texts] == ["paper 90.2%", "ceiling 98.0%"]
-
-
-def test_table_has_a_panel_for_each_robot_variant_and_task():
-    figure = table_figure(cells(), "A note.")
-    assert len(figure.axes) == 3 * 2
-    first = figure.axes[0]
-    assert [label.get_text() for label in first.get_yticklabels()] == [
-        "learned, SAC", "learned, SAC, feasibility filter", "follow_ee",
-    ]  # fmt: skip
-    assert [text.get_text() for text in first.texts] == ["92.0", "97.0", "60.0"]
-    assert png(figure).startswith(b"\x89PNG")
 
 
 def test_workspace():

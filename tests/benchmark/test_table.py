@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from kinfeas.benchmark.jobs import CEILING, Job
 from kinfeas.benchmark.markdown import to_markdown
-from kinfeas.benchmark.table import interval, merged, tabulate
+from kinfeas.benchmark.table import interval, tabulate
 from kinfeas.core.metrics import wilson
 from tests.benchmark.benchmark_cases import cells, result
 
@@ -74,10 +74,6 @@ def test_parts_are_joined_beside_the_analytic_world():
     assert (plain.success_low, plain.success_high) == (expected.low, expected.high)
 
 
-def test_a_metric_that_a_part_lacks_is_unknown():
-    assert merged([result(0.5, task_success=0.1), result(0.5)])["task_success"] is None
-
-
 @given(st.lists(st.integers(0, 50).map(lambda hits: hits / 50.0), min_size=1, max_size=6))
 def test_the_interval_holds_the_mean_and_no_less_than_wilson(shares):
     found = interval(shares, 50)
@@ -105,10 +101,3 @@ def test_markdown():
     assert text.index("## HSR") < text.index("## PR2, goals")
     assert "Collisions" not in text
     assert "![Episodes without a failure](table.png)" in text
-
-
-def test_markdown_of_a_physical_world():
-    text = to_markdown(physical(), "", ["kinfeas benchmark"])
-    for entry in ("**70.0** (70.0)", "75.0 (75.0)", "1.00 / 0.00 (50.0)", "*94.2 (95.0)*"):
-        assert entry in text
-    assert text.count("&nbsp;without physics") == 1

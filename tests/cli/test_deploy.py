@@ -8,21 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core import registry
 from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.policies import pretrained
 from kinfeas.tasks.loading import load_task
 from tests.cli.conftest import check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
-
-
-class Clinging(AnalyticBackend):
-    """A world that cannot be closed."""
-
-    def close(self):
-        raise RuntimeError("still busy")
-
 
 OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot"
 HSR = ("--robot", "hsr", "--no-real-time")
@@ -86,12 +76,6 @@ def test_record_of_an_own_robot_can_be_read_elsewhere(run, kinfeas, tmp_path, mo
     kinfeas("view", "--record", "../run.csv", code=0)
 
 
-def test_adapters_change_the_run(run, tmp_path):
-    (tmp_path / "mine.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
-    paths = [run(*BRIEF, *more)[1].base_pose for more in ((), ("--adapters", "mine.yaml"))]
-    assert not (paths[0] == paths[1]).all()
-
-
 def test_guards_come_from_a_file_and_from_settings(run, tmp_path):
     (tmp_path / "guards.yaml").write_text("{max_linear_velocity: 0.05, max_distance: 0.02}")
     words = ("--guards", "guards.yaml", "--set", "guards.max_linear_velocity=0.02")
@@ -111,20 +95,14 @@ def test_guards_come_from_a_file_and_from_settings(run, tmp_path):
         (("--backend", "analytik"), "'analytic'"),
         (("--generator", "linea"), "'linear'"),
         (("--filters", "feasability"), "'feasibility'"),
-        (("--adapters", ""), "harsh"),
         (("--rate", "5", "--real-time"), "guards.max_age"),
-        (("--record", "/nowhere/run.csv"), "/nowhere"),
         (("--record", "taken.csv"), "taken.csv"),
         (("--record", "run.txt"), "run.txt"),
         (("--guards", "none.yaml"), "none.yaml"),
-        (("--guards", "taken.csv"), "taken.csv"),
         (("--set", "guards.sped=1"), "guards.sped"),
-        (("--set", "guards.max_linear_velocity=-1"), "guards.max_linear_velocity"),
         (("--set", "head_start=1e300"), "head_start"),
-        (("--set", "backend.wheels=3"), "'wheels'"),
         (("--set", "task.orientation=so3"), "--task"),
         (("--backend", "pybullet", "--set", "backend.physics={gravity: -1}"), "gravity"),
-        (("--backend", "ros1", "--set", "backend.timeout=soon"), "timeout"),
         (("--backend", "ros2", "--robot", str(OWN_ROBOT / "scout.yaml")), "backend.topics"),
         (("--robot", "pr2"), "'tiago'"),
         (("--goal", "1.5", "0", "2.2"), "guards.reach=false"),
@@ -154,45 +132,12 @@ def test_policy_and_target_must_be_given(kinfeas, arguments):
     check_one_line(kinfeas("deploy", *arguments))
 
 
-def test_unreachable_sub_goal_is_an_error(kinfeas, tmp_path):
-    place = "{position: [1.5, 0, %s], rpy: [0, 0, 0]}"
-    places = f"places: {{low: {place % 0.8}, high: {place % 2.2}}}"
-    (tmp_path / "up.yaml").write_text(
-        f"name: up\n{places}\nsubgoals: [{{place: low}}, {{place: high}}]"
-    )
-    check_one_line(
-        kinfeas("deploy", "pretrained", "--backend", "analytic", "--task", "up.yaml"),
-        "sub-goal 2 of 2",
-    )
-
-
-def test_reach_guard_can_be_switched_off(run):
-    words = ("--goal", "1.5", "0", "2.2", "--set", "guards.reach=false")
-    run(*BRIEF, *words, code=4)
-
-
-@pytest.mark.parametrize(("more", "warns"), [((), True), (("--set", "time_scale=0.25"), False)])
-def test_base_slower_than_the_hand_is_warned_of(run, more, warns):
-    words = ("--goal", "-1.5", "1", "0.9", "--set", "guards.max_linear_velocity=0.05")
-    done, _ = run(*BRIEF, *words, *more)
-    assert ("time_scale" in done.err) is warns
-
-
 def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):
     done = kinfeas("deploy", *BRIEF, "--record", "run.csv", "--json", "/dev/full", code=4)
     stopped, unwritten = done.err.splitlines()
     assert stopped.startswith("stopped: ")
     assert unwritten.startswith("--json: /dev/full")
     assert len(read_record(tmp_path / "run.csv").time) == 5 + 2
-
-
-def test_backend_that_cannot_be_closed_keeps_the_exit_code(run, monkeypatch, tmp_path):
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-    registry.register("kinfeas.backends", "clinging", Clinging)
-    done, record = run("pretrained", *HSR, *GOAL, *QUICK, "--backend", "clinging", code=0)
-    assert "still busy" in done.err
-    assert record.event[-1] == REACHED
-    assert "still busy" in json.loads((tmp_path / "run.json").read_text())["unclosed"]
 
 
 @pytest.mark.parametrize("policy", ["run", "tiago.onnx"])

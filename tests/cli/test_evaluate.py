@@ -103,18 +103,13 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     ("arguments", "named"),
     [
         (("--policy", "follow_me"), "'follow_me'"),
-        (("--policy", ""), "policy"),
         (("--task", "gr"), "'gr'"),
         (("--world", "pybulet"), "'pybullet'"),
-        (("--set", "world.dt=0"), "world.dt"),
         (("--set", "word.dt=0.1"), "'world'"),
         (("--set", "task.colour=1"), "colour"),
-        (("--set", "world.adapters=[{name: nois}]"), "'nois'"),
         (("--filters", "feasability"), "'feasibility'"),
-        (("--adapters", ""), "harsh"),
         (("--adapters", "broken.yaml"), "base_noise"),
         (("--head-start", "-1"), "world.head_start"),
-        (("--time-scale", "0"), "world.time_scale"),
         (("--gui",), "gui"),
         (("--no-objects",), "objects"),
         (("--episode", "2"), "--episode"),
@@ -127,12 +122,6 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
 def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
     (tmp_path / "broken.yaml").write_text("adapters: [{name: base_noise, linear: [2, 1]}]")
     check_one_line(kinfeas(*SHORT, *arguments), named)
-
-
-def test_window_needs_a_screen(kinfeas, monkeypatch):
-    pytest.importorskip("pybullet")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    check_one_line(kinfeas(*SHORT, *PYBULLET, "--gui"), "DISPLAY")
 
 
 def test_speed(evaluate, kinfeas, tmp_path, monkeypatch):

@@ -7,17 +7,7 @@ import pytest
 from kinfeas.cli import options, output
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
-from tests.cli.conftest import check_one_line
 from tests.sim2real.policy_cases import write_policy_file, write_run
-
-
-def test_json_is_written_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "out.json"
-    output.write_json({"a": [1, 2.5, None]}, path)
-    with pytest.raises(ValueError, match="JSON"):
-        output.write_json({"a": float("nan")}, path)
-    assert json.loads(path.read_text()) == {"a": [1, 2.5, None]}
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_output_files_are_checked_in_advance(tmp_path):
@@ -43,20 +33,6 @@ def test_json_on_standard_output_is_alone_there(kinfeas, tmp_path, path):
     assert "motion generator linear" in done.err
     assert list(tmp_path.iterdir()) == []
     assert "linear" in kinfeas("plugins", "check", "linear", "--duration", "60").out
-
-
-@pytest.mark.parametrize("line", ["view --picture room.png", "view --json room.json"])
-def test_full_disk_leaves_the_old_file(kinfeas, tmp_path, monkeypatch, line):
-    def full_disk(path, content, **_):
-        with path.open("wb") as file:
-            file.write(b"the first bytes")
-        raise OSError(28, "No space left on device")
-
-    path = tmp_path / line.split()[-1]
-    path.write_text("old")
-    monkeypatch.setattr(Path, "write_bytes", full_disk)
-    check_one_line(kinfeas(*line.split()), path.name)
-    assert path.read_text() == "old"
 
 
 def test_tables_show_text_without_markup_and_whole(capsys, monkeypatch):
@@ -98,17 +74,3 @@ def test_robot_of_a_policy(tmp_path):
     assert options.robot_of(str(tmp_path / "own")) == str(own)
     with pytest.raises(KinfeasError, match=str(tmp_path)):
         options.robot_of(str(tmp_path))
-
-
-def test_filters_become_an_assignment():
-    assert options.with_filters(None, ["a=1"]) == ["a=1"]
-    assert options.with_filters("x, y", ["a=1"], "") == ['filters=["x", "y"]', "a=1"]
-    assert options.with_filters("none", []) == options.with_filters([], []) == ["world.filters=[]"]
-
-
-def test_policies_complete_with_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "runs" / "mine").mkdir(parents=True)
-    (tmp_path / "runs" / "mine" / "config.yaml").touch()
-    assert options.complete_policy("ru") == ["runs/mine"]
-    assert options.complete_policy("follow_ee_") == ["follow_ee_feedback"]

@@ -38,15 +38,6 @@ def test_robot_without_shapes(robot, tmp_path):
     assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_guesses_are_shown(robot):
-    found = robot("--out", "new").out
-    assert re.search(r"base.drive +│ differential", found)
-    assert re.search(r"arm.pan.velocity +│ 1 rad/s", found)
-    found = robot("--out", "my robots", "--drive", "omnidirectional").out
-    assert "base.drive" not in found
-    assert "kinfeas ceiling --robot 'my robots/dolly.yaml'" in found
-
-
 def test_existing_files_are_kept(robot, tmp_path):
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "dolly.yaml").write_text("mine")

@@ -68,14 +68,6 @@ def test_resume_of_a_finished_run_changes_nothing(kinfeas, run_folder):
     assert files(run_folder) == before
 
 
-def test_longer_schedule_extends_a_finished_run(kinfeas, run_folder):
-    before = (run_folder / "config.yaml").read_text()
-    outcome = kinfeas("train", "--resume", "run", "--steps", "128", code=0)
-    assert "finished" not in outcome.err
-    assert (run_folder / "config.yaml").read_text() == before.replace("steps: 64", "steps: 128")
-    assert json.loads((run_folder / "evaluation.json").read_text())["steps"] in (64, 128)
-
-
 def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
     steps, step = [], training._Run._step
 
@@ -106,17 +98,11 @@ def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_
         (("--robot", "none/robot.yaml"), "none/robot.yaml"),
         (("--task", "fly"), "'fly'"),
         (("--config", "train/none"), "train/tiago"),
-        (("--config", "../pyproject"), "../pyproject"),
         (("--adapters", "hars"), "'harsh'"),
         (("--set", "learner.lerning_rate=1"), "'learning_rate'"),
         (("--set", "world.adapters=[{name: nois}]"), "'nois'"),
-        (("--set", "nonsense"), "key=value"),
         (("--minutes", "0"), "schedule.minutes"),
-        (("--minutes", "nan"), "schedule.minutes"),
-        (("--steps", "-3"), "schedule.steps"),
         (("--seed", "-1"), "seed"),
-        (("--seed", "4294967296"), "seed"),
-        (("--algorithm", "ppo"), "ppo"),
         (("--init", "follow_ee", "--steps", "8"), "follow_ee"),
         (("--init", "nowhere"), "nowhere"),
         (("--world", "pybullet", "--config", "train/default"), "--world pybullet"),
@@ -132,18 +118,11 @@ def test_bad_input_is_one_line(kinfeas, monkeypatch, tmp_path, arguments, named)
     assert not (tmp_path / "runs").exists()
 
 
-def test_broken_and_taken_folders_are_one_line(kinfeas, run_folder):
+def test_taken_folder_is_one_line(kinfeas, run_folder):
     before = files(run_folder)
     outcome = kinfeas(*SHORT)
     check_one_line(outcome, "--resume run")
     assert files(run_folder) == before
-    outcome = kinfeas(*SHORT, "--out", "run/config.yaml/run")
-    check_one_line(outcome)
-    state = run_folder / "checkpoints" / "last" / "state.safetensors"
-    state.write_bytes(state.read_bytes()[:100])
-    check_one_line(kinfeas("train", "--resume", "run", "--steps", "128"))
-    shutil.rmtree(run_folder / "checkpoints" / "best")
-    check_one_line(kinfeas("train", "--resume", "run"))
 
 
 @pytest.mark.parametrize("words", [("--out", "."), ("--resume", ".")])

@@ -22,8 +22,6 @@ PLAIN = st.recursive(
     ("text", "value"),
     [
         ("1e-3", 1e-3),
-        (".5", 0.5),
-        ("7", 7),
         ("-12_000_000", -12_000_000),
         ("1000_000", "1000_000"),
         (".inf", math.inf),
@@ -51,8 +49,6 @@ def test_scalars_are_those_of_yaml_1_2(text, value):
         ("!!python/object/apply:os.getcwd []", "os.getcwd"),
         ("a: 1\n---\nb: 2", "line 2"),
         ("[" * 5000, "broken YAML"),
-        ("!!int x", "broken YAML"),
-        ("{[a]: 1}", "broken YAML"),
         ("a: \x00", "broken YAML"),
     ],
 )

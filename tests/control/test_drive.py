@@ -116,16 +116,3 @@ def test_action_toward_stays_within_bounds_and_stands_still_for_nothing(base):
     for zero in (0.0, -0.0):
         rest = action_toward(base, random_bases(9), np.full((9, 2), zero), DT)
         np.testing.assert_array_equal(rest, 0.0)
-
-
-@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
-def test_rows_do_not_depend_on_the_batch(base):
-    poses, action = random_bases(67), random_actions(base, 67)
-    velocity = np.random.default_rng(5).normal(scale=0.2, size=(67, 2))
-    twist, toward = base_twist(base, poses, action, DT), action_toward(base, poses, velocity, DT)
-    for i in range(67):
-        row = slice(i, i + 1)
-        np.testing.assert_array_equal(base_twist(base, poses[row], action[row], DT), twist[row])
-        np.testing.assert_array_equal(
-            action_toward(base, poses[row], velocity[row], DT), toward[row]
-        )

@@ -229,22 +229,6 @@ def test_errors_of_backends_name_them(solver):
     assert caught.value.__notes__ == ["raised by backend Recorder"]
 
 
-def test_snapshot_goes_on_to_the_bit(solver):
-    rng, loop = np.random.default_rng(3), make_loop(solver, 4)
-    for _ in range(5):
-        loop.step(actions(loop, 4, rng))
-    saved, rest = loop.snapshot(), [actions(loop, 4, rng) for _ in range(10)]
-    expected = []
-    for action in rest:
-        loop.step(action)
-        expected.append(loop.observation)
-    again = Loop(solver, [SubgoalMotion(Linear())], AnalyticBackend())
-    again.restore(saved)
-    for action, observation in zip(rest, expected, strict=True):
-        again.step(action)
-        np.testing.assert_array_equal(again.observation, observation)
-
-
 def targets_at(loop, *shifts):
     """Return targets so near to the EE that sub-goals end at once, shape (n, sub-goals, 7)."""
     poses = np.repeat(loop.desired[:, np.newaxis], len(shifts), axis=1)

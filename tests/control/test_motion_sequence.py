@@ -76,14 +76,6 @@ def everyone(sequence):
     return np.ones(len(sequence.subgoal), dtype=bool)
 
 
-def test_tool_tip_is_ahead_along_the_approach_axis(robot):
-    tool = tool_pose(robot)
-    approach = spatial.rotation(tool).as_matrix()[:, 0]
-    np.testing.assert_allclose(robot.tool_tip, np.linalg.norm(robot.tool_tip) * approach, atol=1e-9)
-    gripper = spatial.compose(np.array([*np.zeros(3), *robot.gripper_rotation]), tool)
-    np.testing.assert_allclose(np.abs(gripper[6]), 1.0, atol=1e-9)
-
-
 def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
     sequence, linear = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")]), Linear()
     tool = np.broadcast_to(tool_pose(robot), (6, 7))

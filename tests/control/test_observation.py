@@ -82,14 +82,6 @@ def test_quaternions_are_unit_with_w_not_negative(solver):
         assert quaternion[:, 3].min() >= 0.0
 
 
-def test_rows_do_not_depend_on_the_batch(solver):
-    given = parts(solver, 37)
-    together = observe(Seen(*given))
-    for i in range(37):
-        one = observe(Seen(*(part[i : i + 1] for part in given)))
-        np.testing.assert_array_equal(one, together[i : i + 1])
-
-
 def test_scales_and_descriptions_have_the_size_of_observations(robot):
     assert scale(robot).shape == (size(robot),)
     # The w of a small rotation is 1.

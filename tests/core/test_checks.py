@@ -24,11 +24,8 @@ SOUND = RobotState(np.tile(IDENTITY, (3, 1)), np.zeros((3, 5)))
     [
         np.zeros((3, 5)),
         np.zeros(SHAPE).tolist(),
-        None,
-        np.zeros(SHAPE).astype(str),
         np.zeros(SHAPE).astype(object),
         np.full(SHAPE, np.nan),
-        np.full(SHAPE, np.inf),
     ],
 )
 def test_other_arrays_raise_errors(value):
@@ -121,15 +118,11 @@ BAD = {
     "missing rows": ({"start": {"goal": POSES[:1]}}, "goal"),
     "words": ({"start": {"goal": np.array(["a"] * 3)}}, "goal"),
     "a goal of twists": ({"goal": ZERO}, "goal_pose"),
-    "a goal of nan": ({"goal": POSES * np.nan}, "goal_pose"),
     "a long goal": ({"goal": POSES * 2.0}, "goal_pose"),
     "no pair": ({"twist": ZERO}, "twist"),
     "a short twist": ({"twist": (ZERO[:, :3], STATE)}, "twist"),
-    "a listed twist": ({"twist": (ZERO.tolist(), STATE)}, "twist"),
     "nan": ({"twist": (ZERO * np.nan, STATE)}, "twist"),
-    "infinity": ({"twist": (ZERO + np.inf, STATE)}, "twist"),
     "no next state": ({"twist": (ZERO, None)}, "twist"),
-    "a state of objects": ({"twist": (ZERO, {"goal": POSES.astype(object)})}, "goal"),
     "a short base": ({"base": POSES[:2]}, "base_pose"),
 }
 

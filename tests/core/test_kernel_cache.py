@@ -1,7 +1,6 @@
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numba
@@ -76,13 +75,6 @@ def test_a_lock_is_no_link_to_another_file(nowhere, monkeypatch):
     (nowhere / "kinfeas" / "lock").symlink_to(nowhere / "theirs")
     assert kernel_cache.open_lock() is None
     assert not (nowhere / "theirs").exists()
-
-
-def test_an_import_does_not_wait_for_a_lock_without_end(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(kernel_cache, "_DEADLINE", time.monotonic())
-    with kernel_cache._alone() as first, kernel_cache._alone() as second:
-        assert (first, second) == (True, False)
 
 
 @pytest.mark.slow

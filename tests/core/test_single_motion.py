@@ -145,29 +145,16 @@ class NoPair(Approach):
         return super().twist(state, ee_pose, target_pose, dt)[0]
 
 
-class ShortTwist(Approach):
-    def twist(self, state, ee_pose, target_pose, dt):
-        twist, state = super().twist(state, ee_pose, target_pose, dt)
-        return twist[:3], state
-
-
 class WordInState(Approach):
     def start(self, ee_pose, target_pose, rng):
         return {**super().start(ee_pose, target_pose, rng), "way": "up"}
-
-
-class NoState(Approach):
-    def start(self, ee_pose, target_pose, rng):
-        return target_pose
 
 
 @pytest.mark.parametrize(
     ("single", "word"),
     [
         (NoPair, "NoPair.twist"),
-        (ShortTwist, "ShortTwist.twist"),
         (WordInState, "WordInState.start.*'up'"),
-        (NoState, "NoState.start"),
         (Growing, "Growing.start"),
     ],
 )

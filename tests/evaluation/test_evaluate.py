@@ -17,7 +17,6 @@ from kinfeas.evaluation.evaluate import (
     evaluate,
     prepare,
     reachability_of,
-    read_settings,
     run,
 )
 from kinfeas.policies.loading import load_policy
@@ -102,12 +101,6 @@ def test_workers_end_with_their_parent():
         process.kill()
         # Ends when no process holds the pipe any more.
         assert process.communicate(timeout=60)[0] == b""
-
-
-def test_settings_begin_at_the_backend_s_own():
-    read = read_settings("hsr", "analytic", ["world.dt=0.05", "task.orientation=so3"])
-    assert read.world == replace(evaluation_world(), dt=0.05)
-    assert read.task == {"orientation": "so3"}
 
 
 def test_names_and_settings_make_an_evaluation():

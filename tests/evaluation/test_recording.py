@@ -50,14 +50,6 @@ def test_a_recording_has_the_goals_of_all_sub_goals(hsr):
     np.testing.assert_array_equal(one.goal, one.goals[-1])
 
 
-def test_a_recording_is_of_the_world_s_stream(world):
-    world.stream = (1,)
-    (one,) = record_episodes(world, FollowEe(world.robot.base), 1, first=5)
-    world.start([5])
-    np.testing.assert_array_equal(one.base_pose[0], world.loop.state.base_pose[0])
-    np.testing.assert_array_equal(one.joint_positions[0], world.loop.state.joint_positions[0])
-
-
 @TASKS
 def test_goals_and_waypoints_are_those_of_the_world(robot, solver, task):
     """Desired poses do not depend on the base; a sub-goal ends where the achieved EE arrives."""

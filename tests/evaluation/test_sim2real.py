@@ -1,5 +1,3 @@
-import json
-
 import pytest
 
 from kinfeas.config import PluginSpec
@@ -7,10 +5,8 @@ from kinfeas.evaluation.sim2real import (
     ALL,
     AXES,
     NONE,
-    evaluations,
     measure_costs,
     measure_sweeps,
-    to_json,
     with_value,
 )
 from kinfeas.viz.plots import sim2real_figure
@@ -56,17 +52,6 @@ def test_a_sweep_changes_one_parameter():
     assert with_value(ADAPTERS[1:], noise, 0.1) == (added, ADAPTERS[1])
     assert with_value(ADAPTERS[:1], latency, 0.1)[-1].name == "command_latency"
     assert with_value(ADAPTERS, head_start, 2.0)[-1] == PluginSpec("head_start", {"seconds": 2.0})
-
-
-def test_json_has_all_metrics():
-    runs = Runs()
-    costs, sweeps = measure_costs(runs, ADAPTERS), measure_sweeps(runs, ADAPTERS)
-    assert len(runs.adapters) == evaluations(ADAPTERS, AXES)
-    data = json.loads(json.dumps(to_json(costs, sweeps)))
-    assert [cost["adapter"] for cost in data["costs"]] == [cost.adapter for cost in costs]
-    for sweep, axis in zip(data["sweeps"], AXES, strict=True):
-        assert tuple(point["value"] for point in sweep["points"]) == axis.values
-        assert {"success", "success_low"} <= sweep["points"][0].keys()
 
 
 @pytest.mark.parametrize("swept", [True, False])

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import bare_stand, find_arm, link_pose, read_hand
+from kinfeas.importer.arm import find_arm, link_pose, read_hand
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
@@ -31,7 +31,6 @@ def test_finds_the_arms_of_shipped_robots(name):
     assert names(arm.joints) == names(robot.arm)
     assert arm.hand in robot.urdf.rigid[robot.ee_frame]
     assert set(names(arm.fingers)) == set(robot.gripper.fingers)
-    assert not bare_stand(robot.urdf, arm)
 
 
 def test_of_several_arms_one_is_chosen():
@@ -75,29 +74,6 @@ def test_robots_without_an_arm_are_errors(dolly, changed):
         find_arm(parse_urdf(dolly), "base", "dolly")
     with pytest.raises(KinfeasError, match=r"^dolly: no arm"):
         arm_of(changed(('type="revolute"', 'type="fixed"'), ("continuous", "fixed")))
-
-
-NECK = fixed("neck", "revolute")
-HEAD = (
-    '<link name="head"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>',
-    '<link name="head"/>',
-)
-SLIDE = ('<joint name="pan" type="continuous">', '<joint name="pan" type="prismatic">')
-LIMIT = ('<axis xyz="0 0 1"/></joint>', '<axis xyz="0 0 1"/><limit lower="0" upper="1"/></joint>')
-
-
-@pytest.mark.parametrize(
-    ("changes", "stand"),
-    [
-        ((), ""),  # a head moves on it
-        ((NECK,), ""),  # two bodies
-        ((NECK, HEAD), "base"),
-        ((NECK, HEAD, SLIDE, LIMIT), ""),  # a lift
-    ],
-)
-def test_an_arm_on_a_single_body_may_have_no_base(changed, changes, stand):
-    path = changed(*changes)
-    assert bare_stand(parse_urdf(path), arm_of(path)) == stand
 
 
 def test_link_poses_are_those_of_forward_kinematics():
@@ -164,16 +140,3 @@ def test_a_single_jaw_closes_along_the_finger_axis(changed):
     turns = ('name="l" type="prismatic"', 'name="l" type="revolute"')
     found = axes(hand_of(changed(fixed("r"), turns, (limit.format(4), limit.format(9)))).rotation)
     np.testing.assert_allclose(found, np.eye(3)[:, [0, 2, 1]] * [1, 1, -1], atol=1e-9)
-
-
-@pytest.mark.parametrize("axis", ["1 0 0", "-1 0 0"])
-def test_a_flange_points_away_from_its_parent(changed, axis):
-    shape = '<collision><origin xyz="0.1 0.2 0"/><geometry><sphere radius="0.1"/></geometry>'
-    path = changed(
-        *WITHOUT_FINGERS,
-        ('origin xyz="0.05 0 0"', 'origin xyz="-0.1 0 0"'),
-        ('<link name="wrist"/>', f'<link name="wrist">{shape}</collision></link>'),
-        ('name="mount" type="fixed"', 'name="mount" type="continuous"'),
-        ('<axis xyz="0 0 0"/>', f'<axis xyz="{axis}"/>'),
-    )
-    np.testing.assert_allclose(axes(hand_of(path).rotation)[:, 0], [1.0, 0.0, 0.0], atol=1e-9)

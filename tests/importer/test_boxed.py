@@ -102,12 +102,6 @@ def test_primitives_and_joints_stay(dolly):
         assert [one.size for one in after.links[name].shapes] == [one.size for one in link.shapes]
 
 
-@pytest.mark.parametrize("shape", ['<box size="0.4 0.4 0.00002"/>', '<sphere radius="0.00001"/>'])
-def test_very_thin_shapes_stay(changed, shape):
-    (found,) = boxed(changed((PALM, shape))).links["palm"].shapes
-    assert found.size[-1] == 1e-4
-
-
 def test_many_shapes_of_a_link_become_few_that_enclose_them(changed):
     rng = np.random.default_rng(0)
     centres = rng.uniform(-0.2, 0.2, (300, 3)).round(4)
@@ -141,7 +135,7 @@ def test_a_mesh_becomes_primitives_in_metres(changed, tmp_path, suffix):
     np.testing.assert_allclose(sorted(palm.shapes[0].size), size + 2.0 * MARGIN, atol=1e-4)
 
 
-@pytest.mark.parametrize("corners", [None, "", "v nan 0 0", "v 1e5 0 0", "v 1e300 0 0"])
+@pytest.mark.parametrize("corners", [None, "", "v nan 0 0", "v 1e5 0 0"])
 def test_broken_meshes_are_errors(changed, corners):
     path = changed((PALM, '<mesh filename="part.obj"/>'))
     if corners is not None:
@@ -149,16 +143,6 @@ def test_broken_meshes_are_errors(changed, corners):
         path.with_name("part.obj").write_text(face)
     with pytest.raises(KinfeasError, match=r"link 'palm'.*<mesh>.*part\.obj"):
         boxed_urdf(path)
-
-
-@pytest.mark.parametrize(("suffix", "missing"), [("stl", "trimesh"), ("dae", "collada")])
-def test_missing_readers_are_named(changed, tmp_path, monkeypatch, suffix, missing):
-    mesh_file(tmp_path, suffix, triangles(CUBE))
-    monkeypatch.setattr(
-        "kinfeas.importer.boxed.find_spec", lambda name: None if name == missing else name
-    )
-    with pytest.raises(KinfeasError, match=r"kinfeas\[meshes\]"):
-        boxed_urdf(changed((PALM, f'<mesh filename="part.{suffix}"/>')))
 
 
 def test_visual_shapes_replace_missing_collision_shapes(changed):

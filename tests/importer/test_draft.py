@@ -147,12 +147,6 @@ def test_pairs_that_touch_are_those_of_the_shipped_file(hsr):
     assert free_share(with_pairs(bare, found)) > 0.3
 
 
-def test_fingers_are_no_joints_between_links(changed):
-    path = changed(TOUCHING, *[(f'"{j}" type="prismatic"', f'"{j}" type="revolute"') for j in "lr"])
-    found = built_to_touch(build_robot(spec_of(path), parse_urdf(path), path, "dolly"))
-    assert 1.0 / 3.0 < found["left", "lower"] < 0.95
-
-
 def test_the_home_is_free_in_front_and_off_the_limits(hsr, monkeypatch):
     home, (lower, upper) = comfortable(hsr), hsr.finite_joint_limits
     assert np.all(np.minimum(home - lower, upper - home) > 0.02 * (upper - lower))
@@ -188,11 +182,3 @@ def test_useful_heights_are_those_of_the_shipped_file(monkeypatch):
     inside = (heights.at >= low) & (heights.at <= high)
     assert heights.share[inside].mean() > 0.9
     assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5
-
-
-def test_lengths_in_millimetres_are_an_error():
-    robot = load_robot("tiago")
-    lift = replace(robot.urdf.joints["torso_lift_joint"], origin=np.array([0, 0, 790, 0, 0, 0, 1]))
-    urdf = replace(robot.urdf, joints=robot.urdf.joints | {lift.name: lift})
-    with pytest.raises(KinfeasError, match=r"tiago.*79\d m"):
-        useful_heights(replace(robot, urdf=urdf))

@@ -58,16 +58,6 @@ def test_what_is_written_is_read_back(tmp_path_factory, suffix, samples, seed):
         np.testing.assert_allclose(getattr(read, name), getattr(written, name), atol=1e-15)
 
 
-def test_a_folder_is_read_in_the_order_of_names(tmp_path):
-    for seed, name in enumerate(("b.npz", "a.csv", "c.csv")):
-        write_demonstration(demonstration(seed=seed), tmp_path / name)
-    (tmp_path / "notes.txt").write_text("not a demonstration")
-    names = [path.name for path in demonstration_files(tmp_path)]
-    assert names == ["a.csv", "b.npz", "c.csv"]
-    read = read_demonstrations(tmp_path)
-    assert [shown.time[0] for shown in read] == [demonstration(seed=s).time[0] for s in (1, 0, 2)]
-
-
 def test_other_columns_and_any_order_are_allowed(tmp_path):
     write_demonstration(demonstration(), tmp_path / "one.csv")
     lines = (tmp_path / "one.csv").read_text().splitlines()
@@ -125,9 +115,7 @@ INVALID = {
     "ee_pose": np.zeros((5, 6)),
     "time": np.arange(2.0),
     "time[2]": np.array([0.0, 1.0, 1.0, 2.0, 3.0]),
-    "time[4]": np.array([0.0, 1.0, 2.0, 3.0, 1e300]),
     "object_pose[0]": np.full((5, 7), np.nan),
-    "ee_pose[0]": np.full((5, 7), 1e300),
     "base_pose[0]": np.zeros((5, 7)),
 }
 

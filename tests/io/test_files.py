@@ -11,7 +11,6 @@ from kinfeas.io.files import (
     alone,
     find_folder,
     is_path,
-    is_standard_output,
     read_file,
     reading,
     replaced,
@@ -26,13 +25,6 @@ def test_names_and_paths():
         assert is_path(name)
     for name in ("pr2", "my_robot", "my.robot", "yaml", "my.yaml.bak", "", 3):
         assert not is_path(name)
-
-
-def test_recognizes_standard_output(tmp_path):
-    for path in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
-        assert is_standard_output(Path(path))
-    for path in ("/dev/stderr", "/dev/null", "/dev/fd/2", tmp_path / "1", "-"):
-        assert not is_standard_output(Path(path))
 
 
 def test_a_file_is_replaced_or_stays_and_nothing_is_left_beside_it(tmp_path):
@@ -92,15 +84,6 @@ def test_standard_output_is_written_to(capfd):
     assert replaced(Path("/dev/stdout")) is replaced(Path("/dev/stderr")) is None
 
 
-def test_write_protected_files_stay(tmp_path, monkeypatch):
-    path = tmp_path / "file"
-    path.write_bytes(b"1")
-    monkeypatch.setattr(os, "access", lambda *_: False)  # nothing is write-protected to root
-    with pytest.raises(KinfeasError, match="file"):
-        write_file(path, b"2")
-    assert path.read_bytes() == b"1"
-
-
 class Killed(BaseException):
     """Stands for SIGKILL."""
 
@@ -143,17 +126,6 @@ def killed_while_writing(monkeypatch, folder, text, after):
     return False
 
 
-def test_folders_are_replaced(tmp_path):
-    folder = tmp_path / "some" / "last"
-    assert find_folder(folder) == folder
-    write(folder, "1")
-    (folder / "c").write_text("left over")
-    write(folder, "2")
-    assert read(folder) == "2"
-    assert [path.name for path in folder.parent.iterdir()] == ["last"]
-    assert sorted(path.name for path in folder.iterdir()) == ["a", "b"]
-
-
 def test_a_complete_folder_remains_after_two_kills(tmp_path, monkeypatch):
     for first in range(9):
         for second in range(10):
@@ -165,18 +137,6 @@ def test_a_complete_folder_remains_after_two_kills(tmp_path, monkeypatch):
             assert before in {"1", "2"}
             killed_while_writing(monkeypatch, folder, "3", second)
             assert read(folder) in {before, "3"}
-
-
-def test_a_folder_remains_if_the_disk_is_full(tmp_path):
-    folder = tmp_path / "last"
-    write(folder, "1")
-
-    def fill(fresh):
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(KinfeasError, match=r"last.*No space left on device"):
-        write_folder(folder, fill)
-    assert read(folder) == "1"
 
 
 def test_locks_of_folders(tmp_path):

@@ -60,8 +60,6 @@ def test_a_run_has_the_metadata_of_its_best_checkpoint(tmp_path):
         ({}, "pr2", None),
         ({"robot": "my/pr2.yaml", "world": {"dt": 0.02}}, "my/pr2.yaml", 0.02),
         ({"robot": 5, "world": {"dt": float("inf")}}, "5", None),
-        ({"world": {"dt": "0.1"}}, "pr2", None),
-        ({"world": [0.1]}, "pr2", None),
     ],
 )
 def test_robot_and_period_of_the_configuration(tmp_path, config, robot, period):

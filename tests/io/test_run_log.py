@@ -107,12 +107,10 @@ BROKEN = {
     "another version": ("# kinfeas record 1", "# kinfeas record 9", "not a run log"),
     "dt": ('"dt": 0.02', '"dt": -1', "line 1.*'dt'"),
     "missing": ('"robot": "pr2", ', "", "line 1.*'robot'"),
-    "unknown": ('"robot": "pr2"', '"robt": "pr2"', "line 1.*'robt'"),
     "JSON": ('"task": "door",', '"task": "door"', "line 1.*JSON"),
     "joints": ('["shoulder", "elbow, the left"]', "[]", "line 1.*'joints'"),
     "columns": ('elbow, the left"]', 'wrist"]', "line 2"),
     "nan": ("\n0.0200,", "\nnan,", "line 4"),
-    "far": ("\n0.0200,", "\n1e300,", "line 4"),
     "text": ("\n0.0200,", "\nsoon,", "line 4"),
     "more": ("\n0.0200,", "\n0.0200,1,", "line 4"),
 }
@@ -135,11 +133,4 @@ def test_invalid_quaternions_and_empty_runs(path):
         read_record(path)
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
     with pytest.raises(KinfeasError, match="before its first step"):
-        read_record(path)
-
-
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"# kinfeas record 1 [[\n"])
-def test_other_files(path, content):
-    path.write_bytes(content)
-    with pytest.raises(KinfeasError, match=f"^{path}"):
         read_record(path)

@@ -5,14 +5,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkOptions, IkSolver, spread, spread_configurations
-from kinfeas.kinematics.search import _out_of_reach
+from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
@@ -189,22 +186,6 @@ def test_redundant_joints_are_centred(name):
     assert abs(away(ends[1]) - away(start)) < 0.02
 
 
-def test_centring_loses_no_solution_within_the_joint_step(tiago):
-    robot, step = tiago.robot, TIME * tiago.robot.max_joint_velocity
-    joints = draw_free(tiago, 1000)
-    targets = forward(tiago.chain, joints)
-    targets[:, :3] += np.random.default_rng(4).normal(scale=0.01, size=(1000, 3))
-    free = IkSolver(robot, replace(EXACT, centering=0.0))
-    found, others = (solver.solve(targets, joints, step) for solver in (tiago, free))
-    within = [
-        one.feasible & np.all(displacement(robot, joints, one.joint_positions) <= step * 1.001, 1)
-        for one in (found, others)
-    ]
-    assert within[1].mean() > 0.3
-    assert np.all(within[0][within[1]])
-    np.testing.assert_array_equal(found.feasible, others.feasible)
-
-
 def test_an_ee_at_rest_leaves_the_arm_at_rest_and_seeds_may_be_beyond_the_limits(tiago):
     joints = draw_free(tiago, 200)
     targets = forward(tiago.chain, joints)
@@ -293,21 +274,6 @@ def test_feasible_is_within_the_pose_tolerance(hsr):
     assert missed[:, 0].max() > 0.05  # the tolerance is used
 
 
-def test_poses_within_the_pose_tolerance_are_not_out_of_reach(hsr):
-    poses, tolerance = forward(hsr.chain, draw(hsr.robot, 2000)), hsr.robot.pose_tolerance
-    turns = spatial.rotation(poses).as_matrix()
-    lever = turns @ hsr.chain.ee_rotation.T @ hsr.chain.ee_offset
-    out = poses[:, :3] - lever - hsr._problem.reach[:3]
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    # Moved and turned by the tolerance, so that the last joint would be farther out.
-    axis = np.cross(out, lever)
-    axis *= 0.999 * tolerance.rotation / np.linalg.norm(axis, axis=1, keepdims=True)
-    turned = Rotation.from_rotvec(axis).as_matrix() @ turns
-    moved = poses[:, :3] + 0.999 * tolerance.position * out
-    for turn, position in zip(turned, moved, strict=True):
-        assert not _out_of_reach(hsr._problem, (turn, position))
-
-
 def test_a_seed_within_the_pose_tolerance_always_has_a_solution(hsr):
     solver, tolerance = IkSolver(hsr.robot, IkOptions(restarts=0)), hsr.robot.pose_tolerance
     joints = draw(hsr.robot, 20_000)
@@ -318,14 +284,6 @@ def test_a_seed_within_the_pose_tolerance_always_has_a_solution(hsr):
     assert stay.sum() > 5000
     for step in (None, TIME * hsr.robot.max_joint_velocity):
         assert solver.solve(targets[stay], joints[stay], step).feasible.all()
-
-
-def test_spread_points_fill_boxes_by_volume():
-    points = spread(4096, 3)
-    for corner in np.random.default_rng(0).uniform(0.3, 1.0, (50, 3)):
-        share = np.all(points < corner, axis=1).mean()
-        assert share == pytest.approx(corner.prod(), abs=0.01)
-    np.testing.assert_allclose(points[60:100], spread(40, 3, 60))
 
 
 def test_configurations_are_within_the_limits_and_differ_by_seed(tiago):

@@ -65,20 +65,6 @@ def test_the_object_s_pose_and_pauses_do_not_matter():
     assert np.allclose(knots([_paused(one) for one in shown]), expected, atol=1e-5)
 
 
-def test_learns_a_turn_on_the_spot_and_from_times_whose_sum_rounds():
-    time, angle = np.linspace(0.0, 2.0, 50), np.linspace(0.0, 1.5, 50)
-    ee = make_pose(np.full((50, 3), 0.2), Rotation.from_rotvec(angle[:, np.newaxis] * [0, 1, 0]))
-    still = np.tile(IDENTITY, (50, 1))
-    path = knots([Demonstration(time, ee, still, still)], components=4)
-    turned = Rotation.from_quat(path[:, 3:]).magnitude()
-    assert np.allclose(turned, np.linspace(0.0, 1.5, 257), atol=0.02)
-    assert np.allclose(path[:, :3], 0.2, atol=1e-6)
-    time = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.1, 120))
-    time[-1] = np.nextafter(time[-2], np.inf)
-    shown = replace(door_demonstrations(1)[0], time=time)
-    assert fit([shown], "gaussian_mixture").model.components
-
-
 def test_learns_the_base_if_all_demonstrations_have_one():
     shown = door_demonstrations(12, scatter=0.0)
     base = learned_path(fit(shown).model).base

@@ -55,11 +55,6 @@ def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
         Waypoints(file=write_waypoints(tmp_path / "untimed.csv", rest))
 
 
-def test_a_ramp_longer_than_the_path_is_all_of_it(files):
-    knots = [Waypoints(file=files["waypoints"], ramp=ramp).path.knots for ramp in (1e3, 1e9)]
-    assert np.array_equal(*knots)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "time"),
     [("w.yml", YAML + "time: [0.5, 2]\n", [0.5, 2.0]), ("w.csv", CSV, None),
@@ -81,11 +76,9 @@ def test_files_are_yaml_or_csv(tmp_path, name, text, time):
         ("w.yaml", YAML + "speed: 2\n", "'speed'"),
         ("w.yaml", YAML + "time: [1]\n", "'time'"),
         ("w.yaml", YAML + "time: [1, 1]\n", "waypoint 2"),
-        ("w.yaml", YAML + "time: [0, 1e300]\n", "waypoint 2"),
         ("w.yaml", YAML.replace("0.7071]", "0.9]"), "waypoint 2"),
         ("w.csv", "x,y,z,qx,qy,qz\n", "'qw'"),
         ("w.csv", CSV.replace("4,0", "inf,0"), "waypoint 2"),
-        ("w.csv", CSV.replace("4,0", "4e6,0"), "waypoint 2"),
         ("w.csv", TIMED.replace(",2\n", ",nan\n"), "waypoint 2"),
     ],
 )

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.observation import HORIZON
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import integrate, make_pose, planar_pose, relative, wrap, yaw
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import IkSolver, spread_configurations
@@ -81,14 +80,6 @@ def test_demonstrated_base_arrives_at_the_shifted_pose(robot, shift):
     away = np.linalg.norm(given.base_pose[:, :2] - aim, axis=1)
     assert away.max() < (1e-6 if omni else 0.06)
     assert np.abs(wrap(yaw(given.base_pose) - heading)).max() < 1e-3
-
-
-def test_demonstrated_base_keeps_the_speed_of_the_ee(robot):
-    given = demonstrated(robot)
-    twist = drive(DemonstratedBase(robot.base), given, robot.base)
-    way = np.linalg.norm(twist[:, :2] * HORIZON, axis=1)
-    ee = np.linalg.norm(given.planned[:, :3] - given.desired[:, :3], axis=1)
-    assert np.all(way <= np.maximum(ee, 0.05 * HORIZON) + 1e-9)
 
 
 def test_demonstrated_base_follows_the_ee_without_a_demonstration(robot):
@@ -172,12 +163,6 @@ def test_ik_reaches_far_more_within_the_ellipses():
     assert found[within].mean() > 2.5 * found[~within].mean()
 
 
-@pytest.mark.parametrize("heights", [{"ggr": (5.0, 6.0)}, {"shelf": (0.2, 1.2)}])
-def test_ellipses_need_goal_heights_within_reach(heights):
-    with pytest.raises(KinfeasError, match="goal_heights"):
-        fit_ellipses(replace(load_robot("hsr"), goal_heights=heights))
-
-
 def test_the_model_of_the_qp_agrees_with_our_kinematics(robot):
     pin = pytest.importorskip("pinocchio")
     model, chain, carried = qp.build_model(robot), build_chain(robot), action_size(robot.base)
@@ -201,9 +186,3 @@ def test_the_qp_moves_the_base_if_the_ee_moves_away(robot):
     twist = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     given = policy_inputs(robot, 1, twist, base_pose=base, joints=np.array([middle]))
     assert drive(qp.whole_body_qp(robot), given, robot.base)[0, 0] > 0.03
-
-
-def test_the_qp_names_missing_packages(robot, monkeypatch):
-    monkeypatch.setattr(qp, "find_spec", lambda name: None if name == "pink" else name)
-    with pytest.raises(KinfeasError, match=r"pink.*kinfeas\[qp\]"):
-        qp.whole_body_qp(robot)

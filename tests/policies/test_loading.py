@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark.speed import random_network
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
-from kinfeas.policies.loading import BASELINES, GROUP, load_policy
+from kinfeas.policies.loading import BASELINES, load_policy
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.testing import ConformanceError, check_policy
@@ -33,10 +32,6 @@ def trained(hsr, tmp_path):
 @pytest.mark.parametrize("name", sorted({*BASELINES} - {"geometric_modulation"}))  # takes long
 def test_baselines_keep_the_contract_of_policies(hsr, name):
     check_policy(load_policy(name, hsr), hsr)
-
-
-def test_baselines_are_entry_points():
-    assert set(BASELINES) <= set(registry.names(GROUP))
 
 
 def test_a_trained_policy_by_its_folder(hsr, trained):

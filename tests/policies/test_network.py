@@ -7,7 +7,6 @@ from safetensors.numpy import load_file, save_file
 
 from kinfeas.control.observation import CLIP
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.policy import PolicyInput
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import Network, read_network, write_network
 from kinfeas.robots.loading import load_robot
@@ -55,12 +54,6 @@ def test_no_bit_depends_on_the_batch(size):
     assert (net(observation[:0]).shape, together.dtype) == ((0, 3), np.float64)
 
 
-def test_acts_on_the_observation_alone():
-    net, observation = network(), observations(4)
-    policy_input = PolicyInput(observation, *[np.full((4, 7), np.nan)] * 6)
-    np.testing.assert_array_equal(net.act(policy_input), net(observation))
-
-
 @pytest.fixture(scope="module")
 def pr2():
     return load_robot("pr2")
@@ -81,7 +74,6 @@ SCALE = network().scale
     "scale",
     [
         np.full_like(SCALE, np.nan),
-        SCALE[:, np.newaxis],
         SCALE[0],
         SCALE.astype(np.float64),
     ],

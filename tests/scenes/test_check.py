@@ -83,10 +83,6 @@ def test_an_object_may_be_on_another_one(write, height):
     read_scene(write(SHELF, f"[1.0, 0.0, {height}]{AROUND}"))
 
 
-def test_a_handle_may_be_above_a_table(write):
-    read_scene(write("[1.0, 0.0, 0.0]", "[-0.3, 0.0, 0.0]"))
-
-
 THING = "{name: own, size: [4, 4], objects: {thing: {urdf: thing.urdf, position: [1, 0, 0.5]}}}"
 BOX = "<collision><geometry><box size='.1 .1 .1'/></geometry></collision>"
 JOINT = "<joint name='j' type='{}'><parent link='a'/><child link='b'/><axis xyz='1 0 0'/>"

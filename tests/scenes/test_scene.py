@@ -66,11 +66,6 @@ def test_handles_are_where_the_method_has_them(room):
         np.testing.assert_allclose(rotation(pose).apply([0.0, 0.0, 1.0]), [0.0, 0.0, 1.0])
 
 
-def test_handles_name_the_joints_that_move_them(room):
-    assert room.handles["door"].joint == "hinge"
-    assert room.handles["drawer"].joint == "slide"
-
-
 @pytest.mark.parametrize("angle", [0.3, 1.0, 1.6755])
 def test_an_opened_door_carries_its_handle_round_the_hinge(room, angle):
     closed = room.handle_pose("door")
@@ -144,13 +139,9 @@ def test_a_scene_with_other_furniture(write, tmp_path, room, folder):
     ("old", "new", "where"),
     [
         ("table.urdf", "tabel.urdf", "'objects.table.urdf'.*table.urdf"),
-        ("table.urdf", "parts/table.urdf", "'objects.table.urdf'"),
         ("object: shelf", "object: shell", "'handles.door.object'.*'shell'.*'shelf'"),
         ("link: handle", "link: knob", "'handles.door.link'.*'knob'"),
-        ("urdf: table.urdf, ", "", "'objects.table.urdf'"),
         ("position: [1.0,", "place: [1.0,", "'objects.table.place'"),
-        ("[1.0, 0.0, 0.0]", "[1.0, 0.0]", "'objects.table.position"),
-        ("4.0, 3.0", "4.0, 0.0", r"size.1'"),
         ("0.4]}", "0.4], joints: {hinge: -1}}", "joints': hinge.*-1"),
         ("0.4]}", "0.4], joints: {slide: 0}}", "'slide'.*hinge"),
         ("0.4]}", "0.4], joints: {door_to_handle: 0}}", "'door_to_handle'"),

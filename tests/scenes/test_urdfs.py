@@ -4,7 +4,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from kinfeas.core.spatial import IDENTITY, distance, planar_pose, relative, rotation
+from kinfeas.core.spatial import IDENTITY, distance
 from kinfeas.robots.urdf import parse_urdf
 from kinfeas.scenes import scene as scenes
 from kinfeas.scenes.check import Solids
@@ -31,17 +31,6 @@ def test_doors_and_drawers_open_all_the_way_without_touching_their_body(name, jo
     for position in np.linspace(0.0, upper, 60):
         body, moved = parts(name, **{joint: position})
         assert not Solids(body, -PLAY).touches(Solids(moved)), position
-
-
-@pytest.mark.parametrize(("name", "joint", "upper"), MOVING)
-def test_they_stand_close_within_their_body(name, joint, upper):
-    # Pushed aside, they touch: the test above sees what it looks for.
-    body, moved = parts(name)
-    poses = np.stack([shape.pose for shape in moved])
-    pushed = Solids(moved)
-    for aside in ([0.0, 0.01, 0.0], [0.0, -0.01, 0.0], [0.0, 0.0, 0.01], [0.0, 0.0, -0.01]):
-        pushed.place(rotation(poses).as_matrix(), poses[:, :3] + aside)
-        assert pushed.touches(Solids(body))
 
 
 def test_the_method_s_numbers():
@@ -91,12 +80,3 @@ def test_pybullet_reads_the_same_masses_joints_and_places(bullet, path):
             metres, radians = distance(seen, poses[name])
             assert metres < 1e-6
             assert radians < 1e-6
-
-
-def test_link_poses_follow_the_root():
-    path = scenes._FOLDER / "shelf_with_door.urdf"
-    one = loaded(path, hinge=0.7)
-    pose = planar_pose(np.array(1.0), np.array(2.0), np.array(0.5))
-    moved = SceneObject(path, one.urdf, pose, True, one.joint_positions)
-    for name, at in one.link_poses().items():
-        np.testing.assert_allclose(relative(moved.link_poses()[name], pose), at, atol=1e-12)

@@ -1,27 +1,23 @@
 import hashlib
 import json
-import math
 import re
 import runpy
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 
-from kinfeas.control.observation import Seen, observe, scaled
-from kinfeas.core import registry
+from kinfeas.control.observation import Seen, observe
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import Network, read_network, write_network
-from kinfeas.policies.onnx_policy import TOLERANCE, PolicyMetadata, read_policy_file
+from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
 from kinfeas.sim2real import export as export_module
 from kinfeas.sim2real.export import GOLDEN_PAIRS, export
 from tests.sim2real.policy_cases import write_run
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "export.md").read_text()
 EXAMPLE = ROOT / "examples" / "onnx_inference.py"
 
 
@@ -55,28 +51,6 @@ def test_any_number_of_layers(pr2, tmp_path, sizes):
     assert policy.metadata.training == policy.metadata.success == {}
 
 
-def test_acts_as_the_trained_actor(pr2, tmp_path):
-    torch = pytest.importorskip("torch")
-    from kinfeas.envs.world import World, WorldConfig
-    from kinfeas.training.config import LearnerConfig
-    from kinfeas.training.learner import make_learner, network_of
-    from kinfeas.training.vec_env import WorldVecEnv
-
-    task = registry.build("kinfeas.tasks", "ggr", {})
-    env = WorldVecEnv(World(pr2, task, WorldConfig(), 0), 2)
-    config = LearnerConfig(net_arch=(64, 64), buffer_size=100)
-    learner = make_learner(config, env, 0)
-    with torch.no_grad():
-        for parameter in learner.actor.parameters():
-            parameter.mul_(3.0)  # so that no action is near 0
-    write_network(network_of(learner, env.scale), tmp_path, pr2, {})
-    policy, _ = export(tmp_path, pr2, tmp_path / "policy.onnx")
-    seen = env.world.start(range(64))
-    expected, _ = learner.predict(scaled(seen, env.scale), deterministic=True)
-    assert np.abs(expected).max() > 0.5
-    np.testing.assert_allclose(policy(seen), expected, rtol=0.0, atol=TOLERANCE)
-
-
 def test_takes_the_best_checkpoint_and_its_run_s_figures(pr2, tmp_path):
     run = tmp_path / "runs" / "mine"
     best = write_run(pr2, run / "checkpoints" / "best")
@@ -106,17 +80,6 @@ def test_a_policy_that_deviates_is_not_written(pr2, tmp_path, monkeypatch):
     assert not (tmp_path / "policy.onnx").exists()
 
 
-def test_settings_and_figures_that_are_no_numbers_become_words(pr2, tmp_path):
-    endless = {"task_parameters": {"speeds": [math.inf, -math.inf, math.nan]}, "world": {"dt": 0.1}}
-    write_run(pr2, tmp_path, extra={"config": endless})
-    (tmp_path / "evaluation.json").write_text('{"success": NaN, "episodes": 9}')
-    policy, _ = export(tmp_path, pr2, tmp_path / "policy.onnx")
-    words = ["inf", "-inf", "nan"]
-    assert policy.metadata.training["config"]["task_parameters"] == {"speeds": words}
-    assert policy.metadata.success["evaluation"] == {"success": "nan", "episodes": 9}
-    assert policy.metadata.control.period == 0.1
-
-
 def test_inference_with_onnxruntime_alone(pr2, tmp_path, monkeypatch):
     write_run(pr2, tmp_path)
     export(tmp_path, pr2, tmp_path / "pr2.onnx")
@@ -138,13 +101,6 @@ def test_the_example_observes_as_the_loop_does():
     joints = rng.normal(size=(50, 7))
     shown = [example["observe"](*row, angles) for *row, angles in zip(*poses, joints, strict=True)]
     np.testing.assert_allclose(shown, observe(Seen(*poses, joints)), atol=1e-12)
-
-
-def test_the_page_names_every_entry():
-    for field in fields(PolicyMetadata):
-        assert f"| `kinfeas.{field.name}` |" in PAGE
-    assert "| `kinfeas.schema` |" in PAGE
-    assert "| `kinfeas.digest` |" in PAGE
 
 
 def test_the_digest_can_be_computed_with_onnx_alone(pr2, tmp_path):

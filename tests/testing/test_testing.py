@@ -153,8 +153,6 @@ TurnsTooFast = after_twist(lambda twist, state: (twist * [1, 1, 1, 2, 2, 2], sta
 TwistOfWrongShape = after_twist(lambda twist, state: (twist[:, :3], state))
 BAD = {
     "state without rows": ("form", after_start(lambda target: {"clock": np.zeros(1)})),
-    "goal of wrong shape": ("form", with_goal(lambda goal, time: goal[:, :3])),
-    "no pair": ("form", after_twist(lambda twist, state: twist)),
     "twist of wrong shape": ("form", TwistOfWrongShape),
     "NaN at the goal": ("form", NanAtTheGoal),
     "other keys": ("layout", after_twist(lambda twist, state: (twist, {**state, "last": twist}))),
@@ -217,10 +215,6 @@ def test_the_time_allowed_can_be_set():
         check_motion_generator(Good(), duration=5.0)
 
 
-def test_targets_can_be_given():
-    check_motion_generator(Good(), target_poses=np.array([[1.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0]]))
-
-
 def test_examine_tells_all_rules_of_a_good_generator():
     steps = []
     findings = examine(Good(), Trial(duration=30.0, dt=0.1), on_step=lambda: steps.append(1))
@@ -238,12 +232,6 @@ def test_examine_goes_on_after_a_light_fault_and_stops_at_a_grave_one():
     by_rule = {one.rule: one for one in examine(TwistOfWrongShape())}
     assert by_rule["form"].broken
     assert not by_rule["arrival"].checked
-
-
-def test_examine_of_other_objects():
-    form, *others = examine(object(), name="mine")
-    assert form.broken.startswith("motion generator mine ")
-    assert not any(one.checked for one in others)
 
 
 @pytest.mark.parametrize("error", [KeyError("gaol"), SystemExit(0)])

@@ -90,14 +90,6 @@ def test_exploration_scatters_about_the_actor(config, env):
         np.testing.assert_allclose(exact, mean, atol=1e-6)
 
 
-def test_the_seed_decides_the_weights(config, env):
-    first, same, other = (
-        network_of(make_learner(config, env, seed), env.scale) for seed in (3, 3, 4)
-    )
-    assert first.equals(same)
-    assert not first.equals(other)
-
-
 @pytest.mark.parametrize(
     ("schedule", "half", "end"), [("constant", 6e-4, 6e-4), ("linear", 3e-4, 0.0)]
 )

@@ -137,11 +137,8 @@ def test_settings_that_a_checkpoint_lacks_have_their_defaults(write_run):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [
-        ("steps", -8), ("steps", 1.5), ("seconds", float("nan")), ("seconds", -1.0), ("best", 2.0),
-        ("evaluations", -1), ("recent", [0.5]),
-    ],
-)  # fmt: skip
+    [("steps", -8), ("seconds", float("nan")), ("best", 2.0), ("recent", [0.5])],
+)
 def test_wrong_progress_raises(write_run, tmp_path, key, value):
     _, last = write_run()
     state = read_state(last)
@@ -151,7 +148,7 @@ def test_wrong_progress_raises(write_run, tmp_path, key, value):
         finished(tmp_path)
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"format": 2}', '{"format": 1}', None])
+@pytest.mark.parametrize("content", ["", '{"format": 2}', None])
 def test_a_foreign_checkpoint_raises(write_run, content):
     settings, last = write_run()
     if content is None:

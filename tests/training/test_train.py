@@ -150,9 +150,7 @@ STOPS = [
     (shutil, "copyfile", 1, kill),
     (vec_env.EpisodesVecEnv, "step_wait", 20, interrupt),
     (training, "explore", 15, interrupt),
-    (training, "summarize", 1, interrupt),
     (training, "write_network", 2, interrupt),
-    (training._Run, "_row", 1, interrupt),
 ]
 
 
@@ -268,9 +266,8 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
 
 @pytest.mark.parametrize(
     "override",
-    ["robot=pr3", "task=dance", "task_parameters={speed: 3}", "world.adapters=[{name: fog}]",
-     "init=follow_ee", "init=''"],
-)  # fmt: skip
+    ["task=dance", "world.adapters=[{name: fog}]", "init=follow_ee"],
+)
 def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path, override):
     with pytest.raises(KinfeasError):
         train(tiny(override), tmp_path / "run")
@@ -278,7 +275,7 @@ def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path,
 
 
 @pytest.mark.parametrize("file", ["state.json", "state.safetensors", "policy.safetensors"])
-@pytest.mark.parametrize("share", [0.0, 0.99, None])
+@pytest.mark.parametrize("share", [0.99, None])
 def test_a_broken_checkpoint_raises_and_stays(half, digest, file, share):
     path = half / "checkpoints" / "last" / file
     content = path.read_bytes()
@@ -317,27 +314,12 @@ def no_space(*_):
     raise OSError(28, "No space left on device")
 
 
-def test_a_full_disk_raises_and_loses_nothing(half, tmp_path, monkeypatch, digest):
+def test_a_full_disk_raises_and_loses_nothing(half, monkeypatch, digest):
     before = digest(half / "checkpoints" / "last")
     with monkeypatch.context() as patch, pytest.raises(KinfeasError, match=r"last: .*No space"):
         patch.setattr(checkpoint, "save_file", no_space)
         resume(half)
     assert digest(half / "checkpoints" / "last") == before
-    written = logs.Logs(tmp_path, 0)
-    monkeypatch.setattr(written._board, "add_scalar", no_space)
-    with pytest.raises(KinfeasError, match=r"tensorboard: .*No space"), written:
-        written.write({"steps": 1.0, "seconds": 1.0})
-
-
-def test_broken_metrics_raise_and_a_kill_does_not_lose_them(half, monkeypatch):
-    content = (half / "metrics.csv").read_bytes()
-    with monkeypatch.context() as patch, pytest.raises(KilledError):
-        patch.setattr(logs.csv.DictWriter, "writerows", lambda *_: kill())
-        resume(half)
-    assert (half / "metrics.csv").read_bytes() == content
-    (half / "metrics.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(KinfeasError, match=r"metrics\.csv"):
-        resume(half)
 
 
 def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(

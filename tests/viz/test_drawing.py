@@ -1,9 +1,7 @@
 import numpy as np
-import pytest
 from matplotlib.figure import Figure
 
 from kinfeas.core.spatial import IDENTITY
-from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.urdf import Shape
 from kinfeas.viz.drawing import (
     Solid,
@@ -11,7 +9,6 @@ from kinfeas.viz.drawing import (
     corners,
     draw_floor,
     draw_solids,
-    faces,
     robot_solids,
     show_all,
 )
@@ -40,29 +37,6 @@ def test_only_the_arm_moves_with_its_last_joint(robot):
     changed = [one for one, other in pairs if not np.allclose(one.shape.pose, other.shape.pose)]
     assert changed
     assert of_arm(changed) == changed
-
-
-def test_the_hand_is_where_the_forward_kinematics_has_it(hsr):
-    rng, chain = np.random.default_rng(0), build_chain(hsr)
-    lower, upper = hsr.finite_joint_limits
-    for joints in rng.uniform(lower, upper, (10, len(hsr.arm))):
-        arm = corners(of_arm(robot_solids(hsr, IDENTITY, joints)))
-        assert np.linalg.norm(arm - forward(chain, joints)[:3], axis=1).min() < 0.1
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [
-        Shape("box", (0.3, 0.2, 0.1), IDENTITY),
-        Shape("cylinder", (0.2, 0.4), IDENTITY),
-        Shape("sphere", (0.2,), IDENTITY),
-    ],
-)
-def test_faces_are_counter_clockwise_from_outside(shape):
-    for face in faces(shape):
-        normal = np.cross(face, np.roll(face, -1, axis=0)).sum(axis=0)
-        assert normal @ face.mean(axis=0) >= 0.0
-        assert np.all(np.abs(face) <= 0.4)
 
 
 def test_solids_fill_a_picture_and_the_nearer_one_is_seen():

@@ -5,7 +5,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.pages import ScenePage, episode_html, moments
+from kinfeas.viz.pages import ScenePage, episode_html
 
 
 def test_a_missing_viser_is_an_error_with_the_extra(monkeypatch):
@@ -47,12 +47,3 @@ def test_joints_move_their_shapes(page):
 def test_an_episode_page_is_self_contained(hsr, recordings):
     pytest.importorskip("viser")
     check_self_contained(episode_html(recordings[0], hsr))
-
-
-def test_few_moments_and_the_last_one_are_shown():
-    times = np.arange(0.0, 1000.0, 0.02)
-    shown = moments(times)
-    assert len(shown) <= 1201
-    assert (shown[0], shown[-1]) == (0, len(times) - 1)
-    assert np.all(np.diff(shown) > 0)
-    assert moments(np.array([3.0])).tolist() == [0]

@@ -4,7 +4,7 @@ import pytest
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.errors import KinfeasError
 from kinfeas.plugins.linear import Linear
-from kinfeas.testing.trial import Samples, Trial, sample_motions
+from kinfeas.testing.trial import Trial, sample_motions
 from kinfeas.viz.plots import learning_curve, motion_figure, read_metrics
 from kinfeas.viz.style import png
 
@@ -13,7 +13,6 @@ TABLE = """steps,seconds,train/success,evaluation/success
 1000,30,0.25,
 2000,60,0.5,0.75
 """
-STILL = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (101, 2, 1))
 
 
 @pytest.fixture
@@ -54,16 +53,3 @@ def test_paths_speeds_and_limits_are_drawn(limit):
     above, _, speed, _ = motion_figure("linear", samples, trial).axes
     assert len(above.lines) == 3 * 12
     assert len(speed.lines) == 12 + (limit is not None)
-
-
-def test_the_time_axis_ends_after_the_last_motion():
-    moving = np.zeros((100, 2, 6))
-    moving[:20, 0, 0] = moving[:40, 1, 5] = 0.1
-    moving[40:, 1, 5] = 1e-6  # too small to be seen
-    trial = Trial(duration=100.0, dt=1.0)
-    for twist, end in ((moving, 39.0), (np.zeros_like(moving), 99.0)):
-        _, _, *speeds = motion_figure("mine", Samples(STILL, twist, STILL[0], None), trial).axes
-        for axes in speeds:
-            assert end < axes.get_xlim()[1] < 1.1 * end
-    broken = Samples(STILL[:1], np.zeros((0, 2, 6)), STILL[0], "it broke")
-    assert "it broke" in motion_figure("mine", broken, Trial()).get_suptitle()

@@ -6,7 +6,6 @@ from kinfeas.sim2real.adapters.latency import (
     CommandLatency,
     DroppedCommands,
     SensorLatency,
-    active_shares,
 )
 from kinfeas.sim2real.adapters.noise import EeNoise
 
@@ -24,15 +23,6 @@ def test_whole_periods_delay_by_as_many_steps_to_the_bit(rig, drive, seconds, dt
     np.testing.assert_array_equal(late.sent[k:], sent[: 60 - k])
     np.testing.assert_array_equal(late.passed[:k], 0.0)
     np.testing.assert_array_equal(late.sent[:k, 0], np.broadcast_to(late.joints, (k, 7)))
-
-
-def test_a_fraction_of_a_period_is_the_mean_by_time(rig, drive):
-    late, twists, sent = rig(CommandLatency, seconds=0.06), drive(20), targets(20)
-    late.run(twists, 0.1, sent)
-    expected = 0.6 * twists[:-1] + 0.4 * twists[1:]
-    np.testing.assert_allclose(late.passed[1:], expected, atol=1e-12)
-    np.testing.assert_allclose(late.sent[1:], 0.6 * sent[:-1] + 0.4 * sent[1:], atol=1e-12)
-    np.testing.assert_allclose(late.passed[0], 0.4 * twists[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("seconds", [0.06, 0.1, 0.23])
@@ -119,13 +109,3 @@ def test_after_a_lost_command_the_last_one_is_active(rig, drive):
     assert came.mean() == pytest.approx(0.7, abs=0.03)
     held = np.concatenate([np.zeros((1, 30, 6)), lossy.passed[:-1]])
     np.testing.assert_array_equal(lossy.passed[~came], held[~came])
-
-
-def row(*values):
-    return np.array([values], dtype=float)
-
-
-def test_rounding_makes_no_fraction():
-    now = np.array([sum([0.02] * 50)])
-    shares = active_shares(row(-np.inf, *(now - 0.04 + 0.06), *(now + 0.06)), now, 0.02)
-    np.testing.assert_array_equal(shares, row(1, 0, 0))

@@ -50,19 +50,6 @@ def test_with_limited_jerk_the_command_is_met_and_hardly_passed(rig):
     assert limited.passed[..., 5].max() < 0.8 * 1.05
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "value"),
-    [
-        (AccelerationLimit, "linear", "max_acceleration"),
-        (AccelerationLimit, "angular", "max_rotation_acceleration"),
-        (VelocityClamp, "linear", "max_velocity"),
-        (VelocityClamp, "angular", "max_rotation"),
-    ],
-)
-def test_the_robots_limits_are_the_default(rig, pr2, kind, name, value):
-    assert rig(kind).adapter.ranges[name].low == getattr(pr2.base, value)
-
-
 @pytest.mark.parametrize("dt", [0.02, 0.1])
 def test_velocities_are_never_exceeded(rig, drive, pr2, dt):
     clamped = rig(VelocityClamp, n=9, linear=0.1, angular=0.3, joints=0.5)

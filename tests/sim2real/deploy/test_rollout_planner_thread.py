@@ -123,14 +123,3 @@ def test_errors_of_the_thread_are_raised_in_the_loop(planner, loop, monkeypatch)
     settle(planner)
     with pytest.raises(RuntimeError, match="boom"):
         planner(BACKWARDS, loop.policy_input)
-
-
-def test_starts_again_after_a_reset_and_copies_settings(planner, loop):
-    planner(BACKWARDS, loop.policy_input)
-    planner.reset(loop, ROWS)
-    assert planner._coming is None
-    planner.close()
-    planner.reset(loop, ROWS)
-    assert planner(BACKWARDS, loop.policy_input).shape == (1, 3)
-    other = RolloutPlannerThread.of(RolloutPlanner(**FAR))
-    assert (other.horizon, other.num_samples) == (10.0, 8)

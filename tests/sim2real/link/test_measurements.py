@@ -107,17 +107,6 @@ def test_the_age_is_that_of_the_oldest_part(inbox, time):
     assert inbox.state().age[0] == 3.0
 
 
-def test_repeated_measurements_and_queues_show_as_age(inbox, time):
-    readings, positions = inbox.readings(), joints_at(PR2).positions
-    for stamp in [7.0] * 5 + [7.0 + 0.02 * number for number in range(1, 101)]:
-        time.passes(0.1 if stamp == 7.0 else 1.0 / 45.0)  # sent at 50 Hz, read at 45 Hz
-        readings.base(BaseReading(0.0, 0.0, 0.0, stamp=stamp))
-        readings.joints(JointReading(positions, stamp=stamp))
-        if stamp == 7.0:
-            assert inbox.state().age[0] == pytest.approx(time.monotonic - 1000.1)
-    assert inbox.state().age[0] == pytest.approx(0.4 + 100 / 45.0 - 2.0, rel=0.02)
-
-
 def test_messages_that_were_overtaken_are_dropped(inbox):
     inbox.readings().joints(joints_at(PR2))
     for x, stamp in ((1.0, 10.0), (2.0, 10.0), (3.0, 9.95)):

@@ -60,15 +60,6 @@ def test_a_missing_package_is_named(monkeypatch):
         ros1.ros("imaginary_msgs.msg")
 
 
-def test_packages_of_the_system_come_last_on_the_path(monkeypatch, tmp_path):
-    (tmp_path / "imaginary_msgs.py").write_text("HERE = True\n")
-    (tmp_path / "json.py").write_text("raise AssertionError\n")
-    monkeypatch.setattr(ros1, "_DEBIAN", (str(tmp_path), str(tmp_path / "absent")))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    assert ros1.ros("imaginary_msgs").HERE
-    assert sys.path[-1] == str(tmp_path)
-
-
 def test_the_watchdog_imports_little():
     imported = "kinfeas.sim2real.ros.ros1, kinfeas.sim2real.deploy.watchdog"
     code = f"import sys, {imported}; print(*sys.modules)"

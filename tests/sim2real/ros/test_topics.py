@@ -54,8 +54,3 @@ def test_the_gripper_message_of_the_pr2_is_one_of_ros_1(tmp_path):
     assert read_topics(HSR, 1, str(path)).gripper.kind == "pr2"
     with pytest.raises(KinfeasError, match=r"topics\.yaml: 'gripper\.kind'"):
         read_topics(HSR, 2, str(path))
-
-
-def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(KinfeasError, match=r"pr3.*hsr, pr2, tiago"):
-        read_topics(HSR, 2, "pr3")
