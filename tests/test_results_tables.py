@@ -38,22 +38,7 @@ def test_every_row_of_the_readme_is_filled():
         assert f"| {name} in PyBullet, paper | 45.6 |" in filled
 
 
-def test_a_study_takes_the_place_of_its_own_cells_alone():
-    one, new = STUDY[7], {**STUDY[7], **NEW}
-    more = {**one, "policy": "mine"}
-    assert SCRIPT["merged"](STUDY, [new, more]) == [*STUDY[:7], new, *STUDY[8:], more]
-
-
 def test_a_row_whose_name_has_changed_is_an_error():
     changed = README.replace("| TIAGo, `whole_body_qp` |", "| TIAGo, QP |")
     with pytest.raises(SystemExit, match=r"README\.md: no row 'TIAGo, `whole_body_qp`'; its fig"):
         SCRIPT["fill_readme"](changed, STUDY, IN_PYBULLET)
-
-
-def test_pages_without_their_tables_are_errors():
-    changed = RESULTS.replace("## Learning curves", "## Learning")
-    with pytest.raises(SystemExit, match=r"results\.md: no tables before 'Learning curves'; its"):
-        SCRIPT["fill_results"](changed, STUDY)
-    changed = PHYSICS.replace("PR2 also uses", "It uses")
-    with pytest.raises(SystemExit, match=r"physics\.md: no table of success"):
-        SCRIPT["fill_physics"](changed, IN_PYBULLET)

@@ -1,19 +1,13 @@
 import json
 from collections import Counter
 
-import numpy as np
 import pytest
 
 from kinfeas.benchmark import jobs as module
-from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs
+from kinfeas.benchmark.jobs import CEILING, PART, plan_jobs, run_jobs
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.episodes import run_episodes
-from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.evaluate import evaluate, prepare
-from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.robots.loading import load_robot
-from kinfeas.tasks.ggr import ggr
 from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
 
 
@@ -112,14 +106,3 @@ def test_processes_change_nothing(tmp_path):
     few = small("robots=[hsr]")
     alone, shared = run_jobs(few, tmp_path / "one"), run_jobs(few, tmp_path / "two", 2)
     assert json.dumps(alone) == json.dumps(shared)
-
-
-def test_workspace_samples():
-    robot = load_robot("tiago")
-    world = World(robot, ggr(), WorldConfig(max_failures=9, max_seconds=10.0), seed=1)
-    samples = WorkspaceSamples()
-    records = run_episodes(world, FollowEe(robot.base), 6, watch=samples)
-    kept = {kind: np.array(points) for kind, points in samples.kept().items()}
-    assert len(kept["infeasible"]) == records.failures.sum() > 0
-    assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
-    assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)

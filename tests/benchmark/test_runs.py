@@ -18,7 +18,6 @@ from kinfeas.benchmark.runs import (
 )
 from kinfeas.benchmark.speed import random_network
 from kinfeas.core.errors import KinfeasError
-from kinfeas.policies import pretrained
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
@@ -83,13 +82,6 @@ def test_settings_of_a_training():
 def test_invalid_trainings(overrides, named):
     with pytest.raises(KinfeasError, match=named):
         plan_runs(study({}, *overrides), OUT)
-
-
-def test_shipped_policies_are_not_trained(monkeypatch):
-    monkeypatch.setattr(pretrained, "robots", lambda root=None: ["hsr"])
-    assert plan_runs(study({}, *TWO, "policies=pretrained"), OUT) == []
-    either = plan_runs(study({}, *TWO, "policies=either"), OUT)
-    assert {settings.robot for settings, _ in either} == {"pr2"}
 
 
 def made(folder, seed, success):

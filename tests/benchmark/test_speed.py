@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark import peers, speed
-from kinfeas.benchmark.peers import Peer, arm_urdf, pinocchio_peer
+from kinfeas.benchmark.peers import Peer, arm_urdf
 from kinfeas.benchmark.speed import (
     Effort,
     Figure,
@@ -80,13 +80,6 @@ def test_solved_targets_are_verified(pr2, cold, warm):
     beyond = Peer("beyond", lambda pose: pose, lambda target, seed: seed + 100.0)
     assert time_peer(pr2, lazy, warm, repeats=1).solved <= 0.05
     assert time_peer(pr2, beyond, warm, repeats=1).solved == 0.0
-
-
-def test_pinocchio_solves_the_same_targets(pr2, cold, warm):
-    pytest.importorskip("pinocchio")
-    peer = pinocchio_peer(pr2)
-    assert time_peer(pr2, peer, warm, repeats=1).solved >= 0.98
-    assert time_peer(pr2, peer, cold, repeats=1).solved >= 0.95
 
 
 def test_the_arm_of_the_peers_is_ours(robot, solver):

@@ -118,18 +118,9 @@ def test_bad_input_is_one_line_and_leaves_no_record(kinfeas, tmp_path, arguments
     assert (tmp_path / "taken.csv").read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("", *GOAL),
-        (".", *GOAL),
-        ("pretrained", "--backend", "analytic"),
-        ("pretrained", "--task", "ggr", "--generator", "linear"),
-        ("pretrained", "--task", "ggr", "--set", "generator.gain=1"),
-    ],
-)
-def test_policy_and_target_must_be_given(kinfeas, arguments):
-    check_one_line(kinfeas("deploy", *arguments))
+@pytest.mark.parametrize("more", [(), ("--task", "ggr", "--set", "generator.gain=1")])
+def test_a_target_must_be_given(kinfeas, more):
+    check_one_line(kinfeas("deploy", "pretrained", "--backend", "analytic", *more))
 
 
 def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):

@@ -36,21 +36,12 @@ def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, 
     assert str(tmp_path) not in text
 
 
-def test_demonstrations_without_a_base_are_named(kinfeas, shown):
-    one = door_demonstrations(1)[0]
-    write_demonstration(replace(one, base_pose=one.base_pose * np.nan), shown / "2.npz")
-    outcome = kinfeas("fit", "--demonstrations", "shown", "--out", "door.yaml", code=0)
-    assert "2.npz" in outcome.out
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
         (["--demonstrations", "nowhere"], "nowhere"),
         (["--demonstrations", "."], "demonstrations"),
-        (["--demonstrations", "shown", "--kind", "spline"], "spline"),
         (["--demonstrations", "shown", "--components", "0"], "--components"),
-        (["--demonstrations", "shown", "--out", "missing/door.yaml"], "missing/door.yaml"),
         (["--demonstrations", "shown", "--out", "door.csv"], "door.csv"),
         (["--demonstrations", "shown"], "shown/1.csv"),
         ([], "--demonstrations"),

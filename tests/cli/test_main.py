@@ -5,7 +5,6 @@ import sys
 import pytest
 import typer
 
-from kinfeas import __version__
 from kinfeas.cli import main as module
 from kinfeas.core.errors import KinfeasError
 from tests.cli.conftest import check_one_line
@@ -61,12 +60,6 @@ def test_shell_completion_imports_nothing_heavy(words, offered):
     done = kinfeas_process(code, **asked)
     assert done.stdout.split() == [offered]
     assert done.stderr.endswith("heavy: []")
-
-
-def test_runs_as_a_module():
-    command = [sys.executable, "-m", "kinfeas", "--version"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == f"kinfeas {__version__}\n"
 
 
 def raising(error):

@@ -6,8 +6,6 @@ import pytest
 
 from kinfeas.cli import options, output
 from kinfeas.core.errors import KinfeasError
-from kinfeas.robots.loading import load_robot
-from tests.sim2real.policy_cases import write_policy_file, write_run
 
 
 def test_output_files_are_checked_in_advance(tmp_path):
@@ -56,21 +54,3 @@ def test_progress_writes_lines_where_there_is_no_terminal(capfd, monkeypatch):
         show("then")
     lines = [" 25%  8 [cells], 1:00 left", " 50%  8 [cells], 4:00 left"]
     assert capfd.readouterr() == ("", "\n".join([*lines, ""]))
-
-
-def test_robot_of_a_policy(tmp_path):
-    for other in (None, "", "pretrained", "follow_ee", "nowhere", "module:Class"):
-        assert options.robot_of(other) == "pr2"
-    hsr = load_robot("hsr")
-    write_run(hsr, tmp_path / "run" / "checkpoints" / "best", extra={})
-    assert options.robot_of(str(tmp_path / "run")) == "hsr"
-    _, file = write_policy_file(load_robot("pr2"), tmp_path / "file")
-    assert options.robot_of(str(file)) == "pr2"
-    own = tmp_path / "mine.yaml"
-    write_run(hsr, tmp_path / "own", extra={"config": {"robot": str(own)}})
-    with pytest.raises(KinfeasError, match="--robot"):
-        options.robot_of(str(tmp_path / "own"))
-    own.touch()
-    assert options.robot_of(str(tmp_path / "own")) == str(own)
-    with pytest.raises(KinfeasError, match=str(tmp_path)):
-        options.robot_of(str(tmp_path))

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from kinfeas.core.registry import GROUPS, load
+from kinfeas.core.registry import GROUPS
 from kinfeas.testing import RULES
 from tests.cli.conftest import check_one_line
 
@@ -53,13 +53,6 @@ def test_info_on_a_task(info, tmp_path):
         "{name: fetch, places: {here: {position: [1, 0, 1]}}, subgoals: [{place: here}]}"
     )
     assert info("fetch.yaml")["subgoals"][0]["motion"] == "linear"
-
-
-@pytest.mark.parametrize("name", ["hsr", str(load("kinfeas.robots", "hsr")())])
-def test_info_on_a_robot(info, name):
-    known = info(name)
-    assert [joint["unit"] for joint in known["robot"]["arm"]] == ["m", "rad", "rad", "rad", "rad"]
-    assert known["robot"]["base"]["drive"] == "omnidirectional"
 
 
 def test_check_reports_every_rule(kinfeas, tmp_path):

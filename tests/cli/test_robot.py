@@ -1,5 +1,4 @@
 import json
-import re
 from functools import partial
 
 import pytest
@@ -28,14 +27,6 @@ def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
     assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
     words = ("--policy", "follow_ee", "--episodes", "1", "--set", "world.max_seconds=1")
     kinfeas("evaluate", "--robot", "new/dolly.yaml", *words, code=0)
-
-
-def test_robot_without_shapes(robot, tmp_path):
-    (tmp_path / "dolly.urdf").write_text(re.sub(r"<collision>.*?</collision>", "", ARM))
-    words = ("--ee", "palm", "--picture", "dolly.png", "--json", "found.json")
-    robot("--out", "new", *words, code=0)
-    assert json.loads((tmp_path / "found.json").read_text())["collision_shapes"] == 0
-    assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_existing_files_are_kept(robot, tmp_path):

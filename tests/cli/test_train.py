@@ -58,16 +58,6 @@ def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
     assert settings["learner"]["algorithm"] == "td3"
 
 
-def test_resume_of_a_finished_run_changes_nothing(kinfeas, run_folder):
-    before = files(run_folder)
-    (run_folder / "evaluation.json").unlink()
-    for more in ((), ("--steps", "32")):
-        outcome = kinfeas("train", "--resume", "run", *more, code=0)
-        assert outcome.err.startswith("run: finished")
-        assert "--policy run" in outcome.out
-    assert files(run_folder) == before
-
-
 def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
     steps, step = [], training._Run._step
 
@@ -80,16 +70,6 @@ def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
     outcome = kinfeas(*SHORT, code=130)
     assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
     kinfeas("train", "--resume", "run", code=0)
-
-
-def test_interruption_before_the_run_leaves_no_folder(kinfeas, monkeypatch, tmp_path):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(training._Run, "__init__", interrupted)
-    outcome = kinfeas(*SHORT, code=130)
-    assert "--resume" not in outcome.err
-    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

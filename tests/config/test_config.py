@@ -71,7 +71,6 @@ def test_file_and_back_is_the_identity(tmp_path_factory, recipe):
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
-        ("rate", 2, 2.0),
         ("out", "a/b.yaml", Path("a/b.yaml")),
         ("either", [1, 2], (1.0, 2.0)),
         ("parameters", {"a": {"b": [1, None]}}, {"a": {"b": [1, None]}}),
@@ -90,7 +89,6 @@ def test_value_is_converted(key, value, expected):
 @pytest.mark.parametrize(
     ("key", "value", "named"),
     [
-        ("robot", 1, "robot"),
         ("steps", True, "steps"),
         ("steps", 0, "steps"),
         ("rate", 0, "rate"),
@@ -98,8 +96,6 @@ def test_value_is_converted(key, value, expected):
         ("layers", [1, "b"], "layers.1"),
         ("noise", {"base": 2}, "noise.base"),
         ("noise", {"lag": 101}, "noise"),
-        ("noise", {"bas": 1}, "noise.bas"),
-        ("many", {"a": {"lag": "x"}}, "many.a.lag"),
         ("stages", [{}, {"lags": 1}], "stages.1.lags"),
         ("adapters", [{"nam": "clamp"}], "adapters.0"),
         ("stps", 1, "stps"),
@@ -127,9 +123,7 @@ def test_missing_and_misspelt_keys():
     ("override", "changed"),
     [
         ("robot=hsr", {"robot": "hsr"}),
-        ("steps = 5", {"steps": 5}),
         ("rate=1e-5", {"rate": 1e-5}),
-        ("layers=[8, 8]", {"layers": (8, 8)}),
         ("layers.1=8", {"layers": (256, 8)}),
         ("window.0=-1", {"window": (-1.0, 1.0)}),
         ("window=null", {"window": None}),

@@ -1,6 +1,6 @@
 import pytest
 
-from kinfeas.config.recipes import find_recipe, load_recipe, load_section, recipes, section
+from kinfeas.config.recipes import load_recipe, load_section, recipes, section
 from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import EvalSettings
 from kinfeas.policies.baselines.following import BaselineConfig
@@ -41,10 +41,6 @@ def test_path_wins_over_a_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.yaml").write_text("seed: 3\n")
     assert load_recipe(TrainConfig, "own.yaml", "train", ["num_envs=2"]).seed == 3
-
-
-def test_folder_of_a_name_may_be_left_out():
-    assert find_recipe("paper", "sim2real") == find_recipe("sim2real/paper", "sim2real")
 
 
 @pytest.mark.parametrize("name", ["train/tiagoo", "nothing", "../pyproject", "", "/no.yaml", "."])

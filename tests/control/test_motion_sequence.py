@@ -160,14 +160,6 @@ def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
     np.testing.assert_array_equal(seen[:, rows], follow(begin(robot, 6), 300)[:, [0, 5]])
 
 
-def test_randomness_differs_between_rows_and_subgoals(robot):
-    sequence = MotionSequence([SubgoalMotion(Wander()), SubgoalMotion(Wander())], robot, HORIZON)
-    sequence.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
-    first = sequence.goal
-    sequence.advance(everyone(sequence))
-    assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
-
-
 @pytest.mark.parametrize("steps", [1, 250, 700])
 def test_snapshot_goes_on_to_the_bit(robot, steps):
     sequence, again = begin(robot), MotionSequence(chain(), robot, HORIZON)
@@ -195,16 +187,6 @@ def test_a_head_start_delays_the_first_subgoal_only(robot):
     assert sequence.waiting.tolist() == [1, 0]
     follow(sequence, 1, lambda _: np.array([False, False]))
     assert sequence.subgoal.tolist() == [1, 0]
-
-
-def test_a_head_start_is_for_each_episode_alone(robot):
-    sequence = begin(robot, 2, [SubgoalMotion(Linear())], head_start=0.3)
-    follow(sequence, 3)
-    sequence.start(poses(1), poses(1, 1)[:, np.newaxis], rngs([0]), np.array([0]))
-    before = sequence.desired
-    (after,) = follow(sequence, 1)
-    assert np.all(after[0] == before[0])
-    assert np.any(after[1] != before[1])
 
 
 @pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])

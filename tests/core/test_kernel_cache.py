@@ -69,14 +69,6 @@ def test_the_users_own_folder_for_caches_comes_first(nowhere, monkeypatch):
     assert (nowhere / "caches" / "kinfeas").stat().st_mode & 0o777 == 0o700
 
 
-def test_a_lock_is_no_link_to_another_file(nowhere, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(nowhere))
-    (nowhere / "kinfeas").mkdir(mode=0o700)
-    (nowhere / "kinfeas" / "lock").symlink_to(nowhere / "theirs")
-    assert kernel_cache.open_lock() is None
-    assert not (nowhere / "theirs").exists()
-
-
 @pytest.mark.slow
 def test_processes_may_compile_at_once(tmp_path):
     code = """

@@ -188,12 +188,6 @@ def registered(monkeypatch):
     registry.register(MOTIONS, "hop", Hop)
 
 
-def test_registered_classes_are_found(registered):
-    registry.register(MOTIONS, "hop", Hop)
-    assert registry.names(MOTIONS).count("hop") == 1
-    assert registry.build(MOTIONS, "hop", {"height": 0.3}).height == 0.3
-
-
 def test_register_raises_for_used_names_inner_classes_and_unknown_groups(registered):
     class Inner:
         pass

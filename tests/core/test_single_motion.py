@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.motion import Demonstrated
 from kinfeas.core.single_motion import batched
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 from kinfeas.testing import check_motion_generator
@@ -66,21 +65,6 @@ def test_each_row_is_the_single_motion(n):
     assert np.array_equal(after["steps"], np.ones(n))
 
 
-class Shown(Approach):
-    def base_pose(self, state, target_pose):
-        return state["goal"] + state["steps"]
-
-
-def test_a_demonstrated_base_is_passed_on():
-    generator, start, target = batched(Shown)(), poses(3, 0), poses(3, 1)
-    assert isinstance(generator, Demonstrated)
-    assert not isinstance(Batched(), Demonstrated)
-    state = generator.start(start, target, rngs(3))
-    _, state = generator.twist(state, start, target, np.full(3, 0.1))
-    assert np.array_equal(generator.base_pose(state, target), state["goal"] + 1.0)
-    assert generator.base_pose({}, target[:0]).shape == (0, 7)
-
-
 def test_has_name_documentation_and_constructor_of_its_class():
     for name in ("__name__", "__qualname__", "__module__", "__doc__"):
         assert getattr(Batched, name) == getattr(Approach, name)
@@ -88,13 +72,6 @@ def test_has_name_documentation_and_constructor_of_its_class():
     assert Batched(height=0.3).single.height == 0.3
     with pytest.raises(KinfeasError, match="height"):
         Batched(height=-1)
-
-
-def test_state_may_be_written_into_by_the_single_motion_only():
-    generator, start = Batched(), poses(3, 0)
-    state = generator.start(start, poses(3, 1), rngs(3))
-    generator.twist(state, start, poses(3, 1), np.full(3, 0.1))
-    assert np.array_equal(state["steps"], np.zeros(3))
 
 
 class Growing(Approach):

@@ -156,12 +156,3 @@ def test_other_shapes_raise_errors(function, shape):
         function(np.tile(IDENTITY, (2, 1)), np.tile(IDENTITY, (3, 1)))
     with pytest.raises(KinfeasError, match="twist"):
         integrate(IDENTITY, IDENTITY, 0.1)
-
-
-def test_empty_batches_and_lists():
-    none = np.zeros((0, 7))
-    assert compose(none, none).shape == relative(none, none).shape == (0, 7)
-    assert integrate(none, np.zeros((0, 6)), 0.1).shape == (0, 7)
-    first, second = [1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8], [0.5, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]
-    expected = compose(np.array(first), np.array(second))
-    np.testing.assert_array_equal(compose(first, second), expected)

@@ -30,12 +30,6 @@ def test_a_pose_tolerance_ends_at_the_tolerance_of_the_goal():
     assert not np.any(exact & ~strict)
 
 
-def test_self_collision_lowers_it():
-    robot = load_robot("tiago")
-    free = measure_reachability(robot, ggr(), 40, 3, IkOptions(self_collision=False)).share
-    assert measure_reachability(robot, ggr(), 40, 3).share.value <= free.value
-
-
 def reach(*heights):
     """Return a task whose sub-goals are at these heights, one metre ahead."""
     places = {f"at {z}": {"position": [1.0, 0.0, z]} for z in heights}

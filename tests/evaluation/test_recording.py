@@ -42,14 +42,6 @@ def test_recordings_agree_with_the_records(world):
         np.testing.assert_allclose(one.ee_pose, expected, atol=1e-9)
 
 
-def test_a_recording_has_the_goals_of_all_sub_goals(hsr):
-    world = World(hsr, pick_place(), WorldConfig(max_failures=99), seed=1)
-    (one,) = record_episodes(world, FollowEe(hsr.base, feedback=True), 1)
-    assert one.reached
-    np.testing.assert_allclose(one.goals, draw_goals(world.solver, world.task, 1, 1)[0], atol=1e-9)
-    np.testing.assert_array_equal(one.goal, one.goals[-1])
-
-
 @TASKS
 def test_goals_and_waypoints_are_those_of_the_world(robot, solver, task):
     """Desired poses do not depend on the base; a sub-goal ends where the achieved EE arrives."""

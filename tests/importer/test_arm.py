@@ -131,12 +131,3 @@ def test_other_fingers_are_no_gripper_but_have_a_tip(changed, changes):
     assert hand.gripper is None
     assert hand.tip[0] == pytest.approx(0.12)
     np.testing.assert_allclose(axes(hand.rotation)[:, 0], [1.0, 0.0, 0.0], atol=1e-9)
-
-
-def test_a_single_jaw_closes_along_the_finger_axis(changed):
-    slides = axes(hand_of(changed(fixed("r"))).rotation)
-    np.testing.assert_allclose(slides[:, 1], [0.0, 1.0, 0.0], atol=1e-9)
-    limit = '<axis xyz="0 1 0"/>\n    <limit lower="0" upper="0.0{}"'
-    turns = ('name="l" type="prismatic"', 'name="l" type="revolute"')
-    found = axes(hand_of(changed(fixed("r"), turns, (limit.format(4), limit.format(9)))).rotation)
-    np.testing.assert_allclose(found, np.eye(3)[:, [0, 2, 1]] * [1, 1, -1], atol=1e-9)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
 from kinfeas.importer.arm import find_arm, place
-from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor, volume
+from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor
 from kinfeas.robots.urdf import parse_urdf
 
 trimesh = pytest.importorskip("trimesh")
@@ -66,24 +66,6 @@ def test_round_meshes_become_round_primitives(kind):
     (shape,) = fit_primitives(triangles(points))
     assert shape.kind == kind
     assert shape.size[0] == pytest.approx(0.1, rel=0.02)
-
-
-def test_an_angle_bracket_is_cut_in_two():
-    legs = [CUBE * [1.0, 0.1, 0.1] + [0.45, 0, 0], CUBE * [0.1, 0.1, 1.0] + [0, 0, 0.45]]
-    shapes = fit_primitives(np.concatenate([triangles(leg) for leg in legs]))
-    assert len(shapes) > 1
-    assert sum(map(volume, shapes)) < 0.05  # one box around both takes 0.1
-
-
-@pytest.mark.parametrize(
-    "corners",
-    [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[1, 2, 3]] * 3],
-)
-def test_flat_meshes_get_a_thickness(corners):
-    mesh = np.array([corners], dtype=float)
-    (shape,) = fit_primitives(mesh)
-    assert np.all(holds(shape, mesh.reshape(-1, 3)))
-    assert min(shape.size) > 0.0
 
 
 def boxed(path, **options):
@@ -179,12 +161,6 @@ def test_the_base_can_be_chosen(dolly):
     assert (urdf.root, set(urdf.joints)) == ("upper", {"elbow", "mount", "frame", "l", "r"})
     with pytest.raises(KinfeasError, match="'bass'"):
         boxed_urdf(dolly, "bass")
-
-
-def test_xacro_is_an_error(changed):
-    macro = '<robot xmlns:x="http://www.ros.org/wiki/xacro" name="dolly"><x:include filename="y"/>'
-    with pytest.raises(KinfeasError, match="xacro"):
-        boxed_urdf(changed(('<robot name="dolly">', macro)))
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,10 @@ from kinfeas.importer.reach import (
     useful_heights,
     with_pairs,
 )
-from kinfeas.importer.text import Guesses, guessed, robot_yaml
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.robots.loading import build_robot, load_robot, read_robot
-from kinfeas.robots.spec import PoseTolerance
 from kinfeas.robots.urdf import parse_urdf
 from tests.importer.conftest import STUCK
 
@@ -105,34 +103,6 @@ def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     assert turn is None or lower <= found[0] < found[1] <= upper
 
 
-def test_missing_velocities_are_guessed(changed):
-    for velocity, guess in (("1.5", None), ("1000", None), ("0", 1.0), ("1e16", 1.0)):
-        path = changed(('velocity="1.5"', f'velocity="{velocity}"'))
-        assert spec_of(path).arm["lift"].velocity == guess
-
-
-def test_comments_mark_guesses_with_units(dolly):
-    spec = replace(spec_of(dolly), pose_tolerance=PoseTolerance(0.1, 0.2))
-    spec = replace(spec, ignored_collisions=(("left", "right"),))
-    guesses = Guesses(
-        lifted=0.3, speeds=("pan",), limits=("elbow",), touching={("left", "right"): 0.4},
-        slides=frozenset({"l", "r"}), fingers=2, stand="two\nlines: 1",
-    )  # fmt: skip
-    text = robot_yaml(spec, guesses)
-    for line in (
-        "  pan: {velocity: 1}  # rad/s, guess",
-        "  elbow: {soft_limits: [-3.1416, 3.1416]}  # rad, guess",
-        "  lift: {}",
-        "  max_velocity: 0.2  # m/s",
-        "  effort: 20  # N, the URDF's limit",
-        "  l: 0.02  # m",
-        "  rotation: 0.2  # rad",
-        "  - [left, right]  # 40%",
-    ):
-        assert f"\n{line}\n" in text
-    assert {"base.max_rotation", "tool_tip", "arm.pan.velocity"} <= set(guessed(spec, guesses))
-
-
 @pytest.fixture(scope="module")
 def hsr():
     return load_robot("hsr")
@@ -165,13 +135,6 @@ def test_freedom_counts_parallel_sliders_once(changed, hsr):
     ]
     path = changed(*slides, ('lower="-1e16" upper="1e16"', 'lower="0" upper="0.3"'))
     assert freedom(build_robot(spec_of(path), parse_urdf(path), path, "dolly")) == 2
-
-
-def test_pose_tolerance_makes_no_height_useful(hsr, few):
-    wide = replace(hsr, pose_tolerance=PoseTolerance(position=1.0, rotation=3.0))
-    shares = [useful_heights(one).share for one in (hsr, wide)]
-    np.testing.assert_array_equal(*shares)
-    assert shares[0].max() > 0.5
 
 
 def test_useful_heights_are_those_of_the_shipped_file(monkeypatch):

@@ -38,12 +38,6 @@ def test_csv_errors_name_line_and_column(tmp_path, text, place):
         read_csv(path, lambda _: ["a"])
 
 
-def test_files_that_are_no_csv(tmp_path):
-    for path in (tmp_path / "none.csv", table(tmp_path, 'a\n"1')):
-        with pytest.raises(KinfeasError, match=f"^{path}"):
-            read_csv(path, lambda names: names)
-
-
 @pytest.mark.parametrize(
     "content",
     [

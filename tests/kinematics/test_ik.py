@@ -9,7 +9,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkOptions, IkSolver, spread_configurations
+from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
@@ -196,18 +196,6 @@ def test_an_ee_at_rest_leaves_the_arm_at_rest_and_seeds_may_be_beyond_the_limits
     check_solutions(tiago, beyond.joint_positions[beyond.feasible])
 
 
-def test_more_candidates_bring_the_solution_nearer(tiago):
-    robot, joints, seconds = tiago.robot, draw_free(tiago, 500), []
-    targets, seeds = forward(tiago.chain, joints), shuffled(joints)
-    for candidates in (1, 3):
-        solution = IkSolver(robot, replace(EXACT, candidates=candidates)).solve(targets, seeds)
-        needed = displacement(robot, seeds, solution.joint_positions) / robot.max_joint_velocity
-        seconds.append(needed.max(axis=1)[solution.feasible])
-    assert len(seconds[0]) == len(seconds[1])
-    assert np.all(seconds[1] <= seconds[0])
-    assert seconds[1].mean() < seconds[0].mean()
-
-
 def test_out_of_reach_keeps_the_seed_and_reports_the_error(tiago):
     joints = draw_free(tiago, 50)
     targets = forward(tiago.chain, joints)
@@ -284,13 +272,6 @@ def test_a_seed_within_the_pose_tolerance_always_has_a_solution(hsr):
     assert stay.sum() > 5000
     for step in (None, TIME * hsr.robot.max_joint_velocity):
         assert solver.solve(targets[stay], joints[stay], step).feasible.all()
-
-
-def test_configurations_are_within_the_limits_and_differ_by_seed(tiago):
-    joints = spread_configurations(tiago.robot, 512)
-    lower, upper = tiago.robot.finite_joint_limits
-    assert np.all((joints >= lower) & (joints <= upper))
-    assert not np.array_equal(joints, spread_configurations(tiago.robot, 512, seed=1))
 
 
 SCRIPT = """

@@ -66,14 +66,6 @@ def test_goals_have_the_tolerances_of_success(robot):
         assert (found.pose_tolerance, found.position_tolerance, found.restarts) == (False, 0.025, 6)
 
 
-def test_goals_out_of_reach(hsr):
-    done, goals = [], at_height(6, 2.5, 2.6)
-    found = reachable(hsr, goals, stages=(2, 4, 8), on_done=done.append)
-    assert sum(done) == pytest.approx(1.0)
-    assert not found.reached.any()
-    assert (found.convergence, found.share.value) == ((0.0, 0.0, 0.0), 0.0)
-
-
 def test_finds_all_that_random_base_poses_find(hsr):
     goals = at_height(20, 0.1, 1.4)
     found = reachable(hsr, goals)

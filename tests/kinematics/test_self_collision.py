@@ -2,9 +2,7 @@ from itertools import combinations
 
 import fcl
 import numpy as np
-import pytest
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
 from kinfeas.kinematics.self_collision import (
     build_collision_model,
@@ -101,17 +99,3 @@ def test_checked_pairs_are_those_that_the_arm_moves_less_adjacent_ones(robot, ju
         if moves and not allowed and frozenset((rigid[a], rigid[b])) not in joined:
             expected.append((a, b))
     assert checked_links(robot) == expected
-
-
-def test_rows_do_not_depend_on_the_batch(odd_robot):
-    model, joints = build_collision_model(odd_robot), draw(odd_robot, 300)
-    together = self_collides(model, joints)
-    assert 0 < together.sum() < 300
-    one_by_one = [bool(self_collides(model, positions)) for positions in joints]
-    np.testing.assert_array_equal(together, one_by_one)
-    folded = self_collides(model, joints.reshape(2, 150, -1))
-    np.testing.assert_array_equal(folded, together.reshape(2, 150))
-    assert self_collides(model, joints[:0]).shape == (0,)
-    for shape in ((2,), (), (5, 99)):
-        with pytest.raises(KinfeasError, match="joint positions"):
-            self_collides(model, np.zeros(shape))

@@ -72,18 +72,6 @@ def test_learns_the_base_if_all_demonstrations_have_one():
     assert not fit([*shown, *door_demonstrations(1, base=False)]).model.has_base
 
 
-def test_learns_a_path_across_a_hall():
-    shown = door_demonstrations()
-    for one in shown:
-        one.ee_pose[:, :2] += np.linspace(0.0, 20.0, len(one.time))[:, np.newaxis]
-    assert fit(shown).length > 20.0
-    shown[1].base_pose[-1, 0] += 50.0
-    with pytest.raises(KinfeasError, match=r"^demonstration 2: .*30 m"):
-        fit(shown)
-    with pytest.raises(KinfeasError, match=r"^b: "):
-        fit(shown[:2], names=["a", "b"])
-
-
 @pytest.mark.parametrize(
     "change",
     [

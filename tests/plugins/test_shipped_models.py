@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import registry
-from kinfeas.core.spatial import compose, distance, make_pose, planar_pose, relative, rotation
+from kinfeas.core.spatial import compose, distance, make_pose, planar_pose, relative
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.imitation import learned_path, read_model
 from kinfeas.scenes.scene import read_scene
@@ -81,12 +81,3 @@ def test_the_door_is_pulled_along_its_arc():
     assert radius[20:] == pytest.approx(0.312, abs=0.012)
     assert arc == pytest.approx(96.0, abs=6.0)
     assert turn == pytest.approx(81.0, abs=4.0)
-
-
-def test_openings_end_where_they_were_shown_to(rolled):
-    name, _, pull = rolled
-    mechanism = SCRIPT["Mechanism"](name)
-    handle = mechanism.handle
-    opened = mechanism.carry(handle[:3], SCRIPT["OPENING"][name]) - handle[:3]
-    ends = pull[-1, :, :3] - [0.0, 0.0, SCRIPT["RISE"][name]]
-    assert np.linalg.norm(rotation(handle).apply(ends) - opened, axis=1).max() < 0.015

@@ -71,10 +71,8 @@ def test_files_are_yaml_or_csv(tmp_path, name, text, time):
 @pytest.mark.parametrize(
     ("name", "text", "named"),
     [
-        ("w.txt", CSV, "csv"),
         ("w.yaml", "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n", "1 waypoints"),
         ("w.yaml", YAML + "speed: 2\n", "'speed'"),
-        ("w.yaml", YAML + "time: [1]\n", "'time'"),
         ("w.yaml", YAML + "time: [1, 1]\n", "waypoint 2"),
         ("w.yaml", YAML.replace("0.7071]", "0.9]"), "waypoint 2"),
         ("w.csv", "x,y,z,qx,qy,qz\n", "'qw'"),

@@ -89,9 +89,3 @@ def test_each_shipped_policy_is_complete(name):
     given = policy_inputs(robot, 4)
     again = pickle.loads(pickle.dumps(network))
     np.testing.assert_array_equal(again.act(given), network.act(given))
-
-
-@pytest.mark.parametrize("name", ["stretch", "..", "pr2/..", ""])
-def test_a_robot_without_shipped_policy_raises(name):
-    with pytest.raises(KinfeasError, match="pr2"):
-        pretrained.find(name)

@@ -55,13 +55,6 @@ def test_acts_as_the_training_policy_whatever_the_batch(path, exported, hsr):
     np.testing.assert_array_equal(policy.act(policy_input), together)
 
 
-@pytest.mark.parametrize("n", [0, 5])
-def test_shape_and_bounds(path, hsr, n):
-    action = read_policy_file(path, hsr)(np.full((n, size(hsr)), 1e6))
-    assert (action.shape, action.dtype) == ((n, action_size(hsr.base)), np.float64)
-    assert np.all(np.abs(action) <= 1.0)
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_non_finite_observations_give_nan(path, hsr, bad):
     seen = np.zeros((3, size(hsr)))

@@ -9,7 +9,6 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import make_pose, rotation
 from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.robots.robot import fingerprint, joint_displacement, joint_jumps
 
@@ -132,23 +131,18 @@ BASE, ARM = crane()["base"], crane()["arm"]
         ({"arm": {}}, "'arm'"),
         ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
         ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
-        ({"arm": {"swing": {}, "lift": {}}}, "'arm'"),
         ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
         ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
         ({"arm": ARM | {"spin": {"velocity": 3, "soft_limits": [-1, 1]}}}, "'arm.spin'"),
         ({"arm": ARM | {"swing": {"soft_limits": [-3, 1]}}}, "'arm.swing'.*-3"),
-        ({"arm": ARM | {"swing": {"soft_limits": [1, -1]}}}, "'arm.swing'"),
         (WITHOUT_SWING, "'swing'"),
-        ({"home": {"low": [0.5, 0, 0]}}, "'home'"),
         ({"home": {"home": [0.5, 1.6, 0]}}, "'home.home': swing.*1.6"),
         ({"goal_heights": {"ggr": [0.2, 1.2]}}, "'goal_heights'"),
-        ({"goal_heights": {"ggr": [1, 0], "ggr_restricted": [0, 1]}}, "'goal_heights.ggr'"),
         ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae'"),
         ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift'"),
         ({"fixed_joints": {"ring": 0.5}}, "'fixed_joints.ring'"),
         ({"fixed_joints": {"wave": 0.1}}, "'fixed_joints.wave'"),
         ({"ignored_collisions": [["mast", "sea"]]}, "'ignored_collisions'.*'sea'"),
-        ({"ignored_collisions": [["mast", "mast"]]}, "'ignored_collisions'"),
         ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
         ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
         ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
@@ -166,21 +160,6 @@ def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
 def test_a_robot_is_a_yaml_file_or_a_known_name(name):
     with pytest.raises(KinfeasError, match=name):
         load_robot(name)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {'lower="-2" upper="2"': 'lower="0" upper="0"', "1.5": "0"},  # no range of motion
-        {'upper="2" velocity="1"': 'upper="2" velocity="1e16"'},  # no velocity limit
-    ],
-)
-def test_joints_of_the_arm_need_limits(tmp_path, changes):
-    urdf = URDF
-    for old, new in changes.items():
-        urdf = urdf.replace(old, new)
-    with pytest.raises(KinfeasError, match=r"'arm\.swing'"):
-        read_robot(write(tmp_path, crane() | {"arm": ARM | {"swing": {}}}, urdf))
 
 
 @pytest.mark.parametrize(
@@ -290,14 +269,3 @@ def test_only_other_kinematics_have_another_fingerprint(change):
     pr2 = load_robot("pr2")
     changed = (OTHER | SAME)[change](pr2)
     assert (fingerprint(changed) == fingerprint(pr2)) == (change in SAME)
-
-
-def test_the_sign_of_a_quaternion_keeps_the_fingerprint():
-    pr2 = load_robot("pr2")
-    origin = pr2.urdf.joints["r_elbow_flex_joint"].origin
-    turned = np.concatenate([origin[:3], -rotation(origin).as_quat()])
-    other = with_joint(pr2, "r_elbow_flex_joint", origin=turned)
-    assert fingerprint(other) == fingerprint(pr2)
-    half = [make_pose(np.zeros(3), rotation(np.array([0, 0, 0, 1.0, 0, 0, w]))) for w in (1e-17, 0)]
-    first, second = (with_joint(pr2, "r_elbow_flex_joint", origin=pose) for pose in half)
-    assert fingerprint(first) == fingerprint(second)

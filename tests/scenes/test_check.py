@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY, planar_pose, rotation
+from kinfeas.core.spatial import IDENTITY, planar_pose
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.check import Solids
@@ -43,19 +43,6 @@ def test_a_group_touches_with_any_shape_and_moves():
     group.place(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [7.0, 0.0, 0.0]]))
     assert not group.touches(probe)
     assert not Solids([]).touches(probe)
-
-
-@pytest.mark.parametrize("kind", SIZES)
-def test_the_lowest_point_touches_a_plane(kind):
-    ground = Shape("box", (9.0, 9.0, 1.0), np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 1.0]))
-    for turn in np.linspace(0.0, 2.0, 5):
-        pose = IDENTITY.copy()
-        pose[3:] = rotation(IDENTITY).from_rotvec([turn, 0.4 * turn, 0.1]).as_quat()
-        for gap, touches in ((1e-4, False), (-1e-4, True)):
-            pose[2] = 0.0
-            pose[2] = gap + Shape(kind, SIZES[kind], pose).reach(np.array([0.0, 0.0, -1.0]))
-            solid = Solids([Shape(kind, SIZES[kind], pose)])
-            assert solid.touches(Solids([ground])) == touches
 
 
 @pytest.mark.parametrize(

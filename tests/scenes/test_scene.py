@@ -154,11 +154,6 @@ def test_an_invalid_scene_is_an_error_with_its_key(write, old, new, where):
 
 
 LINK = "<robot name='a'><link name='a'>{}</link></robot>"
-MIMIC = """<robot name='a'><link name='a'><collision><geometry><sphere radius='1'/></geometry>
-</collision></link><link name='b'/><link name='c'/>
-<joint name='one' type='continuous'><parent link='a'/><child link='b'/></joint>
-<joint name='two' type='continuous'><parent link='b'/><child link='c'/><mimic joint='one'/></joint>
-</robot>"""
 
 
 @pytest.mark.parametrize(
@@ -170,10 +165,9 @@ MIMIC = """<robot name='a'><link name='a'><collision><geometry><sphere radius='1
             LINK.format("<collision><geometry><mesh filename='a.stl'/></geometry></collision>"),
             "'a'",
         ),
-        (MIMIC, "'two'"),
     ],
 )
-def test_furniture_is_made_of_primitives_without_mimic_joints(write, tmp_path, urdf, where):
+def test_furniture_is_made_of_primitives(write, tmp_path, urdf, where):
     (tmp_path / "own.urdf").write_text(urdf)
     with pytest.raises(KinfeasError, match=rf"own\.urdf: .*{where}"):
         read_scene(write("table.urdf", "own.urdf"))

@@ -65,13 +65,6 @@ def test_takes_the_best_checkpoint_and_its_run_s_figures(pr2, tmp_path):
     assert metadata.training == {"config": metadata.training["config"], "steps": 1000}
 
 
-def test_the_same_policy_gives_the_same_file(pr2, tmp_path):
-    write_run(pr2, tmp_path)
-    for name in ("a.onnx", "b.onnx"):
-        export(tmp_path, pr2, tmp_path / name)
-    assert (tmp_path / "a.onnx").read_bytes() == (tmp_path / "b.onnx").read_bytes()
-
-
 def test_a_policy_that_deviates_is_not_written(pr2, tmp_path, monkeypatch):
     write_run(pr2, tmp_path)
     monkeypatch.setattr(export_module, "OnnxPolicy", lambda _: lambda rows: np.zeros((1000, 3)))

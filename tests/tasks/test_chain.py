@@ -146,14 +146,6 @@ def test_wrong_changes_raise_and_do_not_name_the_file(changes, key):
     assert ".yaml" not in str(caught.value)
 
 
-def test_other_subgoals_need_not_use_all_places(write):
-    places = "places: {cup: {position: [2, 0, 0.8]}, bin: {position: [-1, 1, 0.5]}}"
-    path = write(places, "subgoals: [{place: cup}, {place: bin}]")
-    task = read_chain(path, {"subgoals": [{"place": "bin"}]})
-    assert [subgoal.place for subgoal in task.subgoals] == ["bin"]
-    assert task.object_poses(np.zeros((1, 7))) == {}
-
-
 def test_objects_are_at_their_places(hsr):
     task = pick_place()
     for i in range(20):

@@ -21,17 +21,6 @@ from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals, random_arm, 
 RNG = np.random.default_rng(0)
 
 
-def test_equal_motions_share_a_generator():
-    slow = MotionSpec("linear", {"max_velocity": 0.05})
-    subgoals = (Subgoal(), Subgoal(slow, "tip", 2.0), Subgoal(MotionSpec("linear")), Subgoal(slow))
-    built = build_subgoals(subgoals)
-    for one, subgoal in zip(built, subgoals, strict=True):
-        assert (one.frame, one.dwell) == (subgoal.frame, subgoal.dwell)
-    assert built[0].generator is built[2].generator
-    assert built[1].generator is built[3].generator
-    assert built[0].generator is not built[1].generator
-
-
 @pytest.mark.parametrize(
     ("motion", "named"),
     [

@@ -62,21 +62,6 @@ def test_the_network_acts_as_the_actor_and_is_a_copy(config, env, net_arch, tmp_
     np.testing.assert_array_equal(read_network(tmp_path, env.robot)(seen), found)
 
 
-def test_random_actions_are_uniform_and_come_from_torch(config, env):
-    learner = make_learner(config, env, 0)
-    seen = np.zeros((20_000, *env.observation_space.shape), dtype=np.float32)
-    state = torch.get_rng_state()
-    first, second = (explore(learner, config, seen, random=True) for _ in range(2))
-    torch.set_rng_state(state)
-    np.testing.assert_array_equal(explore(learner, config, seen, random=True), first)
-    assert not np.array_equal(first, second)
-    assert first.dtype == np.float32
-    assert np.abs(first).max() <= 1.0
-    counts, _ = np.histogram(first, bins=10, range=(-1.0, 1.0))
-    assert np.abs(counts / first.size - 0.1).max() < 0.01
-    assert np.abs(np.corrcoef(first.T) - np.eye(3)).max() < 0.03
-
-
 def test_exploration_scatters_about_the_actor(config, env):
     learner = make_learner(config, env, 0)
     one = env.reset()[:1]

@@ -146,14 +146,3 @@ def test_wrong_progress_raises(write_run, tmp_path, key, value):
     (last / "state.json").write_text(json.dumps(state))
     with pytest.raises(KinfeasError, match=rf"state\.json: .*'{key}[.0]*'"):
         finished(tmp_path)
-
-
-@pytest.mark.parametrize("content", ["", '{"format": 2}', None])
-def test_a_foreign_checkpoint_raises(write_run, content):
-    settings, last = write_run()
-    if content is None:
-        (last / "state.json").unlink()
-    else:
-        (last / "state.json").write_text(content)
-    with pytest.raises(KinfeasError, match=f"{last}: "):
-        read_progress(settings, last)

@@ -337,17 +337,3 @@ def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(
     assert any(row["train/critic_loss"] for row in rows(out))
     # A policy that has not changed is evaluated once.
     assert [row[0] for row in evaluated(out)] == ["0"]
-
-
-@pytest.mark.parametrize("init", [True, False])
-def test_the_actor_learns_after_the_critics_or_without_initial_policy_at_once(
-    whole, tiny, tmp_path, init
-):
-    steps = ["learner.critic_steps=80", f"init={whole}"] if init else ["learner.critic_steps=9999"]
-    settings = tiny(*steps, "schedule.steps=240", "schedule.evaluations=1")
-    train(settings, tmp_path / "run")
-    fresh = training._Run(settings, tmp_path / "no")
-    fresh.begin()
-    fresh.env.close()
-    network = training.network_of(fresh.learner, fresh.env.scale)
-    assert not np.array_equal(weights(tmp_path / "run")["weight.0"], network.weights[0])

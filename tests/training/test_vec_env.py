@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stable_baselines3 import SAC
 
 from kinfeas import config
 from kinfeas.config import PluginSpec
@@ -118,17 +117,6 @@ def test_a_seed_begins_again_from_its_first_episode():
     np.testing.assert_array_equal(env.reset(), first)
     env.seed(5)
     assert not np.array_equal(env.reset(), first)
-
-
-def test_stable_baselines3_can_learn_in_it():
-    env = make(4)
-    policy = {"net_arch": [8]}
-    learner = SAC("MlpPolicy", env, learning_starts=40, batch_size=8, policy_kwargs=policy)
-    learner.learn(120)
-    assert learner.num_timesteps == 120
-    assert learner.ep_success_buffer
-    assert env.get_attr("num_envs", [0]) == [4]
-    env.close()
 
 
 def test_wrong_actions_raise_and_the_environment_goes_on():

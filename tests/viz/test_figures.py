@@ -1,14 +1,8 @@
 import numpy as np
 
 from kinfeas.scenes.scene import read_scene
-from kinfeas.viz.figures import robot_figure, scene_figure
+from kinfeas.viz.figures import scene_figure
 from kinfeas.viz.style import png
-
-
-def test_a_robot_is_drawn_from_two_sides(robot):
-    figure = robot_figure(robot)
-    assert len(figure.axes) == 2
-    assert png(figure, dpi=60).startswith(b"\x89PNG")
 
 
 def test_a_scene_has_its_objects_and_the_paths_of_its_handles():

@@ -69,13 +69,7 @@ def test_failures_are_red(film):
 
 @pytest.mark.parametrize(
     ("reached", "done", "succeeded"),
-    [
-        (True, None, True),
-        (False, None, False),
-        (True, True, True),
-        (True, False, False),
-        (False, True, False),
-    ],
+    [(True, None, True), (False, None, False), (True, True, True), (True, False, False)],
 )
 def test_the_last_picture_has_the_result(film, reached, done, succeeded):
     feasible = np.ones_like(film.recording.feasible)

@@ -67,10 +67,3 @@ def test_no_row_depends_on_the_others():
         one = slice(row, row + 1)
         alone, _ = put(points[one], normals[one], offsets[one])
         np.testing.assert_array_equal(alone[0], together[row])
-
-
-def test_what_is_empty_limits_nothing():
-    points, normals, offsets = drawn(3, count=2)
-    alone, _ = put(points, normals[:, :1], offsets[:, :1])
-    normals[:, 1], offsets[:, 1] = 0.0, np.inf
-    np.testing.assert_array_equal(put(points, normals, offsets)[0], alone)

@@ -149,13 +149,6 @@ def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
     assert velocity == pytest.approx(expected)
 
 
-def test_a_base_turns_its_corner_away_before_it_leaves_its_way(robot):
-    held = constraints(robot, corner(0.3, 0.3)).hold(np.array([[[0.5, 0.0, 0.0]]]))[0, 0]
-    assert held[0] == pytest.approx(0.5, rel=0.05)
-    approach = held[0] * robot.base.max_velocity - 0.3 * held[2] * robot.base.max_rotation
-    assert approach == pytest.approx(0.0, abs=1e-5)
-
-
 def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
     held = constraints(robot, corner(0.3, 0.05)).hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
     assert held[2] == pytest.approx(1.0)

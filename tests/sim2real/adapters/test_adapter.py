@@ -143,19 +143,14 @@ def test_ranges_are_drawn_for_each_episode(rig):
 @pytest.mark.parametrize(
     ("name", "key", "value"),
     [
-        *(
-            ("base_noise", "linear", value)
-            for value in ("much", True, [1], [1, 2, 3], [1, "a"], -1, np.nan, np.inf, [2, 1])
-        ),
+        *(("base_noise", "linear", value) for value in ("much", [1], -1, np.nan, [2, 1])),
         ("dropped_commands", "share", 1.1),
         ("acceleration_limit", "linear", 0),
-        ("acceleration_limit", "angular_jerk", 0),
         ("velocity_clamp", "joints", 0),
         ("joint_limit_clamp", "margin", 1.0),
         ("actuator_lag", "arm", -1),
         ("head_start", "seconds", -1),
         ("time_scale", "factor", 2.0),
-        ("time_scale", "factor", 0.0),
         ("time_scale", "factor", [0.5, 1.0]),
     ],
 )
@@ -201,24 +196,6 @@ def test_adapters_have_the_optional_methods_of_their_backend(pr2):
 
 class Changed(Adapter):
     """An adapter with hooks that a test sets."""
-
-
-HOOKS = {
-    "on_reset": (lambda state: {"x": np.zeros(1)}, "x has shape"),
-    "modify_state": (lambda state: None, "modify_state"),
-    "modify_command": (lambda twist, targets, dt: (twist[:, :3], targets), "twist has shape"),
-    "nan": (lambda twist, targets, dt: (twist, targets * np.nan), "joint targets is not finite"),
-}
-
-
-@pytest.mark.parametrize("hook", HOOKS)
-def test_hooks_are_checked_at_the_first_step(pr2, hook):
-    adapter = Changed(AnalyticBackend(), pr2)
-    answer, word = HOOKS[hook]
-    setattr(adapter, hook.replace("nan", "modify_command"), answer)
-    with pytest.raises(KinfeasError, match=f"adapter Changed.*{word}"):
-        adapter.reset(poses(2), np.zeros((2, 7)))
-        adapter.step(np.zeros((2, 6)), np.ones((2, 7)), 0.1)
 
 
 @pytest.mark.parametrize("hook", ["on_reset", "modify_state", "modify_command", "on_step"])

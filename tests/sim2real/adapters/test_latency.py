@@ -7,7 +7,6 @@ from kinfeas.sim2real.adapters.latency import (
     DroppedCommands,
     SensorLatency,
 )
-from kinfeas.sim2real.adapters.noise import EeNoise
 
 
 def targets(steps, seed=0):
@@ -89,16 +88,6 @@ def test_a_late_reading_never_shows_an_older_robot(rig):
     assert 0.1 < age.max() <= 0.22 + 0.05
     behind = np.stack([(state.true_state.base_pose - state.base_pose)[:, 0] for state in seen])[10:]
     np.testing.assert_allclose(behind, age, atol=1e-9)
-
-
-def test_all_measurements_are_late(rig):
-    late, inner = rig(SensorLatency, seconds=0.1), rig(EeNoise)
-    late.adapter.backend = inner.adapter
-    late.adapter.reset(inner.first.base_pose, late.joints)
-    seen = [late.adapter.step(np.zeros((1, 6)), t, 0.1) for t in targets(5)]
-    for now, before in zip(seen[1:], seen, strict=False):
-        assert not np.array_equal(now.ee_in_base, before.ee_in_base)
-    np.testing.assert_array_equal(seen[0].ee_in_base, inner.first.ee_in_base)
 
 
 def test_after_a_lost_command_the_last_one_is_active(rig, drive):

@@ -97,14 +97,3 @@ def test_the_step_response_of_the_arm(rig, dt):
     lagging.run(np.zeros((steps, 6)), dt, np.full((steps, 1, 7), 0.5))
     t = dt * np.arange(1, steps + 1)
     np.testing.assert_allclose(lagging.sent[:, 0, 0], 0.5 * (1.0 - np.exp(-t / 0.2)), atol=1e-12)
-
-
-def test_continuous_joints_take_the_short_way(rig):
-    joints = np.zeros((1, 7))
-    joints[0, 4] = 3.0
-    lagging = rig(ActuatorLag, start=joints, base=0.0, arm=0.1)
-    sent = np.tile(joints, (5, 1, 1))
-    sent[..., 4] = -3.0
-    lagging.run(np.zeros((5, 6)), 0.1, sent)
-    assert np.all(np.abs(lagging.sent[..., 4]) > 3.0)
-    assert np.all(np.abs(lagging.sent[..., 4]) <= np.pi)

@@ -22,16 +22,6 @@ def test_draws_follow_their_law_in_each_column(draw, law):
     assert np.abs(correlations).max() < 5.0 / np.sqrt(20_000)
 
 
-def test_neighbouring_steps_are_independent():
-    found = np.stack([normal(seeds(50), steps(50, step), 3) for step in range(2000)])
-    scale = 4.0 / np.sqrt(found[1:].size / 3)
-    for axis in range(3):
-        values = found[..., axis]
-        for lag in (1, 2, 7):
-            assert abs(np.mean(values[lag:] * values[:-lag])) < scale
-        assert abs(np.mean(values[:, 1:] * values[:, :-1])) < scale
-
-
 @pytest.mark.parametrize("draw", [normal, uniform])
 def test_rows_and_steps_are_on_their_own(draw):
     together = draw(seeds(5), steps(5, 3), 4)

@@ -45,28 +45,26 @@ def test_reset_leaves_the_robot_where_it_is(ends):
     assert link.driven == link.moved == []
 
 
+def parts(joints=None, base=True):
+    """Return an answer of a robot that measures only these."""
+
+    def answer(readings):
+        if base:
+            readings.base(BaseReading(0.0, 0.0, 0.0))
+        if joints:
+            readings.joints(joints)
+
+    return answer
+
+
 @pytest.mark.parametrize(
     ("answer", "deaf", "named"),
     [
-        (lambda to: to.joints(joints_at(PR2)), None, "/odometer"),
-        (lambda to: to.base(BaseReading(0, 0, 0)), None, "/encoders"),
+        (parts(joints_at(PR2), base=False), None, "/odometer"),
+        (parts(), None, "/encoders"),
         (present(PR2), "/cmd_vel", "/cmd_vel"),
-        (
-            lambda to: (
-                to.base(BaseReading(0.0, 0.0, 0.0)),
-                to.joints(JointReading(dict.fromkeys(ARM[:-1], 0.0))),
-            ),
-            None,
-            ARM[-1],
-        ),
-        (
-            lambda to: (
-                to.base(BaseReading(0.0, 0.0, 0.0)),
-                to.joints(joints_at(PR2, torso_lift_joint=0.2)),
-            ),
-            None,
-            "torso_lift_joint",
-        ),
+        (parts(JointReading(dict.fromkeys(ARM[:-1], 0.0))), None, ARM[-1]),
+        (parts(joints_at(PR2, torso_lift_joint=0.2)), None, "torso_lift_joint"),
     ],
 )
 def test_errors_of_reset_name_the_missing_part(answer, deaf, named):
@@ -93,12 +91,7 @@ def test_the_base_gets_the_action_of_the_policy_in_its_own_frame(name):
 def test_the_arm_is_sent_by_the_robots_own_names(time):
     positions = dict(joints_at(PR2).positions)
     positions["elbow"] = positions.pop(ARM[ELBOW])
-
-    def answer(readings):
-        readings.base(BaseReading(0.0, 0.0, 0.0))
-        readings.joints(JointReading(positions))
-
-    link = MemoryLink(answer)
+    link = MemoryLink(parts(JointReading(positions)))
     backend = LinkBackend(PR2, link, names={ARM[ELBOW]: "elbow"}, seconds=0.25, clock=time.clock)
     state = backend.reset(None, None)
     np.testing.assert_array_equal(state.joint_positions, AT_HOME)

@@ -37,14 +37,6 @@ def test_setpoints_pass_the_points_in_order_and_hold_the_last():
     assert setpoints.at(13.0) == setpoints.at(99.0) == {"a": -1.0, "b": 0.0, "c": 7.0}
 
 
-def test_a_new_trajectory_starts_at_the_present_setpoint():
-    setpoints = JointSetpoints({"a": 0.0})
-    setpoints.follow(path(("a",), (2.0, [2.0])), 0.0)
-    setpoints.follow(path(("a",), (1.0, [0.0])), 1.0)
-    for time, a in ((1.0, 1.0), (1.5, 0.5), (2.0, 0.0)):
-        assert setpoints.at(time)["a"] == pytest.approx(a)
-
-
 @pytest.fixture(scope="module")
 def world():
     backend, state = spawn(load_robot("hsr"))
