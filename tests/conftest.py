@@ -43,6 +43,18 @@ def robot(request):
 
 
 @pytest.fixture(scope="session")
+def pr2():
+    """A robot with continuous joints."""
+    return load_robot("pr2")
+
+
+@pytest.fixture(scope="session")
+def hsr():
+    """A robot with a pose tolerance."""
+    return load_robot("hsr")
+
+
+@pytest.fixture(scope="session")
 def solver(robot):
     """Its solver as the world uses it."""
     return IkSolver(robot)

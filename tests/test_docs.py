@@ -1,8 +1,6 @@
 """The documentation site builds without warnings."""
 
-import importlib.util
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,13 +8,6 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-
-
-def test_modules_of_the_reference_exist():
-    pages = "".join(path.read_text() for path in (DOCS / "reference").glob("*.md"))
-    modules = re.findall(r"^kinfeas[\w.]*$", pages, re.MULTILINE)
-    assert len(set(modules)) == len(modules) > 20
-    assert [name for name in modules if importlib.util.find_spec(name) is None] == []
 
 
 @pytest.mark.slow

@@ -41,10 +41,6 @@ def packages(tmp_path, monkeypatch, offer):
         offer(project.parent)
 
 
-def test_a_motion_generator_is_short():
-    assert len(FILES["arc/kinfeas_arc/arc.py"].replace("\n\n", "\n").splitlines()) <= 31
-
-
 def test_the_page(packages):
     for program, *words in COMMANDS:
         if program == "kinfeas" and words[:2] != ["plugins", "new"]:

@@ -18,7 +18,6 @@ from kinfeas.core import spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.robots.loading import load_robot
 
 KEYS = {
     "ik_warm_us", "ik_cold_us", "ik_cold_solved", "pinocchio_warm_us", "pinocchio_cold_us",
@@ -26,11 +25,6 @@ KEYS = {
     "train_steps_per_s", "action_us", "peak_rss_mb",
 }  # fmt: skip
 SMALL = Effort(targets=20, repeats=1)
-
-
-@pytest.fixture(scope="module")
-def pr2():
-    return load_robot("pr2")
 
 
 @pytest.fixture(scope="module")

@@ -77,26 +77,6 @@ def test_physics_beside_the_analytic_world(run, tmp_path):
     assert entries[0]["analytic_success"] is not None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--config", "benchmark/none"), "study"),
-        (("--config", "benchmark/paper"), "benchmark/paper"),
-        (("--config", "pybullet.yaml"), "--world"),
-        (("--world", "pybullet"), "--world"),
-        (("--set", "episods=3"), "'episodes'"),
-        (("--policy", "follow_ee"), "--policy"),
-        (("--policy", "pretrained", "--runs", "runs"), "--runs"),
-        (("--policy", "pretrained"), "'hsr'"),
-        (("--runs", "nowhere"), "nowhere"),
-    ],
-)
-def test_bad_input_is_one_line(run, tmp_path, arguments, named, monkeypatch):
-    monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path / "none")
-    check_one_line(run(*arguments), named)
-    assert not (tmp_path / "out").exists()
-
-
 def test_unusable_baseline_is_an_error_before_training(run, monkeypatch):
     def missing(name, robot):
         raise KinfeasError("no such library")

@@ -4,9 +4,7 @@ import re
 import shlex
 from html import unescape
 
-import pytest
-
-from tests.cli.conftest import TINY, check_one_line
+from tests.cli.conftest import TINY
 
 QUICK = ("--minutes", "0.01", "--episodes", "3", *TINY)
 TASK = """
@@ -44,12 +42,3 @@ def test_commands_of_the_report_reproduce_its_figures(kinfeas, tmp_path, monkeyp
     assert json.loads((tmp_path / "again.json").read_text()) == figures
     kinfeas(*ceiling, "--json", "ceiling.json", code=0)
     assert json.loads((tmp_path / "ceiling.json").read_text())["ceiling"] == figures["ceiling"]
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [("--robot", "pr3"), ("--minutes", "-1"), ("--set", "x=1"), ("--out", ""), ("--out", "..")],
-)
-def test_bad_input_is_one_line(kinfeas, tmp_path, arguments):
-    check_one_line(kinfeas("demo", *arguments))
-    assert not list(tmp_path.iterdir())

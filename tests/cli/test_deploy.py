@@ -11,7 +11,6 @@ import pytest
 from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.policies import pretrained
 from kinfeas.tasks.loading import load_task
-from tests.cli.conftest import check_one_line
 from tests.cli.test_main import HEAVY, kinfeas_process
 
 OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot"
@@ -83,44 +82,6 @@ def test_guards_come_from_a_file_and_from_settings(run, tmp_path):
     assert "0.02 m" in done.err
     speed = (record.base_twist[:, :2] ** 2).sum(axis=1) ** 0.5
     assert speed.max() == pytest.approx(0.02)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--goal", "nan", "0", "0"), "finite"),
-        (("--task", "door"), "--task"),
-        (("--rpy", "0", "0", "0", "--quaternion", "0", "0", "0", "1"), "--quaternion"),
-        (("--quaternion", "0", "0", "0", "2"), "length 1"),
-        (("--backend", "analytik"), "'analytic'"),
-        (("--generator", "linea"), "'linear'"),
-        (("--filters", "feasability"), "'feasibility'"),
-        (("--rate", "5", "--real-time"), "guards.max_age"),
-        (("--record", "taken.csv"), "taken.csv"),
-        (("--record", "run.txt"), "run.txt"),
-        (("--guards", "none.yaml"), "none.yaml"),
-        (("--set", "guards.sped=1"), "guards.sped"),
-        (("--set", "head_start=1e300"), "head_start"),
-        (("--set", "task.orientation=so3"), "--task"),
-        (("--backend", "pybullet", "--set", "backend.physics={gravity: -1}"), "gravity"),
-        (("--backend", "ros2", "--robot", str(OWN_ROBOT / "scout.yaml")), "backend.topics"),
-        (("--robot", "pr2"), "'tiago'"),
-        (("--goal", "1.5", "0", "2.2"), "guards.reach=false"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_no_record(kinfeas, tmp_path, arguments, named):
-    (tmp_path / "taken.csv").write_text("mine")
-    policy = "follow_ee" if "ros2" in arguments else "pretrained"
-    if arguments == ("--robot", "pr2"):
-        policy = str(pretrained.find("tiago"))
-    check_one_line(kinfeas("deploy", policy, *HSR, *GOAL, *arguments), named)
-    assert list(tmp_path.rglob("*.csv")) == [tmp_path / "taken.csv"]
-    assert (tmp_path / "taken.csv").read_text() == "mine"
-
-
-@pytest.mark.parametrize("more", [(), ("--task", "ggr", "--set", "generator.gain=1")])
-def test_a_target_must_be_given(kinfeas, more):
-    check_one_line(kinfeas("deploy", "pretrained", "--backend", "analytic", *more))
 
 
 def test_unwritable_json_keeps_the_exit_code(kinfeas, tmp_path):

@@ -36,14 +36,6 @@ def test_metrics_and_ceiling(evaluate, kinfeas, tmp_path):
     assert path["path"] is True
 
 
-def test_trained_policy_moves_its_robot(evaluate, tmp_path):
-    robot = load_robot("tiago")
-    write_network(random_network(robot, width=8), tmp_path, robot, {})
-    words = ("--episodes", "1", "--set", "world.max_seconds=0.5", "--task", "ggr_restricted")
-    figures = evaluate("evaluate", "--policy", str(tmp_path), *words)
-    assert (figures["robot"], figures["task"]) == ("tiago", "ggr_restricted")
-
-
 def test_robot_and_task_by_path(evaluate, tmp_path):
     (tmp_path / "fetch.yaml").write_text(
         "{name: fetch, places: {cup: {position: [1.5, [-1, 1], 0.8]}}, subgoals: [{place: cup}]}"
@@ -97,31 +89,6 @@ def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     for name in ("four.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert b"<html" in (tmp_path / "page.html").read_bytes()[:1000].lower()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--policy", "follow_me"), "'follow_me'"),
-        (("--task", "gr"), "'gr'"),
-        (("--world", "pybulet"), "'pybullet'"),
-        (("--set", "word.dt=0.1"), "'world'"),
-        (("--set", "task.colour=1"), "colour"),
-        (("--filters", "feasability"), "'feasibility'"),
-        (("--adapters", "broken.yaml"), "base_noise"),
-        (("--head-start", "-1"), "world.head_start"),
-        (("--gui",), "gui"),
-        (("--no-objects",), "objects"),
-        (("--episode", "2"), "--episode"),
-        (("--json", "missing/out.json"), "missing/out.json"),
-        (("--picture", "a.txt"), "a.txt"),
-        (("--video", "film.avi"), "film.avi"),
-        (("--replay", "page.gif"), "page.gif"),
-    ],
-)
-def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
-    (tmp_path / "broken.yaml").write_text("adapters: [{name: base_noise, linear: [2, 1]}]")
-    check_one_line(kinfeas(*SHORT, *arguments), named)
 
 
 def test_speed(evaluate, kinfeas, tmp_path, monkeypatch):

@@ -34,23 +34,3 @@ def test_altered_file_and_other_robot_are_one_line(kinfeas, file):
     file.write_bytes(file.read_bytes()[:-1000])
     for words in (("export", "--check"), ("evaluate", "--policy")):
         check_one_line(kinfeas(*words, "hsr.onnx"), "hsr.onnx")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("run",), "--out FILE"),
-        (("run", "--out", "x.onnx", "--check", "hsr.onnx"), "--out FILE"),
-        (("--check", "none.onnx"), "none.onnx"),
-        (("empty.onnx", "--out", "x.onnx"), "empty.onnx"),
-        (("follow_ee", "--out", "x.onnx"), "follow_ee"),
-        (("", "--out", "x.onnx"), "''"),
-        (("run", "--out", "x.txt"), "x.txt"),
-        (("run", "--out", "x.onnx", "--robot", "tiago"), "'hsr'"),
-    ],
-)
-def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
-    write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
-    (tmp_path / "empty.onnx").touch()
-    check_one_line(kinfeas("export", *arguments), named)
-    assert not (tmp_path / "x.onnx").exists()

@@ -1,12 +1,9 @@
 import json
-from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.plugins.imitation import GaussianMixture, Imitation
-from tests.cli.conftest import check_one_line
 from tests.plugins.conftest import door_demonstrations
 
 
@@ -34,22 +31,3 @@ def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, 
     text = (tmp_path / "door.yaml").read_text()
     assert "kinfeas fit --demonstrations shown" in text
     assert str(tmp_path) not in text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--demonstrations", "nowhere"], "nowhere"),
-        (["--demonstrations", "."], "demonstrations"),
-        (["--demonstrations", "shown", "--components", "0"], "--components"),
-        (["--demonstrations", "shown", "--out", "door.csv"], "door.csv"),
-        (["--demonstrations", "shown"], "shown/1.csv"),
-        ([], "--demonstrations"),
-    ],
-)
-def test_bad_input_is_one_line(arguments, named, kinfeas, shown):
-    one = door_demonstrations(1)[0]
-    poses = ("ee_pose", "base_pose", "object_pose")
-    still = {name: np.tile(getattr(one, name)[:1], (len(one.time), 1)) for name in poses}
-    write_demonstration(replace(one, **still), shown / "1.csv")
-    check_one_line(kinfeas("fit", "--out", "door.yaml", *arguments), named)

@@ -7,7 +7,6 @@ import typer
 
 from kinfeas.cli import main as module
 from kinfeas.core.errors import KinfeasError
-from tests.cli.conftest import check_one_line
 
 HEAVY = """
 import sys
@@ -102,22 +101,6 @@ def test_errors_of_plugins_have_a_traceback_and_the_code_of_bad_input(monkeypatc
     assert end.value.code == 2
     assert "Traceback" in printed
     assert "adapter Mine" in printed.splitlines()[-1]
-
-
-@pytest.mark.parametrize(
-    ("line", "named"),
-    [
-        ("evaluate --policy follow_ee --episodes 0", "--episodes"),
-        ("evaluate --policy follow_ee --processes 257", "--processes"),
-        ("evaluate --nope", "--nope"),
-        ("evaluate", "--policy"),
-        ("fly", "fly"),
-        ("ceiling --robot pr3", "'pr3'"),
-        (f"evaluate --policy {'x' * 5000}", "File name too long"),
-    ],
-)
-def test_wrong_usage_is_one_line(kinfeas, line, named):
-    check_one_line(kinfeas(*line.split()), named)
 
 
 @pytest.mark.parametrize("words", [(), ("--help",), ("--version",)])

@@ -72,22 +72,3 @@ def test_check_of_a_generator_that_breaks_rules(kinfeas, tmp_path):
     assert found["passed"] is False
     broken = {one["rule"] for one in found["rules"] if one["result"] == "broken"}
     assert {"angular_velocity", "arrival"} <= broken
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["info", "lienar"], "'linear'"),
-        (["info", "other.yaml"], "other.yaml"),
-        (["info", "./fetch.urdf"], "kinfeas robot import"),
-        (["check", "pr2"], "'pr2'"),
-        (["check", "linear", "--set", "gian=1"], "'gian'"),
-        (["check", "replay"], "--set file=VALUE"),
-        (["new", "linear"], "'linear'"),
-        (["new", "My"], "My"),
-        (["new", "mine", "--kind", "task_generator"], "--kind"),
-    ],
-)
-def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
-    (tmp_path / "other.yaml").write_text("{adapters: []}")
-    check_one_line(kinfeas("plugins", *arguments), named)

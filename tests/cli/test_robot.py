@@ -35,21 +35,3 @@ def test_existing_files_are_kept(robot, tmp_path):
     check_one_line(robot("--out", "new"), "new/dolly.yaml")
     assert (tmp_path / "new" / "dolly.yaml").read_text() == "mine"
     robot("--out", "new", "--name", "other", code=0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--ee", "plam"), "'palm'"),
-        (("--base", "bass"), "'base'"),
-        (("--name", "a/b"), "--name"),
-        (("--name", ""), "--name"),
-        (("--picture", "dolly.jpg"), "dolly.jpg"),
-        (("--out", "dolly.urdf/new"), "dolly.urdf/new"),
-    ],
-)
-def test_bad_input_is_one_line(robot, kinfeas, tmp_path, arguments, named):
-    outcome = robot("--out", "new", *arguments)
-    check_one_line(outcome, named)
-    assert not (tmp_path / "new").exists()
-    check_one_line(kinfeas("robot", "import", "none.urdf", "--out", "new"), "none.urdf")

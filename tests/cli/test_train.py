@@ -72,32 +72,6 @@ def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
     kinfeas("train", "--resume", "run", code=0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--robot", "none/robot.yaml"), "none/robot.yaml"),
-        (("--task", "fly"), "'fly'"),
-        (("--config", "train/none"), "train/tiago"),
-        (("--adapters", "hars"), "'harsh'"),
-        (("--set", "learner.lerning_rate=1"), "'learning_rate'"),
-        (("--set", "world.adapters=[{name: nois}]"), "'nois'"),
-        (("--minutes", "0"), "schedule.minutes"),
-        (("--seed", "-1"), "seed"),
-        (("--init", "follow_ee", "--steps", "8"), "follow_ee"),
-        (("--init", "nowhere"), "nowhere"),
-        (("--world", "pybullet", "--config", "train/default"), "--world pybullet"),
-        (("--config", "train_physics/default"), "--world analytic"),
-        (("--resume", "nowhere"), "nowhere"),
-        (("--resume", "nowhere", "--seed", "1"), "--resume"),
-        (("--resume", "nowhere", "--world", "pybullet"), "--resume"),
-    ],
-)
-def test_bad_input_is_one_line(kinfeas, monkeypatch, tmp_path, arguments, named):
-    monkeypatch.setattr("kinfeas.cli.train.train_run", None)
-    check_one_line(kinfeas("train", *arguments), named)
-    assert not (tmp_path / "runs").exists()
-
-
 def test_taken_folder_is_one_line(kinfeas, run_folder):
     before = files(run_folder)
     outcome = kinfeas(*SHORT)

@@ -2,8 +2,6 @@ import json
 
 import pytest
 
-from tests.cli.conftest import check_one_line
-
 SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
 
 
@@ -44,23 +42,3 @@ def test_replay_of_a_run(kinfeas, record, tmp_path):
     assert facts["seconds"] == pytest.approx(0.2)
     record.write_bytes(record.read_bytes()[:-300])
     kinfeas("view", "--record", "run.csv", code=0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--scene", "rom"], "'room'"),
-        (["--scene", "none.yaml"], "none.yaml"),
-        (["--scene", "broken.yaml"], "tabel.urdf"),
-        (["--set", "objects.box.position=[3, 0, 0.5]"], "'box'"),
-        (["--picture", "/nowhere/a.png"], "/nowhere/a.png"),
-        (["--record", "none.csv"], "none.csv"),
-        (["--record", "none.csv", "--scene", "room"], "--scene"),
-        (["--record", "none.csv", "--live"], "--live"),
-    ],
-)
-def test_bad_input_is_one_line(kinfeas, tmp_path, arguments, named):
-    (tmp_path / "broken.yaml").write_text(SCENE.replace("table.urdf", "tabel.urdf"))
-    done = kinfeas("view", *arguments)
-    check_one_line(done, named)
-    assert done.out == ""

@@ -150,13 +150,6 @@ def test_override_wins_over_the_file(tmp_path, override, changed):
     assert load(Recipe, path, [override]) == Recipe(**{**kept, **changed})
 
 
-def test_last_override_wins_and_data_stays_as_it_was():
-    data = {"robot": "pr2", "noise": {"lag": 1}}
-    recipe = from_mapping(Recipe, data, "x", ["noise.lag=2", "noise.lag=3", "noise.base=1"])
-    assert recipe.noise == Noise(base=1.0, lag=3)
-    assert data == {"robot": "pr2", "noise": {"lag": 1}}
-
-
 @pytest.mark.parametrize(
     "override",
     [

@@ -19,11 +19,6 @@ from kinfeas.tasks.ggr import ggr
 LADDER = ("ideal", "paper", "pr2_like", "harsh")
 
 
-@pytest.fixture(scope="module")
-def pr2():
-    return load_robot("pr2")
-
-
 def test_shipped_lists_suit_any_robot():
     assert recipes("sim2real") == sorted(f"sim2real/{name}" for name in LADDER)
     for name, robot in product(LADDER, ("pr2", "tiago", "hsr")):

@@ -8,16 +8,10 @@ from kinfeas.evaluation.reachability import A_SUBGOAL, draw_goals, draw_waypoint
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import pick_place
 from kinfeas.tasks.ggr import ggr
 
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)
-
-
-@pytest.fixture(scope="module")
-def hsr():
-    return load_robot("hsr")
 
 
 @pytest.fixture

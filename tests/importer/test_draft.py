@@ -103,11 +103,6 @@ def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     assert turn is None or lower <= found[0] < found[1] <= upper
 
 
-@pytest.fixture(scope="module")
-def hsr():
-    return load_robot("hsr")
-
-
 def test_pairs_that_touch_are_those_of_the_shipped_file(hsr):
     assert not built_to_touch(hsr)
     bare = replace(hsr, ignored_collisions=frozenset())

@@ -2,7 +2,6 @@ import os
 import shutil
 import stat
 from pathlib import Path
-from threading import Thread
 
 import pytest
 
@@ -63,17 +62,6 @@ def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
         raise OSError(28, "full")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_pipe_is_written_to(tmp_path):
-    path, heard = tmp_path / "pipe", []
-    os.mkfifo(path)
-    reader = Thread(target=lambda: heard.append(path.read_bytes()), daemon=True)
-    reader.start()
-    write_file(path, b"content")
-    reader.join(10.0)
-    assert heard == [b"content"]
-    assert stat.S_ISFIFO(path.stat().st_mode)
 
 
 def test_standard_output_is_written_to(capfd):

@@ -42,18 +42,6 @@ def test_the_jacobian_is_the_derivative_of_the_pose(odd_robot):
     np.testing.assert_allclose(jacobian(chain, joints), np.stack(columns, -1), rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize("leading", [(), (3,), (2, 3), (0,)])
-def test_rows_do_not_depend_on_the_batch(odd_robot, leading):
-    chain, joints = build_chain(odd_robot), draw(odd_robot, 6)
-    count, joints_of_arm = int(np.prod(leading)), len(odd_robot.arm)
-    some = joints[:count].reshape(*leading, joints_of_arm)
-    for function, shape in ((forward, (7,)), (jacobian, (6, joints_of_arm))):
-        found = function(chain, some)
-        assert found.shape == (*leading, *shape)
-        whole = function(chain, joints)[:count]
-        np.testing.assert_array_equal(found.reshape(-1, *shape), whole)
-
-
 def test_any_memory_layout_and_number_type(odd_robot):
     chain, joints = build_chain(odd_robot), draw(odd_robot, 6)
     expected = forward(chain, joints)

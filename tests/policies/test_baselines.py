@@ -123,16 +123,6 @@ def test_modulation_never_leaves_the_ring():
         assert outer.max() < 1.05
 
 
-def test_modulation_turns_the_ee_to_its_preferred_bearing(robot):
-    policy = GeometricModulation(robot, ellipses_of(robot.name))
-    given = policy_inputs(robot, 100, np.zeros(6))
-    turn = policy.act(given)[:, -1]
-    ee = relative(given.ee_pose, given.base_pose)
-    off = wrap(np.arctan2(ee[:, 1], ee[:, 0]) - policy.ellipses.bearing)
-    far = np.abs(off) > (0.16 if robot.name == "hsr" else 0.8)
-    assert np.mean(np.sign(turn[far]) == np.sign(off[far])) > 0.9
-
-
 def test_ik_reaches_far_more_within_the_ellipses():
     robot, rng, n = load_robot("hsr"), np.random.default_rng(5), 6000
     ellipses = ellipses_of("hsr")

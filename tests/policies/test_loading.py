@@ -15,11 +15,6 @@ from kinfeas.testing import ConformanceError, check_policy
 from tests.policies.policy_inputs import policy_inputs
 
 
-@pytest.fixture(scope="module")
-def hsr():
-    return load_robot("hsr")
-
-
 @pytest.fixture
 def trained(hsr, tmp_path):
     """A network in a folder of its own."""

@@ -9,7 +9,6 @@ from kinfeas.control.observation import CLIP
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import Network, read_network, write_network
-from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import fingerprint
 
 
@@ -52,11 +51,6 @@ def test_no_bit_depends_on_the_batch(size):
     order = np.random.default_rng(2).permutation(128)
     np.testing.assert_array_equal(net(np.asfortranarray(observation[order])), together[order])
     assert (net(observation[:0]).shape, together.dtype) == ((0, 3), np.float64)
-
-
-@pytest.fixture(scope="module")
-def pr2():
-    return load_robot("pr2")
 
 
 def test_what_is_written_is_read_back(pr2, tmp_path):

@@ -18,11 +18,6 @@ from tests.sim2real.policy_cases import change, get_entry, set_entry, write_poli
 
 
 @pytest.fixture(scope="module")
-def hsr():
-    return load_robot("hsr")
-
-
-@pytest.fixture(scope="module")
 def exported(hsr, tmp_path_factory):
     """A network of the HSR and the bytes of its policy file."""
     network, path = write_policy_file(hsr, tmp_path_factory.mktemp("file"), net_arch=64)

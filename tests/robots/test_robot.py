@@ -1,5 +1,4 @@
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,19 +159,6 @@ def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
 def test_a_robot_is_a_yaml_file_or_a_known_name(name):
     with pytest.raises(KinfeasError, match=name):
         load_robot(name)
-
-
-@pytest.mark.parametrize(
-    ("follower", "multiplier", "named"),
-    [("revolute", "-2", None), ("revolute", "0.5", "'grip'"), ("prismatic", "1", "'grip'")],
-)
-def test_mimics_of_a_continuous_joint_have_its_period(tmp_path, follower, multiplier, named):
-    joint = URDF[URDF.index('<joint name="grip"') : URDF.index("</robot>")]
-    other = joint.replace('"revolute"', f'"{follower}"')
-    other = other.replace('joint="swing"', f'joint="spin" multiplier="{multiplier}"')
-    path = write(tmp_path, crane(), URDF.replace(joint, other))
-    with pytest.raises(KinfeasError, match=rf"'arm\.spin'.*{named}") if named else nullcontext():
-        read_robot(path)
 
 
 def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path):

@@ -3,7 +3,6 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, planar_pose
-from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.check import Solids
 from kinfeas.scenes.collision import SceneCollision, robot_touches
@@ -117,11 +116,6 @@ def test_moving_links_need_a_possible_inertia(read, broken):
 def test_possible_inertias_pass(read):
     read(inertial(ixx="2", iyy="1", izz="1"))  # a plate
     read(inertial(), inertial(mass="0"), kind="fixed")  # a frame on it
-
-
-@pytest.fixture(scope="module")
-def hsr():
-    return load_robot("hsr")
 
 
 def test_a_robot_touches_furniture_and_walls(room, hsr):

@@ -5,7 +5,6 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.core.spatial import planar_pose
-from kinfeas.robots.loading import load_robot
 from tests.sim2real.doubles import Time
 
 
@@ -60,12 +59,6 @@ class Rig:
 @pytest.fixture
 def time():
     return Time()
-
-
-@pytest.fixture(scope="session")
-def pr2():
-    """A robot with continuous joints."""
-    return load_robot("pr2")
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,6 @@ from kinfeas.training.learner import (
     make_learner,
     network_of,
     take_network,
-    without_denormals,
 )
 from kinfeas.training.vec_env import WorldVecEnv
 
@@ -91,13 +90,6 @@ def test_hyperparameters_reach_sb3(env, schedule, half, end):
     td3 = make_learner(replace(SMALL, algorithm="td3", policy_noise=0.5), env, 0)
     assert td3.target_policy_noise == 0.5
     assert td3.replay_buffer.handle_timeout_termination
-
-
-def test_denormals_are_flushed_within_the_block_only():
-    tiny = np.full(1, 1e-310)
-    with without_denormals():
-        assert (tiny * 1.0).item() == 0.0
-    assert (tiny * 1.0).item() == 1e-310
 
 
 def test_a_learner_acts_as_the_network_that_it_takes(config, env):

@@ -4,12 +4,6 @@ from kinfeas.core import registry
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.policies.loading import load_policy
-from kinfeas.robots.loading import load_robot
-
-
-@pytest.fixture(scope="session")
-def hsr():
-    return load_robot("hsr")
 
 
 @pytest.fixture(scope="session")

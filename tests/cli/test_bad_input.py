@@ -1,0 +1,191 @@
+"""Bad input ends each command with code 2 and one line that names it, and writes nothing."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinfeas.io.demonstrations import write_demonstration
+from kinfeas.policies import pretrained
+from kinfeas.robots.loading import load_robot
+from tests.cli.conftest import check_one_line
+from tests.cli.test_benchmark import PYBULLET, STUDY
+from tests.importer.conftest import ARM
+from tests.plugins.conftest import door_demonstrations
+from tests.sim2real.policy_cases import write_run
+
+SCOUT = Path(__file__).parents[2] / "examples" / "own_robot" / "scout.yaml"
+SCENE = "{name: office, size: [4, 4], objects: {desk: {urdf: %s}}}"
+
+INPUT = {
+    "": [("fly", "fly"), ("ceiling --robot pr3", "'pr3'")],
+    "demo": [("--robot pr3", "'pr2'"), ("--minutes -1", "minutes"), ("--out ..", "..")],
+    "evaluate": [("", "--policy"), (f"--policy {'x' * 5000}", "File name too long")],
+    "evaluate --policy follow_ee --robot hsr --episodes 2": [
+        ("--nope", "--nope"),
+        ("--episodes 0", "--episodes"),
+        ("--processes 257", "--processes"),
+        ("--policy follow_me", "'follow_me'"),
+        ("--task gr", "'gr'"),
+        ("--world pybulet", "'pybullet'"),
+        ("--set word.dt=0.1", "'world'"),
+        ("--set task.colour=1", "colour"),
+        ("--filters feasability", "'feasibility'"),
+        ("--adapters adapters.yaml", "base_noise"),
+        ("--head-start -1", "world.head_start"),
+        ("--gui", "gui"),
+        ("--no-objects", "objects"),
+        ("--episode 2", "--episode"),
+        ("--json missing/out.json", "missing/out.json"),
+        ("--picture a.txt", "a.txt"),
+        ("--video film.avi", "film.avi"),
+        ("--replay page.gif", "page.gif"),
+    ],
+    "train": [
+        ("--robot none/robot.yaml", "none/robot.yaml"),
+        ("--task fly", "'fly'"),
+        ("--config train/none", "train/tiago"),
+        ("--adapters hars", "'harsh'"),
+        ("--set learner.lerning_rate=1", "'learning_rate'"),
+        ("--set 'world.adapters=[{name: nois}]'", "'nois'"),
+        ("--minutes 0", "schedule.minutes"),
+        ("--seed -1", "seed"),
+        ("--init follow_ee --steps 8", "follow_ee"),
+        ("--init nowhere", "nowhere"),
+        ("--world pybullet --config train/default", "--world pybullet"),
+        ("--config train_physics/default", "--world analytic"),
+        ("--resume nowhere", "nowhere"),
+        ("--resume nowhere --seed 1", "--resume"),
+        ("--resume nowhere --world pybullet", "--resume"),
+    ],
+    "benchmark --out out --processes 1 --config study.yaml": [
+        ("--config benchmark/none", "study"),
+        ("--config benchmark/paper", "benchmark/paper"),
+        ("--config pybullet.yaml", "--world"),
+        ("--world pybullet", "--world"),
+        ("--set episods=3", "'episodes'"),
+        ("--policy follow_ee", "--policy"),
+        ("--policy pretrained --runs runs", "--runs"),
+        ("--policy pretrained --publish ship", "--publish"),
+        ("--runs nowhere", "nowhere"),
+    ],
+    "export": [
+        ("run", "--out FILE"),
+        ("run --out x.onnx --check hsr.onnx", "--out FILE"),
+        ("--check none.onnx", "none.onnx"),
+        ("empty.onnx --out x.onnx", "empty.onnx"),
+        ("follow_ee --out x.onnx", "follow_ee"),
+        ("'' --out x.onnx", "''"),
+        ("run --out x.txt", "x.txt"),
+        ("run --out x.onnx --robot tiago", "'hsr'"),
+    ],
+    "deploy pretrained --backend analytic": [
+        ("", ""),
+        ("--task ggr --set generator.gain=1", ""),
+    ],
+    "deploy pretrained --robot hsr --no-real-time --backend analytic --goal 0.9 0.1 0.8": [
+        ("--goal nan 0 0", "finite"),
+        ("--goal 1.5 0 2.2", "guards.reach=false"),
+        ("--task door", "--task"),
+        ("--rpy 0 0 0 --quaternion 0 0 0 1", "--quaternion"),
+        ("--quaternion 0 0 0 2", "length 1"),
+        ("--backend analytik", "'analytic'"),
+        ("--generator linea", "'linear'"),
+        ("--filters feasability", "'feasibility'"),
+        ("--rate 5 --real-time", "guards.max_age"),
+        ("--record shown/1.csv", "shown/1.csv"),
+        ("--record run.txt", "run.txt"),
+        ("--guards none.yaml", "none.yaml"),
+        ("--set guards.sped=1", "guards.sped"),
+        ("--set head_start=1e300", "head_start"),
+        ("--set task.orientation=so3", "--task"),
+        ("--backend pybullet --set 'backend.physics={gravity: -1}'", "gravity"),
+    ],
+    "deploy --goal 0.9 0.1 0.8": [
+        (f"{pretrained.find('tiago')} --robot pr2", "'tiago'"),
+        (f"follow_ee --robot {SCOUT} --backend ros2", "backend.topics"),
+    ],
+    "simulate --robot hsr": [
+        ("--backend analytic", "'analytic'"),
+        ("--task door --scene room", "--scene"),
+        ("--topics pr3", "'pr3'"),
+        ("--scene attic", "attic"),
+        ("--scene office.yaml", "'desk'"),
+    ],
+    "view": [
+        ("--scene rom", "'room'"),
+        ("--scene none.yaml", "none.yaml"),
+        ("--scene broken.yaml", "tabel.urdf"),
+        ("--set 'objects.box.position=[3, 0, 0.5]'", "'box'"),
+        ("--picture /nowhere/a.png", "/nowhere/a.png"),
+        ("--record none.csv", "none.csv"),
+        ("--record none.csv --scene room", "--scene"),
+        ("--record none.csv --live", "--live"),
+    ],
+    "plugins": [
+        ("info lienar", "'linear'"),
+        ("info adapters.yaml", "adapters.yaml"),
+        ("info ./fetch.urdf", "kinfeas robot import"),
+        ("check pr2", "'pr2'"),
+        ("check linear --set gian=1", "'gian'"),
+        ("check replay", "--set file=VALUE"),
+        ("new linear", "'linear'"),
+        ("new My", "My"),
+        ("new mine --kind task_generator", "--kind"),
+    ],
+    "fit --out door.yaml": [
+        ("", "--demonstrations"),
+        ("--demonstrations nowhere", "nowhere"),
+        ("--demonstrations .", "demonstrations"),
+        ("--demonstrations shown --components 0", "--components"),
+        ("--demonstrations shown --out door.csv", "door.csv"),
+        ("--demonstrations shown", "shown/1.csv"),
+    ],
+    "robot import dolly.urdf --out new": [
+        ("--ee plam", "'palm'"),
+        ("--base bass", "'base'"),
+        ("--name a/b", "--name"),
+        ("--picture dolly.jpg", "dolly.jpg"),
+    ],
+    "robot import none.urdf --out new": [("", "none.urdf")],
+}
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Good and broken files in the working folder; a function that returns all contents there."""
+    texts = {
+        "study.yaml": STUDY,
+        "pybullet.yaml": PYBULLET,
+        "adapters.yaml": "adapters: [{name: base_noise, linear: [2, 1]}]",
+        "office.yaml": SCENE % "table.urdf",
+        "broken.yaml": SCENE % "tabel.urdf",
+        "dolly.urdf": ARM,
+        "empty.onnx": "",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
+    (tmp_path / "shown").mkdir()
+    shown, other = door_demonstrations(2)
+    poses = ("ee_pose", "base_pose", "object_pose")
+    still = {name: np.tile(getattr(other, name)[:1], (len(other.time), 1)) for name in poses}
+    write_demonstration(shown, tmp_path / "shown" / "0.npz")
+    write_demonstration(replace(other, **still), tmp_path / "shown" / "1.csv")
+    return lambda: {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [(f"{command} {more}", named) for command, rows in INPUT.items() for more, named in rows],
+)
+def test_bad_input_is_one_line_and_writes_nothing(kinfeas, files, line, named):
+    if "simulate" in line or "pybullet" in line:
+        pytest.importorskip("pybullet")
+    before = files()
+    done = kinfeas(*shlex.split(line))
+    check_one_line(done, named)
+    assert done.out == ""
+    assert files() == before
