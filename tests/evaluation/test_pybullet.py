@@ -1,16 +1,14 @@
 """Evaluation in PyBullet."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from kinfeas.config import PluginSpec
 from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import Collisions, run_episodes
 from kinfeas.envs.world import World, evaluation_world
-from kinfeas.evaluation.evaluate import EvalConfig, evaluate, read_settings, run
+from kinfeas.evaluation.evaluate import EvalConfig, read_settings, run
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -61,22 +59,6 @@ def test_a_head_start_holds_the_ee(chosen, policy):
     waiting = run(replace(chosen, world=replace(chosen.world, head_start=4.0)), policy)
     assert not waiting.reached.any()
     assert np.all(waiting.mean_deviation < 0.01)
-
-
-def test_the_summary_holds_the_execution_with_adapters(chosen, policy):
-    adapters = (
-        PluginSpec("head_start", {"seconds": 3.0}),
-        PluginSpec("time_scale", {"factor": 0.5}),
-    )
-    world = replace(chosen.world, time_scale=0.5, max_seconds=0.1, adapters=adapters)
-    summary = evaluate(replace(chosen, episodes=1, world=world), policy, "follow_ee")
-    assert json.loads(json.dumps(summary)) == summary
-    assert (summary["world"], summary["time_scale"], summary["head_start"]) == (
-        "pybullet",
-        0.25,
-        3.0,
-    )
-    assert summary["task_success"] == summary["base_collisions"] == 0.0
 
 
 def test_task_success_is_unknown_without_the_objects(chosen, policy):

@@ -6,10 +6,8 @@ from kinfeas.evaluation.sim2real import (
     AXES,
     NONE,
     measure_costs,
-    measure_sweeps,
     with_value,
 )
-from kinfeas.viz.plots import sim2real_figure
 
 ADAPTERS = (
     PluginSpec("base_noise", {"linear": 0.03}),
@@ -52,10 +50,3 @@ def test_a_sweep_changes_one_parameter():
     assert with_value(ADAPTERS[1:], noise, 0.1) == (added, ADAPTERS[1])
     assert with_value(ADAPTERS[:1], latency, 0.1)[-1].name == "command_latency"
     assert with_value(ADAPTERS, head_start, 2.0)[-1] == PluginSpec("head_start", {"seconds": 2.0})
-
-
-@pytest.mark.parametrize("swept", [True, False])
-def test_picture(swept):
-    sweeps = measure_sweeps(Runs(), ADAPTERS) if swept else []
-    figure = sim2real_figure("a policy", measure_costs(Runs(), ADAPTERS), sweeps)
-    assert len(figure.axes) == 1 + len(sweeps)

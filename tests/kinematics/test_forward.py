@@ -49,8 +49,6 @@ def test_any_memory_layout_and_number_type(odd_robot):
     np.testing.assert_array_equal(forward(chain, np.repeat(joints, 2, axis=0)[::2]), expected)
     zeros = np.zeros(len(odd_robot.arm), dtype=int)
     np.testing.assert_array_equal(forward(chain, zeros), forward(chain, 1.0 * zeros))
-    for array in (*chain.tree, chain.ee_rotation, chain.ee_offset):
-        assert array.flags.c_contiguous  # kernels are compiled for each layout
 
 
 @pytest.mark.parametrize("shape", [(1, 3), (), (4, 0), (2, 3, 99)])

@@ -11,50 +11,6 @@ from kinfeas.scenes.scene import read_scene
 HINGE, DOOR_HANDLE, DRAWER_HANDLE = (0.185, 2.829), (-0.130, 2.796, 0.618), (-2.81, 0.015, 0.525)
 
 
-def corners(one):
-    """Return the corners (k, 3) of all boxes of an object, in the world."""
-    unit = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    placed = [
-        rotation(shape.pose).apply(unit * shape.size) + shape.pose[:3]
-        for _, shape in one.shapes()
-        if shape.kind == "box"
-    ]
-    return np.concatenate(placed)
-
-
-def test_the_room_is_ten_metres_square_with_walls_of_two(room):
-    assert room.size == (10.0, 10.0)
-    points = corners(room.objects["walls"])
-    assert points[:, 2].min() == pytest.approx(0.0)
-    assert points[:, 2].max() == pytest.approx(2.0)
-    assert np.abs(points[:, :2]).max(axis=1).min() == pytest.approx(5.0)
-
-
-def test_tables_and_box_are_those_of_the_method(room):
-    for name, centre in (("pick_table", (3.0, 0.0)), ("place_table", (0.25, -2.75))):
-        table = room.objects[name]
-        points = corners(table)
-        np.testing.assert_allclose(np.ptp(points, axis=0), [0.75, 0.75, 0.52], atol=1e-9)
-        assert points[:, 2].max() == pytest.approx(0.52)
-        np.testing.assert_allclose(table.pose[:2], centre)
-    box = room.objects["box"]
-    assert not box.fixed
-    points = corners(box)
-    np.testing.assert_allclose(np.ptp(points, axis=0), [0.05, 0.15, 0.23], atol=1e-9)
-    assert points[:, 2].min() == pytest.approx(0.52)
-    assert points[:, 0].mean() == pytest.approx(2.725)
-
-
-@pytest.mark.parametrize("name", ["door", "drawer"])
-def test_shelves_are_two_bodies_on_one_another(room, name):
-    low, high = corners(room.objects[f"{name}_base"]), corners(room.objects[f"{name}_shelf"])
-    centre = {"door": (0.0, 3.0), "drawer": (-3.0, 0.0)}[name]
-    np.testing.assert_allclose((low.min(axis=0) + low.max(axis=0))[:2] / 2.0, centre, atol=1e-9)
-    assert low[:, 2].max() == pytest.approx(high[:, 2].min()) == pytest.approx(0.24 + 0.205)
-    assert high[:, 2].max() == pytest.approx(0.65 + 0.205)
-    assert sorted(np.ptp(low, axis=0)[:2]) == pytest.approx([0.39, 0.415])
-
-
 def test_handles_are_where_the_method_has_them(room):
     door, drawer = room.handle_pose("door"), room.handle_pose("drawer")
     np.testing.assert_allclose(door[:3], DOOR_HANDLE, atol=1e-9)

@@ -33,17 +33,6 @@ def test_doors_and_drawers_open_all_the_way_without_touching_their_body(name, jo
         assert not Solids(body, -PLAY).touches(Solids(moved)), position
 
 
-def test_the_method_s_numbers():
-    door, drawer = (parse_urdf(scenes._FOLDER / f"{name}.urdf") for name, _, _ in MOVING)
-    assert door.joints["hinge"].upper > np.deg2rad(96.0)
-    assert drawer.joints["slide"].upper == 0.35
-    assert sorted(door.links["door"].shapes[0].size) == [0.016, 0.31, 0.31]
-    assert door.links["door"].mass + door.links["handle"].mass == pytest.approx(0.8)
-    assert drawer.links["drawer"].mass + drawer.links["handle"].mass == pytest.approx(0.4)
-    assert door.links["handle"].shapes[0].size == (0.005, 0.115)
-    assert drawer.links["handle"].shapes[0].size == (0.04, 0.13, 0.02)
-
-
 @pytest.fixture(scope="module")
 def bullet():
     client = pybullet.connect(pybullet.DIRECT)

@@ -1,7 +1,5 @@
 """The conformance test lets good motion generators pass and catches each kind of bad one."""
 
-import copy
-
 import numpy as np
 import pytest
 
@@ -85,11 +83,6 @@ class OwnRandomness(Good):
         return super().start(ee_pose, target_pose, [self.rng] * len(rngs))
 
 
-class SharesRandomness(Good):
-    def start(self, ee_pose, target_pose, rngs):
-        return super().start(ee_pose, target_pose, [copy.deepcopy(rngs[0])] * len(rngs))
-
-
 class NanAtTheGoal(Good):
     def start(self, ee_pose, target_pose, rngs):
         return {"goal": target_pose.copy()}
@@ -110,15 +103,6 @@ class WritesIntoTheState(Good):
 class OneStepForAll(Good):
     def twist(self, state, ee_pose, target_pose, dt):
         return super().twist(state, ee_pose, target_pose, np.full(len(dt), dt[0]))
-
-
-class RemembersCalls(Good):
-    calls = 0
-
-    def twist(self, state, ee_pose, target_pose, dt):
-        self.calls += 1
-        twist, state = super().twist(state, ee_pose, target_pose, dt)
-        return twist * (1.0 - 0.5 / self.calls), state
 
 
 class RemembersTheLongRun(Good):
@@ -164,8 +148,6 @@ BAD = {
     "new target written": ("copies", writing(2)),
     "steps written": ("copies", writing(3)),
     "own randomness": ("repeatable", OwnRandomness),
-    "calls": ("repeatable", RemembersCalls),
-    "shared randomness": ("rows", SharesRandomness),
     "one step for all": ("rows", OneStepForAll),
     "waits for the slowest": (
         "rows",

@@ -19,12 +19,8 @@ def test_every_recipe_makes_a_world(name):
 
 @pytest.mark.parametrize(
     "override",
-    [
-        "learner.algorithm=ppo", "learner.gamma=1.5", "learner.net_arch=[0]", "num_envs=0",
-        "learner.learning_rate=1.1", "action_repeat=1001", "seed=4294967296",
-        "schedule.minutes=-1", "schedule.steps=null", "learner.batchsize=3", "processes=9",
-    ],
-)  # fmt: skip
+    ["learner.algorithm=ppo", "learner.gamma=1.5", "schedule.steps=null", "processes=9"],
+)
 def test_values_out_of_range_raise(tiny, override):
     with pytest.raises(KinfeasError, match=override.split("=")[0].split(".")[-1]):
         tiny(override)

@@ -127,14 +127,6 @@ def test_a_checkpoint_of_other_settings_raises(write_run, tiny, override, key):
         read_progress(tiny(override), last)
 
 
-def test_settings_that_a_checkpoint_lacks_have_their_defaults(write_run):
-    settings, last = write_run()
-    state = read_state(last)
-    del state["config"]["init"], state["config"]["learner"]["critic_steps"]
-    (last / "state.json").write_text(json.dumps(state))
-    assert read_progress(settings, last).steps == 320
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [("steps", -8), ("seconds", float("nan")), ("best", 2.0), ("recent", [0.5])],

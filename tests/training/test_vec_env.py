@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -77,17 +75,6 @@ def test_steps_are_the_worlds_repeated_with_the_mean_reward_until_the_end(repeat
     assert following > 2 * n
     assert truncations == {True, False}
     assert (early > 0) == (repeat > 1)
-
-
-def test_success_is_the_goal_without_a_failure(monkeypatch):
-    batch = make(3).batch
-    batch.start()
-    ended = {"terminated": np.full(3, True), "reached": np.array([True, True, False])}
-    transition = replace(batch.world.step(np.zeros((3, 3))), **ended)
-    batch.world.failures[:] = [0, 1, 0]
-    monkeypatch.setattr(batch.world, "step", lambda _: transition)
-    infos = batch.step(np.zeros((3, 3)))[3]
-    assert [info["is_success"] for info in infos] == [True, False, False]
 
 
 def test_resumes_from_a_snapshot_to_the_bit():

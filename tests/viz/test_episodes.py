@@ -9,7 +9,6 @@ from kinfeas.viz.episodes import (
     EpisodeFilm,
     as_recording,
     episodes_figure,
-    moments,
     record_figure,
     scene_of,
 )
@@ -48,15 +47,6 @@ def test_episodes_are_drawn_from_the_side_and_from_above(hsr, recordings):
         assert (top.get_xlabel(), top.get_ylabel()) == ("x (m)", "y (m)")
         assert top.get_aspect() == 1.0
     assert png(figure).startswith(b"\x89PNG")
-
-
-def test_moments_have_the_start_and_the_end_of_the_path(recordings):
-    for recording in recordings:
-        at = moments(recording)
-        assert at[0] == 0
-        assert 1 <= len(at) <= 4
-        left = recording.base_pose[at[-1], :2] - recording.base_pose[-1, :2]
-        assert np.linalg.norm(left) < 1e-9
 
 
 def test_a_film_shows_failures_in_red(hsr, recordings):

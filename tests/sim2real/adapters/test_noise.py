@@ -36,14 +36,6 @@ def test_joint_noise_keeps_the_true_state(rig):
     np.testing.assert_array_equal(noisy.sent, 0.0)
 
 
-def test_continuous_joints_stay_in_their_turn(rig):
-    joints = np.zeros((300, 7))
-    joints[:, [4, 6]] = np.pi
-    found = rig(JointNoise, n=300, start=joints, deviation=0.1).first.joint_positions[:, [4, 6]]
-    assert np.abs(found).max() <= np.pi
-    assert (found < 0.0).any()
-
-
 def test_ee_noise(rig, pr2):
     noisy = rig(EeNoise, n=2000, linear=0.01, angular=0.05)
     exact = forward(build_chain(pr2), noisy.joints)

@@ -107,6 +107,14 @@ def test_the_age_is_that_of_the_oldest_part(inbox, time):
     assert inbox.state().age[0] == 3.0
 
 
+def test_messages_that_were_overtaken_are_dropped(inbox):
+    inbox.readings().joints(joints_at(PR2))
+    for x, stamp in ((1.0, 10.0), (2.0, 10.0), (3.0, 9.95)):
+        inbox.readings().base(BaseReading(x, 0.0, 0.0, stamp=stamp))
+    assert inbox.state().base_pose[0, 0] == 2.0
+    assert inbox.fault is None
+
+
 @pytest.mark.parametrize("part", ["the base", "r_elbow_flex_joint"])
 def test_a_clock_that_is_set_back_is_a_fault_of_its_part(inbox, part):
     readings = inbox.readings()
