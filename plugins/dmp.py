@@ -2,20 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from kinfeas.config import Interval
+from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
-from kinfeas.plugins.limits import positive, slowed
+from kinfeas.plugins.limits import slowed
 from kinfeas.plugins.replay import read_recording, resampled
 
 _RATE = 12.5  # of the spring's decay in each duration; half of the library's alpha
 _SAMPLES = 201  # of the demonstration, at even steps of time
 _SEGMENTS = 256  # of the table of forces
-_MOST = 100  # basis functions; more than half the samples would only follow the noise
 _LAST_PHASE = 0.01  # at the end of the demonstrated time; the library's own
 
 
@@ -30,10 +31,10 @@ class Dmp:
     and the shape of the motion stays.
 
     Args:
-        file: CSV or NPZ file of the demonstration, or the CSV record of a run of `kinfeas deploy`.
+        file: CSV file of the demonstration, or the CSV record of a run of `kinfeas deploy`.
         frame: `goal` puts the end of the motion on the target; with `object` the target is the
             grasped object, and the motion ends relative to it as demonstrated.
-        basis_functions: Number of weights of the force in each direction, at least 2.
+        basis_functions: Number of weights of the force in each direction, 2 to 100.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
     """
@@ -43,12 +44,12 @@ class Dmp:
         *,
         file: str,
         frame: Literal["goal", "object"] = "goal",
-        basis_functions: int = 25,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float = 0.1,
+        basis_functions: Annotated[int, Interval(low=2, high=100)] = 25,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
     ) -> None:
-        self._max_velocity = positive("max_velocity", max_velocity)
-        self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
+        self._max_velocity = max_velocity
+        self._max_angular_velocity = max_angular_velocity
         time, ee_pose, object_pose = read_recording(Path(file), frame)
         end = ee_pose[-1]
         self._goal = relative(end, object_pose) if frame == "object" else IDENTITY
@@ -132,12 +133,14 @@ def learn(time: Array, poses: Array, basis_functions: int) -> Array:
 
     The motion is `poses` in the frame of the goal, shape (t, 7), at strictly ascending seconds.
     """
-    size = basis_functions
-    if not isinstance(size, int) or isinstance(size, bool) or not 2 <= size <= _MOST:
-        raise KinfeasError(f"basis_functions must be a whole number in [2, {_MOST}], not {size!r}")
     moments, table = np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, _SEGMENTS + 1)
     model = _library()(
-        1.0, 1.0 / _SAMPLES, size, smooth_scaling=True, alpha_y=2.0 * _RATE, beta_y=0.5 * _RATE
+        1.0,
+        1.0 / _SAMPLES,
+        basis_functions,
+        smooth_scaling=True,
+        alpha_y=2.0 * _RATE,
+        beta_y=0.5 * _RATE,
     )
     model.imitate(moments, _for_library(resampled(time, poses, moments)))
     force = np.concatenate([model.forcing_term_pos(table), model.forcing_term_rot(table)]).T

@@ -1,7 +1,7 @@
 """Motions learned from recorded demonstrations: the work of `kinfeas fit`.
 
-A demonstration is a file `anything.csv` with a header and a line for each moment (or an `.npz` of
-the arrays of `kinfeas.io.demonstrations.Demonstration`), in metres and unit quaternions xyzw::
+A demonstration is a file `anything.csv` with a header and a line for each moment, in metres and
+unit quaternions xyzw::
 
     time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw,base_x,...,base_qw,object_x,...,object_qw
     0.00,0.71,0.02,0.80,0,0,0,1,0.0,0.0,0,0,0,0,1,1.10,0.00,0.85,0,0,0,1
@@ -36,9 +36,6 @@ from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.imitation import DURATIONS, Component, Kind, Model, Source, learned_path
 from kinfeas.plugins.path import below
 from kinfeas.plugins.replay import resampled
-
-MOST_COMPONENTS = 50
-"""Size of the largest mixture: four samples each."""
 
 _SAMPLES = 200  # of each demonstration
 _DIGITS = 8  # significant ones in a model
@@ -101,10 +98,6 @@ def fit(
     """
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to learn from")
-    if not 1 <= components <= MOST_COMPONENTS:
-        raise KinfeasError(
-            f"components must be a number in [1, {MOST_COMPONENTS}], not {components}"
-        )
     called = names or [f"demonstration {number}" for number in range(1, len(demonstrations) + 1)]
     paths = [
         _sampled(shown, kind, name) for shown, name in zip(demonstrations, called, strict=True)

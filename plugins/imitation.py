@@ -20,7 +20,6 @@ the mean orientation, in its own axes. The base moves on the floor, in the frame
 with its heading; a model without a base stops at rz. Only the first column of a covariance is used.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -30,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas import config
 from kinfeas.config import Interval, strict_yaml
-from kinfeas.config.quantities import Count, PositiveShare
+from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, compose, integrate, make_pose, rotation, twist_between
@@ -72,12 +71,12 @@ class Imitation(PathMotion):
     def __init__(
         self,
         *,
-        model: str | None = None,
-        gain: float = 1.0,
-        position_scale: float = 0.05,
-        rotation_scale: float = 0.3,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float = 0.1,
+        model: str,
+        gain: Positive = 1.0,
+        position_scale: Positive = 0.05,
+        rotation_scale: Positive = 0.3,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
     ) -> None:
         learned = read_model(model, "imitation")
         super().__init__(
@@ -111,9 +110,9 @@ class GaussianMixture(PathMotion):
     def __init__(
         self,
         *,
-        model: str | None = None,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float = 0.1,
+        model: str,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
     ) -> None:
         learned = read_model(model, "gaussian_mixture")
         super().__init__(
@@ -202,15 +201,12 @@ def shipped_models(kind: Kind | None = None) -> list[str]:
     return [one.stem for one in paths if kind in (None, strict_yaml.read(one).get("kind"))]
 
 
-def read_model(name_or_path: str | None, kind: Kind) -> Model:
+def read_model(name_or_path: str, kind: Kind) -> Model:
     """Return the shipped model of this name (`door_open`), or that of a file (`my/model.yaml`)."""
-    if not isinstance(name_or_path, str | os.PathLike):
-        shipped = ", ".join(shipped_models(kind)) or "none"
-        raise KinfeasError(f"'model' must be the path of a file or a shipped one: {shipped}")
     path = Path(name_or_path)
-    if not is_path(os.fspath(name_or_path)):
+    if not is_path(name_or_path):
         if name_or_path not in shipped_models():
-            hint = no_such(str(name_or_path), shipped_models(kind))
+            hint = no_such(name_or_path, shipped_models(kind))
             raise KinfeasError(f"unknown model {name_or_path!r}{hint}, or the path of a .yaml file")
         path = _FOLDER / f"{name_or_path}.yaml"
     model = config.load(Model, path)

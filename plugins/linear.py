@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, twist_between
-from kinfeas.plugins.limits import norm, positive
+from kinfeas.plugins.limits import norm
 
 # Below this distance in metres a motion is a turn on the spot, with a speed set by its angle.
 _ON_THE_SPOT = 1e-6
@@ -35,19 +36,15 @@ class Linear:
     def __init__(
         self,
         *,
-        gain: float = 0.1,
-        min_velocity: float = 0.001,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float | None = 0.1,
+        gain: Positive = 0.1,
+        min_velocity: Positive = 0.001,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive | None = 0.1,
     ) -> None:
-        self._gain = positive("gain", gain)
-        self._min_velocity = positive("min_velocity", min_velocity)
-        self._max_velocity = positive("max_velocity", max_velocity)
-        self._max_angular_velocity = (
-            np.inf
-            if max_angular_velocity is None
-            else positive("max_angular_velocity", max_angular_velocity)
-        )
+        self._gain = gain
+        self._min_velocity = min_velocity
+        self._max_velocity = max_velocity
+        self._max_angular_velocity = max_angular_velocity or np.inf
         if min_velocity > max_velocity:
             raise KinfeasError(
                 f"min_velocity must be at most max_velocity, {max_velocity}, not {min_velocity}"

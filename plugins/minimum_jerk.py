@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kinfeas.config.quantities import Positive
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, integrate, twist_between
-from kinfeas.plugins.limits import norm, positive, slowed
+from kinfeas.plugins.limits import norm, slowed
 
 _PEAK = 1.875  # greatest slope of the profile, in the middle
 
@@ -29,13 +30,13 @@ class MinimumJerk:
     def __init__(
         self,
         *,
-        min_duration: float = 1.0,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float = 0.1,
+        min_duration: Positive = 1.0,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
     ) -> None:
-        self._min_duration = positive("min_duration", min_duration)
-        self._max_velocity = positive("max_velocity", max_velocity)
-        self._max_angular_velocity = positive("max_angular_velocity", max_angular_velocity)
+        self._min_duration = min_duration
+        self._max_velocity = max_velocity
+        self._max_angular_velocity = max_angular_velocity
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]

@@ -18,7 +18,7 @@ from kinfeas.core.spatial import (
     relative,
     twist_between,
 )
-from kinfeas.plugins.limits import norm, positive, slowed
+from kinfeas.plugins.limits import norm, slowed
 
 Frame = Literal["object", "goal", "world"]
 """What a path moves with: the target as the grasped object, the target as its end, nothing."""
@@ -97,12 +97,6 @@ class PathMotion:
     rotation_scale: float = 0.3
     max_velocity: float = 0.1
     max_angular_velocity: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Raise KinfeasError if a number is not positive."""
-        limits = "max_velocity", "max_angular_velocity"
-        for name in ("gain", "position_scale", "rotation_scale", *limits):
-            positive(name, getattr(self, name))
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]

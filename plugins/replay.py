@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Slerp
 
+from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, make_pose, rotation
 from kinfeas.io.demonstrations import read_demonstration
@@ -21,7 +22,7 @@ class Replay(PathMotion):
     where the recording is faster than the limits.
 
     Args:
-        file: CSV or NPZ file of a demonstration, or the CSV record of a run of `kinfeas deploy`.
+        file: CSV file of a demonstration, or the CSV record of a run of `kinfeas deploy`.
         frame: `goal` puts the end of the motion on the target; `object` places the motion relative
             to the target as it was relative to the recorded object at the beginning; `world`
             repeats it in the world, wherever the target is.
@@ -35,9 +36,9 @@ class Replay(PathMotion):
         *,
         file: str,
         frame: Frame = "goal",
-        gain: float = 1.0,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float = 0.1,
+        gain: Positive = 1.0,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
     ) -> None:
         time, ee_pose, object_pose = read_recording(Path(file), frame)
         duration = float(time[-1] - time[0])

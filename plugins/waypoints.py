@@ -14,7 +14,7 @@ and a CSV file the same as columns, `time` being optional again::
     0.0,-0.3,0.0,0.2,0,0,0,1
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,11 +24,11 @@ from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RotationSpline
 
 from kinfeas import config
-from kinfeas.config.quantities import LONGEST
+from kinfeas.config.quantities import LONGEST, Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
 from kinfeas.io.formats import read_csv
-from kinfeas.plugins.limits import norm, positive
+from kinfeas.plugins.limits import norm
 from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -60,18 +60,15 @@ class Waypoints(PathMotion):
         *,
         file: str,
         frame: Frame = "object",
-        ramp: float = 1.0,
-        gain: float = 1.0,
-        max_velocity: float = 0.1,
-        max_angular_velocity: float = 0.1,
+        ramp: Positive = 1.0,
+        gain: Positive = 1.0,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
     ) -> None:
-        limits = (
-            positive("max_velocity", max_velocity),
-            positive("max_angular_velocity", max_angular_velocity),
-        )
         poses, time = read_waypoints(Path(file))
         if time is None:
-            knots, duration = _at_full_speed(Path(file), poses, limits, positive("ramp", ramp))
+            limits = max_velocity, max_angular_velocity
+            knots, duration = _at_full_speed(Path(file), poses, limits, ramp)
         else:
             duration = float(time[-1] - time[0])
             knots = _spline(time, poses)(time[0] + even_moments(duration) * duration)
@@ -150,8 +147,8 @@ def read_waypoints(path: Path) -> tuple[Array, Array | None]:
         poses = np.array(data.poses, dtype=np.float64).reshape(-1, 7)
         time = None if data.time is None else np.array(data.time)
     elif path.suffix.lower() == ".csv":
-        values = read_csv(path, _columns).values
-        poses, time = values[:, :7], values[:, 7] if values.shape[1] > 7 else None
+        values = read_csv(path, (*_COLUMNS, "time"), ("time",))
+        poses, time = np.stack([values[name] for name in _COLUMNS], axis=1), values.get("time")
     else:
         raise KinfeasError(f"{path}: must be a .yaml or .csv file of waypoints")
     if len(poses) < 2:
@@ -161,10 +158,6 @@ def read_waypoints(path: Path) -> tuple[Array, Array | None]:
     _check(path, poses, np.arange(float(len(poses))) if time is None else time)
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
     return poses, time
-
-
-def _columns(header: Sequence[str]) -> list[str]:
-    return [*_COLUMNS, *(["time"] if "time" in header else [])]
 
 
 def _check(path: Path, poses: Array, time: Array) -> None:

@@ -105,7 +105,6 @@ def evaluate(  # noqa: PLR0913 - options of the command
     from kinfeas.evaluation import evaluate as evaluation
 
     name = str(policy)
-    options.check_policy(name)
     specs = options.read_adapters(_name(adapters))
     overrides = options.with_filters(filters, options.assignments(settings or {}))
     chosen, driver = evaluation.prepare(
@@ -151,7 +150,6 @@ def load_policy(policy: str | Path, *, robot: str | Path | None = None) -> "Poli
     from kinfeas.policies import loading
 
     name = str(policy)
-    options.check_policy(name)
     known = options.read_robot(_name(robot) or options.robot_of(name))
     return loading.load_policy(name, known)
 

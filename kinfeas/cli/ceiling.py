@@ -27,18 +27,13 @@ def ceiling(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas ceiling --robot pr2 --task door --path --episodes 100
     """
     from kinfeas.config import from_mapping
-    from kinfeas.evaluation.reachability import (
-        ReachabilityConfig,
-        measure_path_reachability,
-        measure_reachability,
-    )
+    from kinfeas.evaluation.reachability import ReachabilityConfig, measure_reachability
     from kinfeas.kinematics.reachability import STAGES
 
     config = from_mapping(ReachabilityConfig, {}, "settings", overrides or ())
     known, drawn_by = options.read_robot(robot), options.read_task(task, config.task)
     with progress(f"{episodes} goals") as advance:
-        measure = measure_path_reachability if path else measure_reachability
-        found = measure(known, drawn_by, episodes, seed, config.ik, advance)
+        found = measure_reachability(known, drawn_by, episodes, seed, config.ik, advance, path=path)
     summary = {
         "robot": known.name,
         "task": drawn_by.name,

@@ -105,7 +105,6 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     if record is not None and (record.exists() or record.suffix != ".csv"):
         raise KinfeasError(f"--record: {record} must be a new file that ends in .csv")
     with status("preparing"):
-        options.check_policy(policy)
         robot = robot or options.robot_of(policy)
         known = options.read_robot(robot)
         changes = options.with_filters(filters, overrides or [], "")

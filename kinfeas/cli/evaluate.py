@@ -8,7 +8,6 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import (
-    print_path,
     print_table,
     progress,
     share,
@@ -21,7 +20,7 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import EvalConfig, Summary
-    from kinfeas.evaluation.sim2real import Cost, Evaluation, Specs
+    from kinfeas.evaluation.sim2real import Cost, Specs
     from kinfeas.viz.film import Film
 
 
@@ -59,13 +58,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     filters: options.Filters = None,
     gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
     adapters: options.AdapterList = None,
-    picture: Annotated[
-        Path | None,
-        options.file_option(
-            "Draw an episode; with --adapters success against latency, noise and head start.",
-            ".png",
-        ),
-    ] = None,
+    picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
     video: Annotated[
         Path | None,
         typer.Option(
@@ -102,6 +95,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         reachability_of,
     )
     from kinfeas.evaluation.evaluate import evaluate as run
+    from kinfeas.evaluation.sim2real import measure_costs
 
     robot = robot or options.robot_of(policy)
     specs = options.read_adapters(adapters)
@@ -124,16 +118,22 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
             summary = run(chosen, driver, policy, ceiling, cores, advance)
         write_json(summary, json)
         _show(summary)
-        _show_episode(chosen, driver, episode, picture, video, replay)
     else:
-        _weigh_adapters(
-            lambda some: run(chosen.within(some), driver, policy, ceiling, cores),
-            adapters,
-            specs,
-            picture,
-            json,
-        )
-        _show_episode(chosen.within(specs), driver, episode, None, video, replay)
+        count = len(specs) * (1 + (len(specs) > 2)) + 2
+        with progress(f"{count} evaluations", count) as advance:
+
+            def within(some: "Specs") -> "Summary":
+                summary = run(chosen.within(some), driver, policy, ceiling, cores)
+                advance(1.0)
+                return summary
+
+            costs = measure_costs(within, specs)
+        summary = costs[-1].metrics
+        rows = [{"adapter": one.adapter, "left_out": one.left_out, **one.metrics} for one in costs]
+        write_json({**summary, "sim2real": adapters, "costs": rows}, json)
+        _show(summary)
+        _show_costs(adapters, costs)
+    _show_episode(chosen.within(specs), driver, episode, picture, video, replay)
 
 
 def _show(summary: "Summary") -> None:
@@ -166,43 +166,10 @@ def _share(summary: Mapping[str, Any], key: str) -> str:
     return share(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))
 
 
-def _weigh_adapters(
-    run: "Evaluation", name: str, adapters: "Specs", picture: Path | None, json: Path | None
-) -> None:
-    """Evaluate without adapters, with each alone, without each, and with all of them."""
-    from kinfeas.evaluation.sim2real import (
-        AXES,
-        evaluations,
-        measure_costs,
-        measure_sweeps,
-        to_json,
-    )
-    from kinfeas.viz.plots import sim2real_figure
-    from kinfeas.viz.style import png
-
-    axes = AXES if picture is not None else ()
-    count = evaluations(adapters, axes)
-    with progress(f"{count} evaluations", count) as advance:
-
-        def counted(some: "Specs") -> "Summary":
-            summary = run(some)
-            advance(1.0)
-            return summary
-
-        costs = measure_costs(counted, adapters)
-        sweeps = measure_sweeps(counted, adapters, axes)
-    summary = costs[-1].figures
-    write_json({**summary, "sim2real": name, **to_json(costs, sweeps)}, json)
-    _show(summary)
-    _show_costs(name, costs)
-    title = "{policy} on {task}, robot {robot}, {episodes} episodes, ".format(**summary) + name
-    write_drawing(lambda: png(sim2real_figure(title, costs, sweeps), dpi=130), picture)
-
-
 def _show_costs(name: str, costs: "list[Cost]") -> None:
     rows = []
     for cost in costs:
-        found, beside = cost.figures, costs[-1 if cost.left_out else 0].figures
+        found, beside = cost.metrics, costs[-1 if cost.left_out else 0].metrics
         difference = 100.0 * (found["success"] - beside["success"])
         rows.append(
             [
@@ -262,4 +229,4 @@ def _write_film(film: "Film", path: Path | None) -> None:
     if path is not None:
         with progress("drawing", count_pictures(film, path)) as advance:
             write_film(film, path, advance)
-        print_path(path)
+        typer.echo(str(path))

@@ -60,10 +60,8 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolic
 
 
 def _check(path: Path, robot: str | None, json: Path | None) -> None:
-    from kinfeas.policies.loading import check_name
     from kinfeas.policies.onnx_policy import read_policy_file
 
-    check_name(str(path))
     found = read_policy_file(path, None if robot is None else options.read_robot(robot))
     write_json(facts(found, path), json)
     compared = f"kinematics equal to {robot}" if robot else "kinematics not compared: no --robot"

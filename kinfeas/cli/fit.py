@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def fit(
-    demonstrations: Annotated[Path, typer.Option(help="Folder of *.csv or *.npz files.")],
+    demonstrations: Annotated[Path, typer.Option(help="Folder of *.csv files.")],
     out: Annotated[Path, options.file_option("Model to write.", ".yaml", ".yml")],
     kind: Annotated[
         Literal["imitation", "gaussian_mixture"],
@@ -27,9 +27,8 @@ def fit(
     """Learn an EE motion from demonstrations.
 
     A demonstration is a CSV table with the columns time, ee_x, ee_y, ee_z, ee_qx, ee_qy, ee_qz,
-    ee_qw and the same of base_ and object_, or an NPZ of the arrays time, ee_pose, base_pose and
-    object_pose: world poses in metres and unit quaternions. The motion is learned in the frame of
-    the object at the start.
+    ee_qw and the same of base_ and object_: world poses in metres and unit quaternions. The motion
+    is learned in the frame of the object at the start.
 
     Use the model in a task or a test as the parameter model: path/of/model.yaml of the motion
     generator --kind.

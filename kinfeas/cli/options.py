@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinfeas.cli.output import check_file_path, check_suffix
+from kinfeas.cli.output import STDOUT, check_file_path, check_suffix
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import is_path, is_standard_output
+from kinfeas.io.files import is_path
 
 if TYPE_CHECKING:
     from kinfeas.config import PluginSpec
@@ -41,22 +41,6 @@ def complete_policy(incomplete: str) -> list[str]:
     return sorted(name for name in names if name.startswith(incomplete))
 
 
-def check_robot(name: str | None) -> str | None:
-    """Return the name of a robot once it is known, before anything slow is imported."""
-    if name is not None and not is_path(name):
-        registry.check_unique("kinfeas.robots", name)
-    return name
-
-
-def check_policy(name: str | None) -> str | None:
-    """Return the name of a policy once it is known, before anything slow is imported."""
-    from kinfeas.policies.loading import check_name
-
-    if name is not None:
-        check_name(name)
-    return name
-
-
 def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
     """Return a callback that checks that a file of one of the suffixes can be written."""
 
@@ -70,10 +54,10 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
 def _read_json_path(context: typer.Context, path: Path | None) -> Path | None:
     """Return the path of the JSON; with standard output, tables go to standard error."""
-    target = Path("/dev/stdout") if path == Path("-") else check_file_path(path)
-    if target is not None and is_standard_output(target):
-        context.with_resource(redirect_stdout(sys.stderr))
-    return target
+    if path not in (STDOUT, Path("/dev/stdout")):
+        return check_file_path(path)
+    context.with_resource(redirect_stdout(sys.stderr))
+    return STDOUT
 
 
 def file_option(text: str, *suffixes: str) -> Any:
@@ -89,7 +73,7 @@ def episodes_option(text: str) -> Any:
 def robot_option(default: str = "") -> Any:
     """Return an option for a robot; the text on its default is added to the help."""
     text = f"Robot: pr2, tiago, hsr, or a YAML file.{default}"
-    return typer.Option(help=text, callback=check_robot, autocompletion=names_of("robots"))
+    return typer.Option(help=text, autocompletion=names_of("robots"))
 
 
 def task_option(before: str = "", default: str = "") -> Any:
@@ -106,7 +90,6 @@ PolicyName = Annotated[
     typer.Option(
         help="Run folder, ONNX file, pretrained, module:Class, or a plugin such as the baselines "
         "follow_ee, follow_ee_feedback, demonstrated_base, geometric_modulation, whole_body_qp.",
-        callback=check_policy,
         autocompletion=complete_policy,
     ),
 ]
@@ -173,13 +156,11 @@ def read_adapters(name: str | None) -> "tuple[PluginSpec, ...]":
 def robot_of(policy: str | None) -> str:
     """Return the robot that a policy was trained for, by name or path; pr2 for other policies."""
     from kinfeas.io.policy_metadata import read_trained
-    from kinfeas.policies.loading import check_name
     from kinfeas.policies.onnx_policy import read_policy_file
 
     path = Path(policy or "")
     if not policy or policy in registry.names("kinfeas.policies") or not path.exists():
         return DEFAULT_ROBOT
-    check_name(policy)
     trained = read_trained(path) if path.is_dir() else read_policy_file(path, None).metadata
     robot = trained.trained_with
     if is_path(robot) and not Path(robot).is_file():

@@ -13,7 +13,7 @@ import typer
 
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.io.files import is_standard_output, replaced, write_file, writing
+from kinfeas.io.files import replaced, write_file, writing
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -33,24 +33,30 @@ def check_file_path(path: Path | None) -> Path | None:
     """Return `path` if a file can be written there, before any work is done."""
     if path is not None:
         with writing(path):
-            if path.is_dir():
-                raise KinfeasError(f"{path}: is a folder, not the path of a file")
-            target = replaced(path)
-            if target is not None:
+            if (target := replaced(path)) is not None:
                 tempfile.TemporaryFile(dir=target.parent).close()
     return path
 
 
 def check_suffix(path: Path, *suffixes: str) -> None:
-    """Check the suffix of a file; a device or a pipe may have any name."""
-    if path.suffix.lower() not in suffixes and replaced(path) is not None:
+    """Raise KinfeasError if a file has another suffix."""
+    if path.suffix.lower() not in suffixes:
         raise KinfeasError(f"{path}: must end in {' or '.join(suffixes)}")
 
 
+STDOUT = Path("-")
+"""Standard output, as the path of a JSON file."""
+
+
 def write_json(data: object, path: Path | None) -> None:
-    """Write `data` as JSON, atomically; nothing for None."""
-    if path is not None:
-        write_file(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+    """Write `data` as JSON, atomically or to standard output; nothing for None."""
+    if path is None:
+        return
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    if path == STDOUT:
+        print(text, end="", file=sys.__stdout__)
+    else:
+        write_file(path, text.encode())
 
 
 def write_drawing(content: Callable[[], bytes], path: Path | None) -> None:
@@ -58,12 +64,6 @@ def write_drawing(content: Callable[[], bytes], path: Path | None) -> None:
     if path is not None:
         with status("drawing"):
             write_file(path, content())
-        print_path(path)
-
-
-def print_path(path: Path) -> None:
-    """Print the path of a file that was written, unless it is standard output."""
-    if not is_standard_output(path):
         typer.echo(str(path))
 
 

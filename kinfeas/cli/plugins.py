@@ -13,7 +13,7 @@ from kinfeas.cli import options
 from kinfeas.cli.output import print_facts, print_table, progress, write_drawing, write_json
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
-from kinfeas.core.registry import GROUPS, MissingParameterError, Plugin
+from kinfeas.core.registry import GROUPS, Plugin
 from kinfeas.io.files import is_path
 from kinfeas.templates import Kind
 
@@ -132,13 +132,8 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
         _check_policy(name, robot)
         return
     parameters = assigned(overrides or [])
-    trial = Trial(None, seed, duration, dt, max_velocity, max_angular_velocity)
-    try:
-        generator = registry.build(_GENERATORS, name, parameters)
-    except KinfeasError as error:
-        if not isinstance(missing := error.__cause__, MissingParameterError):
-            raise
-        raise KinfeasError(f"{error}: --set {missing.parameter}=VALUE") from error
+    trial = Trial(seed, duration, dt, max_velocity, max_angular_velocity)
+    generator = registry.build(_GENERATORS, name, parameters)
     with progress(f"checking {name}", trial.steps) as advance:
         findings = examine(generator, trial, name, lambda: advance(1.0))
     rules = [
@@ -264,24 +259,14 @@ def _parameter(name: str, kind: Any, default: object) -> dict[str, Any]:
 
 
 def _task_facts(name: str) -> dict[str, Any]:
+    from pydantic_core import to_jsonable_python
+
     from kinfeas.tasks.loading import load_task
 
-    task = load_task(name)
-    built: Any = task
-    subgoals = [
-        {
-            "motion": subgoal.motion.generator,
-            "parameters": subgoal.motion.parameters,
-            "frame": subgoal.frame,
-            "wait_s": subgoal.dwell,
-            "grip": subgoal.grip,
-            "place": getattr(subgoal, "place", None),
-        }
-        for subgoal in task.subgoals
-    ]
-    own = [one for one in fields(built) if one.init] if is_dataclass(built) else []
-    parameters = [_parameter(one.name, one.type, getattr(built, one.name)) for one in own]
-    return {"subgoals": subgoals, "parameters": parameters}
+    task: Any = load_task(name)
+    own = [one for one in fields(task) if one.init] if is_dataclass(task) else []
+    parameters = [_parameter(one.name, one.type, getattr(task, one.name)) for one in own]
+    return {"subgoals": to_jsonable_python(task.subgoals), "parameters": parameters}
 
 
 def _robot_facts(name: str) -> dict[str, Any]:

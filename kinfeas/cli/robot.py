@@ -1,7 +1,6 @@
 """`kinfeas robot import`: the files of a robot, from its URDF."""
 
 import shlex
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +10,6 @@ from kinfeas.cli import options
 from kinfeas.cli.output import (
     check_file_path,
     print_facts,
-    print_table,
     progress,
     write_drawing,
     write_json,
@@ -61,7 +59,6 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
-    from kinfeas.importer.text import guessed
     from kinfeas.io.files import write_file, writing
 
     called = urdf.stem if name is None else name
@@ -82,15 +79,9 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
         write_file(path, text.encode())
     summary = _summary(draft)
     write_json(summary, json)
-    guesses = guessed(draft.spec, draft.guesses)
-    if drive is not None:
-        del guesses["base.drive"]
     print_facts(f"robot {called}", summary)
-    print_table("guesses to check", ["key", "value"], [list(row) for row in guesses.items()])
-    if draft.guesses.stand:
-        typer.echo(f"check whether {draft.guesses.stand} is a base or the first link of an arm")
     quoted = shlex.quote(str(yaml_path))
-    typer.echo(f"next: check {yaml_path}, then kinfeas ceiling --robot {quoted}")
+    typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)
 
 
@@ -102,24 +93,16 @@ def _drawing(draft: "Draft") -> bytes:
 
 
 def _summary(draft: "Draft") -> dict[str, object]:
-    spec, guesses = draft.spec, draft.guesses
+    from kinfeas.config import to_mapping
+
+    guesses = draft.guesses
     return {
-        "robot": spec.name,
-        "ee_frame": spec.ee_frame,
-        "tool_tip": list(spec.tool_tip),
-        "gripper_rotation": list(spec.gripper_rotation),
-        "base": asdict(spec.base),
-        "arm": list(spec.arm),
-        "home": list(spec.home["home"]),
-        "goal_heights": {name: list(band) for name, band in spec.goal_heights.items()},
-        "ignored_collisions": [list(pair) for pair in spec.ignored_collisions],
+        **to_mapping(draft.spec),
         "free_of_self_collision": draft.free,
         "heights_m": draft.heights.at.tolist(),
         "reachable": draft.heights.share.tolist(),
         "root_above_floor_m": guesses.lifted,
         "guessed_velocities": list(guesses.speeds),
         "guessed_limits": list(guesses.limits),
-        "collision_shapes": draft.urdf.count("<collision>"),
-        "fingers": [] if spec.gripper is None else list(spec.gripper.fingers),
         "joints_without_room": list(guesses.stuck),
     }

@@ -19,7 +19,6 @@ def speed(
         str | None,
         typer.Option(
             help="Run folder of the timed policy.  [default: 256 x 256 random weights]",
-            callback=options.check_policy,
         ),
     ] = None,
     json: options.JsonPath = None,

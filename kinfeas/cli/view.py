@@ -1,8 +1,6 @@
 """`kinfeas view`: a scene or a recorded run as a table, a picture or an interactive page."""
 
-from contextlib import closing
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,7 +14,7 @@ if TYPE_CHECKING:
     from kinfeas.scenes.scene import Scene
 
 
-def view(  # noqa: PLR0913, PLR0917 - each option is an argument
+def view(
     scene: Annotated[
         str | None, typer.Option(help="Scene by name or YAML file.  [default: room]")
     ] = None,
@@ -29,9 +27,6 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     html: Annotated[
         Path | None, options.file_option("Write an interactive page.", ".html", ".htm")
     ] = None,
-    live: Annotated[
-        bool, typer.Option("--live", help="Serve a scene with sliders until Ctrl-C.")
-    ] = False,
 ) -> None:
     """Show a scene or a recorded run.
 
@@ -40,11 +35,11 @@ def view(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas view --record runs/deploy/FILE.csv --picture run.png --html run.html
     """
     if record is None:
-        _view_scene(scene or "room", overrides or [], json, picture, html, live=live)
-        return
-    if scene is not None or overrides or live:
-        raise KinfeasError("--record excludes --scene, --set and --live")
-    _view_run(record, json, picture, html)
+        _view_scene(scene or "room", overrides or [], json, picture, html)
+    elif scene is not None or overrides:
+        raise KinfeasError("--record excludes --scene and --set")
+    else:
+        _view_run(record, json, picture, html)
 
 
 def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
@@ -87,17 +82,11 @@ def _run_facts(run: "Record") -> dict[str, object]:
 
 
 def _view_scene(
-    name: str,
-    overrides: list[str],
-    json: Path | None,
-    picture: Path | None,
-    html: Path | None,
-    *,
-    live: bool,
+    name: str, overrides: list[str], json: Path | None, picture: Path | None, html: Path | None
 ) -> None:
     from kinfeas.scenes.scene import read_scene
     from kinfeas.viz.figures import scene_figure
-    from kinfeas.viz.pages import ScenePage
+    from kinfeas.viz.pages import scene_html
     from kinfeas.viz.style import png
 
     scene = read_scene(name, overrides)
@@ -105,14 +94,7 @@ def _view_scene(
     write_json(facts, json)
     print_facts(f"scene {scene.name}", facts)
     write_drawing(lambda: png(scene_figure(scene), dpi=110), picture)
-    if html is not None:
-        with closing(ScenePage(scene)) as page:
-            write_drawing(lambda: page.html().encode(), html)
-    if live:
-        with closing(ScenePage(scene)) as page:
-            page.add_sliders()
-            typer.echo(f"open {page.address} in a browser; Ctrl-C ends it")
-            Event().wait()
+    write_drawing(lambda: scene_html(scene).encode(), html)
 
 
 def _scene_facts(scene: "Scene") -> dict[str, object]:

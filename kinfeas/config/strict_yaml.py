@@ -87,6 +87,12 @@ def to_text(data: object, *, compact: bool = False) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
 
 
+def to_line(value: object) -> str:
+    """Return a value as YAML in one line."""
+    text = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, width=sys.maxsize)
+    return text.removesuffix("...\n").strip()
+
+
 def read(path: Path) -> dict[str, object]:
     """Return the mapping of a YAML file; an empty file is an empty mapping."""
     with reading(path):

@@ -27,7 +27,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
-from kinfeas.robots.robot import joint_displacement, joint_jumps
+from kinfeas.robots.robot import exceeds_joint_velocity, joint_displacement
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Loop:
             goal_distance=goal_distance,
             goal_angle=goal_angle,
             finished=arrived & sequence.last,
-            joint_jump=joint_jumps(self.robot, before, arm.joint_positions, self.dt),
+            joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
         )
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
         self._grip(step.subgoal, stops | step.finished)

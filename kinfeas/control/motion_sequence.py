@@ -1,8 +1,8 @@
-"""The course of n EEs: motions one after the other, each row at its own sub-goal."""
+"""Motion sequences of n EEs: sub-goals one after the other, each row at its own."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,9 @@ from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
 from kinfeas.core.spatial import Array
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 
 
@@ -44,7 +47,7 @@ class MotionSequence:
 
     Attributes:
         desired: Desired world pose of the EE, shape (n, 7).
-        sub-goal: Number of the sub-goal that each row is at, shape (n,).
+        subgoal: Number of the sub-goal that each row is at, shape (n,).
         waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
             the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
@@ -104,8 +107,8 @@ class MotionSequence:
             self._states = [{} for _ in self.generators]
             rows = np.arange(len(rngs))
         else:
-            paused = zip(self._held(), fresh, strict=True)
-            self._put(tuple(with_rows(old, rows, new) for old, new in paused))
+            pairs = zip(self._arrays(), fresh, strict=True)
+            self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
         self._begin(rows)
 
     @property
@@ -212,7 +215,7 @@ class MotionSequence:
             for number, state in enumerate(self._states)
             for key, values in state.items()
         }
-        return dict(zip(_ROWS, self._held(), strict=True)) | states
+        return dict(zip(_ROWS, self._arrays(), strict=True)) | states
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
@@ -224,7 +227,7 @@ class MotionSequence:
                 number, _, key = rest.partition(".")
                 self._states[int(number)][key] = values.copy()
 
-    def _held(self) -> tuple[NDArray[Any], ...]:
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
         return self.desired, self.subgoal, self.waiting, self._seeds, self._targets
 
     def _put(self, arrays: tuple[NDArray[Any], ...]) -> None:
@@ -279,6 +282,39 @@ class MotionSequence:
     def _to_ee(self, frame: Array) -> Array:
         """Return the EE poses that put the moved frames at `frame`, shape (n, 7)."""
         return spatial.compose(frame, self._ee_in_tool[self.subgoal]) if self._tips else frame
+
+
+def begin_motions(
+    solver: IkSolver,
+    subgoals: Sequence[SubgoalMotion],
+    start: Start,
+    rngs: Sequence[np.random.Generator],
+) -> MotionSequence:
+    """Return the motions of n episodes at their start, in steps of `HORIZON` and without dwells."""
+    undelayed = [replace(subgoal, dwell=0.0) for subgoal in subgoals]
+    sequence = MotionSequence(undelayed, solver.robot, HORIZON)
+    ee = spatial.compose(start.base_pose, forward(solver.chain, start.joint_positions))
+    sequence.start(ee, start.target_poses, rngs)
+    return sequence
+
+
+def subgoal_ends(
+    solver: IkSolver,
+    subgoals: Sequence[SubgoalMotion],
+    start: Start,
+    rngs: Sequence[np.random.Generator],
+) -> Array:
+    """Return the EE poses at the ends of all sub-goals, shape (n, sub-goals, 7).
+
+    Each sub-goal begins exactly at the end of the one before.
+    """
+    sequence = begin_motions(solver, subgoals, start, rngs)
+    ends = []
+    for _ in subgoals:
+        ends.append(sequence.goal)
+        sequence.desired = ends[-1]
+        sequence.advance(np.ones(len(rngs), dtype=np.bool_))
+    return np.stack(ends, axis=1)
 
 
 def _periods(seconds: float, dt: float) -> int:

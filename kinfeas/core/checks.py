@@ -1,7 +1,6 @@
 """Checks of the arrays, states and motion generators of plugins."""
 
-import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,67 +10,28 @@ from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import Demonstrated, MotionGenerator, State
 from kinfeas.core.spatial import Array
 
-MOTION_PARAMETERS = {
-    "start": ("ee_pose", "target_pose", "rngs"),
-    "goal_pose": ("state", "target_pose"),
-    "twist": ("state", "ee_pose", "target_pose", "dt"),
-    "base_pose": ("state", "target_pose"),
-}
-"""Parameters of the methods of a motion generator."""
-
-SINGLE_MOTION_PARAMETERS = MOTION_PARAMETERS | {"start": ("ee_pose", "target_pose", "rng")}
-"""Parameters of the methods of a class for one motion."""
-
 _UNIT_TOLERANCE = 1e-6
 
 Layout = dict[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
 
-class SignatureError(KinfeasError, TypeError):
-    """A method of a plugin has other parameters than its contract."""
-
-
-def require_parameters(
-    thing: object, parameters: Mapping[str, tuple[str, ...]], subject: str
+def check_array(
+    value: object,
+    shape: tuple[int, ...],
+    what: str,
+    *,
+    finite: bool = True,
+    error: type[KinfeasError] = KinfeasError,
 ) -> None:
-    """Check the positional parameters of an object's methods; methods may be absent.
-
-    Raises:
-        SignatureError: If a method has other parameters; the message begins with `subject`.
-    """
-    for method, names in parameters.items():
-        function = getattr(thing, method, None)
-        if not callable(function):
-            continue
-        signature = inspect.signature(function)
-        try:
-            signature.bind(*names)
-        except TypeError as error:
-            raise SignatureError(
-                f"{subject} must have the method {method}({', '.join(names)}), "
-                f"not {method}({', '.join(signature.parameters)})"
-            ) from error
-
-
-def array_fault(value: object, shape: tuple[int, ...], *, finite: bool = True) -> str:
-    """Return how a value differs from a numeric array of `shape`, or an empty string."""
+    """Raise an `error` whose message begins with `what` unless a value is an array of `shape`."""
     if not isinstance(value, np.ndarray):
-        return f"is a {type(value).__name__}, not an array of shape {shape}"
+        raise error(f"{what} is a {type(value).__name__}, not an array of shape {shape}")
     if value.shape != shape:
-        return f"has shape {value.shape}, not {shape}"
+        raise error(f"{what} has shape {value.shape}, not {shape}")
     if value.dtype.kind not in "iuf":
-        return f"is an array of {value.dtype}"
-    return "is not finite" if finite and not np.isfinite(value).all() else ""
-
-
-def check_array(value: object, shape: tuple[int, ...], what: str, *, finite: bool = True) -> None:
-    """Check that a value is a numeric array of `shape`.
-
-    Raises:
-        KinfeasError: If it is not; the message begins with `what`.
-    """
-    if fault := array_fault(value, shape, finite=finite):
-        raise KinfeasError(f"{what} {fault}")
+        raise error(f"{what} is an array of {value.dtype}")
+    if finite and not np.isfinite(value).all():
+        raise error(f"{what} is not finite")
 
 
 def are_unit(poses: Array) -> bool:
@@ -81,11 +41,9 @@ def are_unit(poses: Array) -> bool:
 
 
 def check_state(state: object, robots: int, joints: int, source: str) -> None:
-    """Check the state that a backend or adapter returns.
+    """Raise KinfeasError unless a backend or adapter returns a valid `RobotState`.
 
-    Raises:
-        KinfeasError: If it is no `RobotState`, an array has another shape, or a pose or joint
-            position is not finite; the message begins with `source`.
+    Poses and joint positions must be finite; the message begins with `source`.
     """
     if not isinstance(state, RobotState):
         raise KinfeasError(f"{source} must return a RobotState, not a {type(state).__name__}")
@@ -125,8 +83,7 @@ class CheckedMotion:
         demonstrated: Whether the generator has demonstrated base poses.
 
     Raises:
-        ConformanceError: If a method is missing; from all methods, if a return value is invalid.
-        SignatureError: If a method has other parameters.
+        ConformanceError: From all methods, if a return value is invalid.
     """
 
     def __init__(
@@ -137,10 +94,6 @@ class CheckedMotion:
         self.subject = f"motion generator {name or type(generator).__name__}"
         self._every_step, self._unchecked = every_step, True
         self._layout: Layout | None = None
-        for method in ("start", "goal_pose", "twist"):
-            if not callable(getattr(generator, method, None)):
-                raise self.error(f"lacks the method {method}")
-        require_parameters(generator, MOTION_PARAMETERS, self.subject)
 
     def start(
         self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
@@ -195,8 +148,8 @@ class CheckedMotion:
     def _check_array(
         self, method: str, value: object, shape: tuple[int, ...], *, finite: bool = True
     ) -> None:
-        if fault := array_fault(value, shape, finite=finite):
-            raise self.error(f"returns a value from {method} that {fault}")
+        what = f"{self.subject} returns a value from {method} that"
+        check_array(value, shape, what, finite=finite, error=ConformanceError)
 
     def _check_state(self, method: str, state: Any, n: int) -> None:
         rule = f"must return a state from {method} that is a dict of numeric arrays"

@@ -48,11 +48,6 @@ def raised_by(error: BaseException) -> str | None:
     return notes[0].removeprefix(_RAISED_BY) if notes else None
 
 
-def is_own(thing: object) -> bool:
-    """Return whether the class of an object belongs to kinfeas."""
-    return type(thing).__module__.partition(".")[0] == "kinfeas"
-
-
 def check_name(name: str) -> None:
     """Raise ValueError if the name of a robot or task does not fit into tables and file names."""
     if not name.strip() or "/" in name or not name.isprintable():

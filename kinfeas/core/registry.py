@@ -4,7 +4,6 @@ Plugins are loaded one at a time when their name is used; a broken one does not 
 """
 
 import inspect
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -27,28 +26,16 @@ GROUPS = {
 }
 """Entry-point groups and the noun for their entries."""
 
-# Required methods; `CheckedMotion` checks those of motion generators.
-_METHODS = {
-    "kinfeas.tasks": ("sample",),
+_MEMBERS = {
+    "kinfeas.tasks": ("name", "subgoals", "sample"),
     "kinfeas.adapters": ("reset", "step", "close"),
     "kinfeas.backends": ("reset", "step", "close"),
     "kinfeas.policies": ("act",),
     "kinfeas.filters": ("reset", "__call__"),
 }
+"""Required members; those of motion generators are called before an episode begins."""
 
 _REGISTERED: list[EntryPoint] = []
-
-
-class MissingParameterError(KinfeasError):
-    """A required parameter of a plugin is missing.
-
-    Attributes:
-        parameter: Its name.
-    """
-
-    def __init__(self, parameter: str, message: str) -> None:
-        super().__init__(message)
-        self.parameter = parameter
 
 
 @dataclass(frozen=True)
@@ -103,11 +90,6 @@ def names(group: str) -> list[str]:
     return sorted({entry.name for entry in _entries(group)})
 
 
-def check_unique(group: str, name: str) -> None:
-    """Raise an error if a name is unknown in a group or ambiguous, as `load` does."""
-    _find(group, name)
-
-
 def load(group: str, name: str) -> Any:
     """Return a class or function; raise KinfeasError if it is unknown, ambiguous or broken."""
     return _import(_find(group, name))
@@ -146,11 +128,10 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
             built = factory(**typed)
     except (ValueError, TypeError, ImportError) as error:
         raise KinfeasError(f"{subject}: {error}") from error
-    lacks = [method for method in _METHODS.get(group, ()) if not hasattr(built, method)]
+    lacks = [name for name in _MEMBERS.get(group, ()) if not hasattr(built, name)]
     if lacks:
         raise KinfeasError(
-            f"{subject} must return an object with the methods {', '.join(lacks)}, "
-            f"not {type(built).__name__}"
+            f"{subject} must return an object with {', '.join(lacks)}, not {type(built).__name__}"
         )
     return built
 
@@ -177,9 +158,8 @@ def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> N
             raise KinfeasError(f"unknown parameter {name!r}{no_such(name, taken)}")
     for name, parameter in taken.items():
         if parameter.default is parameter.empty and name not in given:
-            raise MissingParameterError(
-                name, f"the parameter {name!r} is missing; known are {', '.join(sorted(taken))}"
-            )
+            known = ", ".join(sorted(taken))
+            raise KinfeasError(f"the parameter {name!r} is missing; known are {known}")
 
 
 def _in_types(
@@ -188,13 +168,8 @@ def _in_types(
     typed = dict(given)
     for name in given.keys() & signature.parameters.keys():
         value, parameter = given[name], signature.parameters[name]
-        # The plugin decides about infinite numbers.
-        endless = isinstance(value, float) and not math.isfinite(value)
-        if endless or value is parameter.default:
-            continue
-        converted = convert(parameter.annotation, value, subject, name)
-        # Numbers stay as written, for errors that quote them.
-        typed[name] = value if isinstance(value, int | float) else converted
+        if value is not parameter.default:
+            typed[name] = convert(parameter.annotation, value, subject, name)
     return typed
 
 

@@ -8,7 +8,7 @@ from typing import Any, ParamSpec, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinfeas.core.checks import SINGLE_MOTION_PARAMETERS, array_fault, require_parameters
+from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator, State
 from kinfeas.core.spatial import Array
@@ -63,7 +63,6 @@ def batched(single: Callable[Parameters, SingleMotion]) -> Callable[Parameters, 
     @functools.wraps(single.__init__)  # type: ignore[misc]  # `single` is a class
     def __init__(self: RowByRow, *args: Any, **kwargs: Any) -> None:  # noqa: N807  a constructor
         self.single = single(*args, **kwargs)
-        require_parameters(self.single, SINGLE_MOTION_PARAMETERS, single.__name__)
 
     members = {name: getattr(single, name) for name in ("__doc__", "__module__", "__qualname__")}
     members |= {"__init__": __init__, "__signature__": inspect.signature(single)}
@@ -114,8 +113,7 @@ class RowByRow:
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise KinfeasError(f"{where} must return a pair: the twist and the next state")
         twist = np.asarray(answer[0])
-        if fault := array_fault(twist, (6,), finite=False):
-            raise KinfeasError(f"{where} returns a twist that {fault}")
+        check_array(twist, (6,), f"{where}: the twist", finite=False)
         return twist, answer[1]
 
     def _stacked(self, method: str, states: list[Mapping[str, ArrayLike]]) -> State:

@@ -1,7 +1,7 @@
 """Starts and random numbers of episodes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -21,6 +21,12 @@ class Start:
     base_pose: Array
     joint_positions: Array
     target_poses: Array
+
+
+def stacked(starts: Sequence[Start]) -> Start:
+    """Return starts without leading axes as one with a leading axis."""
+    names = [one.name for one in fields(Start)]
+    return Start(**{name: np.stack([getattr(one, name) for one in starts]) for name in names})
 
 
 def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:

@@ -19,7 +19,7 @@ from kinfeas.core.backend import RealTimeBackend, build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
-from kinfeas.core.start import Start, episode_rng
+from kinfeas.core.start import episode_rng, stacked
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.robot import Robot
@@ -162,12 +162,7 @@ class World:
             sample_start(self.task, self.solver, rng, row)
             for rng, row in zip(rngs, places, strict=True)
         ]
-        stacked = Start(
-            np.stack([start.base_pose for start in starts]),
-            np.stack([start.joint_positions for start in starts]),
-            np.stack([start.target_poses for start in starts]),
-        )
-        self.loop.start(stacked, rngs, rows)
+        self.loop.start(stacked(starts), rngs, rows)
         if rows is None:
             self.failures = np.zeros(len(episodes), dtype=np.intp)
             self.steps = np.zeros(len(episodes), dtype=np.intp)

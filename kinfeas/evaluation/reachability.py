@@ -1,18 +1,18 @@
 """Reachability of the goals and paths of a task: the upper bound (ceiling) of success."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.motion_sequence import MotionSequence
+from kinfeas.control.execution import SubgoalMotion
+from kinfeas.control.motion_sequence import MotionSequence, begin_motions, subgoal_ends
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, wilson
 from kinfeas.core.spatial import Array
-from kinfeas.core.start import episode_rng
-from kinfeas.kinematics.forward import forward
+from kinfeas.core.start import Start, episode_rng, stacked
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.reachability import STAGES, Reachability, at_goals, reachable
 from kinfeas.robots.robot import Robot
@@ -38,73 +38,45 @@ class ReachabilityConfig:
     ik: IkOptions = field(default_factory=IkOptions)
 
 
-@dataclass(frozen=True, eq=False)
-class _Poses:
-    """EE poses (n, k, 7) of n episodes, their solver, and the base poses to try around each."""
-
-    solver: IkSolver
-    poses: Array
-    most: int = STAGES[-1]
-
-
-def measure_reachability(
+def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
     robot: Robot,
     task: Task,
     episodes: int,
     seed: int,
     ik: IkOptions | None = None,
     on_done: OnDone | None = None,
+    *,
+    path: bool = False,
 ) -> Reachability:
     """Return for each episode whether some base pose reaches the goals of all sub-goals.
 
     A robot with pose tolerance reaches a goal within the tolerance of success, others exactly. The
-    episodes are those of an evaluation. `on_done` is called with the share of all work, 0-1, that
-    has just been done.
+    episodes are those of an evaluation. With `path`, some base poses must also reach all waypoints:
+    each its own, and base motions between them are not checked. `on_done` is called with the share
+    of all work, 0-1, that has just been done.
     """
-    return _reached([_goals(robot, task, episodes, seed, ik)], on_done)
-
-
-def measure_path_reachability(
-    robot: Robot,
-    task: Task,
-    episodes: int,
-    seed: int,
-    ik: IkOptions | None = None,
-    on_done: OnDone | None = None,
-) -> Reachability:
-    """Return for each episode whether some base poses reach all waypoints and goals.
-
-    Each pose may have its own base pose; base motions between them are not checked. Arguments as in
-    `measure_reachability`.
-    """
-    solver = IkSolver(robot, ik or IkOptions())
-    way = _Poses(solver, draw_waypoints(solver, task, episodes, seed), MOST_ALONG_THE_WAY)
-    return _reached([_goals(robot, task, episodes, seed, ik), way], on_done)
-
-
-def _goals(robot: Robot, task: Task, episodes: int, seed: int, ik: IkOptions | None) -> _Poses:
-    solver = IkSolver(robot, at_goals(robot, ik or IkOptions()))
-    return _Poses(solver, draw_goals(solver, task, episodes, seed))
-
-
-def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Reachability:
-    report = on_done or (lambda _: None)
-    reached = [np.zeros(group.poses.shape[:2], dtype=np.bool_) for group in groups]
-    episodes, work = len(reached[0]), len(groups) * len(STAGES)
+    options = ik or IkOptions()
+    solver = IkSolver(robot, at_goals(robot, options))
+    groups = [(solver, draw_goals(solver, task, episodes, seed), STAGES[-1])]
+    if path:
+        solver = IkSolver(robot, options)
+        waypoints = draw_waypoints(solver, task, episodes, seed)
+        groups.append((solver, waypoints, MOST_ALONG_THE_WAY))
+    reached = [np.zeros(poses.shape[:2], dtype=np.bool_) for _, poses, _ in groups]
     convergence = []
+
+    def report(share: float) -> None:
+        if on_done is not None:
+            on_done(share / (len(groups) * len(STAGES)))
+
     for tried, stage in zip((0, *STAGES), STAGES, strict=False):
-        for group, found in zip(groups, reached, strict=True):
+        for (solver, poses, most), found in zip(groups, reached, strict=True):
             still_open = ~found
-            if stage > group.most or not still_open.any():
-                report(1.0 / work)
-                continue
-            found[still_open] = reachable(
-                group.solver,
-                group.poses[still_open],
-                (stage,),
-                lambda done: report(done / work),
-                tried,
-            ).reached
+            if stage > most or not still_open.any():
+                report(1.0)
+            else:
+                some = poses[still_open]
+                found[still_open] = reachable(solver, some, (stage,), report, tried).reached
         all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
         convergence.append(float(all_reached.mean()))
     return Reachability(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))
@@ -112,15 +84,7 @@ def _reached(groups: Sequence[_Poses], on_done: OnDone | None) -> Reachability:
 
 def draw_goals(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
     """Return the EE poses at the ends of all sub-goals, shape (episodes, sub-goals, 7)."""
-    sequence = _begin(solver, task, episodes, seed)
-    everyone = np.ones(episodes, dtype=np.bool_)
-    goals = []
-    for _ in sequence.subgoals:
-        goals.append(sequence.goal)
-        # Without the tolerance at the end of a sub-goal.
-        sequence.desired = goals[-1]
-        sequence.advance(everyone)
-    return np.stack(goals, axis=1)
+    return subgoal_ends(solver, *_starts(solver, task, episodes, seed))
 
 
 def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Array:
@@ -129,7 +93,7 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     They are evenly spaced in time and end within the tolerance of the sub-goal, where the next one
     begins.
     """
-    sequence = _begin(solver, task, episodes, seed)
+    sequence = begin_motions(solver, *_starts(solver, task, episodes, seed))
     steps = list(_follow(sequence))
     desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
     chosen = [
@@ -139,17 +103,13 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     return np.take_along_axis(desired, np.stack(chosen)[:, :, np.newaxis], axis=1)
 
 
-def _begin(solver: IkSolver, task: Task, episodes: int, seed: int) -> MotionSequence:
-    """Return the motions of the episodes at their start, without dwells."""
+def _starts(
+    solver: IkSolver, task: Task, episodes: int, seed: int
+) -> tuple[tuple[SubgoalMotion, ...], Start, list[np.random.Generator]]:
+    """Return the sub-goals of a task, and starts and random generators of its episodes."""
     rngs = [episode_rng(seed, episode) for episode in range(episodes)]
     starts = [sample_start(task, solver, rng) for rng in rngs]
-    base = np.stack([start.base_pose for start in starts])
-    joints = np.stack([start.joint_positions for start in starts])
-    subgoals = [replace(subgoal, dwell=0.0) for subgoal in build_subgoals(task.subgoals)]
-    sequence = MotionSequence(subgoals, solver.robot, HORIZON)
-    ee = spatial.compose(base, forward(solver.chain, joints))
-    sequence.start(ee, np.stack([start.target_poses for start in starts]), rngs)
-    return sequence
+    return build_subgoals(task.subgoals), stacked(starts), rngs
 
 
 def _follow(sequence: MotionSequence) -> Iterator[tuple[Array, NDArray[np.intp]]]:

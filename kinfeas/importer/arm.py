@@ -89,20 +89,6 @@ def find_arm(urdf: Urdf, hand: str | None, source: str) -> Arm:
     return Arm(hand, joints, tuple(joint for joint in own if joint not in joints), fingers)
 
 
-def bare_stand(urdf: Urdf, arm: Arm) -> str:
-    """Return the link below the arm if it may be the arm's own first link, else an empty name.
-
-    That is so if only one body is fixed below the arm and nothing else, such as wheels or a head,
-    moves on it. An arm that begins with a lift has a base.
-    """
-    first = arm.joints[0]
-    group = urdf.rigid[first.parent]
-    moving = [joint for link in group for joint in urdf.on[link] if joint.moves]
-    bodies = [link for link in group if urdf.links[link].shapes]
-    bare = len(moving) == len(bodies) == 1 and first.kind != "prismatic"
-    return bodies[0] if bare else ""
-
-
 def _find_hand(urdf: Urdf, source: str) -> str:
     ways = {link: [j for j in urdf.path_to(link) if j.moves] for link in urdf.links}
     longest = max(map(len, ways.values()))

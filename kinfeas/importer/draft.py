@@ -10,7 +10,7 @@ import numpy as np
 from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import Arm, Hand, bare_stand, find_arm, read_hand
+from kinfeas.importer.arm import Arm, Hand, find_arm, read_hand
 from kinfeas.importer.boxed import boxed_urdf, on_the_floor, read_robot_element
 from kinfeas.importer.reach import (
     EASY,
@@ -114,7 +114,15 @@ def draft_robot(
         pose_tolerance=pose_tolerance,
         ignored_collisions=tuple(touching),
     )
-    guesses = replace(_guesses(spec, urdf, arm, lifted), touching=touching)
+    names = [joint.name for joint in arm.joints]
+    guesses = Guesses(
+        lifted=lifted,
+        speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
+        limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
+        stuck=tuple(joint.name for joint in arm.stuck),
+        touching=touching,
+        slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
+    )
     yaml = robot_yaml(spec, guesses)
     read = config.from_mapping(RobotSpec, strict_yaml.parse(yaml, source), source)
     final = build_robot(read, urdf, path, source)
@@ -123,19 +131,6 @@ def draft_robot(
 
 def _parsed(text: str, source: str) -> Urdf:
     return urdf_of(parse_xml(text, "robot", source))
-
-
-def _guesses(spec: RobotSpec, urdf: Urdf, arm: Arm, lifted: float) -> Guesses:
-    names = [joint.name for joint in arm.joints]
-    return Guesses(
-        lifted=lifted,
-        speeds=tuple(name for name in names if spec.arm[name].velocity is not None),
-        limits=tuple(name for name in names if spec.arm[name].soft_limits is not None),
-        stuck=tuple(joint.name for joint in arm.stuck),
-        slides=frozenset(n for n, joint in urdf.joints.items() if joint.kind == "prismatic"),
-        fingers=len(arm.fingers),
-        stand=bare_stand(urdf, arm),
-    )
 
 
 def bands(heights: Heights, source: str) -> tuple[Band, Band]:

@@ -12,19 +12,12 @@ from tempfile import TemporaryDirectory
 
 from kinfeas.core.errors import KinfeasError
 
-_STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
-
 
 def is_path(name: object) -> bool:
     """Return whether a robot, task or policy is given by the path of a YAML file, not by name."""
     if isinstance(name, str):
         return os.sep in name or name.endswith((".yaml", ".yml"))
     return isinstance(name, Path)
-
-
-def is_standard_output(path: Path) -> bool:
-    """Return whether `path` is the standard output of this process."""
-    return _stream(path) == 1
 
 
 @contextmanager
@@ -61,37 +54,31 @@ def write_file(path: Path, content: bytes) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path of the same name whose content replaces `path` at the end.
 
-    Links are followed. The content is copied into devices, pipes and `/dev/stdout`. If it cannot be
-    written, the old content remains.
+    Links are followed. The content is copied into devices and pipes. If it cannot be written, the
+    old content remains.
     """
-    target = replaced(path)
-    with writing(path), TemporaryDirectory(prefix=".", dir=target and target.parent) as folder:
-        fresh = Path(folder) / path.name
-        yield fresh
-        if target is None:
-            stream = _stream(path)
-            sink = path.open("wb") if stream is None else os.fdopen(os.dup(stream), "wb")
-            with fresh.open("rb") as source, sink:
-                shutil.copyfileobj(source, sink)
-        else:
-            if target.exists():
-                shutil.copymode(target, fresh)
-            fresh.replace(target)
+    with writing(path):
+        target = replaced(path)
+        with TemporaryDirectory(prefix=".", dir=target and target.parent) as folder:
+            fresh = Path(folder) / path.name
+            yield fresh
+            if target is None:
+                with fresh.open("rb") as source, path.open("wb") as sink:
+                    shutil.copyfileobj(source, sink)
+            else:
+                if target.exists():
+                    shutil.copymode(target, fresh)
+                fresh.replace(target)
 
 
 def replaced(path: Path) -> Path | None:
-    """Return the file that writing to `path` replaces; None for devices, pipes and streams."""
-    with writing(path):
-        stream = _stream(path)
-        if stream is not None:
-            os.fstat(stream)
-            return None
-        mode = _mode(path)
-        if stat.S_ISDIR(mode):
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if mode and not os.access(path, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        return path.resolve() if not mode or stat.S_ISREG(mode) else None
+    """Return the file that writing to `path` replaces; None for devices and pipes."""
+    mode = _mode(path)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if mode and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return path.resolve() if not mode or stat.S_ISREG(mode) else None
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
@@ -170,15 +157,6 @@ def _mode(path: Path) -> int:
         return path.stat().st_mode
     except FileNotFoundError:
         return 0
-
-
-def _stream(path: Path) -> int | None:
-    """Return the file descriptor of a path such as /dev/stdout or /dev/fd/3."""
-    if str(path) in _STREAMS:
-        return _STREAMS[str(path)]
-    open_file = path.name.isdecimal() and path.exists()
-    own = open_file and path.parent.resolve() == Path("/dev/fd").resolve()
-    return int(path.name) if own else None
 
 
 def _old(folder: Path) -> Path:

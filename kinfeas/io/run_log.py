@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas import config
-from kinfeas.config.quantities import REMOTEST, Positive
+from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import reading, writing
@@ -26,7 +26,6 @@ TASK_DONE = {True: ", task done", False: ", task not done", None: ""}
 
 _FORMAT = "kinfeas record 1"
 _ARRAYS = "base_pose", "joint_positions", "desired", "goal", "base_twist", "joint_targets"
-_UNIT_TOLERANCE = 0.1  # measured quaternions are logged as they are
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -151,32 +150,31 @@ def read_record(path: Path) -> Record:
     """Return a run log without an incomplete last line; raise KinfeasError on invalid ones."""
     with reading(path):
         text = path.read_text(encoding="utf-8")
-    lines = text[: text.rfind("\n") + 1].splitlines(keepends=True)
-    about = _about(lines[0] if lines else "", path)
-    names = _names(about.joints)
-    if lines[1:2] != [_line(names)]:
+    head, *lines = text[: text.rfind("\n") + 1].splitlines() or [""]
+    about = _about(head, path)
+    names, rows = _names(about.joints), list(csv.reader(lines))
+    if rows[:1] != [names]:
         raise KinfeasError(f"{path}, line 2: not the columns of a run log of {about.robot!r}")
-    if not lines[2:]:
+    if len(rows) < 2:
         raise KinfeasError(f"{path}: the run ended before its first step")
-    rows = [_row(line, len(names), f"{path}, line {n}") for n, line in enumerate(lines[2:], 3)]
+    numbers = np.empty((len(rows) - 1, len(names) - 1))
+    for i, row in enumerate(rows[1:]):
+        try:
+            numbers[i] = [float(entry or "nan") for entry in row[:-1]]
+        except ValueError as error:
+            raise KinfeasError(f"{path}, line {i + 3}: {error}") from error
     j = len(about.joints)
     time, age, *blocks, feasible, subgoal = np.split(
-        np.array([numbers for numbers, _ in rows]), np.cumsum([1, 1, 7, j, 7, 7, 6, j, 1]), axis=1
+        numbers, np.cumsum([1, 1, 7, j, 7, 7, 6, j, 1]), axis=1
     )
-    arrays = dict(zip(_ARRAYS, blocks, strict=True))
-    for name in ("base_pose", "desired", "goal"):
-        off = np.abs(np.linalg.norm(arrays[name][:, 3:], axis=1) - 1.0) > _UNIT_TOLERANCE
-        if off.any():
-            line = int(np.argmax(off)) + 3
-            raise KinfeasError(f"{path}, line {line}: {name} has no unit quaternion (xyzw)")
     return Record(
         about=about,
         time=time[:, 0],
         age=age[:, 0],
-        **arrays,
+        **dict(zip(_ARRAYS, blocks, strict=True)),
         feasible=feasible[:, 0] > 0.0,
         subgoal=subgoal[:, 0].astype(np.intp),
-        event=tuple(event for _, event in rows),
+        event=tuple(row[-1] for row in rows[1:]),
     )
 
 
@@ -206,21 +204,3 @@ def _line(entries: Sequence[str]) -> str:
     text = StringIO()
     csv.writer(text, lineterminator="\n").writerow(entries)
     return text.getvalue()
-
-
-def _row(line: str, width: int, place: str) -> tuple[list[float], str]:
-    """Return the numbers of a line and its event."""
-    try:
-        entries = next(csv.reader([line], strict=True))
-        time, age = float(entries[0]), float(entries[1] or "nan")
-        numbers = [time, *map(float, entries[2:-1])]
-    except (ValueError, IndexError, StopIteration, csv.Error) as error:
-        raise KinfeasError(f"{place}: {error}") from error
-    if len(entries) != width:
-        raise KinfeasError(f"{place}: has {len(entries)} entries for {width} columns")
-    if not np.all(np.abs(numbers) <= REMOTEST) or abs(age) > REMOTEST:
-        raise KinfeasError(f"{place}: a number is not finite or beyond {REMOTEST:,.0f}")
-    feasible, subgoal = numbers[-2:]
-    if feasible not in (0.0, 1.0) or subgoal < 0.0 or subgoal % 1.0:
-        raise KinfeasError(f"{place}: 'feasible' must be 0 or 1, 'subgoal' a whole number >= 0")
-    return [time, age, *numbers[1:]], entries[-1]

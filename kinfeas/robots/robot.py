@@ -116,7 +116,9 @@ def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
     return np.where(robot.continuous, spatial.wrap(after - before), after - before)
 
 
-def joint_jumps(robot: Robot, before: Array, after: Array, dt: float) -> NDArray[np.bool_]:
+def exceeds_joint_velocity(
+    robot: Robot, before: Array, after: Array, dt: float
+) -> NDArray[np.bool_]:
     """Return whether a joint, shape (..., j), exceeds its velocity limit in `dt` seconds, (...)."""
     longest = robot.max_joint_velocity * dt * _ROUNDING
     way = np.abs(joint_displacement(robot, before, after))

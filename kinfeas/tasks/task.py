@@ -14,7 +14,6 @@ from kinfeas.core.backend import Grip
 from kinfeas.core.checks import are_unit, check_array
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import MotionGenerator
-from kinfeas.core.registry import MissingParameterError
 from kinfeas.core.spatial import Array, compose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -167,11 +166,7 @@ def _build(motion: MotionSpec, where: str) -> MotionGenerator:
             "kinfeas.motion_generators", motion.generator, motion.parameters
         )
     except KinfeasError as error:
-        hint = ""
-        if isinstance(missing := error.__cause__, MissingParameterError):
-            hint = f": --set task.{where}.parameters.{missing.parameter}=VALUE"
-        named = "" if where == "motion" else f"'{where}': "
-        raise KinfeasError(f"{named}{error}{hint}") from error
+        raise KinfeasError(f"'{where}': {error}") from error
     return generator
 
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from kinfeas.core.checks import CheckedMotion, ConformanceError
 from kinfeas.core.errors import PLUGIN_ERRORS
 from kinfeas.core.motion import MotionGenerator
-from kinfeas.core.spatial import Array
 from kinfeas.testing.policies import check_policy
 from kinfeas.testing.rules import RULES, Probe, run_trial
 from kinfeas.testing.trial import Trial, describe
@@ -42,25 +42,18 @@ class Finding:
         return self.checked and self.broken is None
 
 
-def check_motion_generator(  # noqa: PLR0913 - keywords with defaults
-    generator: MotionGenerator,
-    *,
-    target_poses: Array | None = None,
-    seed: int = 0,
-    duration: float = 120.0,
-    dt: float = 0.1,
-    max_velocity: float | None = 0.1,
-    max_angular_velocity: float | None = 0.1,
-) -> None:
+def check_motion_generator(generator: MotionGenerator, **trial: Any) -> None:
     """Check that a generator fulfils the contract of `MotionGenerator`; takes about a second.
 
-    The other arguments are those of `Trial`.
+    The keyword arguments are the attributes of `Trial`.
 
     Raises:
-        ConformanceError: At the first violation.
+        ConformanceError: With the first broken one of `RULES`.
     """
-    trial = Trial(target_poses, seed, duration, dt, max_velocity, max_angular_velocity)
-    run_trial(Probe(CheckedMotion(generator, every_step=True), trial))
+    probe = Probe(CheckedMotion(generator, every_step=True), Trial(**trial))
+    run_trial(probe)
+    for rule, broken in probe.found.items():
+        raise ConformanceError(broken, rule)
 
 
 def examine(
@@ -73,14 +66,13 @@ def examine(
 
     Messages have the `name` of the generator, its class by default.
     """
-    found: dict[str, str] = {}
-    ended = False
+    probe = Probe(CheckedMotion(generator, name, every_step=True), trial or Trial())
+    found, ended = probe.found, False
     try:
-        motion = CheckedMotion(generator, name, every_step=True)
-        run_trial(Probe(motion, trial or Trial(), found), on_step)
+        run_trial(probe, on_step)
         ended = True
     except ConformanceError as error:
         found[error.rule] = str(error)
     except PLUGIN_ERRORS as error:
-        found["form"] = describe(error, f"motion generator {name or type(generator).__name__}")
+        found["form"] = describe(error, probe.motion.subject)
     return [Finding(rule, found.get(rule), ended or rule in found) for rule in RULES]

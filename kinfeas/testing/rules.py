@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,18 +37,18 @@ _FATAL = ("form", "quaternions", "copies", "layout")
 
 @dataclass(frozen=True)
 class Probe:
-    """A generator with its trial and the violations by rule; without them, the first one raises."""
+    """A generator with its trial, and the violations by rule."""
 
     motion: CheckedMotion
     trial: Trial
-    found: dict[str, str] | None = None
+    found: dict[str, str] = field(default_factory=dict)
 
     def require(self, holds: object, rule: str, broken: str) -> None:
-        """Record or raise a violation unless `holds`."""
+        """Record a violation, or raise a severe one, unless `holds`."""
         if holds:
             return
         error = self.motion.error(broken, rule)
-        if self.found is None or rule in _FATAL:
+        if rule in _FATAL:
             raise error
         self.found.setdefault(rule, str(error))
 
@@ -79,7 +79,7 @@ def run_trial(probe: Probe, on_step: Callable[[], None] | None = None) -> None:
     """Run the trial of a generator; `on_step` is called after each step.
 
     Raises:
-        ConformanceError: At a severe violation, or the first one if `probe` records none.
+        ConformanceError: At a severe violation.
     """
     ee_pose, targets = probe.trial.poses()
     state, steps_seen = _check_start(probe, ee_pose, targets), []

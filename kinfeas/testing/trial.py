@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import LONGEST
-from kinfeas.core.checks import CheckedMotion, are_unit
+from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
 from kinfeas.core.spatial import Array, integrate, make_pose
 
@@ -20,7 +20,6 @@ class Trial:
     """Motions and limits of a test.
 
     Attributes:
-        target_poses: World target poses, shape (m, 7), m >= 1; 8 random ones by default.
         seed: Seed of the random poses and of the generator's random numbers.
         duration: Time limit of each motion in seconds.
         dt: Duration of a step in seconds.
@@ -28,7 +27,6 @@ class Trial:
         max_angular_velocity: Maximum angular speed, rad/s; None for no limit.
     """
 
-    target_poses: Array | None = None
     seed: int = 0
     duration: float = 120.0
     dt: float = 0.1
@@ -49,19 +47,14 @@ class Trial:
         return max(1, round(self.duration / self.dt))
 
     def poses(self) -> tuple[Array, Array]:
-        """Return starts and targets of the motions, each of shape (m + 4, 7).
+        """Return starts and targets of the motions, each of shape (12, 7).
 
-        One motion to each target from a random pose up to 2 m away, and four special ones: from the
-        target itself, half a turn on the spot, a path without rotation, a rotation almost on the
-        spot.
+        Eight motions to random targets from a random pose up to 2 m away, and four special ones:
+        from the target itself, half a turn on the spot, a path without rotation, a rotation almost
+        on the spot.
         """
         rng = np.random.default_rng(self.seed)
-        given = self.target_poses
-        targets = _random_poses(rng, 8) if given is None else np.array(given, float)
-        if targets.shape[1:] != (7,) or not len(targets):
-            raise KinfeasError(f"target_poses must have shape (m, 7), m >= 1, not {targets.shape}")
-        if not (np.isfinite(targets).all() and are_unit(targets)):
-            raise KinfeasError("target_poses must be finite, with unit quaternions (xyzw)")
+        targets = _random_poses(rng, 8)
         starts = _random_poses(rng, len(targets))
         starts[:, :3] = targets[:, :3] + rng.uniform(-1.15, 1.15, (len(targets), 3))
         ends = np.resize(targets, (4, 7))

@@ -33,68 +33,32 @@ _STILL = 1e-4  # m, and of a quaternion
 _WALL = 4.0  # m; longer boxes hide the room
 
 
-class ScenePage:
-    """A scene on a viser server at a free port, with movable doors and drawers."""
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene, self._server = scene, _start(scene.name)
-        self._server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
-        self._server.initial_camera.look_at = np.zeros(3)
-        self._server.scene.add_grid(
+def scene_html(scene: Scene) -> str:
+    """Return a page of a scene on which all joints open and close."""
+    joints = {
+        (name, joint.name): (one.joint_positions[joint.name], min(joint.upper, _TURN))
+        for name, one in scene.objects.items()
+        for joint in free_joints(one.urdf).values()
+    }
+    with _serving(scene.name) as server:
+        server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
+        server.initial_camera.look_at = np.zeros(3)
+        server.scene.add_grid(
             "/floor", *scene.size, cell_size=1.0, plane_color=_FLOOR, plane_opacity=1
         )
-        self.solids = _draw_scene(self._server, scene)
-        self._joints = {
-            (name, joint.name): (
-                one.joint_positions[joint.name], max(joint.lower, -_TURN), min(joint.upper, _TURN)
-            )
-            for name, one in scene.objects.items()
-            for joint in free_joints(one.urdf).values()
-        }  # fmt: skip
-
-    @property
-    def address(self) -> str:
-        """Address for a browser."""
-        return f"http://127.0.0.1:{self._server.get_port()}"
-
-    def html(self) -> str:
-        """Return a page on which all joints open and close."""
-        film = self._server.get_scene_serializer()
-        for frame in range(_SCENE_FRAMES if self._joints else 0):
+        drawn = _draw_scene(server, scene)
+        film = server.get_scene_serializer()
+        for frame in range(_SCENE_FRAMES if joints else 0):
             share = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
-            self.move(
-                {key: at + share * (high - at) for key, (at, _, high) in self._joints.items()}
-            )
+            objects: dict[str, dict[str, float]] = {}
+            for (name, joint), (at, high) in joints.items():
+                objects.setdefault(name, {})[joint] = at + share * (high - at)
+            moved = scene_solids(scene.with_joints(objects))
+            for one, (_, solid) in zip(drawn, moved, strict=True):
+                _place(one, solid.shape.pose)
             film.insert_sleep(1.0 / _SCENE_RATE)
         html: str = film.as_html()
         return html
-
-    def add_sliders(self) -> None:
-        """Add a slider for each joint."""
-        sliders: dict[tuple[str, str], Any] = {}
-
-        def follow(_: object) -> None:
-            self.move({key: slider.value for key, slider in sliders.items()})
-
-        for (name, joint), (at, low, high) in self._joints.items():
-            step = (high - low) / 200.0
-            slider = self._server.gui.add_slider(f"{name}: {joint}", low, high, step, at)
-            slider.on_update(follow)
-            sliders[name, joint] = slider
-
-    def move(self, positions: Mapping[tuple[str, str], float]) -> None:
-        """Move joints to positions, rad or m, by object and joint."""
-        objects: dict[str, dict[str, float]] = {}
-        for (name, joint), position in positions.items():
-            objects.setdefault(name, {})[joint] = position
-        moved = scene_solids(self._scene.with_joints(objects))
-        for drawn, (name, solid) in zip(self.solids, moved, strict=True):
-            if name in objects:
-                _place(drawn, solid.shape.pose)
-
-    def close(self) -> None:
-        """Stop the server."""
-        _stop(self._server)
 
 
 def episode_html(
@@ -142,27 +106,20 @@ def moments(times: Array) -> NDArray[np.intp]:
     return np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
 
 
-def _start(title: str) -> Any:
+@contextmanager
+def _serving(title: str) -> Iterator[Any]:
+    """Yield a server at a free port."""
     try:
         import viser
     except ImportError as error:
         raise KinfeasError("pages need viser: pip install 'kinfeas[view]'") from error
     with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-        return viser.ViserServer("127.0.0.1", 0, title, verbose=False)
-
-
-def _stop(server: Any) -> None:
-    with redirect_stdout(StringIO()):
-        server.stop()
-
-
-@contextmanager
-def _serving(title: str) -> Iterator[Any]:
-    server = _start(title)
+        server = viser.ViserServer("127.0.0.1", 0, title, verbose=False)
     try:
         yield server
     finally:
-        _stop(server)
+        with redirect_stdout(StringIO()):
+            server.stop()
 
 
 def _play(

@@ -1,4 +1,4 @@
-"""2-D plots: learning curves, motions of a generator, success within adapters."""
+"""2-D plots: learning curves and motions of a generator."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,6 @@ from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
-from kinfeas.evaluation.sim2real import ALL, NONE, Cost, Sweep
 from kinfeas.testing.trial import Samples, Trial
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 
@@ -109,39 +108,4 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
         if samples.broken is not None:
             title = fill(f"{title}; it ends early: {samples.broken}", 120)
         figure.suptitle(title, fontsize=11, x=0.01, ha="left")
-    return figure
-
-
-def sim2real_figure(title: str, costs: Sequence[Cost], sweeps: Sequence[Sweep]) -> Figure:
-    """Return plots of success: each adapter alone and each left out, and over parameters."""
-    with rc_context(STYLE):
-        size = 4.6 + 2.7 * len(sweeps), max(3.4, 1.3 + 0.24 * len(costs))
-        figure = Figure(figsize=size, layout="constrained")
-        ratios = [1.3, *(1.0 for _ in sweeps)]
-        first, *others = figure.subplots(1, 1 + len(sweeps), squeeze=False, width_ratios=ratios)[0]
-        for place, cost in enumerate(costs):
-            found = cost.figures
-            share, *interval = found["success"], found["success_low"], found["success_high"]
-            colour = EE if cost.adapter in (NONE, ALL) else BASE
-            first.plot(interval, [place, place], color=colour, lw=4.5, alpha=0.3)
-            first.plot([share], [place], "o", color=colour, ms=6.0, mec="white", mew=0.8)
-        for end in (costs[0], costs[-1]):
-            first.axvline(end.figures["success"], color=FAINT, lw=1.1, ls=(0, (5, 3)), zorder=1.5)
-        first.set_yticks(range(len(costs)), [cost.label for cost in costs])
-        first.set_ylim(len(costs) - 0.5, -0.5)
-        first.grid(axis="y", visible=False)
-        first.xaxis.set_major_formatter(PercentFormatter(1.0))
-        first.set_xlabel("each adapter alone, each left out, and all")
-        for axes, sweep in zip(others, sweeps, strict=True):
-            values = sweep.axis.values
-            shares = [one["success"] for one in sweep.figures]
-            lows = [one["success_low"] for one in sweep.figures]
-            highs = [one["success_high"] for one in sweep.figures]
-            axes.fill_between(values, lows, highs, color=EE, alpha=0.18, lw=0.0)
-            axes.plot(values, shares, "o-", color=EE, lw=2.0, ms=6.0, mec="white", clip_on=False)
-            axes.set(xlabel=sweep.axis.title, ylim=(0.0, 1.02))
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        if others:
-            others[0].set_ylabel("episodes without a failure")
-        figure.suptitle(title, fontsize=10.5, x=0.01, ha="left")
     return figure

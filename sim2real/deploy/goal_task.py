@@ -11,7 +11,7 @@ from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
-from kinfeas.core.start import Start
+from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, Task, sample_start
@@ -92,8 +92,4 @@ def begin(
         start = replace(start, base_pose=base, joint_positions=joints)
         if isinstance(task, GoalTask):
             start = task.aimed(solver, start)
-    return Start(
-        start.base_pose[np.newaxis],
-        start.joint_positions[np.newaxis],
-        start.target_poses[np.newaxis],
-    )
+    return stacked([start])

@@ -26,7 +26,7 @@ from kinfeas.core.backend import (
     SupportsGripper,
     SupportsObstacleDistances,
 )
-from kinfeas.core.checks import array_fault, check_state
+from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
@@ -162,16 +162,17 @@ class SafetyFilter(_Wrapper):
         Invalid or old commands, and any after a stop, raise Fault.
         """
         self._check_running()
-        _check_array("the base command", base_twist, (1, 6))
-        _check_array("the arm command", joint_targets, (1, len(self._robot.arm)))
+        arm = (1, len(self._robot.arm))
+        check_array(base_twist, (1, 6), "the base command", error=Fault)
+        check_array(joint_targets, arm, "the arm command", error=Fault)
         base, pose = self._robot.base, self._state.base_pose
         wanted = base_velocity(base, pose, base_twist, dt)[0]
         velocity = limited_velocity(self._robot, self._guards, wanted, self._velocity, dt)
         twist = world_twist(base, pose, velocity[np.newaxis], dt)
         targets = self._arm_targets(joint_targets[0], dt)[np.newaxis]
         # The measurement is a part of both, and an adapter may hide it from the monitor.
-        _check_array("the base command", twist, (1, 6))
-        _check_array("the arm command", targets, (1, len(self._robot.arm)))
+        check_array(twist, (1, 6), "the base command", error=Fault)
+        check_array(targets, arm, "the arm command", error=Fault)
         self._check_age()
         self._velocity, self._dt = velocity, dt
         self.base_twist, self.joint_targets = twist, targets
@@ -354,11 +355,6 @@ def _shortened(velocity: Array, linear: float, angular: float) -> Array:
     length = float(np.hypot(*velocity[:2]))
     scale = linear / length if length > linear else 1.0
     return np.array([*(velocity[:2] * scale), np.clip(velocity[2], -angular, angular)])
-
-
-def _check_array(name: str, value: object, shape: tuple[int, ...]) -> None:
-    if fault := array_fault(value, shape):
-        raise Fault(f"{name} {fault}")
 
 
 def _limit(sentence: str, value: float, most: float) -> None:

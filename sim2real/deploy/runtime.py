@@ -17,7 +17,7 @@ from kinfeas.control.adapters import execution_of
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Loop
 from kinfeas.core.backend import Backend, RealTimeBackend
-from kinfeas.core.checks import array_fault
+from kinfeas.core.checks import check_array
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, plugin_note
 from kinfeas.core.policy import CommandFilter, Policy
 from kinfeas.core.spatial import IDENTITY, Array
@@ -257,8 +257,8 @@ class _Run:
             if watchdog is not None and not watchdog.beat():
                 raise Fault("the watchdog has stopped the base, or has died or stalled")
             goal, action = loop.goal[0], setup.policy.act(loop.policy_input)
-            if fault := array_fault(action, shape):  # before a filter can replace it
-                raise Fault(f"the policy's action {fault}")
+            # Before a filter can replace it.
+            check_array(action, shape, "the policy's action", error=Fault)
             step = loop.step(action)
             if not self.waits:
                 self.rate.tick()

@@ -122,7 +122,6 @@ INPUT = {
         ("--picture /nowhere/a.png", "/nowhere/a.png"),
         ("--record none.csv", "none.csv"),
         ("--record none.csv --scene room", "--scene"),
-        ("--record none.csv --live", "--live"),
     ],
     "plugins": [
         ("info lienar", "'linear'"),
@@ -130,7 +129,7 @@ INPUT = {
         ("info ./fetch.urdf", "kinfeas robot import"),
         ("check pr2", "'pr2'"),
         ("check linear --set gian=1", "'gian'"),
-        ("check replay", "--set file=VALUE"),
+        ("check replay", "'file'"),
         ("new linear", "'linear'"),
         ("new My", "My"),
         ("new mine --kind task_generator", "--kind"),
@@ -172,7 +171,7 @@ def files(tmp_path):
     shown, other = door_demonstrations(2)
     poses = ("ee_pose", "base_pose", "object_pose")
     still = {name: np.tile(getattr(other, name)[:1], (len(other.time), 1)) for name in poses}
-    write_demonstration(shown, tmp_path / "shown" / "0.npz")
+    write_demonstration(shown, tmp_path / "shown" / "0.csv")
     write_demonstration(replace(other, **still), tmp_path / "shown" / "1.csv")
     return lambda: {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 

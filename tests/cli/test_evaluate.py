@@ -72,13 +72,6 @@ def test_cost_of_each_adapter(evaluate, tmp_path):
     assert figures["success"] == figures["costs"][-1]["success"]
 
 
-def test_picture_of_adapters_sweeps_their_strength(evaluate, tmp_path):
-    figures = evaluate(*SHORT, "--episodes", "1", "--adapters", "ideal", "--picture", "out.png")
-    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
-    names = [sweep["adapter"] for sweep in figures["sweeps"]]
-    assert names == ["command_latency", "base_noise", "head_start"]
-
-
 @pytest.mark.parametrize("world", ["analytic", "pybullet"])
 def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")

@@ -42,10 +42,9 @@ def test_help_fits_on_a_screen(kinfeas, monkeypatch, words):
     assert max(map(len, shown)) <= 100
 
 
-@pytest.mark.parametrize("line", ["--help", "evaluate --policy nowhere", "ceiling --robot pr3"])
-def test_help_and_wrong_names_import_nothing_heavy(line):
+def test_help_imports_nothing_heavy():
     heavy = {"numpy", "numba", "torch", "matplotlib", "rich"}
-    assert kinfeas_process(HEAVY % heavy, *line.split()).stderr.endswith("heavy: []")
+    assert kinfeas_process(HEAVY % heavy, "--help").stderr.endswith("heavy: []")
 
 
 @pytest.mark.parametrize(

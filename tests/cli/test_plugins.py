@@ -52,7 +52,7 @@ def test_info_on_a_task(info, tmp_path):
     (tmp_path / "fetch.yaml").write_text(
         "{name: fetch, places: {here: {position: [1, 0, 1]}}, subgoals: [{place: here}]}"
     )
-    assert info("fetch.yaml")["subgoals"][0]["motion"] == "linear"
+    assert info("fetch.yaml")["subgoals"][0]["motion"]["generator"] == "linear"
 
 
 def test_check_reports_every_rule(kinfeas, tmp_path):

@@ -21,7 +21,7 @@ def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
     robot("--out", "new", "--json", "found.json", "--picture", "dolly.png", code=0)
     found = json.loads((tmp_path / "found.json").read_text())
     known = read_robot(tmp_path / "new" / "dolly.yaml")
-    assert found["arm"] == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
+    assert list(found["arm"]) == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
     assert found["guessed_velocities"] == ["pan"]
     assert len(found["heights_m"]) == len(found["reachable"])
     assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")

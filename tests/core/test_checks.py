@@ -168,19 +168,6 @@ def test_answers_are_checked_after_each_start_or_at_every_step():
         strict.goal_pose(state, POSES)
 
 
-@pytest.mark.parametrize("kind", [type(None), type("Half", (Answers,), {"twist": None})])
-def test_missing_methods(kind):
-    with pytest.raises(ConformanceError, match=r"motion generator mine .*(start|twist)"):
-        CheckedMotion(kind(), "mine")
-
-
-@pytest.mark.parametrize("method", ["goal_pose", "twist", "base_pose"])
-def test_methods_with_other_parameters(method):
-    old = type("Old", (Answers,), {method: lambda self, state: None})
-    with pytest.raises(KinfeasError, match=rf"motion generator mine .*{method}\(state, "):
-        CheckedMotion(old(), "mine")
-
-
 def test_answers_come_through_unchanged():
     motion, linear = CheckedMotion(Linear()), Linear()
     target = POSES + np.eye(7)[0]

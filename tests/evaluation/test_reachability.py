@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas import config
-from kinfeas.evaluation.reachability import measure_path_reachability, measure_reachability
+from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.ik import IkOptions
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
@@ -50,7 +50,7 @@ def test_every_sub_goal_counts():
 def test_paths_are_harder_than_goals():
     robot = load_robot("hsr")
     goals, done = measure_reachability(robot, ggr(), 16, 1), []
-    path = measure_path_reachability(robot, ggr(), 16, 1, on_done=done.append)
+    path = measure_reachability(robot, ggr(), 16, 1, on_done=done.append, path=True)
     assert not np.any(path.reached & ~goals.reached)
     assert sum(done) == pytest.approx(1.0)
     assert list(path.convergence) == sorted(path.convergence)

@@ -47,10 +47,9 @@ def changed(row, name, value):
     return rows
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".NPZ"])
 @given(samples=st.integers(2, 20), seed=st.integers(0, 1000))
-def test_what_is_written_is_read_back(tmp_path_factory, suffix, samples, seed):
-    path = tmp_path_factory.mktemp("demonstrations") / f"one{suffix}"
+def test_what_is_written_is_read_back(tmp_path_factory, samples, seed):
+    path = tmp_path_factory.mktemp("demonstrations") / "one.csv"
     written = demonstration(samples, seed)
     write_demonstration(written, path)
     read = read_demonstration(path)
@@ -64,9 +63,8 @@ def test_the_documented_file_can_be_read(tmp_path):
     assert read_demonstration(tmp_path / "one.csv").time.tolist() == [0.0, 0.02, 0.04]
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_the_base_may_be_missing(tmp_path, suffix):
-    full, path = demonstration(), tmp_path / f"one{suffix}"
+def test_the_base_may_be_missing(tmp_path):
+    full, path = demonstration(), tmp_path / "one.csv"
     write_demonstration(replace(full, base_pose=np.full((5, 7), np.nan)), path)
     found = read_demonstration(path)
     assert found.base_pose.shape == (5, 7)
@@ -78,10 +76,10 @@ def test_the_base_may_be_missing(tmp_path, suffix):
     [
         ([], "at least 2"),
         (changed(0, "time", 0.0)[:1], "at least 2"),
-        (changed(0, "base_y", "nan"), "line 2, base_pose"),
-        (changed(1, "time", "inf"), "line 3, time"),
-        (changed(1, "time", 0.0), "line 3, time"),
-        (changed(1, "object_qw", 0.99), "line 3, object_pose"),
+        (changed(0, "base_y", "nan"), "row 1: base_pose"),
+        (changed(1, "time", "inf"), "row 2: time"),
+        (changed(1, "time", 0.0), "row 2: time"),
+        (changed(1, "object_qw", 0.99), "row 2: object_pose"),
     ],
 )
 def test_invalid_samples_of_tables(tmp_path, rows, place):
@@ -91,42 +89,22 @@ def test_invalid_samples_of_tables(tmp_path, rows, place):
 
 
 @pytest.mark.parametrize("name", ["time", "ee_qz", "base_x", "object_y"])
-def test_missing_columns_and_arrays(tmp_path, name):
+def test_missing_columns(tmp_path, name):
     header = [column for column in columns() if column != name]
     path = write_table(tmp_path / "one.csv", header, [])
-    with pytest.raises(KinfeasError, match=f"line 1: column '{name}'"):
+    with pytest.raises(KinfeasError, match=f"column '{name}'"):
         read_demonstration(path)
-    np.savez(tmp_path / "one.npz", time=np.arange(5.0))
-    with pytest.raises(KinfeasError, match="'ee_pose'"):
-        read_demonstration(tmp_path / "one.npz")
 
 
-INVALID = {
-    "ee_pose": np.zeros((5, 6)),
-    "time": np.arange(2.0),
-    "time[2]": np.array([0.0, 1.0, 1.0, 2.0, 3.0]),
-    "object_pose[0]": np.full((5, 7), np.nan),
-    "base_pose[0]": np.zeros((5, 7)),
-}
-
-
-@pytest.mark.parametrize("key", INVALID)
-def test_invalid_arrays_are_neither_read_nor_written(tmp_path, key):
-    name, place = key.partition("[")[0], re.escape(key if key != "time" else "ee_pose")
+def test_invalid_arrays_are_not_written(tmp_path):
     shown = demonstration()
-    np.savez(tmp_path / "one.npz", **{**vars(shown), name: INVALID[key]})
-    with pytest.raises(KinfeasError, match=place):
-        read_demonstration(tmp_path / "one.npz")
-    for suffix in ("csv", "npz"):
-        with pytest.raises(KinfeasError, match=place):
-            write_demonstration(replace(shown, **{name: INVALID[key]}), tmp_path / f"two.{suffix}")
-        assert not (tmp_path / f"two.{suffix}").exists()
+    for changes in ({"time": shown.time * 0.0}, {"ee_pose": shown.ee_pose * np.nan}):
+        with pytest.raises(KinfeasError, match=next(iter(changes))):
+            write_demonstration(replace(shown, **changes), tmp_path / "one.csv")
+    assert not list(tmp_path.iterdir())
 
 
-def test_other_files_and_folders(tmp_path):
-    for call in (read_demonstration, lambda path: write_demonstration(demonstration(), path)):
-        with pytest.raises(KinfeasError, match=r"one\.txt"):
-            call(tmp_path / "one.txt")
+def test_folders_without_demonstrations(tmp_path):
     for folder in (tmp_path, tmp_path / "none"):
         with pytest.raises(KinfeasError, match=f"^{folder}"):
             read_demonstrations(folder)

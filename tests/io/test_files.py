@@ -12,7 +12,6 @@ from kinfeas.io.files import (
     is_path,
     read_file,
     reading,
-    replaced,
     replacing,
     write_file,
     write_folder,
@@ -62,14 +61,6 @@ def test_a_file_that_is_not_finished_changes_nothing(tmp_path):
         raise OSError(28, "full")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_standard_output_is_written_to(capfd):
-    # Not by the names of its device files, which a mistake here would replace.
-    write_file(Path("/dev/fd/1"), b"content")
-    write_file(Path("/dev/fd/2"), b"error")
-    assert capfd.readouterr() == ("content", "error")
-    assert replaced(Path("/dev/stdout")) is replaced(Path("/dev/stderr")) is None
 
 
 class Killed(BaseException):

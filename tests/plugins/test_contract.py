@@ -169,7 +169,7 @@ NUMBERS = {
 
 def test_wrong_parameters_raise(make, case):
     for name in (*NUMBERS.get(case.name, ()), "max_velocity", "max_angular_velocity"):
-        for value in (0.0, -0.1, np.nan, np.inf, 1e-300, "fast", True):
+        for value in (0.0, -0.1, np.nan, np.inf, "fast", True):
             with pytest.raises(KinfeasError, match=name):
                 make(**{name: value})
     if case.frame:

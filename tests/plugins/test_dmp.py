@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, relative
 from kinfeas.plugins.dmp import Dmp
@@ -54,7 +55,9 @@ def test_moves_as_the_library_does(library, files):
 @pytest.mark.parametrize("size", [1, 101, 2.5, "ten", True])
 def test_wrong_numbers_of_basis_functions_raise(files, size):
     with pytest.raises(KinfeasError, match="basis_functions"):
-        Dmp(file=files["shown"], basis_functions=size)
+        registry.build(
+            "kinfeas.motion_generators", "dmp", {"file": files["shown"], "basis_functions": size}
+        )
 
 
 def test_a_missing_library_raises_with_the_extra_s_name(files, monkeypatch):

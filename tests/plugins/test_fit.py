@@ -81,8 +81,5 @@ def test_other_wrong_input_raises():
     still = np.tile(IDENTITY, (100, 1))
     with pytest.raises(KinfeasError, match="3 rad"):
         fit([Demonstration(np.linspace(0.0, 5.0, 100), ee, still, still)])
-    for components in (0, 51):
-        with pytest.raises(KinfeasError, match="components"):
-            fit(door_demonstrations(1), components=components)
     with pytest.raises(KinfeasError, match="demonstration"):
         fit([])

@@ -126,7 +126,6 @@ def test_models_are_found_by_name_and_path_and_have_a_kind(models):
     assert read_model("door_open", "imitation").has_base
     assert not read_model(models["nobase"], "imitation").has_base
     for missing, named in (
-        (None, "door_grasp, door_open"),
         ("door_opn", "'door_open'"),
         ("here.yaml", r"here\.yaml"),
     ):

@@ -18,8 +18,8 @@ ABOUT = About("pr2", "ggr", "follow_ee", "analytic", 0.1, ("a", "b"), "2026-01-0
 
 def test_repeats_a_slow_recording_to_the_moment(tmp_path):
     slow = replace(SHOWN, time=SHOWN.time * 20.0)
-    write_demonstration(slow, tmp_path / "slow.npz")
-    generator = Replay(file=str(tmp_path / "slow.npz"), frame="world")
+    write_demonstration(slow, tmp_path / "slow.csv")
+    generator = Replay(file=str(tmp_path / "slow.csv"), frame="world")
     poses, _, _ = run(generator, slow.ee_pose[:1], IDENTITY[np.newaxis], slow.time[-1])
     for i in range(0, len(slow.time), 10):
         metres, radians = apart(poses[round(slow.time[i] / DT), 0], slow.ee_pose[i])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot, read_robot
-from kinfeas.robots.robot import fingerprint, joint_displacement, joint_jumps
+from kinfeas.robots.robot import exceeds_joint_velocity, fingerprint, joint_displacement
 
 URDF = """
 <robot name="crane">
@@ -166,8 +166,8 @@ def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path
     before = np.array([0.5, 0.0, math.pi - 0.01])
     after = np.array([0.5, 0.05, -math.pi + 0.01])
     np.testing.assert_allclose(joint_displacement(robot, before, after), [0.0, 0.05, 0.02])
-    assert not joint_jumps(robot, before, after, 0.1)  # just at the limit of 0.5 rad/s
-    assert joint_jumps(robot, before, after, 0.099)
+    assert not exceeds_joint_velocity(robot, before, after, 0.1)  # just at the limit of 0.5 rad/s
+    assert exceeds_joint_velocity(robot, before, after, 0.099)
 
 
 @pytest.mark.parametrize(

@@ -49,12 +49,3 @@ def test_motions_that_break_are_shown_as_far_as_they_came():
 def test_times_out_of_range_raise(times, message):
     with pytest.raises(KinfeasError, match=message):
         Trial(**times)
-
-
-@pytest.mark.parametrize(
-    "poses",
-    [np.full((1, 7), np.nan), np.ones((1, 7)), np.zeros((2, 6)), np.zeros((0, 7))],
-)
-def test_targets_that_are_no_poses_raise(poses):
-    with pytest.raises(KinfeasError, match="target_poses"):
-        Trial(poses).poses()

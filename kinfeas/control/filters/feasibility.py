@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolution, spread
-from kinfeas.robots.robot import joint_jumps
+from kinfeas.robots.robot import exceeds_joint_velocity
 
 _CANDIDATES = 32
 _ROUNDS = ((0, 8), (8, _CANDIDATES))
@@ -80,5 +80,5 @@ class FeasibilityFilter:
         return self._in_time(inputs[-1], arm).reshape(m, k)
 
     def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
-        jumps = joint_jumps(self._robot, joints, arm.joint_positions, self._loop.dt)
+        jumps = exceeds_joint_velocity(self._robot, joints, arm.joint_positions, self._loop.dt)
         return arm.feasible & ~jumps

@@ -4,7 +4,6 @@ Each has `policy.safetensors` and `policy.json`, with configuration, seed, figur
 that made it. `kinfeas benchmark --publish` writes such folders.
 """
 
-from importlib.resources import files
 from pathlib import Path
 
 from kinfeas.core.errors import KinfeasError
@@ -12,22 +11,19 @@ from kinfeas.core.errors import KinfeasError
 NAME = "pretrained"
 """Name of the shipped policy of a robot."""
 
-
-def robots(root: Path | None = None) -> list[str]:
-    """Return the sorted names of the robots with a shipped policy, or of those below `root`."""
-    return sorted(path.parent.name for path in (root or _shipped()).glob("*/policy.json"))
+_ROOT = Path(__file__).parent
 
 
-def find(robot: str, root: Path | None = None) -> Path:
-    """Return the folder of a robot's shipped policy, or of one below `root`."""
-    known = robots(root)
-    if robot not in known:
+def robots() -> list[str]:
+    """Return the sorted names of the robots with a shipped policy."""
+    return sorted(path.parent.name for path in _ROOT.glob("*/policy.json"))
+
+
+def find(robot: str) -> Path:
+    """Return the folder of a robot's shipped policy."""
+    if robot not in robots():
         raise KinfeasError(
-            f"no pretrained policy for robot {robot!r}, only for: {', '.join(known) or 'none'}; "
+            f"no pretrained policy for robot {robot!r}, only for: {', '.join(robots())}; "
             "train one with kinfeas train"
         )
-    return (root or _shipped()) / robot
-
-
-def _shipped() -> Path:
-    return Path(str(files("kinfeas.policies.pretrained").joinpath("")))
+    return _ROOT / robot

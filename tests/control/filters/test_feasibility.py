@@ -15,7 +15,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.robot import joint_jumps
+from kinfeas.robots.robot import exceeds_joint_velocity
 from kinfeas.tasks.loading import load_task
 
 DT, ROWS = 0.5, 64
@@ -67,7 +67,7 @@ def feasible(loop, command, rows):
     twist = base_twist(solver.robot.base, base, command, DT)
     target = spatial.relative(loop.next_desired[rows], spatial.integrate(base, twist, DT))
     arm = local.solve(target, joints, solver.robot.max_joint_velocity * DT)
-    return arm.feasible & ~joint_jumps(solver.robot, joints, arm.joint_positions, DT)
+    return arm.feasible & ~exceeds_joint_velocity(solver.robot, joints, arm.joint_positions, DT)
 
 
 def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, command):

@@ -2,18 +2,15 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
+from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Loop
-from kinfeas.control.motion_sequence import MotionSequence
-from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.reachability import reachable
-from kinfeas.plugins.linear import Linear
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
-from kinfeas.sim2real.deploy.preflight import preflight, top_speed
+from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, build_subgoals
 
@@ -29,28 +26,6 @@ def checked(task, guards, execution=None, solver=HSR):
     rng = np.random.default_rng(3)
     loop = Loop(solver, build_subgoals(task.subgoals), AnalyticBackend(), 0.02, execution)
     return preflight(loop, begin(task, solver, rng, None), rng, guards)
-
-
-def sequence(*targets):
-    """Return a motion sequence through positions, shape (3,), from the origin."""
-    poses = np.tile(spatial.IDENTITY, (1, len(targets), 1))
-    poses[0, :, :3] = targets
-    begun = MotionSequence([SubgoalMotion(Linear())] * len(targets), HSR.robot, 1)
-    begun.start(spatial.IDENTITY[np.newaxis], poses, [np.random.default_rng(0)])
-    return begun
-
-
-@pytest.mark.parametrize(
-    ("targets", "speed"),
-    [
-        ([(0.5, 0.0, 0.0)], 0.05),
-        ([(0.5, 0.0, 0.0), (5.0, 0.0, 0.0)], 0.1),
-        ([(5.0, 0.0, 0.0), (5.0, 0.1, 0.0)], 0.1),
-        ([(0.0, 0.0, 0.0)], 0.0),
-    ],
-)
-def test_the_top_speed_of_all_subgoals(targets, speed):
-    assert top_speed(sequence(*targets)) == pytest.approx(speed)
 
 
 @pytest.mark.parametrize(
@@ -80,9 +55,9 @@ def test_the_tolerance_is_that_of_a_reached_goal():
 
 @pytest.mark.parametrize(
     ("speed", "time_scale", "factor"),
-    [(None, 1.0, None), (0.1, 1.0, None), (0.09, 1.0, 0.45), (0.05, 0.5, None), (0.05, 0.6, 0.25)],
+    [(None, 1.0, None), (0.2, 1.0, None), (0.1, 0.5, None), (0.09, 1.0, 0.45), (0.05, 0.6, 0.25)],
 )
-def test_warns_of_an_ee_that_outruns_the_base(speed, time_scale, factor):
+def test_warns_of_a_base_that_is_slower_than_the_ee(speed, time_scale, factor):
     guards, far = Guards(max_linear_velocity=speed), goal(4.0, 0.0, 0.8)
     warning = checked(far, guards, ExecutionConfig(time_scale=time_scale))
     assert bool(warning) is (factor is not None)
