@@ -1,13 +1,19 @@
 import json
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from kinfeas.benchmark import jobs as module
-from kinfeas.benchmark.jobs import CEILING, PART, plan_jobs, run_jobs
+from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs
 from kinfeas.benchmark.runs import Run
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.policies.baselines.following import FollowEe
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.ggr import ggr
 from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
 
 
@@ -101,8 +107,35 @@ def test_results_are_those_of_an_evaluation_and_are_kept(tmp_path, monkeypatch):
         run_jobs(few, tmp_path)
 
 
+def test_an_interruption_keeps_finished_jobs(tmp_path, monkeypatch):
+    few, compute = small("robots=[hsr]", "tasks=[ggr]")[:3], module.compute
+
+    def interrupted(job):
+        if job.policy == "follow_ee":
+            raise KeyboardInterrupt
+        return {"success": 0.5}
+
+    monkeypatch.setattr(module, "compute", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(few, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.setattr(module, "compute", compute)
+    assert run_jobs(few, tmp_path)[0] == {"success": 0.5}
+
+
 @pytest.mark.slow
 def test_processes_change_nothing(tmp_path):
     few = small("robots=[hsr]")
     alone, shared = run_jobs(few, tmp_path / "one"), run_jobs(few, tmp_path / "two", 2)
     assert json.dumps(alone) == json.dumps(shared)
+
+
+def test_workspace_samples():
+    robot = load_robot("tiago")
+    world = World(robot, ggr(), WorldConfig(max_failures=9, max_seconds=10.0), seed=1)
+    samples = WorkspaceSamples()
+    records = run_episodes(world, FollowEe(robot.base), 6, watch=samples)
+    kept = {kind: np.array(points) for kind, points in samples.kept().items()}
+    assert len(kept["infeasible"]) == records.failures.sum() > 0
+    assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
+    assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)

@@ -75,11 +75,17 @@ def test_record_of_an_own_robot_can_be_read_elsewhere(run, kinfeas, tmp_path, mo
     kinfeas("view", "--record", "../run.csv", code=0)
 
 
+def test_adapters_change_the_run(run, tmp_path):
+    (tmp_path / "mine.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
+    paths = [run(*BRIEF, *more)[1].base_pose for more in ((), ("--adapters", "mine.yaml"))]
+    assert not (paths[0] == paths[1]).all()
+
+
 def test_guards_come_from_a_file_and_from_settings(run, tmp_path):
     (tmp_path / "guards.yaml").write_text("{max_linear_velocity: 0.05, max_distance: 0.02}")
     words = ("--guards", "guards.yaml", "--set", "guards.max_linear_velocity=0.02")
     done, record = run("pretrained", *HSR, *GOAL, *words, code=3)
-    assert "0.02 m" in done.err
+    assert "at most 0.02 " in done.err
     speed = (record.base_twist[:, :2] ** 2).sum(axis=1) ** 0.5
     assert speed.max() == pytest.approx(0.02)
 

@@ -2,6 +2,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import yaml
@@ -58,7 +59,7 @@ def test_robot_and_recipe_by_path_and_default_folder(kinfeas, tmp_path):
     assert settings["learner"]["algorithm"] == "td3"
 
 
-def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
+def test_interrupted_run_can_be_resumed_and_extended(kinfeas, monkeypatch):
     steps, step = [], training._Run._step
 
     def interrupted(run):
@@ -69,7 +70,8 @@ def test_interrupted_run_can_be_resumed(kinfeas, monkeypatch):
     monkeypatch.setattr(training._Run, "_step", interrupted)
     outcome = kinfeas(*SHORT, code=130)
     assert outcome.err.splitlines()[-1].endswith("kinfeas train --resume run")
-    kinfeas("train", "--resume", "run", code=0)
+    kinfeas("train", "--resume", "run", "--steps", "128", code=0)
+    assert "steps: 128" in Path("run/config.yaml").read_text()
 
 
 def test_taken_folder_is_one_line(kinfeas, run_folder):

@@ -332,6 +332,23 @@ def test_an_adapter_stays_within_the_limits():
     assert np.hypot(*np.diff(sent[:, :2], axis=0).T).max() <= most + 1e-9
 
 
+class Hiding(Adapter):
+    """An adapter that returns another state than the measured one."""
+
+    def modify_state(self, state):
+        return home(PR2)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_measurement_that_an_adapter_hides_makes_no_command(monkeypatch):
+    monkeypatch.setattr(registry, "_REGISTERED", [])
+    registry.register("kinfeas.adapters", "mine", Hiding)
+    guard, backend = guarded(adapters=[PluginSpec("mine")])
+    backend.state = home(PR2, base_pose=home(PR2).base_pose * np.nan)
+    guard.step(twist(0.02), arm(guard), DT)
+    stops(guard, backend, "base command", twist(0.02))
+
+
 @pytest.mark.parametrize("error", [ZeroDivisionError("boom"), SystemExit("boom")])
 def test_any_error_stops_the_robot_and_a_failing_stop_is_reported(error):
     guard, backend = guarded()

@@ -54,7 +54,7 @@ def loop(policy):
 @pytest.fixture
 def planner(loop):
     """A planner of the loop, whose end is checked."""
-    before, made = sys.getswitchinterval(), RolloutPlannerThread(**FAR)
+    before, made = sys.getswitchinterval(), RolloutPlannerThread.of(RolloutPlanner(**FAR))
     made.reset(loop, ROWS)
     yield made
     loop.policy.free.set()
