@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from kinfeas.benchmark.config import BenchmarkConfig
-from kinfeas.benchmark.jobs import Job, Result, thinned
+from kinfeas.benchmark.evaluations import Evaluation, thinned
 from kinfeas.benchmark.markdown import groups, label, rows_of, title
 from kinfeas.benchmark.runs import Run
 from kinfeas.benchmark.table import Cell
@@ -21,6 +21,7 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.evaluate import read_settings
 from kinfeas.evaluation.paper import LEARNED, TITLES, paper_figures
 from kinfeas.evaluation.recording import Recording, record_episodes
+from kinfeas.jobs.job import Result
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
@@ -258,7 +259,7 @@ def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
 def draw_pictures(
     benchmark: BenchmarkConfig,
     runs: Sequence[Run],
-    found: Sequence[tuple[Job, Result]],
+    found: Sequence[tuple[Evaluation, Result]],
     cells: Sequence[Cell],
 ) -> dict[str, bytes]:
     """Return the pictures of a benchmark as PNG files, by name.
@@ -303,7 +304,7 @@ def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, f
     return levels
 
 
-def _examples(robot: Robot, jobs: Sequence[Job]) -> dict[str, Recording]:
+def _examples(robot: Robot, jobs: Sequence[Evaluation]) -> dict[str, Recording]:
     """Return an episode of each task: number 0 of the first one, 1 of the second and so on."""
     shown: dict[str, Recording] = {}
     for job in jobs:

@@ -2,33 +2,24 @@
 
 import json
 import shlex
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kinfeas import __version__, config
 from kinfeas.benchmark.config import BenchmarkConfig, Training
 from kinfeas.config.recipes import load_recipe, load_section
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs.episodes import worker_pool
 from kinfeas.io.policy_metadata import policy_folder, read_best
+from kinfeas.jobs.job import Job
+from kinfeas.jobs.training import training_job
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import copy_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import task_name
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.run import finished, read_settings
-
-if TYPE_CHECKING:
-    from kinfeas.training.train import Report
-
-CORES = 2
-"""Cores that a training run uses: one for the world, one for the learner."""
-
-Plan = tuple[TrainConfig, Path]
-"""Settings and folder of a training run."""
+from kinfeas.training.run import read_settings
 
 
 @dataclass(frozen=True)
@@ -72,8 +63,8 @@ def takes_pretrained(benchmark: BenchmarkConfig, robot: str) -> bool:
     return benchmark.policies == "pretrained" or load_robot(robot).name in pretrained.robots()
 
 
-def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Plan]:
-    """Return settings and folder of each training run of a benchmark."""
+def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Job]:
+    """Return the training runs of a benchmark."""
     if benchmark.policies == "pretrained":
         return []
     wanted = [robot for robot in benchmark.robots if not takes_pretrained(benchmark, robot)]
@@ -87,35 +78,8 @@ def plan_runs(benchmark: BenchmarkConfig, out: Path) -> list[Plan]:
             name = f"{load_robot(settings.robot).name}-{settings.learner.algorithm}-{seed}"
             if name in plans:
                 raise KinfeasError(f"'trainings' has two runs {name}")
-            plans[name] = settings, out / "runs" / name
+            plans[name] = training_job(settings, out / "runs" / name)
     return list(plans.values())
-
-
-def is_missing(settings: TrainConfig, folder: Path) -> bool:
-    """Return whether a run is still to be trained or resumed."""
-    if not (folder / "config.yaml").is_file():
-        return True
-    if config.load(TrainConfig, folder / "config.yaml") != settings:
-        raise KinfeasError(f"{folder}: a run of other settings; remove it, or use another --out")
-    return finished(folder) is None
-
-
-def finish(settings: TrainConfig, folder: Path, report: "Report | None" = None) -> None:
-    """Train a run to its end, from its last checkpoint if there is one."""
-    from kinfeas.training.train import resume, train
-
-    if (folder / "config.yaml").is_file():
-        resume(folder, report)
-    else:
-        train(settings, folder, report)
-
-
-def finish_all(plans: Sequence[Plan], at_once: int, on_done: Callable[[], None]) -> None:
-    """Train several runs to their ends, each in a process of its own."""
-    with worker_pool(at_once) as pool:
-        for future in as_completed([pool.submit(finish, *plan) for plan in plans]):
-            future.result()
-            on_done()
 
 
 def publish(

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from kinfeas.benchmark.jobs import CEILING, Job, Result
+from kinfeas.benchmark.evaluations import CEILING, Evaluation
 from kinfeas.core.metrics import Share, wilson
 from kinfeas.evaluation.paper import LEARNED, PaperFigures, paper_figures
+from kinfeas.jobs.job import Result
 from kinfeas.policies import pretrained
 
 _MEANS = (
@@ -83,13 +84,13 @@ class Cell:
         return self.policy in ("sac", "td3", pretrained.NAME)
 
 
-def tabulate(jobs: Sequence[Job], results: Sequence[Result], backend: str) -> list[Cell]:
+def tabulate(found: Sequence[tuple[Evaluation, Result]], backend: str) -> list[Cell]:
     """Return the cells of a benchmark, learned policies first if there is physics.
 
-    Jobs in the analytic world beside another `backend` are references of its cells.
+    Evaluations in the analytic world beside another `backend` are references of its cells.
     """
-    groups: dict[tuple[str, ...], list[tuple[Job, Result]]] = {}
-    for job, result in zip(jobs, results, strict=True):
+    groups: dict[tuple[str, ...], list[tuple[Evaluation, Result]]] = {}
+    for job, result in found:
         key = (job.robot, job.variant, job.task, job.policy, job.row, job.backend)
         groups.setdefault(key, []).append((job, result))
     cells = []
@@ -134,7 +135,9 @@ def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return means
 
 
-def _cell(group: Sequence[tuple[Job, Result]], ceiling: Result, analytic: Sequence[Result]) -> Cell:
+def _cell(
+    group: Sequence[tuple[Evaluation, Result]], ceiling: Result, analytic: Sequence[Result]
+) -> Cell:
     job, first = group[0]
     by_source: dict[str, list[Result]] = {}
     for one, result in group:
@@ -175,7 +178,7 @@ def _cell(group: Sequence[tuple[Job, Result]], ceiling: Result, analytic: Sequen
     )
 
 
-def _paper(job: Job) -> PaperFigures | None:
+def _paper(job: Evaluation) -> PaperFigures | None:
     """Return the paper's figures in the same place; its learned policies are of SAC."""
     if job.variant or job.policy == "td3":
         return None

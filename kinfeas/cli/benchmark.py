@@ -1,6 +1,5 @@
 """`kinfeas benchmark`: robots x tasks x policies, beside the ceiling and the paper."""
 
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -12,15 +11,14 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, status, write_json
-from kinfeas.cli.train import training_bar
-from kinfeas.config.quantities import MOST_PROCESSES
 from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.config import BenchmarkConfig
-    from kinfeas.benchmark.jobs import Job, Result
-    from kinfeas.benchmark.runs import Plan, Run
+    from kinfeas.benchmark.evaluations import Evaluation
+    from kinfeas.benchmark.runs import Run
     from kinfeas.benchmark.table import Cell
+    from kinfeas.jobs.job import Engine, Job, Result
 
 _RECIPES = {
     ("analytic", False): "benchmark/study",
@@ -52,14 +50,9 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: Annotated[
         Literal["pretrained"] | None, typer.Option(help="Shipped policies; none is trained.")
     ] = None,
-    processes: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MOST_PROCESSES,
-            help="Number of parallel processes.  [default: one for each core]",
-        ),
-    ] = None,
+    engine: options.EngineName = "local",
+    address: options.EngineAddress = None,
+    processes: options.AllProcesses = None,
     publish: Annotated[
         Path | None, typer.Option(help="Copy the best policy of each robot to DIR/ROBOT.")
     ] = None,
@@ -77,7 +70,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas benchmark --world pybullet --policy pretrained --episodes 20
     """
     from kinfeas.benchmark.config import read_benchmark, restricted
-    from kinfeas.benchmark.runs import find_runs
+    from kinfeas.benchmark.evaluations import plan_evaluations
+    from kinfeas.benchmark.runs import find_runs, read_run
     from kinfeas.io.files import write_file, writing
 
     name = config or _RECIPES.get((world, quick), world)
@@ -94,12 +88,15 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     plans = [] if taken else _plans(chosen, out)
     if publish is not None and (world != "analytic" or not (taken or plans)):
         raise KinfeasError("--publish needs trained policies in the analytic world")
+    runner = options.read_engine(engine, processes, address)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    cores = processes or os.cpu_count() or 1
     try:
-        taken = taken or _train(chosen, plans, cores)
-        found = _compute(chosen, taken, out / "results", cores)
+        if plans:
+            _run("trainings", plans, runner)
+            taken = [read_run(job.path.parent) for job in plans]
+        evaluations = plan_evaluations(chosen, taken)
+        results = _run("evaluations", [one.job(out / "results") for one in evaluations], runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
@@ -107,7 +104,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.benchmark.pictures import draw_pictures
     from kinfeas.benchmark.table import tabulate
 
-    cells = tabulate([job for job, _ in found], [result for _, result in found], chosen.backend)
+    found = list(zip(evaluations, results, strict=True))
+    cells = tabulate(found, chosen.backend)
     with status("drawing"):
         pictures = draw_pictures(chosen, taken, found, cells)
     files = {f"{key}.png": picture for key, picture in pictures.items()}
@@ -124,8 +122,9 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         typer.echo(str(path))
 
 
-def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Plan"]:
-    """Return the training runs of a benchmark, after a check that shipped policies exist."""
+def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:
+    """Return the training runs of a benchmark, after a check that policies can be built."""
+    from kinfeas.benchmark.evaluations import check_baselines, plan_evaluations
     from kinfeas.benchmark.runs import plan_runs
     from kinfeas.policies import pretrained
     from kinfeas.robots.loading import load_robot
@@ -133,44 +132,23 @@ def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Plan"]:
     if benchmark.policies == "pretrained":
         for robot in benchmark.robots:
             pretrained.find(load_robot(robot).name)
-    return plan_runs(benchmark, out)
+    plans = plan_runs(benchmark, out)
+    if not all(job.path.exists() for job in plans):
+        check_baselines(plan_evaluations(benchmark, []))
+    return plans
 
 
-def _train(benchmark: "BenchmarkConfig", plans: Sequence["Plan"], cores: int) -> list["Run"]:
-    """Train the missing runs and return all runs."""
-    from kinfeas.benchmark.jobs import check_baselines, plan_jobs
-    from kinfeas.benchmark.runs import CORES, finish, finish_all, is_missing, read_run
+def _run(kind: str, jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
+    """Run jobs with a progress bar."""
+    from kinfeas.jobs.job import run_jobs
 
-    missing = [plan for plan in plans if is_missing(*plan)]
-    if missing:
-        check_baselines(plan_jobs(benchmark, []))
-    at_once = min(len(missing), cores // CORES)
-    if at_once > 1:
-        with progress(f"training {len(missing)} runs", len(missing)) as advance:
-            finish_all(missing, at_once, lambda: advance(1.0))
-    else:
-        for number, (settings, folder) in enumerate(missing, start=1):
-            sys.stderr.write(f"training {folder} ({number} of {len(missing)})\n")
-            with training_bar() as report:
-                finish(settings, folder, report)
-    return [read_run(folder) for _, folder in plans]
-
-
-def _compute(
-    benchmark: "BenchmarkConfig", runs: Sequence["Run"], folder: Path, processes: int
-) -> list[tuple["Job", "Result"]]:
-    from kinfeas.benchmark.jobs import plan_jobs, run_jobs
-
-    jobs = plan_jobs(benchmark, runs)
-    names = {job.name for job in jobs}
-    missing = sum(not (folder / f"{name}.json").exists() for name in names)
-    with progress(f"{missing} of {len(names)} jobs", missing) as advance:
-        results = run_jobs(jobs, folder, processes, lambda: advance(1.0))
-    return list(zip(jobs, results, strict=True))
+    missing = len({job.path for job in jobs if not job.path.exists()})
+    with progress(f"{missing} of {len(jobs)} {kind}", missing) as advance:
+        return run_jobs(jobs, engine, lambda: advance(1.0))
 
 
 def _publish(
-    runs: Sequence["Run"], found: Sequence[tuple["Job", "Result"]], folders: Sequence[Path]
+    runs: Sequence["Run"], found: Sequence[tuple["Evaluation", "Result"]], folders: Sequence[Path]
 ) -> list[Path]:
     """Copy each robot's best policy into each of `folders`; return their folders."""
     from kinfeas.benchmark.runs import publish

@@ -1,6 +1,7 @@
 """Options that several commands share, and readers of their values."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -18,6 +19,7 @@ from kinfeas.io.files import is_path
 
 if TYPE_CHECKING:
     from kinfeas.config import PluginSpec
+    from kinfeas.jobs.job import Engine
     from kinfeas.robots.robot import Robot
     from kinfeas.tasks.task import Task
 
@@ -105,6 +107,21 @@ Seed = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Random seed.")]
 Processes = Annotated[
     int, typer.Option(min=1, max=MOST_PROCESSES, help="Number of parallel processes.")
 ]
+AllProcesses = Annotated[
+    int | None,
+    typer.Option(
+        min=1, max=MOST_PROCESSES, help="Number of jobs at a time.  [default: one for each core]"
+    ),
+]
+EngineName = Annotated[
+    str,
+    typer.Option(
+        help="Where jobs run: local, ray, slurm, or a mapping such as {name: slurm, minutes: 60}."
+    ),
+]
+EngineAddress = Annotated[
+    str | None, typer.Option(help="Address of a running Ray cluster, such as auto.")
+]
 AdapterList = Annotated[
     str | None,
     typer.Option(help="Adapters of the backend: ideal, paper, pr2_like, harsh, or a YAML file."),
@@ -166,6 +183,13 @@ def robot_of(policy: str | None) -> str:
     if is_path(robot) and not Path(robot).is_file():
         raise KinfeasError(f"{policy}: its robot {robot} does not exist; use --robot")
     return robot
+
+
+def read_engine(text: str, processes: int | None, address: str | None) -> "Engine":
+    """Return an engine by its name or parameters."""
+    from kinfeas.jobs.job import build_engine
+
+    return build_engine(text, processes or os.cpu_count() or 1, address)
 
 
 def assignments(values: Mapping[str, object]) -> list[str]:

@@ -216,21 +216,9 @@ def describe(now: "Progress") -> str:
 
 def write_evaluation(folder: Path) -> dict[str, Any]:
     """Write `evaluation.json` of a finished run and return its metrics on fresh episodes."""
-    from kinfeas.config import from_mapping
-    from kinfeas.io.policy_metadata import read_best
-    from kinfeas.training.config import TrainConfig
+    from kinfeas.training.run import read_evaluation
 
-    best = read_best(folder)
-    settings = from_mapping(TrainConfig, best.config, str(folder))
-    metrics = {
-        "robot": best.robot,
-        "trained_with": settings.robot,
-        "task": settings.task,
-        "world": settings.world.backend,
-        "policy": str(folder),
-        "steps": best.steps,
-        **best.fresh_evaluation,
-    }
+    metrics = read_evaluation(folder)
     write_json(metrics, folder / "evaluation.json")
     return metrics
 

@@ -33,6 +33,10 @@ OnDone = Callable[[int], None]
 """Called with the number of episodes that have just ended."""
 
 
+class WorkerDiedError(KinfeasError):
+    """A worker process died, as if killed or out of memory."""
+
+
 def run_episodes(
     world: World,
     policy: Policy,
@@ -115,11 +119,11 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 @contextmanager
 def workers_alive(processes: int) -> Iterator[None]:
-    """Raise a KinfeasError if a worker process dies in the block."""
+    """Raise a WorkerDiedError if a worker process dies in the block."""
     try:
         yield
     except BrokenExecutor as error:
-        raise KinfeasError(
+        raise WorkerDiedError(
             f"one of {processes} worker processes died, as if killed or out of memory; "
             "try fewer --processes"
         ) from error

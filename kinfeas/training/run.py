@@ -19,7 +19,7 @@ from kinfeas.config import Interval
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import find_folder, writing
-from kinfeas.io.policy_metadata import read_trained
+from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies import pretrained
 from kinfeas.policies.network import Network, read_network
 from kinfeas.robots.loading import load_robot
@@ -115,6 +115,21 @@ def finished(out: Path, overrides: Sequence[str] = ()) -> Progress | None:
     progress = read_progress(config, last)
     ended = progress.share >= 1.0 and progress.evaluations >= evaluations_due(config, progress)
     return progress if ended and read_trained(out).fresh_evaluation else None
+
+
+def read_evaluation(out: Path) -> dict[str, Any]:
+    """Return the metrics of a finished run on fresh episodes, and what they were measured on."""
+    best = read_best(out)
+    config = configuration.from_mapping(TrainConfig, best.config, str(out))
+    return {
+        "robot": best.robot,
+        "trained_with": config.robot,
+        "task": config.task,
+        "world": config.world.backend,
+        "policy": str(out),
+        "steps": best.steps,
+        **best.fresh_evaluation,
+    }
 
 
 def read_progress(config: TrainConfig, last: Path) -> Progress:

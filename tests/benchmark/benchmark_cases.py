@@ -2,7 +2,7 @@
 
 from kinfeas import config
 from kinfeas.benchmark.config import BenchmarkConfig
-from kinfeas.benchmark.jobs import CEILING, Job
+from kinfeas.benchmark.evaluations import CEILING, Evaluation
 from kinfeas.benchmark.table import tabulate
 
 SMALL = {
@@ -63,7 +63,7 @@ def result(success, *, episodes=100, learned=False, **changes):
 
 
 def findings():
-    """Return jobs and results: two robots, two tasks, three seeds, a row, a baseline, a variant."""
+    """Return results of two robots, two tasks, three seeds, a row, a baseline and a variant."""
     found = []
     for robot, task, variant in (
         ("pr2", "ggr", ""), ("pr2", "door", ""), ("hsr", "ggr", ""),
@@ -72,7 +72,9 @@ def findings():
 
         def job(policy, seed=None, row="", robot=robot, place=(robot, task, variant)):
             source = f"runs/{seed}" if seed is not None else policy
-            return Job(robot, *place[:2], policy, source, 100, 1, seed, row=row, variant=place[2])
+            return Evaluation(
+                robot, *place[:2], policy, source, 100, 1, seed, row=row, variant=place[2]
+            )
 
         ceiling = {"success": 0.98, "success_low": 0.93, "success_high": 1.0}
         found.append((job(CEILING), ceiling))
@@ -86,5 +88,4 @@ def findings():
 
 
 def cells():
-    found = findings()
-    return tabulate([job for job, _ in found], [one for _, one in found], "analytic")
+    return tabulate(findings(), "analytic")

@@ -6,18 +6,10 @@ from pathlib import Path
 import pytest
 
 from kinfeas import config
-from kinfeas.benchmark.runs import (
-    Run,
-    find_runs,
-    finish,
-    is_missing,
-    plan_runs,
-    publish,
-    read_run,
-    train_command,
-)
+from kinfeas.benchmark.runs import Run, find_runs, plan_runs, publish, read_run, train_command
 from kinfeas.benchmark.speed import random_network
 from kinfeas.core.errors import KinfeasError
+from kinfeas.jobs.training import training_job
 from kinfeas.policies.network import read_network, write_network
 from kinfeas.robots.loading import load_robot
 from kinfeas.training.config import TrainConfig
@@ -35,7 +27,7 @@ def tiny(*overrides):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "tiny"
-    finish(tiny(), folder)
+    training_job(tiny(), folder).run()
     return folder
 
 
@@ -43,10 +35,9 @@ def test_runs_are_found_and_not_trained_again(run, tmp_path):
     found = read_run(run)
     assert (found.robot, found.algorithm, found.seed) == ("hsr", "sac", tiny().seed)
     assert find_runs([run]) == find_runs([run.parent]) == find_runs([run, run]) == [found]
-    assert not is_missing(tiny(), run)
-    assert is_missing(tiny(), tmp_path / "none")
+    assert training_job(tiny(), run).result()["robot"] == "hsr"
     with pytest.raises(KinfeasError, match="tiny"):
-        is_missing(tiny("seed=77"), run)
+        training_job(tiny("seed=77"), run)
     shutil.copytree(run, tmp_path / "other")
     with pytest.raises(KinfeasError, match="other"):
         find_runs([run, tmp_path])
@@ -56,16 +47,17 @@ def test_runs_are_found_and_not_trained_again(run, tmp_path):
 
 def test_a_run_for_each_training_and_seed():
     plans = plan_runs(study({}, *TWO, "robots=[pr2]", "seeds=[0,3]"), OUT)
-    assert [folder for _, folder in plans] == [
+    assert [job.path.parent for job in plans] == [
         OUT / "runs" / name for name in ("pr2-sac-0", "pr2-sac-3", "pr2-td3-0", "pr2-td3-3")
     ]
-    for settings, folder in plans:
+    for settings, folder in (job.description for job in plans):
         assert folder.name == f"{settings.robot}-{settings.learner.algorithm}-{settings.seed}"
 
 
 def test_settings_of_a_training():
     entry = "trainings=[{robot: pr2, recipe: paper/td3, settings: ['num_envs=8'], minutes: 2}]"
-    ((settings, _),) = plan_runs(study({}, "robots=[pr2]", entry, "seeds=[5]"), OUT)
+    (job,) = plan_runs(study({}, "robots=[pr2]", entry, "seeds=[5]"), OUT)
+    settings, _ = job.description
     assert (settings.seed, settings.num_envs, settings.learner.net_arch) == (5, 8, (400, 300))
     assert (settings.schedule.steps, settings.schedule.minutes) == (None, 2.0)
     assert settings.learner.algorithm == "sac"

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.benchmark.jobs import CEILING, Job
+from kinfeas.benchmark.evaluations import CEILING, Evaluation
 from kinfeas.benchmark.markdown import to_markdown
 from kinfeas.benchmark.table import interval, tabulate
 from kinfeas.core.metrics import wilson
@@ -25,7 +25,7 @@ def cell(robot, task, policy, variant="", row=""):
 
 def physical():
     """Return the cells of a PyBullet benchmark with two parts of a policy's episodes."""
-    job = Job("pr2", "pr2", "door", "pretrained", "pretrained", 100, 1)
+    job = Evaluation("pr2", "pr2", "door", "pretrained", "pretrained", 100, 1)
     parts = [replace(job, backend="pybullet", first=at, episodes=20) for at in (0, 20)]
     head_start = replace(parts[0], row="head_start")
     found = [
@@ -36,7 +36,7 @@ def physical():
         (replace(job, row="head_start"), result(0.75)),
         (head_start, result(1.0, episodes=20, task_success=1.0, head_start=3.0, **PHYSICAL)),
     ]
-    return tabulate([one for one, _ in found], [one for _, one in found], "pybullet")
+    return tabulate(found, "pybullet")
 
 
 def test_seeds_are_averaged():

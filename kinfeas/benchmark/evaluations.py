@@ -1,12 +1,10 @@
-"""Jobs of a benchmark: what to compute, and results in one JSON file a job."""
+"""Evaluations of a benchmark: one job for each policy, task and seed."""
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,15 +13,13 @@ from kinfeas.benchmark.config import BenchmarkConfig
 from kinfeas.benchmark.runs import Run, takes_pretrained
 from kinfeas.config import PluginSpec
 from kinfeas.core import spatial
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
-from kinfeas.envs.episodes import worker_pool
 from kinfeas.envs.world import Transition, World
 from kinfeas.evaluation.evaluate import evaluate, prepare, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
-from kinfeas.io.files import write_file, writing
 from kinfeas.io.policy_metadata import policy_folder
+from kinfeas.jobs.job import Job, Result
 from kinfeas.policies import pretrained
 from kinfeas.policies.loading import BASELINES, load_policy
 from kinfeas.policies.network import WEIGHTS, Network
@@ -31,17 +27,14 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 
 CEILING = "ceiling"
-"""Policy of a job that measures the reachability of a task's goals."""
+"""Policy of an evaluation that measures the reachability of a task's goals."""
 
 PART = 20
-"""Episodes of a job with physics: the most that an interruption loses."""
-
-Result = dict[str, Any]
-"""The summary of an evaluation, with points of the `workspace` for a learned policy."""
+"""Episodes of one evaluation with physics: the most that an interruption loses."""
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class Evaluation:
     """One evaluation of a policy on a task, or the ceiling of the task.
 
     Attributes:
@@ -78,7 +71,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Name of its file: readable, and different for jobs with different results."""
+        """Name of its file: readable, and different for different results."""
         parts = [
             self.robot, self.task, _weights(self) or self.source, self.episodes, self.seed,
             self.first, self.backend, self.settings, self.parameters,
@@ -86,9 +79,13 @@ class Job:
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
         return f"{Path(self.robot).stem}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
+    def job(self, folder: Path) -> Job:
+        """Return the job whose result is a file in `folder`."""
+        return Job(compute, self, folder / f"{self.name}.json")
 
-def plan_jobs(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
-    """Return the jobs of a benchmark: ceiling and policies of each robot and task.
+
+def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Evaluation]:
+    """Return the evaluations of a benchmark: ceiling and policies of each robot and task.
 
     The learned policies are those of the runs; a robot without any has the shipped policy, if the
     benchmark takes it, or none.
@@ -96,12 +93,12 @@ def plan_jobs(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
     names = {robot: load_robot(robot).name for robot in benchmark.robots}
     numbers = benchmark.episodes, benchmark.evaluation_seed
     trials = [
-        Job(robot, name, task, CEILING, CEILING, *numbers)
+        Evaluation(robot, name, task, CEILING, CEILING, *numbers)
         for robot, name in names.items()
         for task in benchmark.tasks
     ]
     trials += [
-        Job(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
+        Evaluation(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
             parameters=one.parameters)
         for one in benchmark.variants
         for robot in one.robots
@@ -110,55 +107,15 @@ def plan_jobs(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Job]:
     return [job for trial in trials for job in _of_task(benchmark, runs, trial)]
 
 
-def run_jobs(
-    jobs: Sequence[Job],
-    folder: Path,
-    processes: int = 1,
-    on_done: Callable[[], None] | None = None,
-) -> list[Result]:
-    """Return the result of each job; existing files in `folder` are kept.
-
-    Each new result is written as soon as it is there. None depends on the number of processes.
-
-    Raises:
-        KinfeasError: If a job is invalid, a file is broken or cannot be written, or a worker dies.
-    """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    names = [job.name for job in jobs]
-    missing = {
-        name: job
-        for name, job in zip(names, jobs, strict=True)
-        if not (folder / f"{name}.json").exists()
-    }
-    check_baselines(list(missing.values()))
-
-    def keep(name: str, result: Result) -> None:
-        content = json.dumps(result, allow_nan=False).encode()
-        write_file(folder / f"{name}.json", content)
-        if on_done is not None:
-            on_done()
-
-    if processes == 1 or len(missing) < 2:
-        for name, job in missing.items():
-            keep(name, compute(job))
-    else:
-        with worker_pool(min(processes, len(missing))) as pool:
-            futures = {pool.submit(compute, job): name for name, job in missing.items()}
-            for future in as_completed(futures):
-                keep(futures[future], future.result())
-    return [_read(folder / f"{name}.json") for name in names]
-
-
-def check_baselines(jobs: Sequence[Job]) -> None:
-    """Build the baselines of jobs, so that a missing extra is an error before hours of work."""
+def check_baselines(jobs: Sequence[Evaluation]) -> None:
+    """Build the baselines, so that a missing extra is an error before hours of work."""
     for source, robot in dict.fromkeys((job.source, job.robot) for job in jobs):
         if source in BASELINES:
             load_policy(source, load_robot(robot))
 
 
-def compute(job: Job) -> Result:
-    """Return the result of a job."""
+def compute(job: Evaluation) -> Result:
+    """Return the summary of an evaluation, with points of the `workspace` for a learned policy."""
     if job.policy == CEILING:
         robot, task = load_robot(job.robot), load_task(job.task, job.parameters)
         ik = read_settings(robot.name, job.backend, job.settings).world.ik
@@ -210,8 +167,8 @@ def thinned(points: Array, most: int) -> Array:
     return points[np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)]
 
 
-def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], job: Job) -> list[Job]:
-    """Return the jobs beside that of a ceiling: learned policies, rows and baselines."""
+def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], job: Evaluation) -> list[Evaluation]:
+    """Return a ceiling and what is beside it: learned policies, rows and baselines."""
     base = replace(job, settings=benchmark.settings)
     own = [run for run in runs if run.robot == job.robot_name]
     learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
@@ -237,14 +194,14 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], job: Job) -> list[
     return [replace(job, settings=settings), *policies]
 
 
-def _without_physics(benchmark: BenchmarkConfig, job: Job) -> Job:
-    """Return a job with the same filters in the analytic world, which has no obstacles."""
+def _without_physics(benchmark: BenchmarkConfig, job: Evaluation) -> Evaluation:
+    """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
     used = read_settings(job.robot_name, benchmark.backend, job.settings).world.filters
     filters = tuple(one for one in used if one.name != "obstacle_distance")
     return replace(job, settings=_filters(filters))
 
 
-def _parts(benchmark: BenchmarkConfig, job: Job) -> list[Job]:
+def _parts(benchmark: BenchmarkConfig, job: Evaluation) -> list[Evaluation]:
     return [
         replace(job, backend=benchmark.backend, first=at, episodes=min(PART, job.episodes - at))
         for at in range(0, job.episodes, PART)
@@ -258,7 +215,7 @@ def _filters(filters: tuple[PluginSpec, ...] | None) -> tuple[str, ...]:
     return (f"world.filters={json.dumps([config.to_mapping(one) for one in filters])}",)
 
 
-def _weights(job: Job) -> str:
+def _weights(job: Evaluation) -> str:
     """Return the digest of a learned policy, which may be trained anew in the same folder."""
     if job.source == CEILING or job.source in BASELINES:
         return ""
@@ -266,12 +223,3 @@ def _weights(job: Job) -> str:
     folder = pretrained.find(job.robot_name) if shipped else Path(job.source)
     place = policy_folder(folder) / WEIGHTS
     return hashlib.sha256(place.read_bytes()).hexdigest()
-
-
-def _read(path: Path) -> Result:
-    try:
-        result: Result = json.loads(path.read_text(encoding="utf-8"))
-        float(result["success"])
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise KinfeasError(f"{path}: broken; remove it to compute it again") from error
-    return result

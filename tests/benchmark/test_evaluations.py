@@ -1,16 +1,15 @@
-import json
 from collections import Counter
 
 import numpy as np
-import pytest
 
-from kinfeas.benchmark import jobs as module
-from kinfeas.benchmark.jobs import CEILING, PART, WorkspaceSamples, plan_jobs, run_jobs
+from kinfeas.benchmark import evaluations as module
+from kinfeas.benchmark.evaluations import CEILING, PART, WorkspaceSamples, plan_evaluations
 from kinfeas.benchmark.runs import Run
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.jobs.job import run_jobs
+from kinfeas.jobs.local import Local
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -18,7 +17,7 @@ from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
 
 
 def small(*overrides):
-    return plan_jobs(study(SMALL, *overrides), [])
+    return plan_evaluations(study(SMALL, *overrides), [])
 
 
 def test_plan():
@@ -44,13 +43,13 @@ def test_plan():
 
 def test_rows_are_of_sac_and_runs_replace_the_shipped_policy(tmp_path):
     runs = [Run(tmp_path / name, "tiago", name, 3, "ggr") for name in ("sac", "td3")]
-    planned = [(job.policy, job.row) for job in plan_jobs(study(SMALL), runs)
+    planned = [(job.policy, job.row) for job in plan_evaluations(study(SMALL), runs)
             if (job.robot, job.task) == ("tiago", "pick_place")]  # fmt: skip
     assert planned == [(CEILING, ""), ("sac", ""), ("td3", ""), ("sac", "feasibility filter")]
 
 
 def test_pybullet_episodes_come_in_parts_beside_the_analytic_world():
-    planned = plan_jobs(study(PYBULLET), [])
+    planned = plan_evaluations(study(PYBULLET), [])
     parts = [job for job in planned if job.backend == "pybullet"]
     one = [job for job in parts if (job.robot, job.task, job.policy, job.row)
            == ("pr2", "ggr", "pretrained", "head_start")]  # fmt: skip
@@ -72,7 +71,7 @@ def test_jobs_with_other_results_have_other_files():
     for other in ("episodes=3", "evaluation_seed=2", "settings=['world.max_seconds=3']"):
         assert not {job.name for job in small(other)} & {job.name for job in one}
     physics, faster = (
-        {job.name for job in plan_jobs(study(PYBULLET, *more), [])}
+        {job.name for job in plan_evaluations(study(PYBULLET, *more), [])}
         for more in ((), ("settings=['world.time_scale=1']",))
     )
     assert len(physics & faster) < len(physics) / 2
@@ -83,51 +82,23 @@ def test_a_policy_trained_anew_is_evaluated_anew(tmp_path, monkeypatch):
     run = Run(tmp_path, "hsr", "sac", 0, "ggr")
 
     def name():
-        return next(job.name for job in plan_jobs(study(SMALL), [run]) if job.policy == "sac")
+        return next(
+            job.name for job in plan_evaluations(study(SMALL), [run]) if job.policy == "sac"
+        )
 
     before = name()
     (tmp_path / module.WEIGHTS).write_bytes(b"two")
     assert name() != before
 
 
-def test_results_are_those_of_an_evaluation_and_are_kept(tmp_path, monkeypatch):
+def test_results_are_those_of_an_evaluation(tmp_path):
     few = [job for job in small("robots=[hsr]", "tasks=[ggr]") if job.policy != "pretrained"][:2]
-    done = []
-    first = run_jobs(few, tmp_path, on_done=lambda: done.append(1))
-    assert len(done) == 2
+    ceiling, found = run_jobs([one.job(tmp_path) for one in few], Local())
     chosen, policy = prepare(
         "follow_ee", "hsr", "ggr", episodes=2, overrides=["world.max_seconds=2.5"]
     )
-    assert first[1] == evaluate(chosen, policy, "follow_ee")
-    assert first[0].keys() == {"success", "success_low", "success_high"}
-    monkeypatch.setattr(module, "compute", None)
-    assert run_jobs(few, tmp_path) == first
-    (tmp_path / f"{few[1].name}.json").write_text('{"success":')
-    with pytest.raises(KinfeasError, match="follow_ee"):
-        run_jobs(few, tmp_path)
-
-
-def test_an_interruption_keeps_finished_jobs(tmp_path, monkeypatch):
-    few, compute = small("robots=[hsr]", "tasks=[ggr]")[:3], module.compute
-
-    def interrupted(job):
-        if job.policy == "follow_ee":
-            raise KeyboardInterrupt
-        return {"success": 0.5}
-
-    monkeypatch.setattr(module, "compute", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run_jobs(few, tmp_path)
-    assert len(list(tmp_path.iterdir())) == 2
-    monkeypatch.setattr(module, "compute", compute)
-    assert run_jobs(few, tmp_path)[0] == {"success": 0.5}
-
-
-@pytest.mark.slow
-def test_processes_change_nothing(tmp_path):
-    few = small("robots=[hsr]")
-    alone, shared = run_jobs(few, tmp_path / "one"), run_jobs(few, tmp_path / "two", 2)
-    assert json.dumps(alone) == json.dumps(shared)
+    assert found == evaluate(chosen, policy, "follow_ee")
+    assert ceiling.keys() == {"success", "success_low", "success_high"}
 
 
 def test_workspace_samples():
