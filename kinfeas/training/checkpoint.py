@@ -16,6 +16,7 @@ from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_MOTION = "world.motion."  # prefix of the states of motions
 _UNSIGNED = ".unsigned"  # suffix of unsigned numbers stored as signed
 
 Tensors = dict[str, torch.Tensor]
@@ -25,74 +26,102 @@ def save_learner(
     folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]], state: dict[str, Any]
 ) -> None:
     """Write a learner, a snapshot of its environments and the entries of `state` into a folder."""
-    random, random_tensors = _random_state()
-    tensors = _world_tensors(world) | random_tensors
-    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
-    if (entropy := _learned_entropy(learner)) is not None:
-        tensors["log_ent_coef"] = entropy
-    optimizers: dict[str, Any] = {}
-    for name, optimizer in _optimizers(learner).items():
-        saved = optimizer.state_dict()
-        optimizers[name] = saved["param_groups"]
-        for index, slots in saved["state"].items():
-            tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
-    buffer = _buffer(learner)
-    for name in _BUFFER:
-        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[: buffer.size()])
+    tensors = _tensors(learner, world)
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
+    buffer = _buffer(learner)
+    kind, _, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 - SB3 draws there
     about = {
-        "optimizers": optimizers,
         "updates": learner._n_updates,
         "buffer": {"position": buffer.pos, "full": buffer.full},
-        "random": random,
+        "random": {"kind": kind, "position": position, "has_gauss": has_gauss, "gauss": gauss},
         **state,
     }
     write_state(folder, about)
 
 
-def load_learner(folder: Path, learner: Learner) -> dict[str, NDArray[Any]]:
+def load_learner(
+    folder: Path, learner: Learner, world: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
-    The global random states of torch and NumPy, which SB3 draws from, are restored as well.
+    The global random states of torch and NumPy, which SB3 draws from, are restored as well. `world`
+    is a fresh snapshot, which the saved one must resemble.
     """
     about = read_state(folder)
     with loading(folder):
         tensors = load_file(folder / _TENSORS)
+        buffer = _buffer(learner)
+        buffer.pos, buffer.full = int(about["buffer"]["position"]), bool(about["buffer"]["full"])
+        if not 0 <= buffer.pos < buffer.buffer_size:
+            raise ValueError(f"the position of its replay buffer is {buffer.pos}")
+        _check_layout(tensors, _tensors(learner, world) | _optimizer_slots(learner, tensors))
         learner.policy.load_state_dict(_below("policy.", tensors))
         if (entropy := _learned_entropy(learner)) is not None:
             entropy.copy_(tensors["log_ent_coef"])
         for name, optimizer in _optimizers(learner).items():
-            groups = about["optimizers"][name]
-            _load_optimizer(optimizer, groups, _below(f"optimizer.{name}.", tensors))
-        _load_buffer(_buffer(learner), about["buffer"], _below("buffer.", tensors))
+            _load_optimizer(optimizer, _below(f"optimizer.{name}.", tensors))
+        for name in _BUFFER:
+            getattr(buffer, name)[: buffer.size()] = tensors[f"buffer.{name}"].numpy()
         learner._n_updates = int(about["updates"])
         _load_random_state(about["random"], tensors)
         return _world_arrays(tensors)
 
 
-def _load_optimizer(optimizer: torch.optim.Optimizer, groups: Any, tensors: Tensors) -> None:
+def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
+    """Return the tensors of a checkpoint."""
+    tensors = _world_tensors(world) | {"random.torch": torch.get_rng_state()}
+    keys = np.random.get_state()[1]  # noqa: NPY002 - SB3 draws there
+    tensors["random.numpy"] = torch.from_numpy(np.asarray(keys).astype(np.int64))
+    tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
+    if (entropy := _learned_entropy(learner)) is not None:
+        tensors["log_ent_coef"] = entropy
+    for name, optimizer in _optimizers(learner).items():
+        for index, slots in optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
+    buffer = _buffer(learner)
+    for name in _BUFFER:
+        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[: buffer.size()])
+    return tensors
+
+
+def _check_layout(tensors: Tensors, expected: Tensors) -> None:
+    """Raise ValueError unless names, types and shapes agree.
+
+    Motions that have not begun have no state yet, and delay buffers grow along axis 1.
+    """
+    rows = {len(expected[key]) for key in ("world.steps",) if key in expected}
+    for key in sorted(tensors.keys() | expected.keys()):
+        values, like = tensors.get(key), expected.get(key)
+        if like is None and values is not None and key.startswith(_MOTION):
+            if {*values.shape[:1]} == rows:
+                continue
+        elif values is not None and like is not None and values.dtype == like.dtype:
+            shape = list(values.shape)
+            if key.startswith("world.") and like.shape[1:2] == (1,) and len(shape) > 1:
+                shape[1] = 1
+            if shape == list(like.shape):
+                continue
+        raise ValueError(f"{key} is missing, unknown or of another type or shape")
+
+
+def _optimizer_slots(learner: Learner, tensors: Tensors) -> Tensors:
+    """Return the state of Adam like that in `tensors`; what has not learned has none."""
+    slots = {}
+    for name, optimizer in _optimizers(learner).items():
+        prefix = f"optimizer.{name}."
+        if _below(prefix, tensors):
+            for index, values in enumerate(optimizer.param_groups[0]["params"]):
+                likes = {"step": torch.zeros(()), "exp_avg": values, "exp_avg_sq": values}
+                slots |= {f"{prefix}{index}.{slot}": like for slot, like in likes.items()}
+    return slots
+
+
+def _load_optimizer(optimizer: torch.optim.Optimizer, tensors: Tensors) -> None:
     state: dict[int, Tensors] = {}
     for key, values in tensors.items():
         index, slot = key.split(".")
         state.setdefault(int(index), {})[slot] = values
-    optimizer.load_state_dict({"state": state, "param_groups": groups})
-
-
-def _load_buffer(buffer: ReplayBuffer, about: Mapping[str, Any], tensors: Tensors) -> None:
-    buffer.pos, buffer.full = int(about["position"]), bool(about["full"])
-    if not 0 <= buffer.pos < buffer.buffer_size:
-        raise ValueError(f"the position of its replay buffer is {buffer.pos}")
-    for name in _BUFFER:
-        room = getattr(buffer, name)[: buffer.size()]
-        room[:] = tensors[name].numpy()
-
-
-def _random_state() -> tuple[dict[str, Any], Tensors]:
-    """Return the global random states, the numbers for JSON and the tensors."""
-    kind, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 - SB3 draws there
-    about = {"kind": kind, "position": position, "has_gauss": has_gauss, "gauss": gauss}
-    numpy_keys = torch.from_numpy(np.asarray(keys).astype(np.int64))
-    return about, {"random.torch": torch.get_rng_state(), "random.numpy": numpy_keys}
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 
 def _load_random_state(about: Mapping[str, Any], tensors: Tensors) -> None:

@@ -134,7 +134,8 @@ class _Run:
         with loading(last):
             read_network(last, self.env.robot)
             self.env.reset()
-            self.observation = self.env.restore(load_learner(last, self.learner))
+            snapshot = load_learner(last, self.learner, self.env.snapshot())
+            self.observation = self.env.restore(snapshot)
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
