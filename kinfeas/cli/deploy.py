@@ -31,7 +31,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: Annotated[
         str,
         typer.Argument(
-            help="ONNX file, run folder, pretrained, module:Class, or a plugin, such as follow_ee.",
+            help="ONNX file, run folder, module:Class, or a name such as pretrained.",
             autocompletion=options.complete_policy,
         ),
     ],
@@ -45,15 +45,13 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = "pybullet",
     goal: Annotated[
         Three | None,
-        typer.Option(
-            metavar="X Y Z", help="Goal of the EE frame in the world frame of the backend, metres."
-        ),
+        typer.Option(metavar="X Y Z", help="Goal of the EE in the world frame, metres."),
     ] = None,
     rpy: Annotated[
         Three | None,
         typer.Option(
             metavar="R P Y",
-            help="Goal orientation: roll, pitch, yaw in radians.  [default: that at the start]",
+            help="Goal orientation, rad.  [default: the present one]",
         ),
     ] = None,
     quaternion: Annotated[
@@ -68,36 +66,35 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     task: Annotated[str | None, options.task_option("In place of --goal. ")] = None,
     rate: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Control rate, Hz.")] = 50.0,
-    seconds: Annotated[float, typer.Option(min=0.0, help="Longest duration of the run.")] = 300.0,
+    seconds: Annotated[float, typer.Option(min=0.0, help="Maximum duration.")] = 300.0,
     seed: options.Seed = 0,
     record: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.csv",
-            help="New file of the run.  [default: runs/deploy/DATE-ROBOT-TASK.csv]",
+            help="New file.  [default: one below runs/deploy]",
         ),
     ] = None,
     adapters: options.AdapterList = None,
     guards: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="Limits of the guards.")
     ] = None,
-    real_time: Annotated[
-        bool,
-        typer.Option("--real-time/--no-real-time", help="Simulated worlds wait for the clock."),
-    ] = True,
+    no_real_time: Annotated[
+        bool, typer.Option("--no-real-time", help="Simulate as fast as possible.")
+    ] = False,
     filters: options.Filters = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Run a policy on a robot. Guards supervise the run, and a CSV file records it.
+    """Run a policy on a robot, behind guards, and record the run as CSV.
 
     Settings: guards.KEY, time_scale, head_start, arm_settle_timeout, ik.KEY, generator.KEY,
     task.KEY, backend.KEY; see docs/deploy.md.
 
     Exit codes: 0 goal reached, 2 bad input, 3 stopped by a guard or an error, 4 --seconds exceeded,
-    130 Ctrl-C, 143 SIGTERM, 129 SIGHUP, 131 SIGQUIT. In all cases the base is commanded to zero.
+    128 + N signal N. In all cases the base is commanded to zero.
 
-    Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9 --set time_scale=0.25
+    Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9
     """
     from kinfeas.io.run_log import About, Recorder
     from kinfeas.sim2real.deploy.runtime import deploy as run
@@ -117,7 +114,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
             toward = options.read_task(task, config.task)
         setup = _make_setup(
             policy, backend, known, toward, config, adapters=options.read_adapters(adapters),
-            dt=1.0 / rate, seconds=seconds, seed=seed, real_time=real_time,
+            dt=1.0 / rate, seconds=seconds, seed=seed, real_time=not no_real_time,
         )  # fmt: skip
         joints = tuple(joint.name for joint in known.arm)
         now = datetime.now().astimezone().isoformat(timespec="seconds")

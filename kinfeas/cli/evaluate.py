@@ -43,14 +43,11 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     seed: options.Seed = 1,
     head_start: Annotated[
-        float | None, typer.Option(help="Seconds that the base moves before the EE.  [default: 0]")
+        float | None, typer.Option(help="Seconds of base motion before the EE.  [default: 0]")
     ] = None,
     time_scale: Annotated[
         float | None,
-        typer.Option(
-            help="Speed of EE motions relative to the plan, at most 1.  [default: 1; 0.5 for pr2 "
-            "with physics]"
-        ),
+        typer.Option(help="Relative EE speed.  [default: 1; PyBullet pr2 0.5]"),
     ] = None,
     without_objects: Annotated[
         bool, typer.Option("--no-objects", help="PyBullet: leave out the furniture.")
@@ -63,7 +60,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write an episode as .gif or .mp4, or four frames as .png.",
+            help="Episode as .gif or .mp4, or four frames as .png.",
             callback=_check_video,
         ),
     ] = None,
@@ -78,15 +75,13 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Evaluate a policy.
 
-    The ceiling is the share of goals that some base pose reaches, an upper bound of success.
+    The ceiling is the share of goals that some base pose reaches. With --adapters a table shows the
+    effect of each one. Pictures show the desired EE path dashed, the achieved one green.
 
-    Settings: task.KEY, the task's parameters, and world.KEY: dt, max_failures, max_seconds,
-    arm_settle_timeout, ik.KEY, filters, adapters, backend_parameters.KEY; see docs/physics.md.
+    Settings: task.KEY and world.KEY: dt, max_failures, max_seconds, arm_settle_timeout, ik.KEY,
+    filters, adapters, backend_parameters.KEY.
 
-    With --adapters a table shows the cost of each adapter. Pictures show the desired EE path
-    dashed, the achieved one green, and steps without an IK solution red.
-
-    Example: kinfeas evaluate --policy pretrained --robot hsr --task door --world pybullet
+    Example: kinfeas evaluate --policy pretrained --task door --world pybullet
     """
     from kinfeas.evaluation.evaluate import (
         check_adapters,

@@ -85,28 +85,25 @@ def task_option(before: str = "", default: str = "") -> Any:
 
 
 RobotName = Annotated[str, robot_option()]
-PolicyRobotName = Annotated[str | None, robot_option("  [default: robot of the policy, else pr2]")]
+PolicyRobotName = Annotated[str | None, robot_option("  [default: that of the policy]")]
 TaskName = Annotated[str, task_option()]
 PolicyName = Annotated[
     str,
     typer.Option(
-        help="Run folder, ONNX file, pretrained, module:Class, or a plugin such as the baselines "
-        "follow_ee, follow_ee_feedback, demonstrated_base, geometric_modulation, whole_body_qp.",
+        help="Run folder, ONNX file, module:Class, or a name such as pretrained or follow_ee.",
         autocompletion=complete_policy,
     ),
 ]
 World = Annotated[
     str,
     typer.Option(
-        help="Backend: analytic (kinematics), pybullet (physics), or a plugin.",
+        help="Backend: analytic, pybullet, or a plugin.",
         autocompletion=names_of("backends"),
     ),
 ]
 Episodes = Annotated[int, episodes_option("Number of episodes.")]
 Seed = Annotated[int, typer.Option(min=0, max=LAST_SEED, help="Random seed.")]
-Processes = Annotated[
-    int, typer.Option(min=1, max=MOST_PROCESSES, help="Number of parallel processes.")
-]
+Processes = Annotated[int, typer.Option(min=1, max=MOST_PROCESSES, help="Parallel processes.")]
 AllProcesses = Annotated[
     int | None,
     typer.Option(
@@ -124,14 +121,13 @@ EngineAddress = Annotated[
 ]
 AdapterList = Annotated[
     str | None,
-    typer.Option(help="Adapters of the backend: ideal, paper, pr2_like, harsh, or a YAML file."),
+    typer.Option(help="ideal, paper, pr2_like, harsh, or a YAML file."),
 ]
 Filters = Annotated[
     str | None,
     typer.Option(
         metavar="NAMES",
-        help="Command filters in this order, such as rollout_planner,feasibility; or none.  "
-        "[default: those of the robot]",
+        help="Such as rollout_planner,feasibility, or none.  [default: the robot's]",
     ),
 ]
 Overrides = Annotated[

@@ -83,6 +83,7 @@ INPUT = {
     ],
     "deploy pretrained --backend analytic": [
         ("", ""),
+        ("--goal 1.5 0.3 0.8 --rate 5", "guards.max_age"),
         ("--task ggr --set generator.gain=1", ""),
     ],
     "deploy pretrained --robot hsr --no-real-time --backend analytic --goal 0.9 0.1 0.8": [
@@ -94,7 +95,6 @@ INPUT = {
         ("--backend analytik", "'analytic'"),
         ("--generator linea", "'linear'"),
         ("--filters feasability", "'feasibility'"),
-        ("--rate 5 --real-time", "guards.max_age"),
         ("--record shown/1.csv", "shown/1.csv"),
         ("--record run.txt", "run.txt"),
         ("--guards none.yaml", "none.yaml"),

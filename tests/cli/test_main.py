@@ -36,10 +36,10 @@ def kinfeas_process(code, *arguments, **environment):
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_help_fits_on_a_screen(kinfeas, monkeypatch, words):
-    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("COLUMNS", "80")
     shown = kinfeas(*words, "--help").out.splitlines()
-    assert len(shown) <= 45
-    assert max(map(len, shown)) <= 100
+    assert len(shown) <= 40
+    assert max(map(len, shown)) <= 80
 
 
 def test_help_imports_nothing_heavy():
