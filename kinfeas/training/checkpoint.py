@@ -70,7 +70,7 @@ def load_learner(
 def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
     """Return the tensors of a checkpoint."""
     tensors = _world_tensors(world) | {"random.torch": torch.get_rng_state()}
-    keys = np.random.get_state()[1]  # noqa: NPY002 - SB3 draws there
+    _, keys, *_ = np.random.get_state()  # noqa: NPY002 - SB3 draws there
     tensors["random.numpy"] = torch.from_numpy(np.asarray(keys).astype(np.int64))
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
     if (entropy := _learned_entropy(learner)) is not None:
@@ -106,7 +106,7 @@ def _check_layout(tensors: Tensors, expected: Tensors) -> None:
 
 def _optimizer_slots(learner: Learner, tensors: Tensors) -> Tensors:
     """Return the state of Adam like that in `tensors`; what has not learned has none."""
-    slots = {}
+    slots: Tensors = {}
     for name, optimizer in _optimizers(learner).items():
         prefix = f"optimizer.{name}."
         if _below(prefix, tensors):
