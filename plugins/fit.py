@@ -33,7 +33,7 @@ from kinfeas.core.spatial import (
     yaw,
 )
 from kinfeas.io.demonstrations import Demonstration
-from kinfeas.plugins.imitation import DURATIONS, Component, Kind, Model, Source, learned_path
+from kinfeas.plugins.imitation import Component, Kind, Model, Source, learned_path
 from kinfeas.plugins.path import below
 from kinfeas.plugins.replay import resampled
 
@@ -144,8 +144,6 @@ def _sampled(shown: Demonstration, kind: Kind, name: str) -> _Path:
     if np.nanmax(np.abs([sampled[:, :3], base])) > _FARTHEST:
         raise KinfeasError(f"{name}: leads more than {_FARTHEST:g} m from the object")
     duration = float(shown.time[-1] - shown.time[0])
-    if duration not in DURATIONS:
-        raise KinfeasError(f"{name}: its seconds must be a number {DURATIONS}")
     return _Path(sampled, base, duration, float(metres.sum()))
 
 

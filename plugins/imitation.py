@@ -41,9 +41,6 @@ Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or turn, and small enough that nothing computed from it overflows.
 Number = Annotated[float, Interval(low=-1000.0, high=1000.0)]
 
-DURATIONS = Interval(low=0.01, high=3600.0)
-"""Seconds that a learned motion may take."""
-
 _SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
 _FOLDER = Path(__file__).parent / "models"
 _ROUNDING = 1e-6  # error of quaternions and weights
@@ -172,7 +169,7 @@ class Model:
 
     format: Literal[1]
     kind: Kind
-    duration: Annotated[float, DURATIONS]
+    duration: Annotated[float, Interval(low=0.01, high=3600.0)]
     goal: tuple[Number, Number, Number, float, float, float, float]
     mean_orientation: tuple[float, float, float, float]
     fitted_from: Source

@@ -24,16 +24,15 @@ from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import RotationSpline
 
 from kinfeas import config
-from kinfeas.config.quantities import LONGEST, Positive
+from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, make_pose, rotation, twist_between
+from kinfeas.io.demonstrations import check_samples
 from kinfeas.io.formats import read_csv
 from kinfeas.plugins.limits import norm
 from kinfeas.plugins.path import Frame, PathMotion, PosePath, even_moments, in_frame
 
 _COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_NOT_UNIT = 1e-3  # error of a quaternion's norm; rounding by hand makes 2e-4
-_FARTHEST = 1000.0  # metres
 _FINE = 2000  # samples of a spline, or 20 between waypoints if these are more
 _REPEATED = 1e-9  # metres and radians
 
@@ -151,27 +150,8 @@ def read_waypoints(path: Path) -> tuple[Array, Array | None]:
         poses, time = np.stack([values[name] for name in _COLUMNS], axis=1), values.get("time")
     else:
         raise KinfeasError(f"{path}: must be a .yaml or .csv file of waypoints")
-    if len(poses) < 2:
-        raise KinfeasError(f"{path}: has {len(poses)} waypoints, at least 2 are needed")
     if time is not None and len(time) != len(poses):
         raise KinfeasError(f"{path}: 'time' has {len(time)} entries for {len(poses)} waypoints")
-    _check(path, poses, np.arange(float(len(poses))) if time is None else time)
+    check_samples(path, np.arange(float(len(poses))) if time is None else time, {"pose": poses})
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
     return poses, time
-
-
-def _check(path: Path, poses: Array, time: Array) -> None:
-    """Raise on the first invalid waypoint."""
-    near = (np.abs(poses) <= _FARTHEST).all(axis=1)  # false for NaN, too
-    unit = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1.0) <= _NOT_UNIT
-    later = np.isfinite(time) & (np.diff(time, prepend=-np.inf) > 0.0)
-    soon = np.abs(time - time[0]) <= LONGEST
-    rules = (
-        (near, f"must be of finite numbers, at most {_FARTHEST:g}"),
-        (unit, "must have a unit quaternion (xyzw)"),
-        (later, "must be later than the one before"),
-        (soon, f"must be at most {LONGEST:g} s later than the first"),
-    )
-    for holds, rule in rules:
-        if not holds.all():
-            raise KinfeasError(f"{path}, waypoint {int(np.argmin(holds)) + 1}: {rule}")

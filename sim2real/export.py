@@ -1,11 +1,10 @@
 """Export of a trained policy as one ONNX file that describes itself."""
 
-import json
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_json
 
 from kinfeas import __version__, config
 from kinfeas.control.observation import CLIP, HORIZON, describe_action, describe_observation
@@ -103,7 +102,11 @@ def to_onnx(network: Network, metadata: PolicyMetadata) -> bytes:
         producer_version=metadata.version,
     )
     entries = {"schema": SCHEMA, **config.to_mapping(metadata)}
-    texts = {PREFIX + key: json.dumps(_finite(value)) for key, value in entries.items()}
+    # Strict JSON has no infinity.
+    texts = {
+        PREFIX + key: to_json(value, inf_nan_mode="strings").decode()
+        for key, value in entries.items()
+    }
     helper.set_model_props(model, texts)
     onnx.checker.check_model(model, full_check=True)
     body = model.SerializeToString()
@@ -135,12 +138,3 @@ def _success(trained: Trained, folder: Path) -> dict[str, object]:
         evaluation.pop("policy", None)  # a path of this machine
     kinds = {"evaluation": evaluation, "benchmark": trained.benchmark}
     return {kind: metrics for kind, metrics in kinds.items() if metrics}
-
-
-def _finite(value: object) -> object:
-    """Return plain data with inf, -inf and nan as strings, for strict JSON."""
-    if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_finite(inner) for inner in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

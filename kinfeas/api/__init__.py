@@ -27,13 +27,13 @@ class Run:
 
     Attributes:
         folder: Its folder, for `evaluate`, `export` and `load_policy`.
-        figures: Metrics of its best checkpoint on fresh episodes, as in `evaluation.json`.
+        metrics: Metrics of its best checkpoint on fresh episodes, as in `evaluation.json`.
         steps: Environment steps.
         seconds: Wall-clock time.
     """
 
     folder: Path
-    figures: dict[str, Any]
+    metrics: dict[str, Any]
     steps: int
     seconds: float
 

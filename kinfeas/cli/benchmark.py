@@ -53,9 +53,6 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     engine: options.EngineName = "local",
     address: options.EngineAddress = None,
     processes: options.AllProcesses = None,
-    publish: Annotated[
-        Path | None, typer.Option(help="Copy the best policy of each robot to DIR/ROBOT.")
-    ] = None,
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
@@ -86,8 +83,6 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     if chosen.backend != world:
         raise KinfeasError(f"{name}: 'backend' must be {world!r} for --world {world}")
     plans = [] if taken else _plans(chosen, out)
-    if publish is not None and (world != "analytic" or not (taken or plans)):
-        raise KinfeasError("--publish needs trained policies in the analytic world")
     runner = options.read_engine(engine, processes, address)
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -115,8 +110,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     entries = [asdict(cell) for cell in cells]
     write_json(entries, out / "table.json")
     write_json(entries, json)
-    folders = [out / "pretrained", *([publish] if publish else [])] if plans or runs else []
-    published = _publish(taken, found, folders if world == "analytic" else [])
+    trained = world == "analytic" and (plans or runs)
+    published = _publish(taken, found, out / "pretrained") if trained else []
     _show(cells, chosen.note)
     for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
@@ -148,9 +143,9 @@ def _run(kind: str, jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
 
 
 def _publish(
-    runs: Sequence["Run"], found: Sequence[tuple["Evaluation", "Result"]], folders: Sequence[Path]
+    runs: Sequence["Run"], found: Sequence[tuple["Evaluation", "Result"]], folder: Path
 ) -> list[Path]:
-    """Copy each robot's best policy into each of `folders`; return their folders."""
+    """Copy each robot's best policy into a folder of its own in `folder`; return these folders."""
     from kinfeas.benchmark.runs import publish
 
     metrics: dict[Path, dict[str, object]] = {}
@@ -158,7 +153,7 @@ def _publish(
         if job.training_seed is not None and not (job.variant or job.row):
             told = {key: value for key, value in result.items() if key != "workspace"}
             metrics.setdefault(Path(job.source), {})[job.task_name] = told
-    return [place for folder in folders for place in publish(runs, metrics, folder)]
+    return publish(runs, metrics, folder)
 
 
 def _command() -> str:

@@ -1,15 +1,13 @@
 """Sub-goals, their tolerances, and the execution of motions."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from kinfeas.config.quantities import TIME_SCALES, Seconds, TimeScale
+from kinfeas.config.quantities import Seconds, TimeScale
 from kinfeas.core import spatial
 from kinfeas.core.backend import Grip
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -62,15 +60,6 @@ class ExecutionConfig:
     grasp_settle_time: Seconds = 0.0
     head_start_jitter: Seconds = 0.0
     arm_settle_timeout: Seconds = 0.0
-
-    def __post_init__(self) -> None:
-        """Check values that adapters may have changed."""
-        if self.time_scale not in TIME_SCALES:
-            raise KinfeasError(f"time_scale must be {TIME_SCALES} in all, not {self.time_scale:g}")
-        for name in ("head_start", "grasp_settle_time", "head_start_jitter", "arm_settle_timeout"):
-            seconds = getattr(self, name)
-            if not 0.0 <= seconds < math.inf:
-                raise KinfeasError(f"{name} must be a number >= 0 in all, not {seconds:g}")
 
 
 @runtime_checkable

@@ -119,7 +119,6 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
         raise KinfeasError(f"{subject} must be a class or function, not {type(factory).__name__}")
     try:
         signature = _signature(factory)
-        _check_names(signature, parameters)
     except (ValueError, TypeError) as error:
         raise KinfeasError(f"{subject}: {error}") from error
     typed = _in_types(signature, parameters, subject)
@@ -147,19 +146,6 @@ def _signature(factory: Any) -> inspect.Signature:
     # Names that are imported for a type checker only.
     except (NameError, AttributeError, SyntaxError, TypeError):
         return inspect.signature(factory)
-
-
-def _check_names(signature: inspect.Signature, given: Mapping[str, object]) -> None:
-    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    taken = {p.name: p for p in signature.parameters.values() if p.kind in by_name}
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
-    for name in given:
-        if name not in taken and not open_ended:
-            raise KinfeasError(f"unknown parameter {name!r}{no_such(name, taken)}")
-    for name, parameter in taken.items():
-        if parameter.default is parameter.empty and name not in given:
-            known = ", ".join(sorted(taken))
-            raise KinfeasError(f"the parameter {name!r} is missing; known are {known}")
 
 
 def _in_types(

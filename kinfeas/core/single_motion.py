@@ -8,7 +8,6 @@ from typing import Any, ParamSpec, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinfeas.core.checks import check_array
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import MotionGenerator, State
 from kinfeas.core.spatial import Array
@@ -87,7 +86,7 @@ class RowByRow:
         """Return the state of n motions; shapes (n, 7), (n, 7), n. No motion has no keys."""
         rows = zip(ee_pose, target_pose, rngs, strict=True)
         states = [self.single.start(ee.copy(), target.copy(), rng) for ee, target, rng in rows]
-        return self._stacked("start", states)
+        return _stacked(states)
 
     def goal_pose(self, state: State, target_pose: Array) -> Array:
         """Return the world poses at which the motions end, shape (n, 7)."""
@@ -98,35 +97,23 @@ class RowByRow:
     ) -> tuple[Array, State]:
         """Return the world twist, shape (n, 6), and the next state."""
         rows = zip(ee_pose, target_pose, dt.tolist(), strict=True)
-        steps = [
-            self._pair(self.single.twist(_row(state, i), pose.copy(), target.copy(), seconds))
-            for i, (pose, target, seconds) in enumerate(rows)
-        ]
-        if not steps:
-            return np.zeros((0, 6)), dict(state)
-        return np.stack([twist for twist, _ in steps]), self._stacked(
-            "twist", [after for _, after in steps]
-        )
+        twists, states = np.zeros((len(dt), 6)), []
+        for i, (pose, target, seconds) in enumerate(rows):
+            twists[i], after = self.single.twist(
+                _row(state, i), pose.copy(), target.copy(), seconds
+            )
+            states.append(after)
+        return twists, _stacked(states) if states else dict(state)
 
-    def _pair(self, answer: Any) -> tuple[Array, Mapping[str, ArrayLike]]:
-        where = f"{type(self).__name__}.twist"
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise KinfeasError(f"{where} must return a pair: the twist and the next state")
-        twist = np.asarray(answer[0])
-        check_array(twist, (6,), f"{where}: the twist", finite=False)
-        return twist, answer[1]
 
-    def _stacked(self, method: str, states: list[Mapping[str, ArrayLike]]) -> State:
-        where = f"{type(self).__name__}.{method}"
-        rows: list[State] = []
-        for state in states:
-            try:
-                rows.append({k: np.asarray(v, dtype=np.float64) for k, v in state.items()})
-            except (AttributeError, TypeError, ValueError) as error:
-                raise KinfeasError(f"{where} must return a dict of numbers: {error}") from error
-        if len({tuple((k, v.shape) for k, v in sorted(row.items())) for row in rows}) > 1:
-            raise KinfeasError(f"{where} must return equal keys and shapes for all motions")
-        return {k: np.stack([row[k] for row in rows]) for k in rows[0]} if rows else {}
+def _stacked(states: list[Mapping[str, ArrayLike]]) -> State:
+    """Return the states of all motions, whose keys and shapes are equal, as one."""
+    if any(state.keys() != states[0].keys() for state in states):
+        raise KinfeasError("states must have equal keys for all motions")
+    return {
+        key: np.stack([np.asarray(state[key], dtype=np.float64) for state in states])
+        for key in (states[0] if states else ())
+    }
 
 
 def _base_pose(self: RowByRow, state: State, target_pose: Array) -> Array:

@@ -66,7 +66,7 @@ def read_demonstration(path: Path, optional: Collection[str] = ("base_pose",)) -
             poses[one] = np.stack([values[name] for name in columns(one)], axis=1)
         elif len(missing) < len(_AXES):
             raise KinfeasError(f"{path}: column {missing[0]!r} is missing")
-    _check(path, time, poses)
+    check_samples(path, time, poses)
     for pose in poses.values():
         norm = np.sqrt(np.sum(pose[:, 3:] ** 2, axis=1))
         pose[:, 3:] /= norm[:, np.newaxis]
@@ -78,7 +78,7 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
     """Write a CSV file atomically; errors are those of `read_demonstration`."""
     names = [name for name in _POSES if demonstration.has_base or name != "base_pose"]
     poses = {name: getattr(demonstration, name) for name in names}
-    _check(path, demonstration.time, poses)
+    check_samples(path, demonstration.time, poses)
     with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["time", *(name for pose in names for name in columns(pose))])
@@ -92,8 +92,8 @@ def columns(pose: str | None = None) -> list[str]:
     return [f"{pose.removesuffix('_pose')}_{axis}" for axis in _AXES]
 
 
-def _check(path: Path, time: Array, poses: dict[str, Array]) -> None:
-    """Raise KinfeasError on the first invalid sample."""
+def check_samples(path: Path, time: Array, poses: dict[str, Array]) -> None:
+    """Raise KinfeasError on the first invalid sample of poses (t, 7) at ascending times (t,)."""
 
     def require(holds: NDArray[np.bool_], rule: str) -> None:
         if not holds.all():

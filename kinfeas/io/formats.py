@@ -17,7 +17,9 @@ MAX_JSON_BYTES = 1_000_000
 def read_csv(
     path: Path, columns: Sequence[str], optional: Collection[str] = ()
 ) -> dict[str, Array]:
-    """Return columns of a CSV file by name; `optional` ones may be missing, others are ignored.
+    """Return columns of a CSV file by name, NaN where a row has no entry.
+
+    The `optional` ones may be missing, others are ignored.
 
     Raises:
         KinfeasError: If the file cannot be read, a column is missing or an entry is no number.
@@ -34,8 +36,8 @@ def read_csv(
             found[name] = np.empty(len(rows))
             for i, row in enumerate(rows):
                 try:
-                    found[name][i] = float(row[name])
-                except (TypeError, ValueError) as error:
+                    found[name][i] = float(row[name] or "nan")
+                except ValueError as error:
                     raise KinfeasError(f"{path}, row {i + 1}, {name}: {error}") from error
         elif name not in optional:
             raise KinfeasError(f"{path}: column {name!r} is missing")

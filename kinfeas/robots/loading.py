@@ -55,7 +55,6 @@ def build_robot(spec: RobotSpec, urdf: Urdf, urdf_path: Path, source: str) -> Ro
     `urdf_path` is the file that physics engines load; errors begin with `source`.
     """
     _check_chain(spec, urdf, source)
-    _check_followers(spec, urdf, source)
     arm = tuple(_arm_joint(spec, urdf.joints[name], source) for name in spec.arm)
     rotation = np.array(spec.gripper_rotation)
     return Robot(
@@ -105,18 +104,6 @@ def _check_chain(spec: RobotSpec, urdf: Urdf, source: str) -> None:
             raise KinfeasError(
                 f"{source}: joint {joint.name!r}, above {spec.ee_frame!r}, must be in 'arm' or "
                 "'fixed_joints', or mimic one that is"
-            )
-
-
-def _check_followers(spec: RobotSpec, urdf: Urdf, source: str) -> None:
-    """Check that a whole turn of a continuous arm joint leaves its mimic joints as they were."""
-    for joint in urdf.joints.values():
-        leader, scale, _ = urdf.followed(joint)
-        periodic = joint.kind != "prismatic" and scale.is_integer()
-        if leader.name in spec.arm and leader.kind == "continuous" and not periodic:
-            raise KinfeasError(
-                f"{source}: 'arm.{leader.name}': a whole turn of this continuous joint moves "
-                f"{joint.name!r}, which mimics it; make it revolute, with limits, in the URDF"
             )
 
 

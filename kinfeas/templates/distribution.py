@@ -1,6 +1,5 @@
 """Distributions written from the templates in this folder."""
 
-import importlib.util
 import keyword
 import re
 from collections.abc import Iterator
@@ -48,8 +47,6 @@ def _check_name(group: str, name: str) -> None:
     taken = [plugin for plugin in registry.plugins(group) if plugin.name == name]
     if taken:
         raise KinfeasError(f"the name is taken by {taken[0]}; choose another")
-    if importlib.util.find_spec(_package(name)) is not None:
-        raise KinfeasError(f"there is a package {_package(name)!r} already; choose another name")
 
 
 def _check_folder(folder: Path) -> None:

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 
-from kinfeas.core.checks import ConformanceError
+from kinfeas.core.checks import ConformanceError, check_array
 from kinfeas.core.policy import Policy, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
@@ -60,11 +60,9 @@ def _run(policy: Policy, robot: Robot, episodes: "range | list[int]") -> Array:
 
 
 def _check_action(policy: Policy, action: object, shape: tuple[int, int]) -> None:
-    if not isinstance(action, np.ndarray) or action.shape != shape:
-        found = getattr(action, "shape", type(action).__name__)
-        raise ConformanceError(f"{_name(policy)} must return shape {shape} from act, not {found}")
-    if not (np.isfinite(action).all() and np.abs(action).max() <= 1.0):
-        raise ConformanceError(f"{_name(policy)} must return finite numbers in [-1, 1] from act")
+    check_array(action, shape, f"{_name(policy)}: the action", error=ConformanceError)
+    if np.abs(np.asarray(action)).max() > 1.0:
+        raise ConformanceError(f"{_name(policy)}: the action must be in [-1, 1]")
 
 
 def _name(policy: Policy) -> str:

@@ -1,6 +1,5 @@
 """2-D plots: learning curves and motions of a generator."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -10,8 +9,8 @@ from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
+from kinfeas.io.formats import read_csv
 from kinfeas.testing.trial import Samples, Trial
 from kinfeas.viz.style import BASE, EE, FAILURE, FAINT, GOAL, STYLE
 
@@ -21,15 +20,7 @@ _STILL = 1e-3  # of the largest speed: too small to be seen
 
 def read_metrics(run: Path) -> dict[str, Array]:
     """Return columns of a run's `metrics.csv` by name, NaN where a row has no entry."""
-    path = run / "metrics.csv"
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        columns = {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
-        columns = {key: columns[key] for key in _PLOTTED}
-    except (OSError, ValueError, TypeError, LookupError) as error:
-        raise KinfeasError(f"{path}: no table of training metrics") from error
-    return columns
+    return read_csv(run / "metrics.csv", _PLOTTED)
 
 
 def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) -> Figure:

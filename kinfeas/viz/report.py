@@ -39,7 +39,7 @@ class Row:
 
     name: str
     success: Share
-    figures: Mapping[str, Any]
+    metrics: Mapping[str, Any]
     ours: bool = False
 
 
@@ -121,7 +121,7 @@ def _line(row: Row) -> str:
     cells = [escape(row.name), f"<b>{share.value:.1%}</b>", interval]
     cells.append(f"<meter value={share.value:.4f}></meter>")
     for key, (_, form, factor) in _COLUMNS.items():
-        value = row.figures.get(key)
+        value = row.metrics.get(key)
         cells.append("" if value is None else form.format(factor * float(value)))
     kind = " class=ours" if row.ours else ""
     return f"<tr{kind}>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>\n"

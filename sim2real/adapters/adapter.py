@@ -34,20 +34,12 @@ class Range:
     high: float
 
 
-def read_range(name: str, value: object, within: Interval) -> Range:
-    """Return the range of a parameter; a number gives an empty range.
-
-    Raises:
-        ValueError: If it is neither a number nor a range, or not `within` the interval.
-    """
-    ends = list(value) if isinstance(value, list | tuple) else [value, value]
-    numbers = [end for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
-    if len(ends) != 2 or len(numbers) != 2 or not all(end in within for end in numbers):
-        allowed = f"a finite number {within} or a range [low, high] of such"
-        raise ValueError(f"{name} is {value!r}, must be {allowed}")
-    low, high = map(float, numbers)
-    if low > high:
-        raise ValueError(f"{name} is {value!r}, but a range must ascend")
+def read_range(name: str, value: Number, within: Interval) -> Range:
+    """Return the range of a parameter; ValueError if it does not ascend `within` the interval."""
+    ends = value if isinstance(value, list | tuple) else (value, value)
+    low, high = ends[0], ends[-1]
+    if len(ends) != 2 or not (low in within and high in within and low <= high):
+        raise ValueError(f"{name} must be {within}, or an ascending range of such, not {value!r}")
     return Range(low, high)
 
 

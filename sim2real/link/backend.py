@@ -1,11 +1,11 @@
 """A robot behind a link as a backend of the loop, the same for every transport."""
 
-import math
 from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.control.drive import base_velocity
 from kinfeas.core.backend import Grip, RobotState
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
@@ -13,7 +13,7 @@ from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.sim2real.link import Link
-from kinfeas.sim2real.link.measurements import DRIFT, Inbox
+from kinfeas.sim2real.link.measurements import DRIFT, Drift, Inbox
 
 _POLL = 0.02  # s between checks of the connection during `reset`
 _OFFSET = 0.02  # rad or m that a joint outside the arm may deviate from the kinematic model
@@ -38,9 +38,9 @@ class LinkBackend:
         link: Link,
         *,
         names: dict[str, str] | None = None,
-        seconds: float = 0.1,
-        timeout: float = 5.0,
-        drift: float = DRIFT,
+        seconds: PositiveSeconds = 0.1,
+        timeout: PositiveSeconds = 5.0,
+        drift: Drift = DRIFT,
         clock: Clock | None = None,
     ) -> None:
         """Prepare a backend; the first `reset` connects.
@@ -51,18 +51,14 @@ class LinkBackend:
             names: The robot's own names of arm joints, where its URDF has others.
             seconds: Duration of the motion to each arm target; longer if a joint needs longer.
             timeout: Seconds that `reset` waits for the first measurements.
-            drift: Fraction by which the robot's clock may be slower than ours, from 0 to 1.
+            drift: Fraction by which the robot's clock may be slower than ours, 0 to 0.99.
             clock: The system's clocks by default.
         """
-        for name, value in (("seconds", seconds), ("timeout", timeout)):
-            if not 0.0 < value < math.inf:
-                raise KinfeasError(f"{name} must be above 0 s and finite, not {value:g}")
-        if not 0.0 <= drift < 1.0:
-            raise KinfeasError(f"drift must be in [0, 1), not {drift:g}")
         self.robot, self.link = robot, link
         self.rate: Rate | None = None
         self._clock = clock or Clock()
-        self._names = robot_names(robot, names or {})
+        given = names or {}
+        self._names = {joint.name: given.get(joint.name, joint.name) for joint in robot.arm}
         self._inbox = Inbox(robot, self._names, drift, self._clock.monotonic)
         self._seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
@@ -182,12 +178,3 @@ class LinkBackend:
                 raise KinfeasError(
                     f"move joint {joint.name} from {measured:.3f} to {fixed:.3f}, as in the model"
                 )
-
-
-def robot_names(robot: Robot, names: dict[str, str]) -> dict[str, str]:
-    """Return the robot's own name of each arm joint; `names` holds those other than in the URDF."""
-    known = [joint.name for joint in robot.arm]
-    for name in names:
-        if name not in known:
-            raise KinfeasError(f"unknown arm joint {name!r}; known are {', '.join(known)}")
-    return {name: names.get(name, name) for name in known}

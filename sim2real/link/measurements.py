@@ -6,18 +6,22 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
+from kinfeas.config import Interval
 from kinfeas.control.drive import world_twist
 from kinfeas.core.backend import RobotState
 from kinfeas.core.spatial import Array, planar_pose, wrap
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
 
+Drift = Annotated[float, Interval(low=0.0, high=0.99)]
+"""Fraction by which a robot's clock may be slow."""
+
 DRIFT = 1e-3
-"""Default of the fraction by which a robot's clock may be slow: twice the rate at which NTP slews
-a clock at most."""
+"""Default: twice the rate at which NTP slews a clock at most."""
 
 _REORDERED = 0.1
 """Seconds by which a stamp may precede the last one: messages may overtake each other."""

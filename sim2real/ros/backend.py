@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.core.backend import Grip
 from kinfeas.core.errors import Fault
 from kinfeas.core.spatial import Array
@@ -15,7 +16,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.watchdog import StopCall
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings, RobotLink
 from kinfeas.sim2real.link.backend import LinkBackend
-from kinfeas.sim2real.link.measurements import DRIFT
+from kinfeas.sim2real.link.measurements import DRIFT, Drift
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.bus import Publisher, RosBus, Version, make_bus
 from kinfeas.sim2real.ros.topics import Topics, read_topics
@@ -38,9 +39,9 @@ class RosBackend(LinkBackend):
         robot: Robot,
         topics: str | None = None,
         *,
-        seconds: float = 0.1,
-        timeout: float = 5.0,
-        drift: float = DRIFT,
+        seconds: PositiveSeconds = 0.1,
+        timeout: PositiveSeconds = 5.0,
+        drift: Drift = DRIFT,
     ) -> None:
         """Prepare a backend; the first `reset` connects.
 

@@ -18,7 +18,7 @@ def test_train_evaluate_export_and_load(tmp_path):
         "hsr", steps=64, out=tmp_path / "run", settings=SETTINGS, on_progress=told.append
     )
     assert run.steps == told[-1].steps >= 64
-    assert run.figures == json.loads((run.folder / "evaluation.json").read_text())
+    assert run.metrics == json.loads((run.folder / "evaluation.json").read_text())
     metrics = kinfeas.evaluate(run.folder, episodes=2, settings=SHORT)
     assert (metrics["robot"], metrics["episodes"]) == ("hsr", 2)
     about = kinfeas.export(run.folder, tmp_path / "hsr.onnx")

@@ -68,7 +68,6 @@ INPUT = {
         ("--set episods=3", "'episodes'"),
         ("--policy follow_ee", "--policy"),
         ("--policy pretrained --runs runs", "--runs"),
-        ("--policy pretrained --publish ship", "--publish"),
         ("--runs nowhere", "nowhere"),
     ],
     "export": [

@@ -43,7 +43,7 @@ def run(kinfeas, tmp_path):
 
 
 def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, monkeypatch):
-    outcome = run("--publish", "ship", "--json", "out.json", code=0)
+    outcome = run("--json", "out.json", code=0)
     out = tmp_path / "out"
     for name in ("table.md", "table.json", "table.png", "learning_curves.png"):
         assert (out / name).is_file()
@@ -53,9 +53,7 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
     assert entries == json.loads((out / "table.json").read_text())
     assert [(one["policy"], one["seeds"]) for one in entries] == [("sac", 2), ("follow_ee", 1)]
     assert sorted(path.name for path in (out / "runs").iterdir()) == ["hsr-sac-0", "hsr-sac-1"]
-    for folder in (tmp_path / "ship", out / "pretrained"):
-        assert [path.parent.name for path in folder.glob("*/policy.json")] == ["hsr"]
-    about = json.loads((tmp_path / "ship" / "hsr" / "policy.json").read_text())
+    about = json.loads((out / "pretrained" / "hsr" / "policy.json").read_text())
     assert about["command"].startswith("kinfeas train --robot hsr")
     assert about["benchmark"]["ggr"]["episodes"] == 2
 

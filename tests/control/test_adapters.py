@@ -66,21 +66,6 @@ def changer(monkeypatch):
     return make
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        lambda execution: None,
-        lambda execution: {}["execution"],
-        lambda execution: replace(execution, head_start=np.nan),
-        lambda execution: replace(execution, time_scale=1.5),
-    ],
-)
-def test_a_wrong_execution_raises(pr2, changer, answer):
-    changer(answer)
-    with pytest.raises((KinfeasError, KeyError)):
-        execution_of(wrap(AnalyticBackend(), [PluginSpec("changer")], pr2), ExecutionConfig())
-
-
 def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2, changer):
     changer(lambda execution: replace(execution, time_scale=0.5 * execution.time_scale))
     names = ("changer", "base_noise", "head_start")

@@ -1,8 +1,6 @@
 import numpy as np
-import pytest
 
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance
 from kinfeas.plugins.linear import Linear
 from kinfeas.testing.trial import Trial, sample_motions
@@ -36,16 +34,3 @@ def test_motions_that_break_are_shown_as_far_as_they_came():
     samples = sample_motions(CheckedMotion(Fades(), "fades", every_step=True), Trial())
     assert samples.ee_pose.shape == (4, 12, 7)
     assert samples.broken.startswith("motion generator fades ")
-
-
-@pytest.mark.parametrize(
-    ("times", "message"),
-    [
-        ({"duration": np.nan}, "duration"),
-        ({"dt": 0.0}, "dt"),
-        ({"duration": 1e4, "dt": 1e-6}, "steps"),
-    ],
-)
-def test_times_out_of_range_raise(times, message):
-    with pytest.raises(KinfeasError, match=message):
-        Trial(**times)

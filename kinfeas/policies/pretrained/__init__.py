@@ -1,7 +1,7 @@
 """Trained policies that the package ships: a folder for each robot.
 
 Each has `policy.safetensors` and `policy.json`, with configuration, seed, figures and the command
-that made it. `kinfeas benchmark --publish` writes such folders.
+that made it. `kinfeas benchmark` writes such folders as `OUT/pretrained`.
 """
 
 from pathlib import Path

@@ -180,12 +180,3 @@ def test_grips_and_closes_once(ends):
     backend.close()
     backend.stop()
     assert (link.closed, len(link.driven)) == (1, 1)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("seconds", 0.0), ("timeout", np.nan), ("drift", 1.0), ("names", {"elbow": "e"})],
-)
-def test_bad_parameters_are_named(key, value):
-    with pytest.raises(KinfeasError, match="elbow" if key == "names" else key):
-        LinkBackend(PR2, MemoryLink(), **{key: value})

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
-from kinfeas.sim2real.link.backend import robot_names
 from kinfeas.sim2real.link.measurements import DRIFT, Inbox, TransportDelay
 from tests.sim2real.doubles import joints_at
 
@@ -53,7 +52,7 @@ def test_a_stamp_that_is_repeated_ages_and_one_that_jumps_ahead_does_not():
 
 @pytest.fixture
 def inbox(time):
-    return Inbox(PR2, robot_names(PR2, {}), now=time.clock.monotonic)
+    return Inbox(PR2, {joint.name: joint.name for joint in PR2.arm}, now=time.clock.monotonic)
 
 
 def test_parts_come_in_any_order_and_the_newest_of_each_counts(inbox):
