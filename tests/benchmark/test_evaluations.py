@@ -77,7 +77,7 @@ def test_jobs_with_other_results_have_other_files():
     assert len(physics & faster) < len(physics) / 2
 
 
-def test_a_policy_trained_anew_is_evaluated_anew(tmp_path, monkeypatch):
+def test_a_policy_trained_anew_is_evaluated_anew(tmp_path):
     (tmp_path / module.WEIGHTS).write_bytes(b"one")
     run = Run(tmp_path, "hsr", "sac", 0, "ggr")
 

@@ -25,7 +25,7 @@ def evaluate(kinfeas, tmp_path):
     return run
 
 
-def test_metrics_and_ceiling(evaluate, kinfeas, tmp_path):
+def test_metrics_and_ceiling(evaluate):
     figures = evaluate(*SHORT, "--seed", "3")
     assert (figures["episodes"], figures["policy"], figures["seed"]) == (2, "follow_ee", 3)
     assert figures["success_low"] <= figures["success"] <= figures["success_high"]

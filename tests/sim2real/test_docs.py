@@ -1,4 +1,4 @@
-"""The page on adapters says what is."""
+"""The adapter of docs/sim2real.md works."""
 
 import re
 from pathlib import Path

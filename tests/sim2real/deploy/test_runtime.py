@@ -232,7 +232,7 @@ def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
     assert not robot.commands[-1][1].any()
 
 
-def test_ik_failures_in_a_row_end_a_run(run, time):
+def test_ik_failures_in_a_row_end_a_run(run):
     guards, away = Guards(max_consecutive_ik_failures=20), goal(-9.0, 0.0, 0.8)
     outcome, _ = run(AnalyticBackend(), Drive(), away, seconds=60.0, real_time=False, guards=guards)
     assert outcome.code is Code.FAULT
@@ -308,7 +308,7 @@ def test_signals_end_a_run_cleanly(run, time, number):
     assert signal.getsignal(number) is before
 
 
-def test_a_second_signal_does_not_wait_for_the_loop(monkeypatch):
+def test_a_second_signal_does_not_wait_for_the_loop():
     with Signals() as signals:
         for _ in range(2):  # a terminal may send it twice
             os.kill(os.getpid(), signal.SIGHUP)
