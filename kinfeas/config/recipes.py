@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -9,6 +10,9 @@ from kinfeas.config import from_mapping, load, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 
 T = TypeVar("T")
+
+ENGINES = ("pybullet", "mujoco")
+"""Backends with physics, the default one first; each is named like the module that it needs."""
 
 # The package is installed as plain files: numba caches its kernels beside them.
 _ROOT = Path(str(files("kinfeas.configs").joinpath("")))
@@ -40,8 +44,9 @@ def section(name: str, robot: str) -> tuple[dict[str, Any], str]:
 
     The robot's file, if there is one, changes keys of the same section of `default.yaml`: `train`,
     `train_physics`, `finetune_physics`, `deploy`, `baselines`, or a backend, whose section has the
-    settings of evaluations.
+    settings of evaluations; all engines have the section `physics`.
     """
+    name = "physics" if name in ENGINES else name
     data = _merged(_read_robot("default").get(name, {}), _read_robot(robot).get(name, {}))
     return data, f"configs/robots/{robot}.yaml, {name}"
 
@@ -75,3 +80,8 @@ def _merged(data: Any, changes: Any) -> Any:
     if not isinstance(data, Mapping) or not isinstance(changes, Mapping):
         return changes
     return {**data, **{key: _merged(data.get(key), value) for key, value in changes.items()}}
+
+
+def default_engine() -> str:
+    """Return the first of `ENGINES` that is installed."""
+    return next((one for one in ENGINES if find_spec(one)), ENGINES[0])

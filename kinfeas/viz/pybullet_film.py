@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter1d
 
+from kinfeas.backends.physics.stage import Stage
+from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.backends.pybullet.camera import (
     FIELD_OF_VIEW,
     Moment,
@@ -17,7 +19,6 @@ from kinfeas.backends.pybullet.camera import (
     take_picture,
 )
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.backends.pybullet.stage import Stage
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World
@@ -59,7 +60,7 @@ class PyBulletFilm(Film):
 def make_film(world: World, policy: Policy, episode: int) -> PyBulletFilm:
     """Run one episode of a PyBullet world and return its film, seen from beside the path."""
     stage = world.task
-    if not isinstance(stage, Stage):
+    if not isinstance(stage, Stage) or not isinstance(stage.backend, PyBulletBackend):
         raise TypeError(f"a world of the PyBullet backend is needed, not {world.config.backend}")
     stage.sample(world.solver, world.rng(episode))
     physics = stage.backend.sims[0].physics

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.backends.pybullet.robot_body import PLANAR_JOINTS
+from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip, RobotState, build_backend
 from kinfeas.core.errors import Fault, KinfeasError
-from kinfeas.core.spatial import Array, planar_pose
+from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
 from kinfeas.envs.world import evaluation_world
 from kinfeas.kinematics.ik import IkSolver
@@ -91,7 +90,7 @@ class SimulatedRobot:
 
     def __init__(
         self,
-        backend: PyBulletBackend,
+        backend: PhysicsBackend,
         state: RobotState,
         config: SimulationConfig,
         clock: Clock | None = None,
@@ -100,7 +99,7 @@ class SimulatedRobot:
         self.base_commands = self.joint_commands = self.timeouts = 0
         self.config, self.clock = config, clock or Clock()
         self._backend, self._state = backend, state
-        self._robot, self._simulation = backend.robot, backend.sims[0]
+        self._robot = backend.robot
         self._arm = [joint.name for joint in self._robot.arm]
         arm = dict(zip(self._arm, state.joint_positions[0].tolist(), strict=True))
         self._setpoints = JointSetpoints(arm)
@@ -121,7 +120,7 @@ class SimulatedRobot:
                 self._velocity = np.zeros(3)
             velocity, grip, self._grip = self._velocity, self._grip, None
             # The motors reach a target after their horizon.
-            targets = self._setpoints.at(now + self._simulation.physics.config.arm_horizon)
+            targets = self._setpoints.at(now + self._backend.config.arm_horizon)
         if grip is not None:
             self._backend.grip(grip, np.array([0]))
         joints = np.array([[targets[name] for name in self._arm]])
@@ -131,19 +130,14 @@ class SimulatedRobot:
 
     def measure(self) -> tuple[BaseReading, JointReading]:
         """Return the measurements of base and joints; raise KinfeasError if the world is gone."""
-        with self._simulation.physics.connected():
-            body, stamp = self._simulation.body, self.clock.wall()
-            x, y, yaw = body.planar()
-            twist = self._state.base_twist
-            assert twist is not None
-            velocity = base_velocity(self._robot.base, self._state.base_pose, twist, 0.0)[0]
-            joints = {name: at for name, at in body.joints.items() if name not in PLANAR_JOINTS}
-            states = body.physics.client.getJointStates(body.body, list(joints.values()))
-            positions = dict(self._robot.fixed_joints)
-            positions |= {name: one[0] for name, one in zip(joints, states, strict=True)}
-            velocities = {name: one[1] for name, one in zip(joints, states, strict=True)}
-            base = BaseReading(x, y, yaw, velocity, stamp)
-            return base, JointReading(positions, velocities, stamp)
+        joints, velocities = self._backend.joint_motion()
+        stamp, state = self.clock.wall(), self._state
+        twist = state.base_twist
+        assert twist is not None
+        velocity = base_velocity(self._robot.base, state.base_pose, twist, 0.0)[0]
+        x, y = state.base_pose[0, :2].tolist()
+        base = BaseReading(x, y, float(yaw(state.base_pose)[0]), velocity, stamp)
+        return base, JointReading({**self._robot.fixed_joints, **joints}, velocities, stamp)
 
     def _drive(self, velocity: Array) -> None:
         with self._lock:
@@ -212,7 +206,7 @@ def spawn(
     seed: int = 1,
     episode: int = 0,
     gui: bool = False,
-) -> tuple[PyBulletBackend, RobotState]:
+) -> tuple[PhysicsBackend, RobotState]:
     """Return a world and the robot's state in it.
 
     The robot starts as in an episode of the task, or without a task at the origin of a scene, by
@@ -221,18 +215,14 @@ def spawn(
     around = read_scene(scene) if scene is not None else None
     parameters = evaluation_world("pybullet", robot.name).backend_parameters
     backend = build_backend("pybullet", {**parameters, "gui": gui}, robot=robot, scene=around)
-    assert isinstance(backend, PyBulletBackend)
+    assert isinstance(backend, PhysicsBackend)
     if task is not None:
         start = backend.stage(task).sample(IkSolver(robot), episode_rng(seed, episode))
         base, joints = start.base_pose, start.joint_positions
         return backend, backend.reset(base[np.newaxis], joints[np.newaxis])
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
-    simulation = backend.sims[0]
-    if around is not None and not simulation.free():
-        found = simulation.contacts()
-        touched = {body for _, body, _ in found.base | found.arm}
-        things = simulation.furniture.bodies if simulation.furniture else {}
-        names = ", ".join(repr(name) for name, body in things.items() if body in touched)
+    if around is not None and (touched := backend.touched()):
         backend.close()
-        raise KinfeasError(f"scene {around.name}: the robot would touch {names or 'the floor'}")
+        names = ", ".join(map(repr, touched))
+        raise KinfeasError(f"scene {around.name}: the robot would touch {names}")
     return backend, state

@@ -4,16 +4,14 @@ import math
 
 import numpy as np
 
-from kinfeas.backends.pybullet.robot_body import RobotBody, arm_followers
-from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, wrap
+from kinfeas.backends.physics.drives import ArmSetpoints, base_forces
+from kinfeas.backends.pybullet.robot_body import RobotBody
+from kinfeas.core.spatial import Array
 
 
 class BaseDrive:
     """Velocity control of the planar joints within the platform's accelerations.
 
-    The motors have the force that the maximum acceleration takes, times `drive_reserve`. The
-    rotation also has to overcome the grip of the wheels, because a light base can have a long arm.
     A differential drive moves along its present heading.
     """
 
@@ -22,11 +20,7 @@ class BaseDrive:
         base = body.robot.base
         self._body, self._limits = body, base
         self._omnidirectional = base.drive == "omnidirectional"
-        config = body.physics.config
-        force = config.drive_reserve * body.mass * base.max_acceleration
-        torque = config.drive_reserve * body.yaw_inertia * base.max_rotation_acceleration
-        grip = config.wheel_grip * body.mass * config.gravity
-        self._forces = [force, force, max(torque, grip)]
+        self._forces = base_forces(body.robot, body.physics.config, body.mass, body.yaw_inertia)
         self.reset()
 
     def reset(self) -> None:
@@ -75,56 +69,35 @@ class BaseDrive:
 
 
 class ArmDrive:
-    """Position control of the arm's joints, and of those that mimic them, along cubics.
+    """Position control of the arm's joints, and of those that mimic them, along `ArmSetpoints`.
 
-    Like a joint trajectory controller: each command starts a new cubic at the end of the previous
-    one. The motors have the URDF's effort and velocity; `counterbalanced` joints have springs.
+    The motors have the URDF's effort and velocity; `counterbalanced` joints have springs.
     """
 
     def __init__(self, body: RobotBody) -> None:
         """Connect to the arm of a robot; call `reset` next."""
-        robot, followers = body.robot, arm_followers(body.robot)
-        names = [joint.name for joint in robot.arm]
-        self._body, self._horizon = body, body.physics.config.arm_horizon
-        self._speed, self._continuous = robot.max_joint_velocity, robot.continuous
-        self._leaders = [names.index(one.leader) for one in followers]
-        self._multipliers = np.array([one.multiplier for one in followers])
-        self._offsets = np.array([one.offset for one in followers])
-        moved = [robot.urdf.joints[name] for name in (*names, *(one.name for one in followers))]
-        for joint in moved:
-            if joint.effort == 0.0:
-                raise KinfeasError(
-                    f"robot {robot.name!r}: joint {joint.name!r} has effort 0 in the URDF; it must "
-                    "be above 0, or left out for no limit"
-                )
-        speeds = [*self._speed.tolist(), *(joint.velocity for joint in moved[len(names) :])]
+        robot = body.robot
+        self._body = body
+        self._setpoints = ArmSetpoints(robot, body.physics.config.arm_horizon)
+        moved = self._setpoints
         self._motors = [
-            (body.joints[joint.name], joint.effort, speed)
-            for joint, speed in zip(moved, speeds, strict=True)
+            (body.joints[name], effort, speed)
+            for name, effort, speed in zip(moved.names, moved.effort, moved.velocity, strict=True)
         ]
         order = list(body.joints)
-        sprung = [name for name in names if name in robot.counterbalanced]
+        sprung = [joint.name for joint in robot.arm if joint.name in robot.counterbalanced]
         self._sprung = [(body.joints[name], order.index(name)) for name in sprung]
         self._zeros = [0.0] * len(order)
-        self._at = self._velocity = np.zeros(len(names))
 
     def reset(self, joint_positions: Array) -> None:
         """Start at rest at joint positions, shape (j,)."""
-        self._at, self._velocity = joint_positions.copy(), np.zeros(len(joint_positions))
+        self._setpoints.reset(joint_positions)
 
     def command(self, targets: Array, steps: int) -> None:
         """Plan a path toward joint positions, shape (j,), for `steps` physics steps."""
-        change = targets - self._at
-        change = np.where(self._continuous, wrap(change), change)
-        # The peak velocity of a cubic from rest is 1.5 times its mean. Larger changes are scaled
-        # down for all joints alike, because the EE deviates less if no joint runs ahead.
-        needed = float(np.max(1.5 * np.abs(change) / self._speed))
-        change *= self._horizon / max(self._horizon, needed)
         time: Array = self._body.physics.step_time * np.arange(1.0, steps + 1.0)
-        path, speed = cubic(self._at, self._velocity, change, self._horizon, time)
-        self._at, self._velocity = path[-1], speed[-1]
-        followers = self._multipliers * path[:, self._leaders] + self._offsets
-        self._path = np.concatenate([path, followers], axis=1).tolist()
+        path, _ = self._setpoints.plan(targets[np.newaxis], time)
+        self._path = path[0].tolist()
         self._load = self._spring_torques()
 
     def drive(self, step: int) -> None:
@@ -148,22 +121,3 @@ class ArmDrive:
             self._body.body, self._body.positions(), self._zeros, self._zeros
         )
         return [load[number] for _, number in self._sprung]
-
-
-def cubic(
-    position: Array, velocity: Array, change: Array, duration: float, time: Array
-) -> tuple[Array, Array]:
-    """Return positions and velocities, each (t, j), along cubics that end at rest after `duration`.
-
-    Args:
-        position: Start, shape (j,), rad or m.
-        velocity: At the start, shape (j,).
-        change: From start to end, shape (j,).
-        duration: Seconds.
-        time: Seconds since the start, shape (t,).
-    """
-    s = np.minimum(time[:, np.newaxis] / duration, 1.0)
-    rest = 1.0 - s
-    path = position + velocity * duration * s * rest * rest + change * s * s * (3.0 - 2.0 * s)
-    speed = velocity * rest * (1.0 - 3.0 * s) + 6.0 * change / duration * s * rest
-    return path, speed

@@ -3,13 +3,11 @@
 import numpy as np
 
 from kinfeas.backends.pybullet.physics import Physics
-from kinfeas.core.spatial import Array, rotation
+from kinfeas.core.spatial import Array
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 
-_REST = 0.05  # m/s, largest speed at rest
 _TOUCH = 1e-3  # m, largest distance of a contact
-_UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
 
 
 class Furniture:
@@ -65,18 +63,15 @@ class Furniture:
         position: float = self._physics.client.getJointState(self.bodies[name], number)[0]
         return position
 
-    def stands(self, name: str, on: str) -> bool:
-        """Return whether an object is at rest on another one, and upright as in the scene."""
-        client = self._physics.client
-        body, below = self.bodies[name], self.bodies[on]
-        speed = float(np.linalg.norm(client.getBaseVelocity(body)[0]))
-        points = client.getContactPoints(bodyA=body, bodyB=below)
-        # The contact normal points from the other object to this one.
-        supported = any(point[8] <= _TOUCH and point[7][2] >= _UPRIGHT for point in points)
-        return speed <= _REST and supported and self._tilt(name) >= _UPRIGHT
+    def motion(self, name: str) -> tuple[Array, float]:
+        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
+        velocity, _ = self._physics.client.getBaseVelocity(self.bodies[name])
+        pose = self.link_pose(name, self.scene.objects[name].urdf.root)
+        return pose, float(np.linalg.norm(velocity))
 
-    def _tilt(self, name: str) -> float:
-        """Return the cosine of the angle between the object's upright axis and the vertical."""
-        urdf = self.scene.objects[name].urdf
-        now = rotation(self.link_pose(name, urdf.root)).as_matrix()
-        return float((now @ rotation(self.scene.objects[name].pose).as_matrix().T)[2, 2])
+    def is_on(self, name: str, below: str, steepest: float) -> bool:
+        """Return whether an object is on another one, as in `PhysicsBackend`."""
+        body, other = self.bodies[name], self.bodies[below]
+        points = self._physics.client.getContactPoints(bodyA=body, bodyB=other)
+        # The contact normal points from the other object to this one.
+        return any(point[8] <= _TOUCH and point[7][2] >= steepest for point in points)

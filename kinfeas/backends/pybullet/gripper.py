@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from kinfeas.backends.pybullet.robot_body import RobotBody, finger_followers
+from kinfeas.backends.physics.robot import finger_followers
+from kinfeas.backends.pybullet.robot_body import RobotBody
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 from kinfeas.robots.spec import Gripper

@@ -1,22 +1,19 @@
 """One PyBullet world: connection, time step, loading of URDFs, saved state, quiet output."""
 
 import ctypes
-import math
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryFile
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from kinfeas.config import Interval
-from kinfeas.config.quantities import NotNegative, Positive
+from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 
@@ -30,40 +27,6 @@ _UNREAD_MESH = re.compile(r"cannot extract (?:mesh|anything)|issue extracting me
 _MESSAGE = re.compile(r"b3(?:Error|Warning|Printf)\[[^\]]*\]:\s*")
 _TRIAL = "import os, pybullet; os._exit(pybullet.connect(pybullet.GUI) < 0)"
 _TRIAL_SECONDS = 30.0
-
-
-@dataclass(frozen=True)
-class PhysicsConfig:
-    """Numbers of the PyBullet world.
-
-    Attributes:
-        rate: Physics steps per second, rounded so that a control period has a whole number: 5 steps
-            of 4 ms at 50 Hz, 24 of 1/240 s at the 0.1 s of the analytic world.
-        gravity: m/s^2.
-        iterations: Of the constraint solver in a step.
-        drive_reserve: Force of the base's motors as a multiple of what its acceleration takes.
-        wheel_grip: Torque per newton of weight that turns the wheels over the floor, m: their
-            distance from the base's centre, about 0.2 m, times a friction of about 0.6.
-        arm_horizon: Seconds in which the arm reaches a target at rest.
-        finger_friction: Friction coefficient of the fingers.
-        finger_softness: Distance at which the fingers touch an object, m; the soft pads are not in
-            the URDFs.
-        grasp_stiffness: Of fingers and arm together, N/m.
-        grasp_damping: The same, N s/m.
-        grasp_limit: Force at which a held object slips out of the hand, N.
-    """
-
-    rate: Annotated[float, Interval(low=0.0, high=1e5, open_low=True)] = 240.0
-    gravity: NotNegative = 9.81
-    iterations: Annotated[int, Interval(low=1, high=10_000)] = 50
-    drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
-    wheel_grip: NotNegative = 0.12
-    arm_horizon: Positive = 0.1
-    finger_friction: NotNegative = 1.0
-    finger_softness: NotNegative = 0.003
-    grasp_stiffness: Positive = 3000.0
-    grasp_damping: NotNegative = 30.0
-    grasp_limit: Positive = 80.0
 
 
 class Physics:
@@ -166,9 +129,7 @@ class Physics:
 
     def divide(self, dt: float) -> int:
         """Return the number of physics steps of a control period, and set their duration."""
-        if not 0.0 < dt < math.inf:
-            raise KinfeasError(f"the control period must be above 0 s and finite, not {dt:g}")
-        steps = max(round(dt * self.config.rate), 1)
+        steps = self.config.divide(dt)
         if dt / steps != self.step_time:
             self.step_time = dt / steps
             self.client.setTimeStep(self.step_time)

@@ -1,10 +1,11 @@
 """One robot in a PyBullet world: motors, gripper, furniture and contacts."""
 
+from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.pybullet.contacts import Surroundings, contacts
 from kinfeas.backends.pybullet.drives import ArmDrive, BaseDrive
 from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.gripper import Grasp, GripperDrive
-from kinfeas.backends.pybullet.physics import Physics, PhysicsConfig
+from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.backends.pybullet.robot_body import RobotBody
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances
 from kinfeas.core.errors import KinfeasError

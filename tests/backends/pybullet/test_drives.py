@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kinfeas.backends.physics.drives import cubic
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.backends.pybullet.drives import cubic
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from kinfeas.backends.physics.stage import Stage
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.scenes.scene import read_scene
+from kinfeas.tasks.loading import load_task
 from tests.backends.pybullet.conftest import place, stay
 
 
@@ -61,6 +63,7 @@ def test_an_object_stands_if_upright_at_rest_on_another(room_world, pose, stands
     stay(room_world, 5 if pose[2] == 0.90 else 100)
     if pose[0] == 0.6295:
         assert sim.physics.client.getContactPoints(bodyA=box, bodyB=table)
-    assert sim.furniture.stands("box", "place_table") is stands
+    stage = Stage(load_task("ggr"), room_world)
+    assert stage.stands(0, "box", "place_table") is stands
     sim.physics.client.resetBaseVelocity(box, [0.2, 0.0, 0.0])
-    assert not sim.furniture.stands("box", "place_table")
+    assert not stage.stands(0, "box", "place_table")

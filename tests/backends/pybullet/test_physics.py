@@ -3,7 +3,8 @@ import sys
 import numpy as np
 import pytest
 
-from kinfeas.backends.pybullet.physics import Physics, PhysicsConfig
+from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.core.errors import KinfeasError
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from kinfeas.backends.pybullet.robot_body import (
+from kinfeas.backends.physics.robot import (
     FRAME,
     PLANAR_JOINTS,
     Follower,

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinfeas.backends.physics.stage import check_task, task_scene
 from kinfeas.backends.pybullet.backend import PyBulletBackend
-from kinfeas.backends.pybullet.stage import check_task, task_scene
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
@@ -58,11 +58,10 @@ def test_equal_seeds_draw_equal_episodes(stage, solver):
 
 def test_a_start_in_collision_is_drawn_again_with_the_same_goals(stage, solver, monkeypatch):
     allowed = stage.task.start
-    monkeypatch.setattr(stage.backend.sims[0], "reset", lambda *_: None)
     for seed in range(100):
         first = stage.task.sample(solver, np.random.default_rng(seed))
         answers, rng = iter([False, True]), np.random.default_rng(seed)
-        monkeypatch.setattr(stage.backend.sims[0], "free", lambda answers=answers: next(answers))
+        monkeypatch.setattr(stage.backend, "place", lambda *_, answers=answers: next(answers))
         start = stage.sample(solver, rng)
         np.testing.assert_array_equal(start.target_poses, first.target_poses)
         assert not np.array_equal(start.base_pose, first.base_pose)

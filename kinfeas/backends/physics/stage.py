@@ -1,4 +1,4 @@
-"""A task in the PyBullet world: its episodes, with the objects placed for each of them."""
+"""A task in a physics world: its episodes, with the objects placed for each of them."""
 
 from collections.abc import Collection
 from typing import TYPE_CHECKING
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
@@ -16,14 +16,16 @@ from kinfeas.tasks.chain import ChainTask, TaskScene
 from kinfeas.tasks.task import Subgoal, Task
 
 if TYPE_CHECKING:
-    from kinfeas.backends.pybullet.backend import PyBulletBackend
+    from kinfeas.backends.physics.backend import PhysicsBackend
 
 _DRAWS = 1000
 _SETTLE_SECONDS = 2.0  # for objects that were put down to come to rest
+_REST = 0.05  # m/s, largest speed at rest
+_UPRIGHT = float(np.cos(np.pi / 4.0))  # smallest vertical part of an upright unit vector
 
 
 class Stage:
-    """A task whose episodes also place robot and objects in a PyBullet backend.
+    """A task whose episodes also place robot and objects in a physics backend.
 
     Starts in which the robot touches something are drawn again. The objects stay where the first
     draw put them, so that the goals equal those without physics.
@@ -34,11 +36,11 @@ class Stage:
         backend: Backend that simulates them.
     """
 
-    def __init__(self, task: Task, backend: "PyBulletBackend") -> None:
+    def __init__(self, task: Task, backend: "PhysicsBackend") -> None:
         """Connect a task to a backend with the scene of the task, or without a scene."""
         self.task, self.backend = task, backend
-        furniture = backend.sims[0].furniture
-        self.scene = furniture.scene if furniture else None
+        self.scene = backend.scene
+        self._placed: dict[int, Scene] = {}
         self._chain = task if isinstance(task, ChainTask) else None
         self._known = self._chain.scene if self._chain and self.scene else None
         if self._known and self.scene:
@@ -62,13 +64,12 @@ class Stage:
 
     def sample_in(self, row: int, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode; place robot and objects of a row."""
-        first, simulation = self.task.sample(solver, rng), self.backend.simulation(row)
-        if self.scene is not None and simulation.furniture is not None:
-            simulation.furniture.scene = self._moved(self.scene, first)
+        first, scene = self.task.sample(solver, rng), self.scene
+        if scene is not None:
+            scene = self._placed[row] = self._moved(scene, first)
         for number in range(_DRAWS):
             start = self._again(first, solver, rng) if number else first
-            simulation.reset(start.base_pose, start.joint_positions)
-            if simulation.free():
+            if self.backend.place(row, scene, start.base_pose, start.joint_positions):
                 return start
         raise KinfeasError(
             f"task {self.name!r}: the robot touches floor or furniture in all of {_DRAWS} starts"
@@ -76,16 +77,15 @@ class Stage:
 
     def drawn(self) -> tuple[str, dict[str, Array]]:
         """Return the name of the scene and the poses of moved objects by name, or `("", {})`."""
-        furniture = self.backend.sims[0].furniture
-        if self._known is None or furniture is None:
+        if self._known is None:
             return "", {}
-        objects = furniture.scene.objects
+        objects = self._in(0).objects
         return self._known.name, {name: objects[name].pose for name in self._known.moves}
 
     def settle(self, joint_positions: Array, dt: float, row: int = 0) -> None:
         """Hold the robot of a row still while objects come to rest; joints of all, (n, j)."""
-        for _ in range(round(_SETTLE_SECONDS / dt) if self.has_success_condition else 0):
-            self.backend.sims[row].step(np.zeros(6), joint_positions[row], dt)
+        if self.has_success_condition:
+            self.backend.hold(row, joint_positions[row], dt, round(_SETTLE_SECONDS / dt))
 
     @property
     def has_success_condition(self) -> bool:
@@ -106,19 +106,29 @@ class Stage:
 
     def done(self, row: int = 0) -> bool | None:
         """Return whether the objects of a row meet the success condition; None without one."""
-        simulation = self.backend.sims[row]
-        furniture, grasp = simulation.furniture, simulation.grasp
-        if self._known is None or furniture is None:
+        if self._known is None:
             return None
         done = self._known.success
         if done.joint is not None:
-            position = furniture.joint_position(done.object, done.joint)
+            position = self.backend.object_joint(row, done.object, done.joint)
             return position < done.threshold if done.threshold < 0.0 else position > done.threshold
         # An object in the hand was not put down.
-        held = grasp.held if grasp else None
-        if held is not None and held[0] == furniture.bodies[done.object]:
-            return False
-        return furniture.stands(done.object, str(done.parent))
+        return not self.backend.holds(row, done.object) and self.stands(
+            row, done.object, str(done.parent)
+        )
+
+    def stands(self, row: int, name: str, on: str) -> bool:
+        """Return whether an object is at rest on another one, and upright as in the scene."""
+        pose, speed = self.backend.object_motion(row, name)
+        upright = rotation(self._in(row).objects[name].pose).as_matrix()
+        tilt = float((rotation(pose).as_matrix() @ upright.T)[2, 2])
+        supported = self.backend.is_on(row, name, on, _UPRIGHT)
+        return speed <= _REST and supported and tilt >= _UPRIGHT
+
+    def _in(self, row: int) -> Scene:
+        """Return the scene of the episode in a row."""
+        assert self.scene is not None
+        return self._placed.get(row, self.scene)
 
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return another start; of a task that moves objects, with the goals of `first`."""

@@ -1,0 +1,356 @@
+"""The MuJoCo world as a backend of the loop: n robots, stepped side by side on several cores."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from kinfeas.backends.mujoco.model import LAG, ROBOT, Model
+from kinfeas.backends.mujoco.surroundings import Surroundings
+from kinfeas.backends.physics.backend import Motion, PhysicsBackend
+from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.drives import ArmSetpoints
+from kinfeas.backends.physics.obstacles import stack
+from kinfeas.control.execution import tool_pose
+from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, compose, relative, yaw
+from kinfeas.scenes.scene import Scene
+
+_Rows = NDArray[np.intp]
+
+
+class MuJoCoBackend(PhysicsBackend):
+    """n robots, each in a room of its own; arguments as in `PhysicsBackend`."""
+
+    engine = "MuJoCo"
+    _handled: tuple[str, str, bool] | None = None
+
+    @cached_property
+    def model(self) -> Model:
+        """Robot and room; the first use builds them."""
+        return Model(self.robot, self.scene, self.config, self._handled)
+
+    @cached_property
+    def sims(self) -> "Simulations":
+        """The simulations; `reset` and `place` add the missing ones."""
+        return Simulations(self.model, self.config, 1)
+
+    def close(self) -> None:
+        """End the simulations; a second call does nothing."""
+        self.__dict__.pop("sims", None)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state of all robots, their rooms and their motors."""
+        return {key: values.copy() for key, values in self.sims.state().items()}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
+        """Continue from a `snapshot` and return the measured state."""
+        n = len(snapshot["physics_state"])
+        self._provide(n - 1)
+        for key, values in self.sims.state().items():
+            values[:n] = snapshot[key]
+        width = 3 + len(self.robot.arm)
+        self._positions, self._velocities = np.zeros((2, n, width))
+        return self._measure(np.arange(n))
+
+    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
+        """Set the link that closing grippers grasp; call it before robots are placed."""
+        if self.scene is None or self.robot.gripper is None:
+            raise KinfeasError("grasping needs a scene and a robot with a gripper")
+        self._handled = name, link, rigid
+        self.__dict__.pop("model", None)
+        self.close()
+
+    def grip(self, grip: Grip, env_ids: _Rows) -> None:
+        """Start to close or open grippers; they grasp what both fingers touch."""
+        if self.robot.gripper is not None:
+            self.sims.grip(grip, env_ids)
+
+    def contacts(self, env_id: int) -> Contacts:
+        """Return the current contacts of a robot, except with the grasped link and the floor."""
+        if self.sims.touches[env_id] == 0.0:
+            return Contacts(frozenset(), frozenset())
+        return self._contacts(env_id)
+
+    def place(
+        self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
+    ) -> bool:
+        """Place objects and robot of a row, as in `PhysicsBackend`."""
+        self._provide(row)
+        if scene is not None:
+            self.sims.arrange(row, scene)
+        self._reset(np.array([row]), base_pose[np.newaxis], joint_positions[np.newaxis])
+        found = self._contacts(row)
+        return not (found.base or found.arm)
+
+    def object_motion(self, row: int, name: str) -> tuple[Array, float]:
+        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
+        data, body = self.sims.data(row), self.model.root(name)
+        pose = np.concatenate([data.xpos[body], np.roll(data.xquat[body], -1)])
+        speed = 0.0
+        if not self.model.objects[name].fixed:
+            at = int(self.model.engine.joint(f"{name}:free").dofadr[0])
+            speed = float(np.linalg.norm(data.qvel[at : at + 3]))
+        return pose, speed
+
+    def object_joint(self, row: int, name: str, joint: str) -> float:
+        """Return the position of an object's joint, rad or m."""
+        return float(self.sims.batch.qpos[row, self.model.address(name, joint)])
+
+    def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
+        """Return whether an object is on another one, as in `PhysicsBackend`."""
+        numbers = list(self.model.objects)
+        pair = np.array([numbers.index(below), numbers.index(name)])
+        bodies, normals = self.sims.contacts(row)
+        owners = self.model.owner[bodies]
+        # Normals point from the first to the second.
+        upward = np.where(owners[:, 0] == pair[0], normals[:, 2], -normals[:, 2])
+        return bool(np.any((np.sort(owners) == np.sort(pair)).all(axis=1) & (upward >= steepest)))
+
+    def holds(self, row: int, name: str) -> bool:
+        """Return whether the gripper holds an object."""
+        return self._handled is not None and self._handled[0] == name and self.sims.held[row]
+
+    def joint_motion(self, row: int = 0) -> Motion:
+        """Return the motion of all joints of a robot except those of its base."""
+        qpos, qvel = self.sims.batch.qpos[row], self.sims.batch.qvel[row]
+        joints = self.model.joints
+        return {n: float(qpos[at]) for n, (at, _) in joints.items()}, {
+            n: float(qvel[at]) for n, (_, at) in joints.items()
+        }
+
+    def touched(self, row: int = 0) -> list[str]:
+        """Return the names of the objects that the robot touches; the floor is `the floor`."""
+        found = self._contacts(row)
+        names = [*self.model.objects, "the floor"]
+        return sorted({names[other] for _, other, _ in found.base | found.arm})
+
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
+        rows = range(len(self._positions))
+        return stack([self._surroundings.around(self.sims.data(row), within) for row in rows])
+
+    @cached_property
+    def _surroundings(self) -> Surroundings:
+        return Surroundings(self.model)
+
+    def _contacts(self, row: int) -> Contacts:
+        owner, on_arm = self.model.owner, self.model.on_arm
+        found: tuple[list[tuple[int, int, int]], ...] = ([], [])
+        spared = self.model.grasped[1] if self.model.grasp is not None else None
+        bodies, _ = self.sims.contacts(row)
+        for one, other in bodies[(owner[bodies] == ROBOT).any(axis=1)].tolist():
+            own, beyond = (one, other) if owner[one] == ROBOT else (other, one)
+            if beyond != spared:
+                found[on_arm[own]].append((own, int(owner[beyond]), beyond))
+        return Contacts(frozenset(found[0]), frozenset(found[1]))
+
+    def _provide(self, row: int) -> None:
+        """Add simulations until there is one for a row."""
+        if row >= (old := self.sims).n:
+            self.sims = Simulations(self.model, self.config, max(row + 1, 2 * old.n))
+            before = old.state()
+            for key, values in self.sims.state().items():
+                values[: old.n] = before[key]
+
+    def _reset(self, rows: _Rows, base_pose: Array, joint_positions: Array) -> None:
+        self._provide(int(rows.max(initial=0)))
+        self.sims.reset(rows, base_pose, joint_positions)
+        if self._handled is not None:
+            self.grip("open", rows)
+
+    def _step(self, rows: _Rows, base_twist: Array, joint_targets: Array, dt: float) -> None:
+        self.sims.step(rows, base_twist, joint_targets, dt, self.config.divide(dt))
+
+    def _read(self, rows: _Rows) -> tuple[Array, Array]:
+        count, sims = 3 + len(self.robot.arm), self.sims
+        positions, velocities = self.model.at[:, :count]
+        return sims.batch.qpos[rows][:, positions], sims.batch.qvel[rows][:, velocities]
+
+
+class Simulations:
+    """n simulations of a model, their motors and what they start from.
+
+    Attributes:
+        n: Number of simulations.
+        batch: MuJoCo's states.
+        fingers: Setpoints of the fingers, shape (n, 2), rad or m.
+        touches: Number of the robot's contacts in the last physics step, shape (n,).
+    """
+
+    def __init__(self, model: Model, config: PhysicsConfig, n: int) -> None:
+        """Make n simulations; call `reset` next."""
+        self.model, self.n, self.batch = model, n, Batch(model.engine, n)
+        self._config, engine, robot = config, model.engine, model.robot
+        self._arm = ArmSetpoints(robot, config.arm_horizon, n)
+        names = [one.joint for one in model.servos[len(robot.arm) :]]
+        self._at_rest = np.array([robot.fixed_joints[name] for name in names])
+        self.fingers = np.tile(self._at_rest, (n, 1))
+        self._base = np.zeros((n, 3))  # commanded velocity; of a differential drive forward, 0, yaw
+        self._qpos = np.tile(model.rest, (n, 1))
+        self._mocap = np.zeros((n, engine.nmocap, 7))
+        if model.scene is not None:
+            for row in range(n):
+                self.arrange(row, model.scene)
+        self._scratch = mujoco.MjData(engine)
+        self.touches = self.batch.sensordata[:, 0]
+        self._closing = np.zeros(n, dtype=np.bool_)
+        # Where hand and object are held together, in the frames of both.
+        grasps = model.grasp is not None
+        self._ends = self.batch.expand("eq_data")[:, -1] if grasps else np.zeros((n, 0))
+        self._tip = tool_pose(robot)
+        self._time_step = self.batch.expand("opt.timestep")
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state by name, as arrays of n rows that can be changed."""
+        return {
+            "physics_state": self.batch.state,
+            "physics_arm": self._arm.at,
+            "physics_arm_velocity": self._arm.speed,
+            "physics_base": self._base,
+            "physics_fingers": self.fingers,
+            "physics_start": self._qpos,
+            "physics_objects": self._mocap,
+            "physics_closing": self._closing,
+            "physics_grasp": self._ends,
+        }
+
+    def arrange(self, row: int, scene: Scene) -> None:
+        """Set the objects of a simulation as in a scene, from the next reset on."""
+        self.model.write(scene, self._qpos[row], self._mocap[row])
+
+    def reset(self, rows: _Rows, base_pose: Array, joint_positions: Array) -> None:
+        """Place robots and objects at rest: base poses (m, 7), arm joints (m, j)."""
+        batch, model = self.batch, self.model
+        batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        qpos = self._qpos[rows]
+        qpos[:, model.at[0, :2]], qpos[:, model.at[0, 2]] = base_pose[:, :2], yaw(base_pose)
+        qpos[:, model.arm_at] = self._arm.follow(joint_positions)
+        batch.qpos[rows] = qpos
+        batch.mocap_pos[rows] = self._mocap[rows, :, :3]
+        batch.mocap_quat[rows] = self._mocap[rows, :, 3:]
+        self._arm.reset(joint_positions, rows)
+        self._base[rows], self.fingers[rows], self._closing[rows] = 0.0, self._at_rest, False
+
+    def step(
+        self, rows: _Rows, base_twist: Array, joint_targets: Array, dt: float, steps: int
+    ) -> None:
+        """Drive bases, arms and grippers: world twists (m, 6), joint positions (m, j), seconds."""
+        model = self.model
+        self._time_step[rows] = dt / steps
+        time = dt / steps * np.arange(1.0, steps + 1.0)
+        control = np.zeros((len(rows), steps, model.engine.nu))
+        control[..., :3] = self._base_velocities(rows, base_twist, time)
+        path, speed = self._arm.plan(joint_targets, time, rows)
+        arm, servos = joint_targets.shape[1], control[..., 3 : model.at.shape[1]]
+        servos[..., :arm] = (path + LAG * speed)[..., :arm]
+        servos[..., arm:] = self.fingers[rows, np.newaxis]
+        # A setpoint far ahead of its joint would exceed the velocity limit.
+        now = self.batch.qpos[rows][:, np.newaxis, model.at[0, 3:]]
+        ahead = model.velocity * (LAG + time[:, np.newaxis])
+        np.clip(servos, now - ahead, now + ahead, out=servos)
+        self.batch.rollout(steps, control, record=(), ids=rows)
+        if self.batch.warning[rows].any():
+            raise KinfeasError("MuJoCo: the simulation is unstable; try a higher 'physics.rate'")
+        if model.grasp is not None:
+            for row in rows[self.held[rows]].tolist():
+                if self._grasp_force(row) > self._config.grasp_limit:
+                    self.batch.eq_active[row, model.grasp] = 0.0
+            # An object that has slipped out is not grasped again.
+            for row in rows[self._closing[rows]].tolist():
+                self._closing[row] = not self._hold(row)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether each hand holds something, shape (n,)."""
+        if self.model.grasp is None:
+            return np.zeros(self.n, dtype=np.bool_)
+        return self.batch.eq_active[:, self.model.grasp] > 0.0
+
+    def grip(self, grip: Grip, rows: _Rows) -> None:
+        """Start to close or open the grippers of some simulations."""
+        gripper = self.model.robot.gripper
+        assert gripper is not None
+        self._closing[rows] = grip == "close"
+        self.fingers[rows] = gripper.closed if grip == "close" else gripper.open
+        if self.model.grasp is not None and grip == "open":
+            self.batch.eq_active[rows, self.model.grasp] = 0.0
+
+    def _hold(self, row: int) -> bool:
+        """Hold the object in the hand if both fingers touch it; return whether they do."""
+        model, (hand, link) = self.model, self.model.grasped
+        bodies, _ = self.contacts(row)
+        touching = bodies[(bodies == link).any(axis=1)]
+        if not all(np.isin(touching, finger).any() for finger in model.fingers):
+            return False
+        hand_pose, link_pose = (self._pose(body) for body in (hand, link))
+        tip = compose(hand_pose, self._tip)
+        in_hand, in_link = self._tip[:3], relative(tip, link_pose)[:3]
+        turn = np.roll(relative(link_pose, hand_pose)[3:], 1)
+        if model.turns:
+            self._ends[row, :6] = [*in_hand, *in_link]
+        else:
+            self._ends[row, :10] = [*in_link, *in_hand, *turn]
+        self.batch.eq_active[row, model.grasp] = 1.0
+        # The fingers stay where they are: the constraint holds, not their force.
+        self.fingers[row] = self.batch.qpos[row, model.at[0, -2:]]
+        return True
+
+    def _grasp_force(self, row: int) -> float:
+        """Return the force between hand and object, N."""
+        self.batch.get_data(row, self._scratch)
+        mujoco.mj_forward(self.model.engine, self._scratch)
+        equal = self._scratch.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        forces = self._scratch.efc_force[equal & (self._scratch.efc_id == self.model.grasp)]
+        return float(np.linalg.norm(forces[:3]))
+
+    def _pose(self, body: int) -> Array:
+        data = self._scratch
+        return np.concatenate([data.xpos[body], np.roll(data.xquat[body], -1)])
+
+    def contacts(self, row: int) -> tuple[NDArray[np.int32], Array]:
+        """Return the bodies that touch, shape (c, 2), and the normals from first to second."""
+        contact = self.data(row).contact
+        near = contact.dist <= 0.0
+        return self.model.engine.geom_bodyid[contact.geom[near]], contact.frame[near, :3]
+
+    def data(self, row: int) -> Any:
+        """Return MuJoCo's data of a simulation at its present positions, until the next call."""
+        self.batch.get_data(row, self._scratch)
+        mujoco.mj_fwdPosition(self.model.engine, self._scratch)
+        return self._scratch
+
+    def _base_velocities(self, rows: _Rows, twist: Array, time: Array) -> Array:
+        """Return setpoints of x, y and yaw at t times within the acceleration limits, (m, t, 3).
+
+        A differential drive moves along its heading only, at the part of the twist along its
+        heading at the end of the period, as in `kinfeas.control.drive`.
+        """
+        base, start, target = self.model.robot.base, self._base[rows], twist[:, [0, 1, 5]]
+        heading = self.batch.qpos[rows, self.model.at[0, 2]]
+        differential = base.drive == "differential"
+        if differential:
+            end = heading + target[:, 2] * time[-1]
+            target[:, 0] = np.cos(end) * target[:, 0] + np.sin(end) * target[:, 1]
+            target[:, 1] = 0.0
+        change = target - start
+        length = np.hypot(change[:, 0], change[:, 1])
+        needed = np.stack(
+            [length / base.max_acceleration, np.abs(change[:, 2]) / base.max_rotation_acceleration]
+        )[[0, 0, 1]].T
+        share = np.minimum(time[:, np.newaxis] / np.maximum(needed, 1e-9)[:, np.newaxis], 1.0)
+        velocity = start[:, np.newaxis] + share * change[:, np.newaxis]
+        self._base[rows] = velocity[:, -1]
+        if differential:
+            way = np.cumsum(velocity[..., 2], axis=1) * time[0]
+            heading = heading[:, np.newaxis] + way
+            forward = velocity[..., 0]
+            velocity = np.stack(
+                [np.cos(heading) * forward, np.sin(heading) * forward, velocity[..., 2]], axis=-1
+            )
+        return velocity

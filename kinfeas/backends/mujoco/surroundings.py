@@ -1,0 +1,104 @@
+"""Distances from the base of a simulated robot to obstacles."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from kinfeas.backends.mujoco.model import ROBOT, Model
+from kinfeas.backends.physics.obstacles import Obstacle, Shape, is_beside, obstacle_distances
+from kinfeas.core.backend import ObstacleDistances
+from kinfeas.core.spatial import Array
+
+_OUTSIDE = 1e-3  # m before a corner where its ray starts
+_SIDES = 16  # of a cylinder
+_UNIT_BOX = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+_OTHERS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)  # geom groups without the robot's
+
+
+class Surroundings:
+    """Measures the obstacles around the bases of a model's robots."""
+
+    def __init__(self, model: Model) -> None:
+        """Find the shapes of base and objects."""
+        self._model, engine = model, model.engine
+        owner, base = model.owner[engine.geom_bodyid], ~model.on_arm[engine.geom_bodyid]
+        self._base = np.flatnonzero((owner == ROBOT) & base)
+        spared = model.grasped[1] if model.grasp is not None else -1
+        self._objects = np.flatnonzero((owner >= 0) & (engine.geom_bodyid != spared))
+        data = mujoco.MjData(engine)
+        data.qpos[:] = model.rest
+        mujoco.mj_kinematics(engine, data)
+        self._shapes = [
+            Shape.around(corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
+            for geom in self._base.tolist()
+            if (corners := _corners(engine, geom)) is not None
+        ]
+
+    def around(self, data: Any, within: float) -> ObstacleDistances:
+        """Return the obstacles within a distance (m) of one robot as a batch of 1."""
+        engine, owner = self._model.engine, self._model.owner
+        hit, normal = np.zeros(1, dtype=np.int32), np.zeros(3)
+
+        def cast(places: Array, ahead: Array, height: float) -> Iterator[Obstacle]:
+            way = np.array([*ahead, 0.0])
+            for place in places:
+                start = np.array([*place, height]) + _OUTSIDE * way
+                reach = mujoco.mj_ray(engine, data, start, way, _OTHERS, True, -1, hit, normal)
+                beside = is_beside(normal) and normal @ way < 0.0  # not from inside an object
+                if beside and 0.0 <= reach <= within - _OUTSIDE and hit[0] in self._objects:
+                    to_hit, toward = (reach + _OUTSIDE) * ahead, -normal[:2]
+                    yield Obstacle(place, toward, float(to_hit @ toward), height)
+
+        nearest: dict[int, dict[tuple[int, int], Obstacle]] = {}
+        for own, other in self._near(data, within):
+            bodies = int(engine.geom_bodyid[own]), int(engine.geom_bodyid[other])
+            found = nearest.setdefault(int(owner[bodies[1]]), {})
+            one = _closest(engine, data, own, other, within)
+            if one is not None and (bodies not in found or one.distance < found[bodies].distance):
+                found[bodies] = one
+        x, y, heading = data.qpos[self._model.at[0, :3]].tolist()
+        closest = ([*nearest[number].values()] for number in sorted(nearest))
+        return obstacle_distances((x, y, heading), closest, self._shapes, cast)
+
+    def _near(self, data: Any, within: float) -> list[list[int]]:
+        """Return pairs of geoms of base and objects that may be within a distance."""
+        engine, objects = self._model.engine, self._objects
+        turn = data.geom_xmat[objects].reshape(-1, 3, 3)
+        away = data.geom_xpos[self._base][:, np.newaxis] - data.geom_xpos[objects]
+        box = engine.geom_aabb[objects]
+        beyond = np.abs(np.einsum("bgi,gij->bgj", away, turn) - box[:, :3]) - box[:, 3:]
+        apart = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        own, other = np.nonzero(apart <= engine.geom_rbound[self._base][:, np.newaxis] + within)
+        pairs: list[list[int]] = np.column_stack([self._base[own], objects[other]]).tolist()
+        return pairs
+
+
+def _closest(engine: Any, data: Any, own: int, other: int, within: float) -> Obstacle | None:
+    """Return the nearest points of two geoms; None if further apart or above each other."""
+    ends = np.zeros((2, 3))
+    distance = mujoco.mj_geomDistance(engine, data, own, other, within, ends.reshape(6))
+    way = np.sign(distance) * (ends[1] - ends[0])
+    length = float(np.linalg.norm(way))
+    if distance >= within or length == 0.0 or not is_beside(way / length):
+        return None
+    return Obstacle(ends[0, :2].copy(), way[:2] / length, float(distance), float(ends[0, 2]))
+
+
+def _corners(engine: Any, geom: int) -> Array | None:
+    """Return the corners of a geom in its frame, shape (k, 3); None for a round one."""
+    kind, size = engine.geom_type[geom], engine.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return _UNIT_BOX * size
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        angle = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+        circle = size[0] * np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.vstack(
+            [np.column_stack([circle, np.full(_SIDES, z)]) for z in (-size[1], size[1])]
+        )
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = engine.geom_dataid[geom]
+        start = engine.mesh_vertadr[mesh]
+        return np.asarray(engine.mesh_vert[start : start + engine.mesh_vertnum[mesh]])
+    return None

@@ -1,0 +1,178 @@
+"""A physics world as a backend of the loop: checks, measurements and tasks with objects."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.robot import robot_state
+from kinfeas.backends.physics.stage import Stage, task_scene
+from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import Scene
+from kinfeas.tasks.task import Task
+
+_FLAT = 1e-6
+
+Motion = tuple[dict[str, float], dict[str, float]]
+"""Positions and velocities by joint, rad or m, and per second."""
+
+
+class PhysicsBackend(ABC):
+    """n robots, each in a room of its own.
+
+    Attributes:
+        engine: Name of the engine in errors.
+        robot: Robot that is simulated.
+        scene: Room and furniture; None for a floor only.
+        config: Numbers of the physics.
+    """
+
+    engine: ClassVar[str]
+
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene | None = None,
+        *,
+        objects: bool = True,
+        gui: bool = False,
+        physics: PhysicsConfig | None = None,
+    ) -> None:
+        """Keep the settings; physics, in a window if `gui`, starts with the first use.
+
+        Without `objects`, `stage` leaves the scene of a task out.
+        """
+        self.robot, self.scene, self.config = robot, scene, physics or PhysicsConfig()
+        self._objects, self._gui = objects, gui
+        self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
+
+    def stage(self, task: Task) -> Stage:
+        """Return a task whose episodes also place its objects; call it before any other method."""
+        if self._objects:
+            self.scene = task_scene(task)
+        return Stage(task, self)
+
+    def reset(
+        self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
+    ) -> RobotState:
+        """Place robots and furniture at rest; shapes as in `Backend`.
+
+        Raises:
+            KinfeasError: If a base is not level on the floor, a number is not finite, or the engine
+                fails.
+        """
+        rows = np.arange(len(base_pose)) if env_ids is None else env_ids
+        self._check(base_pose, joint_positions, len(rows))
+        if not np.all(np.abs(base_pose[:, 2:5]) <= _FLAT):
+            raise KinfeasError("the base must be upright at height 0")
+        if env_ids is None:
+            self._positions = np.zeros((len(rows), 3 + len(self.robot.arm)))
+            self._velocities = np.zeros_like(self._positions)
+        self._reset(rows, base_pose, joint_positions)
+        return self._measure(rows)
+
+    def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
+        """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
+
+        Raises:
+            KinfeasError: If a shape, a number or `dt` is invalid, or the engine fails.
+        """
+        self._check(base_twist, joint_targets, len(self._positions))
+        rows = np.arange(len(self._positions))
+        self._step(rows, base_twist, joint_targets, dt)
+        return self._measure(rows)
+
+    def hold(self, row: int, joint_positions: Array, dt: float, periods: int) -> None:
+        """Hold a robot still for some control periods, its arm at positions (j,)."""
+        rows, still = np.array([row]), np.zeros((1, 6))
+        for _ in range(periods):
+            self._step(rows, still, joint_positions[np.newaxis], dt)
+
+    def _measure(self, rows: NDArray[np.intp]) -> RobotState:
+        """Return the state of all robots with new measurements of `rows`."""
+        # Earlier states keep their arrays.
+        self._positions, self._velocities = self._positions.copy(), self._velocities.copy()
+        self._positions[rows], self._velocities[rows] = self._read(rows)
+        return robot_state(self.robot, self._positions, self._velocities)
+
+    def _check(self, planar: Array, joints: Array, count: int) -> None:
+        if len(planar) != count or joints.shape != (count, len(self.robot.arm)):
+            raise KinfeasError(
+                f"the {self.engine} world holds {count} robots of {len(self.robot.arm)} arm "
+                f"joints, not {len(planar)} with joint positions of shape {joints.shape}"
+            )
+        if not (np.isfinite(planar).all() and np.isfinite(joints).all()):
+            raise KinfeasError("poses, twists and joint positions must be finite numbers")
+
+    @abstractmethod
+    def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
+        """Start to close or open grippers; they grasp what both fingers touch."""
+
+    @abstractmethod
+    def contacts(self, env_id: int) -> Contacts:
+        """Return the current contacts of a robot, except with the grasped link and the floor."""
+
+    @abstractmethod
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the simulations; a second call does nothing."""
+
+    @abstractmethod
+    def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
+        """Set the link that closing grippers grasp; if `rigid`, it cannot turn in the hand."""
+
+    @abstractmethod
+    def place(
+        self, row: int, scene: Scene | None, base_pose: Array, joint_positions: Array
+    ) -> bool:
+        """Place the objects of a row for its next resets, and its robot, (7,) and (j,).
+
+        Returns whether the robot has no contact.
+        """
+
+    @abstractmethod
+    def object_motion(self, row: int, name: str) -> tuple[Array, float]:
+        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
+
+    @abstractmethod
+    def object_joint(self, row: int, name: str, joint: str) -> float:
+        """Return the position of an object's joint, rad or m."""
+
+    @abstractmethod
+    def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
+        """Return whether an object is on another one.
+
+        The contact normal has a vertical part of at least `steepest`.
+        """
+
+    @abstractmethod
+    def holds(self, row: int, name: str) -> bool:
+        """Return whether the gripper holds an object."""
+
+    @abstractmethod
+    def joint_motion(self, row: int = 0) -> Motion:
+        """Return the motion of all joints of a robot except those of its base."""
+
+    @abstractmethod
+    def touched(self, row: int = 0) -> list[str]:
+        """Return the names of the objects that the robot touches; the floor is `the floor`."""
+
+    @abstractmethod
+    def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None: ...
+
+    @abstractmethod
+    def _step(
+        self, rows: NDArray[np.intp], base_twist: Array, joint_targets: Array, dt: float
+    ) -> None: ...
+
+    @abstractmethod
+    def _read(self, rows: NDArray[np.intp]) -> tuple[ArrayLike, ArrayLike]:
+        """Return positions and velocities of x, y, yaw and the arm's joints, (m, 3 + j)."""

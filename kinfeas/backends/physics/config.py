@@ -1,0 +1,49 @@
+"""Settings of physics worlds, and the division of control periods into physics steps."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from kinfeas.config import Interval
+from kinfeas.config.quantities import NotNegative, Positive
+from kinfeas.core.errors import KinfeasError
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """Numbers of a physics world; those of the grasp are for PyBullet.
+
+    Attributes:
+        rate: Physics steps per second, rounded so that a control period has a whole number: 5 steps
+            of 4 ms at 50 Hz, 24 of 1/240 s at the 0.1 s of the analytic world.
+        gravity: m/s^2.
+        iterations: Of the constraint solver in a step; MuJoCo needs only a few of them.
+        drive_reserve: Force of the base's motors as a multiple of what its acceleration takes.
+        wheel_grip: Torque per newton of weight that turns the wheels over the floor, m: their
+            distance from the base's centre, about 0.2 m, times a friction of about 0.6.
+        arm_horizon: Seconds in which the arm reaches a target at rest.
+        finger_friction: Friction coefficient of the fingers.
+        finger_softness: Distance at which the fingers touch an object, m; the soft pads are not in
+            the URDFs.
+        grasp_stiffness: Of fingers and arm together, N/m.
+        grasp_damping: The same, N s/m.
+        grasp_limit: Force at which a held object slips out of the hand, N.
+    """
+
+    rate: Annotated[float, Interval(low=0.0, high=1e5, open_low=True)] = 240.0
+    gravity: NotNegative = 9.81
+    iterations: Annotated[int, Interval(low=1, high=10_000)] = 50
+    drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
+    wheel_grip: NotNegative = 0.12
+    arm_horizon: Positive = 0.1
+    finger_friction: NotNegative = 1.0
+    finger_softness: NotNegative = 0.003
+    grasp_stiffness: Positive = 3000.0
+    grasp_damping: NotNegative = 30.0
+    grasp_limit: Positive = 80.0
+
+    def divide(self, dt: float) -> int:
+        """Return the number of physics steps of a control period of `dt` seconds."""
+        if not 0.0 < dt < math.inf:
+            raise KinfeasError(f"the control period must be above 0 s and finite, not {dt:g}")
+        return max(round(dt * self.rate), 1)

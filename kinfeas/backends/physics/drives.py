@@ -1,0 +1,115 @@
+"""Setpoints of the arm's motors, and forces of the base's."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.robot import arm_followers
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, wrap
+from kinfeas.robots.robot import Robot
+
+
+def base_forces(
+    robot: Robot, config: PhysicsConfig, mass: float, yaw_inertia: float
+) -> tuple[float, float, float]:
+    """Return the largest forces of the base's motors along x and y and about z, N and N m.
+
+    They are what the maximum acceleration takes, times `drive_reserve`. The rotation also has to
+    overcome the grip of the wheels, because a light base can have a long arm.
+    """
+    force = config.drive_reserve * mass * robot.base.max_acceleration
+    torque = config.drive_reserve * yaw_inertia * robot.base.max_rotation_acceleration
+    return force, force, max(torque, config.wheel_grip * mass * config.gravity)
+
+
+class ArmSetpoints:
+    """Paths of n arms, and of the joints that mimic theirs, along cubics.
+
+    Like a joint trajectory controller: each command starts a new cubic at the end of the previous
+    one.
+
+    Attributes:
+        names: The arm's joints, then those that mimic them.
+        effort: Effort limit of each in the URDF, N m or N.
+        velocity: Velocity limit of each, rad/s or m/s.
+        at: Setpoint of each arm joint, shape (n, j), rad or m.
+        speed: Its velocity, shape (n, j).
+    """
+
+    def __init__(self, robot: Robot, horizon: float, n: int = 1) -> None:
+        """Set n arms up that reach a target within `horizon` seconds; call `reset` next."""
+        self._horizon, self._fastest = horizon, robot.max_joint_velocity
+        self._continuous = robot.continuous
+        arm, followers = [joint.name for joint in robot.arm], arm_followers(robot)
+        self._leaders = [arm.index(one.leader) for one in followers]
+        self._multipliers = np.array([one.multiplier for one in followers])
+        self._offsets = np.array([one.offset for one in followers])
+        self.names = (*arm, *(one.name for one in followers))
+        moved = [robot.urdf.joints[name] for name in self.names]
+        for joint in moved:
+            if joint.effort == 0.0:
+                raise KinfeasError(
+                    f"robot {robot.name!r}: joint {joint.name!r} has effort 0 in the URDF; it must "
+                    "be above 0, or left out for no limit"
+                )
+        self.effort = [joint.effort for joint in moved]
+        self.velocity = [*self._fastest.tolist(), *(one.velocity for one in moved[len(arm) :])]
+        self.at, self.speed = np.zeros((2, n, len(arm)))
+
+    def follow(self, joint_positions: Array) -> Array:
+        """Return positions of all `names` for those of the arm, (..., j) to (..., j + f)."""
+        followers = self._multipliers * joint_positions[..., self._leaders] + self._offsets
+        return np.concatenate([joint_positions, followers], axis=-1)
+
+    def reset(self, joint_positions: Array, rows: NDArray[np.intp] | None = None) -> None:
+        """Start at rest at joint positions, shape (m, j), of all or some rows."""
+        where = slice(None) if rows is None else rows
+        self.at[where], self.speed[where] = joint_positions, 0.0
+
+    def plan(
+        self, targets: Array, time: Array, rows: NDArray[np.intp] | None = None
+    ) -> tuple[Array, Array]:
+        """Return the paths toward joint positions, (m, j), and their velocities at t times.
+
+        Args:
+            targets: Joint positions, shape (m, j).
+            time: Seconds since the command, shape (t,); the next command comes at the last one.
+            rows: The m arms; all by default.
+
+        Returns:
+            Positions and velocities of all `names`, shape (m, t, j + f).
+        """
+        where = slice(None) if rows is None else rows
+        at, change = self.at[where], targets - self.at[where]
+        change = np.where(self._continuous, wrap(change), change)
+        # The peak velocity of a cubic from rest is 1.5 times its mean. Larger changes are scaled
+        # down for all joints alike, because the EE deviates less if no joint runs ahead.
+        needed = np.max(1.5 * np.abs(change) / self._fastest, axis=-1, keepdims=True)
+        change *= self._horizon / np.maximum(self._horizon, needed)
+        path, speed = cubic(
+            at[:, np.newaxis], self.speed[where][:, np.newaxis], change[:, np.newaxis],
+            self._horizon, time,
+        )  # fmt: skip
+        self.at[where], self.speed[where] = path[:, -1], speed[:, -1]
+        rates = speed[..., self._leaders] * self._multipliers
+        return self.follow(path), np.concatenate([speed, rates], axis=-1)
+
+
+def cubic(
+    position: Array, velocity: Array, change: Array, duration: float, time: Array
+) -> tuple[Array, Array]:
+    """Return positions and velocities, each (..., t, j), on cubics that end at rest at `duration`.
+
+    Args:
+        position: Start, shape (j,) or (..., 1, j), rad or m.
+        velocity: At the start, of the same shape.
+        change: From start to end, of the same shape.
+        duration: Seconds.
+        time: Seconds since the start, shape (t,).
+    """
+    s = np.minimum(time[:, np.newaxis] / duration, 1.0)
+    rest = 1.0 - s
+    path = position + velocity * duration * s * rest * rest + change * s * s * (3.0 - 2.0 * s)
+    speed = velocity * rest * (1.0 - 3.0 * s) + 6.0 * change / duration * s * rest
+    return path, speed

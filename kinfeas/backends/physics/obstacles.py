@@ -1,0 +1,102 @@
+"""Obstacles around a robot's base: nearest points, and rays from its corners."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kinfeas.core.backend import ObstacleDistances
+from kinfeas.core.spatial import Array
+
+_STEEP = 0.5  # horizontal part of a unit normal below which an obstacle is above or beneath
+_AS_NEAR = 0.1  # m beyond the nearest point within which corners of the base are used, too
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape of the base: lowest and highest z (m), outline from above (m, 2), base frame."""
+
+    low: float
+    high: float
+    corners: Array
+
+    @staticmethod
+    def around(points: Array) -> "Shape":
+        """Return the shape of points in the base frame, shape (k, 3)."""
+        outline = points[ConvexHull(points[:, :2], qhull_options="QJ").vertices, :2]
+        return Shape(points[:, 2].min(), points[:, 2].max(), outline)
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """An obstacle as in `ObstacleDistances` and its height, in the world frame."""
+
+    closest_point: Array
+    normal: Array
+    distance: float
+    height: float
+
+
+Cast = Callable[[Array, Array, float], Iterable[Obstacle]]
+"""Returns what rays hit from places (c, 2) in a direction (2,) at a height, metres."""
+
+
+def obstacle_distances(
+    planar: tuple[float, float, float],
+    nearest: Iterable[Sequence[Obstacle]],
+    shapes: Iterable[Shape],
+    cast: Cast,
+) -> ObstacleDistances:
+    """Return the obstacles around one base as a batch of 1.
+
+    A side parallel to a wall has one nearest point, anywhere on it. If the base kept a distance of
+    this point only, it could rotate about it into the wall.
+
+    Args:
+        planar: x, y and yaw of the base.
+        nearest: The nearest points to each object, from `is_beside` obstacles.
+        shapes: The base.
+        cast: Engine's rays.
+    """
+    x, y, heading = planar
+    to_base = turn(heading)
+    found: list[Obstacle] = []
+    for closest in nearest:
+        if not closest:
+            continue
+        found += closest
+        one = min(closest, key=lambda one: one.distance)
+        corners = [shape.corners for shape in shapes if shape.low <= one.height <= shape.high]
+        if corners:
+            places = np.concatenate(corners) @ to_base.T + [x, y]
+            ahead = one.normal / np.linalg.norm(one.normal)
+            near = (one.closest_point - places) @ ahead <= _AS_NEAR
+            found += cast(places[near], ahead, one.height)
+    points = np.array([one.closest_point for one in found]).reshape(1, -1, 2)
+    normals = np.array([one.normal for one in found]).reshape(1, -1, 2)
+    distance = np.array([[one.distance for one in found]])
+    return ObstacleDistances((points - [x, y]) @ to_base, normals @ to_base, distance)
+
+
+def stack(found: Sequence[ObstacleDistances]) -> ObstacleDistances:
+    """Return the obstacles of n robots, each given as a batch of 1, as one batch."""
+    width = max(one.distance.shape[1] for one in found)
+    place, toward = np.zeros((2, len(found), width, 2))
+    distance = np.full((len(found), width), np.inf)
+    for row, one in enumerate(found):
+        count = one.distance.shape[1]
+        place[row, :count], toward[row, :count] = one.closest_point[0], one.normal[0]
+        distance[row, :count] = one.distance[0]
+    return ObstacleDistances(place, toward, distance)
+
+
+def is_beside(normal: Sequence[float] | Array) -> bool:
+    """Return whether a unit normal (3,) belongs to an obstacle beside the base."""
+    return bool(np.hypot(normal[0], normal[1]) >= _STEEP)
+
+
+def turn(heading: float) -> Array:
+    """Return the matrix (2, 2) of a rotation, radians."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return np.array([[cosine, -sine], [sine, cosine]])
