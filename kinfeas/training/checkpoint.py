@@ -9,13 +9,11 @@ import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import SAC
-from stable_baselines3.common.buffers import ReplayBuffer
 
-from kinfeas.training.learner import Learner
+from kinfeas.training.learner import Learner, Replay
 from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"
-_BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _MOTION = "world.motion."  # prefix of the states of motions
 _UNSIGNED = ".unsigned"  # suffix of unsigned numbers stored as signed
 
@@ -29,11 +27,9 @@ def save_learner(
     tensors = _tensors(learner, world)
     save_file({key: values.contiguous() for key, values in tensors.items()}, folder / _TENSORS)
     buffer = _buffer(learner)
-    kind, _, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 - SB3 draws there
     about = {
         "updates": learner._n_updates,
         "buffer": {"position": buffer.pos, "full": buffer.full},
-        "random": {"kind": kind, "position": position, "has_gauss": has_gauss, "gauss": gauss},
         **state,
     }
     write_state(folder, about)
@@ -44,8 +40,8 @@ def load_learner(
 ) -> dict[str, NDArray[Any]]:
     """Restore a fresh learner from a checkpoint and return the snapshot of the environments.
 
-    The global random states of torch and NumPy, which SB3 draws from, are restored as well. `world`
-    is a fresh snapshot, which the saved one must resemble.
+    The random state of torch, from which learners draw, is restored as well. `world` is a fresh
+    snapshot, which the saved one must resemble.
     """
     about = read_state(folder)
     with loading(folder):
@@ -60,18 +56,15 @@ def load_learner(
             entropy.copy_(tensors["log_ent_coef"])
         for name, optimizer in _optimizers(learner).items():
             _load_optimizer(optimizer, _below(f"optimizer.{name}.", tensors))
-        for name in _BUFFER:
-            getattr(buffer, name)[: buffer.size()] = tensors[f"buffer.{name}"].numpy()
+        buffer.rows[: buffer.size()] = tensors["buffer"].numpy()
         learner._n_updates = int(about["updates"])
-        _load_random_state(about["random"], tensors)
+        torch.set_rng_state(tensors["random"])
         return _world_arrays(tensors)
 
 
 def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
     """Return the tensors of a checkpoint."""
-    tensors = _world_tensors(world) | {"random.torch": torch.get_rng_state()}
-    _, keys, *_ = np.random.get_state()  # noqa: NPY002 - SB3 draws there
-    tensors["random.numpy"] = torch.from_numpy(np.asarray(keys).astype(np.int64))
+    tensors = _world_tensors(world) | {"random": torch.get_rng_state()}
     tensors |= {f"policy.{key}": values for key, values in learner.policy.state_dict().items()}
     if (entropy := _learned_entropy(learner)) is not None:
         tensors["log_ent_coef"] = entropy
@@ -79,8 +72,7 @@ def _tensors(learner: Learner, world: Mapping[str, NDArray[Any]]) -> Tensors:
         for index, slots in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{name}.{index}.{slot}": v for slot, v in slots.items()}
     buffer = _buffer(learner)
-    for name in _BUFFER:
-        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[: buffer.size()])
+    tensors["buffer"] = torch.from_numpy(buffer.rows[: buffer.size()])
     return tensors
 
 
@@ -124,13 +116,6 @@ def _load_optimizer(optimizer: torch.optim.Optimizer, tensors: Tensors) -> None:
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 
-def _load_random_state(about: Mapping[str, Any], tensors: Tensors) -> None:
-    torch.set_rng_state(tensors["random.torch"])
-    keys = tensors["random.numpy"].numpy().astype(np.uint32)
-    state = (about["kind"], keys, about["position"], about["has_gauss"], about["gauss"])
-    np.random.set_state(state)  # noqa: NPY002 - as above
-
-
 def _learned_entropy(learner: Learner) -> torch.Tensor | None:
     """Return the logarithm of SAC's entropy coefficient, if it is learned."""
     if not isinstance(learner, SAC) or learner.log_ent_coef is None:
@@ -145,8 +130,8 @@ def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
     return found
 
 
-def _buffer(learner: Learner) -> ReplayBuffer:
-    assert learner.replay_buffer is not None
+def _buffer(learner: Learner) -> Replay:
+    assert isinstance(learner.replay_buffer, Replay)
     return learner.replay_buffer
 
 

@@ -27,6 +27,7 @@ class LearnerConfig:
         schedule: Constant learning rate, or one that falls linearly to 0 over the run.
         batch_size: Transitions in a gradient step.
         gradient_steps: Gradient steps for each action of all environments.
+        policy_delay: SAC: gradient steps of the critics for each one of the actor.
         gamma: Discount of a reward one step later.
         tau: Share of the critics that the target networks take over in a gradient step.
         buffer_size: Transitions in the replay buffer.
@@ -46,6 +47,7 @@ class LearnerConfig:
     schedule: Literal["constant", "linear"] = "linear"
     batch_size: Annotated[int, Interval(low=1, high=65_536)] = 256
     gradient_steps: Annotated[int, Interval(low=1, high=10_000)] = 1
+    policy_delay: Annotated[int, Interval(low=1, high=100)] = 1
     gamma: Share = 0.99
     tau: Share = 0.005
     buffer_size: Annotated[int, Interval(low=1, high=10_000_000)] = 1_000_000

@@ -30,7 +30,7 @@ SETTINGS = "config.yaml"
 
 _Tally = Annotated[int, Interval(low=0)]
 _RECENT = 256  # training episodes in the reported success rate
-_FORMAT, _STATE = 1, "state.json"
+_FORMAT, _STATE = 2, "state.json"
 _BROKEN = (
     ArithmeticError, LookupError, OSError, RuntimeError, SafetensorError, TypeError, ValueError
 )  # fmt: skip

@@ -14,7 +14,7 @@ from kinfeas.training import learner as learners
 from kinfeas.training.config import LearnerConfig
 from kinfeas.training.learner import (
     INITIAL_STD,
-    AnchoredSAC,
+    FastSAC,
     explore,
     make_learner,
     network_of,
@@ -107,10 +107,10 @@ def test_a_learner_acts_as_the_network_that_it_takes(config, env):
         assert spread == pytest.approx(INITIAL_STD, rel=0.3)
 
 
-def filled(env, config, kind=AnchoredSAC):
+def filled(env, config, kind=FastSAC):
     """Return a learner with some experience."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learners, "AnchoredSAC", kind)
+        patch.setattr(learners, "FastSAC", kind)
         learner = make_learner(config, env, seed=0)
     seen = env.reset()
     for _ in range(8):
@@ -122,15 +122,59 @@ def filled(env, config, kind=AnchoredSAC):
 
 
 @pytest.mark.parametrize("ent_coef", [0.01, "learned"])
-def test_without_an_anchor_updates_equal_those_of_sb3(env, ent_coef):
-    config = replace(SMALL, ent_coef=ent_coef)
+def test_updates_equal_those_of_sb3(env, ent_coef):
+    config = replace(SMALL, ent_coef=ent_coef, net_arch=(16, 24, 16))
     ours, theirs = filled(env, config), filled(env, config, SAC)
+    ours.use(torch.float32)
+    with torch.no_grad():
+        for one in (ours, theirs):
+            one.actor.log_std.weight.mul_(100.0)  # beyond its bounds in some dimensions
     for one in (ours, theirs):
         torch.manual_seed(1)
-        np.random.seed(1)  # noqa: NPY002 - SB3 draws from it
-        one.train(10, 16)
+        one.train(3, 16)
     pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
-    assert all(torch.equal(mine, other) for mine, other in pairs)
+    for mine, other in pairs:
+        torch.testing.assert_close(mine, other, rtol=1e-3, atol=1e-5)
+    assert ours.num_timesteps == theirs.num_timesteps
+    torch.testing.assert_close(ours.log_ent_coef, theirs.log_ent_coef)
+
+
+def test_products_of_bfloat16_change_little(env):
+    exact, rounded = (filled(env, SMALL) for _ in range(2))
+    exact.use(torch.float32)
+    rounded.use(torch.bfloat16)
+    for one in (exact, rounded):
+        torch.manual_seed(1)
+        one.train(20, 16)
+    for mine, other in zip(exact.policy.parameters(), rounded.policy.parameters(), strict=True):
+        torch.testing.assert_close(mine, other, rtol=0.0, atol=0.02)
+
+
+def test_the_actor_learns_less_often_than_the_critics(env):
+    learner = filled(env, replace(SMALL, policy_delay=3))
+    learner.train(1, 16)
+    before = learner.actor.mu.weight.clone()
+    learner.train(2, 16)
+    assert torch.equal(learner.actor.mu.weight, before)
+    learner.train(1, 16)
+    assert not torch.equal(learner.actor.mu.weight, before)
+
+
+def test_sampled_transitions_are_those_added(env):
+    buffer = make_learner(SMALL, env, 0).replay_buffer
+    shape = (8, *env.observation_space.shape)
+    for step in range(3):
+        seen = np.full(shape, step, dtype=np.float32)
+        ends = np.arange(8) >= 4  # the last two by the time limit
+        infos = [{"TimeLimit.truncated": row >= 6} for row in range(8)]
+        buffer.add(seen, seen + 0.5, np.zeros((8, 3)) + step, np.arange(8.0) + step, ends, infos)
+    data = buffer.sample(500)
+    step = data.observations[:, 0]
+    assert set(step.tolist()) == {0.0, 1.0, 2.0}
+    assert torch.equal(data.next_observations, data.observations + 0.5)
+    assert torch.equal(data.actions[:, 2], step)
+    row = data.rewards[:, 0] - step
+    assert torch.equal(data.dones[:, 0] == 1.0, (row >= 4) & (row < 6))
 
 
 def test_an_anchor_holds_the_actor(env):
