@@ -100,12 +100,16 @@ class Loop:
         self.sequence = MotionSequence(subgoals, self.robot, dt, execution)
         self.kinematic_step = KinematicStep(solver, dt)
         self.policy: Policy | None = None
+        self._recurrent: RecurrentPolicy | None = None
         self.paused: NDArray[np.bool_] | None = None
         self.next_desired: Array = np.empty((0, 7))
         self.velocity_constraints: Any = None
         self.solved: tuple[Array, Array, IkSolution] | None = None
         self._terms = OBSERVATION
         self._motion_time = dt * execution.time_scale
+        # Once, since protocols are checked by looking up each of their members.
+        self._stochastic = backend if isinstance(backend, Stochastic) else None
+        self._gripper = backend if isinstance(backend, SupportsGripper) else None
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
@@ -114,6 +118,7 @@ class Loop:
     def set_policy(self, policy: Policy) -> None:
         """Use a policy: its observation terms, and its `reset` at each start if it has one."""
         self.policy = policy
+        self._recurrent = policy if isinstance(policy, RecurrentPolicy) else None
         self._terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
 
     def start(
@@ -129,8 +134,8 @@ class Loop:
         # Drawn with and without adapters, so that adapters do not change the motions.
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs])
         fresh = np.arange(len(rngs)) if rows is None else rows
-        if isinstance(self.backend, Stochastic):
-            self.backend.seed(seeds, fresh)
+        if self._stochastic is not None:
+            self._stochastic.seed(seeds, fresh)
         with plugin_note(self._backend_name):
             state = self.backend.reset(start.base_pose, start.joint_positions, rows)
         self._check("reset", state, len(rngs) if rows is None else len(self.joint_command))
@@ -147,8 +152,8 @@ class Loop:
             self.periods[rows] = self._waited[rows] = 0
         self.joint_command = joints
         self._plan()
-        if isinstance(self.policy, RecurrentPolicy):
-            self.policy.reset(self, fresh)
+        if self._recurrent is not None:
+            self._recurrent.reset(self, fresh)
         for one in self.filters:
             one.reset(self, fresh)
 
@@ -293,12 +298,12 @@ class Loop:
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Command the grippers of rows whose sub-goals have just ended."""
-        if not (stops.any() and isinstance(self.backend, SupportsGripper)):
+        if self._gripper is None or not stops.any():
             return
         for number, one in enumerate(self.sequence.subgoals):
             rows = np.flatnonzero(stops & (subgoal == number))
             if one.grip is not None and rows.size:
-                self.backend.grip(one.grip, rows)
+                self._gripper.grip(one.grip, rows)
 
     def _plan(self) -> None:
         """Ask the generators for the next period and build the observation."""

@@ -4,12 +4,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numba import njit
 
 from kinfeas.config.quantities import NotNegative, PositiveShare
 from kinfeas.control.loop import Step
+from kinfeas.core import kernel_cache
 from kinfeas.core.metrics import WITHIN
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
+
+kernel_cache.settle()  # before the first kernel
 
 _FAILURE_FLOOR, _FAILURE_SLOPE = 0.2, 0.4
 _FAILURE_METRES, _FAILURE_RADIANS = 0.1, 0.3
@@ -50,22 +54,18 @@ def reward(
         action: Base commands in [-1, 1], shape (n, a).
         joint_positions: Arm joints after the step, shape (n, j).
     """
-    earned = np.where(step.feasible, 0.0, -_failure_cost(config, step))
-    earned -= config.action_penalty * np.sum(np.square(action), axis=1)
-    earned -= config.jump_penalty * step.joint_jump
-    if config.deviation_penalty > 0.0:
-        share = np.minimum(step.deviation / WITHIN, 1.0)
-        earned -= config.deviation_penalty * np.square(share)
-    if config.limit_penalty > 0.0:
-        short = config.limit_margin - limit_distance(robot, joint_positions)
-        # A joint that is measured beyond its limit costs no more than one at it.
-        short = np.clip(short, 0.0, config.limit_margin)
-        earned -= config.limit_penalty * short / max(config.limit_margin, 1e-9)
-    if robot.pose_tolerance is not None:
-        approximation = np.square(step.position_error / robot.pose_tolerance.position) + np.square(
-            step.rotation_error / robot.pose_tolerance.rotation
-        )
-        earned -= np.where(step.feasible, 0.5 * approximation, 0.0)
+    lower, upper = robot.joint_limits
+    tolerance = robot.pose_tolerance
+    earned = np.empty(len(action))
+    _earn(
+        (
+            config.failure == "indicator", config.action_penalty, config.jump_penalty,
+            config.deviation_penalty, config.limit_penalty, config.limit_margin,
+        ),
+        (0.0, 0.0) if tolerance is None else (tolerance.position, tolerance.rotation),
+        step.feasible, step.position_error, step.rotation_error, step.deviation, step.joint_jump,
+        np.ascontiguousarray(action), np.ascontiguousarray(joint_positions), lower, upper, earned,
+    )  # fmt: skip
     return earned
 
 
@@ -74,19 +74,51 @@ def limit_distance(robot: Robot, joint_positions: Array) -> Array:
 
     Continuous joints have no limit; without any other joint the distance is 1.
     """
-    bounded = ~robot.continuous
-    if not bounded.any():
-        return np.ones(len(joint_positions))
-    lower, upper = (limit[bounded] for limit in robot.joint_limits)
-    positions = joint_positions[:, bounded]
-    inside = np.minimum(positions - lower, upper - positions)
-    distance: Array = np.min(inside / ((upper - lower) / 2.0), axis=1)
+    lower, upper = robot.joint_limits
+    distance = np.empty(len(joint_positions))
+    for i, row in enumerate(np.ascontiguousarray(joint_positions)):
+        distance[i] = _limit_distance(row, lower, upper)
     return distance
 
 
-def _failure_cost(config: RewardConfig, step: Step) -> Array:
-    if config.failure == "indicator":
-        return np.ones(len(step.feasible))
-    missing = np.square(step.position_error / _FAILURE_METRES)
-    missing += np.square(step.rotation_error / _FAILURE_RADIANS)
-    return np.minimum(1.0, _FAILURE_FLOOR + _FAILURE_SLOPE * missing)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _earn(
+    weights, tolerance, feasible, metres, radians, deviation, jumps, action, joints, lower, upper,
+    earned,
+):  # fmt: skip
+    indicator, action_penalty, jump_penalty, deviation_penalty, limit_penalty, margin = weights
+    for i in range(len(earned)):
+        total = 0.0
+        for k in range(action.shape[1]):
+            total -= action_penalty * (action[i, k] * action[i, k])
+        if not feasible[i]:
+            missing = _squares(metres[i], radians[i], _FAILURE_METRES, _FAILURE_RADIANS)
+            total -= 1.0 if indicator else min(1.0, _FAILURE_FLOOR + _FAILURE_SLOPE * missing)
+        elif tolerance[0] > 0.0:
+            total -= 0.5 * _squares(metres[i], radians[i], tolerance[0], tolerance[1])
+        if jumps[i]:
+            total -= jump_penalty
+        if deviation_penalty > 0.0:
+            share = min(deviation[i] / WITHIN, 1.0)
+            total -= deviation_penalty * (share * share)
+        if limit_penalty > 0.0 and margin > 0.0:
+            # A joint that is measured beyond its limit costs no more than one at it.
+            short = margin - _limit_distance(joints[i], lower, upper)
+            total -= limit_penalty * (min(max(short, 0.0), margin) / margin)
+        earned[i] = total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _limit_distance(joints, lower, upper):
+    distance = 1.0
+    for j in range(len(joints)):
+        if upper[j] < np.inf:
+            inside = min(joints[j] - lower[j], upper[j] - joints[j])
+            distance = min(distance, inside / ((upper[j] - lower[j]) / 2.0))
+    return distance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _squares(metres, radians, unit_metres, unit_radians):
+    one, other = metres / unit_metres, radians / unit_radians
+    return one * one + other * other

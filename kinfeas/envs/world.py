@@ -23,7 +23,7 @@ from kinfeas.core.start import episode_rng, stacked
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.tasks.task import SupportsTaskScenes, Task, build_subgoals, sample_start
+from kinfeas.tasks.task import StagedTask, SupportsTaskScenes, Task, build_subgoals, sample_start
 
 
 @dataclass(frozen=True)
@@ -126,6 +126,7 @@ class World:
         self.task = task
         if isinstance(self.backend, SupportsTaskScenes):
             self.task = self.backend.stage(task)
+        self._staged = isinstance(self.task, StagedTask)
         wrapped = wrap(self.backend, config.adapters, robot)
         execution = execution_of(wrapped, config)
         self._max_steps = max(1, round(config.max_seconds / execution.time_scale / config.dt))
@@ -158,6 +159,8 @@ class World:
         """
         rngs = [self.rng(episode) for episode in episodes]
         places = range(len(episodes)) if rows is None else rows.tolist()
+        if not self._staged:
+            places = [None] * len(episodes)
         starts = [
             sample_start(self.task, self.solver, rng, row)
             for rng, row in zip(rngs, places, strict=True)
