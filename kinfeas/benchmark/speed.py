@@ -1,15 +1,18 @@
 """Speed of inverse kinematics, environments, policies and training on this machine."""
 
+import csv
+import math
 import os
 import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,8 @@ from kinfeas.core import registry, spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
+from kinfeas.evaluation.paper import LEARNED, paper_figures
+from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
@@ -29,6 +34,9 @@ from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from kinfeas.training.config import TrainConfig
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
@@ -44,7 +52,7 @@ _EE_STEP, _EE_TURN, _BASE_STEP = 0.01, 0.01, 0.02
 class Figure:
     """One measurement: its name, its value, the unit (none for shares), and its key in JSON.
 
-    The value is None if the peer is not installed.
+    The value is None if the peer is not installed, or the level was not reached.
     """
 
     text: str
@@ -83,11 +91,14 @@ def measure_speed(
     network: Network | None = None,
     effort: Effort | None = None,
     on_part: Callable[[str], None] | None = None,
+    *,
+    to_level: bool = False,
 ) -> list[Figure]:
     """Return all measurements: on one core, except training, which uses all.
 
     The latency is that of `network`, by default of 256 x 256 random weights. `on_part` is called
-    with the name of each part at its beginning.
+    with the name of each part at its beginning. `to_level` adds training times to levels of
+    success.
     """
     effort, known = effort or Effort(), load_robot(robot)
     network = network or random_network(known)
@@ -97,6 +108,8 @@ def measure_speed(
         "action": lambda: measure_action(known, network, effort),
         "training": lambda: measure_training(robot, effort),
     }
+    if to_level:
+        parts["training to levels"] = lambda: measure_levels(robot)
     figures: list[Figure] = []
     for name, measure in parts.items():
         if on_part is not None:
@@ -165,22 +178,92 @@ def measure_action(robot: Robot, network: Network, effort: Effort) -> Iterator[F
 
 
 def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
-    """Yield the steps per second of a short training run by the robot's own recipe.
+    """Yield speed and shares of the parts of a short training run by the robot's own recipe.
 
-    A step is a control period of one environment. The final evaluation and checkpoints are
-    included.
+    A step is a control period of one environment. Shares are of the wall-clock time of the steps;
+    the environments are stepped in a thread beside the updates.
     """
     # Not at the top: they load torch.
-    from kinfeas.training.config import TrainConfig
     from kinfeas.training.train import train
 
-    schedule = ["schedule.evaluations=1", f"schedule.minutes={effort.train_minutes}"]
-    name = load_robot(robot).name
-    config = load_section(TrainConfig, "train", name, [f"robot={robot}", *schedule])
+    schedule = ["schedule.evaluations=1", "schedule.evaluation_episodes=1"]
+    schedule += ["schedule.final_episodes=1", f"schedule.minutes={effort.train_minutes}"]
     with tempfile.TemporaryDirectory() as folder:
-        progress = train(config, Path(folder) / "run")
-    rate = progress.steps / progress.seconds
-    yield Figure("training, all cores, end to end", rate, "steps/s", "train_steps_per_s")
+        progress = train(_recipe(robot, schedule), Path(folder) / "run")
+    steps, seconds = progress.steps, progress.parts["step"]
+    yield Figure("training", steps / progress.seconds, "steps/s", "train_steps_per_s")
+    yield Figure("updates", progress.updates / progress.seconds, "updates/s", "updates_per_s")
+    for part, text in (("update", "updates"), ("waiting", "waiting for environments")):
+        yield Figure(f"share of {text}", progress.parts[part] / seconds, "", f"{part}_share")
+    for part, used in progress.cpu.items():
+        yield Figure(f"CPU time of {part} a step", used / steps * 1e6, "us", f"{part}_cpu_us")
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """Success in the evaluations of a training run.
+
+    Attributes:
+        seconds: Wall-clock time of training before each evaluation, evaluations not included.
+        success: Success of the policy, 0-1.
+    """
+
+    seconds: tuple[float, ...]
+    success: tuple[float, ...]
+
+    def time_to(self, level: float) -> float:
+        """Return the seconds until an evaluation has at least `level`; inf if none has."""
+        reached = (s for s, found in zip(self.seconds, self.success, strict=True) if found >= level)
+        return next(reached, math.inf)
+
+
+def learning_curve(
+    robot: str, minutes: float, seed: int = 0, every: float = 5.0, overrides: Sequence[str] = ()
+) -> LearningCurve:
+    """Return the learning curve of the robot's own recipe, evaluated after `every` seconds.
+
+    `overrides` are assignments such as `learner.batch_size=256`.
+    """
+    from kinfeas.training.train import train
+
+    evaluations = max(1, round(60.0 * minutes / every))
+    schedule = [f"schedule.minutes={minutes}", f"schedule.evaluations={evaluations}"]
+    schedule += ["schedule.final_episodes=1", "schedule.checkpoint_seconds=86400"]
+    config = _recipe(robot, [f"seed={seed}", *schedule, *overrides])
+    with tempfile.TemporaryDirectory() as folder:
+        train(config, Path(folder) / "run")
+        with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.DictReader(file) if row["evaluation/success"]]
+    return LearningCurve(
+        tuple(float(row["seconds"]) for row in rows),
+        tuple(float(row["evaluation/success"]) for row in rows),
+    )
+
+
+def levels(robot: str, goals: int = 500) -> dict[str, float]:
+    """Return levels of success on the training task: shares of the ceiling, and the paper's."""
+    known = load_robot(robot)
+    task = registry.build("kinfeas.tasks", "ggr", {})
+    ceiling = measure_reachability(known, task, goals, seed=1).share.value
+    shares = {f"{share:.0%} of the ceiling": share * ceiling for share in (0.7, 0.8, 0.9)}
+    paper = paper_figures(known.name, "ggr").get(LEARNED)
+    return shares | ({} if paper is None else {"the paper's success": paper.success})
+
+
+def measure_levels(robot: str) -> Iterator[Figure]:
+    """Yield the training time of the robot's own recipe to levels of success."""
+    curve = learning_curve(robot, minutes=_recipe(robot, []).schedule.minutes or 3.0)
+    for number, (text, level) in enumerate(levels(robot).items()):
+        seconds = curve.time_to(level)
+        value = seconds if math.isfinite(seconds) else None
+        yield Figure(f"training to {text} ({level:.1%})", value, "s", f"seconds_to_level_{number}")
+
+
+def _recipe(robot: str, overrides: Sequence[str]) -> "TrainConfig":
+    from kinfeas.training.config import TrainConfig
+
+    name = load_robot(robot).name
+    return load_section(TrainConfig, "train", name, [f"robot={robot}", *overrides])
 
 
 def random_network(robot: Robot, width: int = 256) -> Network:

@@ -21,12 +21,21 @@ def speed(
             help="Run folder of the timed policy.  [default: 256 x 256 random weights]",
         ),
     ] = None,
+    to_level: Annotated[
+        bool,
+        typer.Option(
+            "--to-level",
+            help="Also train the whole recipe: seconds to 70, 80 and 90 % of the ceiling.",
+        ),
+    ] = False,
     json: options.JsonPath = None,
 ) -> None:
     """Time IK, environments, policy and training.
 
     IK is timed beside Pinocchio and PyBullet. Figures are the best of several repeats on one core.
     Training uses the robot's recipe on all cores for half a minute. Steps are control periods.
+    With --to-level the recipe trains to its end, with an evaluation every five seconds, which does
+    not count as training time.
 
     Example: kinfeas speed --robot hsr
     """
@@ -35,7 +44,9 @@ def speed(
     robot = robot or options.robot_of(policy)
     network = None if policy is None else _read_network(policy, robot)
     with status("speed") as show:
-        figures = measure_speed(robot, network, on_part=lambda part: show(f"timing: {part}"))
+        figures = measure_speed(
+            robot, network, on_part=lambda part: show(f"timing: {part}"), to_level=to_level
+        )
     write_json({figure.key: figure.value for figure in figures if figure.key}, json)
     rows = [[figure.text, _text(figure)] for figure in figures]
     print_table(f"speed, robot {robot}", ["", " on this machine"], rows)
@@ -53,7 +64,7 @@ def _read_network(policy: str, robot: str) -> "Network":
 
 def _text(figure: "Figure") -> str:
     if figure.value is None:
-        return "not installed"
+        return "not reached" if figure.unit == "s" else "not installed"
     if not figure.unit:
         return share(figure.value)
     return f"{figure.value:,.{0 if figure.value >= 1000 else 2}f} {figure.unit}"

@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
@@ -49,6 +49,10 @@ class Progress:
         evaluations: Number of evaluations.
         recent: Whether each of the last training episodes was without a failure.
         evaluating: Whether an evaluation begins now.
+        updates: Gradient steps in this process.
+        parts: Wall-clock seconds of parts in this process: `step`, of which `update` of the
+            networks and `waiting` for the environments; `evaluation` and `checkpoint`.
+        cpu: CPU seconds of the steps: `learner` and, in the analytic world, `environment`.
     """
 
     steps: int = 0
@@ -58,6 +62,9 @@ class Progress:
     evaluations: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
     evaluating: bool = False
+    updates: int = 0
+    parts: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    cpu: dict[str, float] = field(default_factory=lambda: defaultdict(float))
 
     @property
     def success(self) -> float:

@@ -164,7 +164,8 @@ class _Run:
             if evaluations_due(self.config, self.progress) > self.progress.evaluations:
                 if report is not None:
                     report(replace(self.progress, evaluating=True))
-                self._evaluate(evaluator, logs)
+                with self._timed("evaluation"):
+                    self._evaluate(evaluator, logs)
                 self._save()
                 # Evaluations do not count as training time.
                 start = time.monotonic() - self.progress.seconds
@@ -172,7 +173,12 @@ class _Run:
             if self.progress.share >= 1.0:
                 break
             with uninterrupted():
-                self._step()
+                own, all_threads = time.thread_time(), time.process_time()
+                with self._timed("step"):
+                    self._step()
+                own, all_threads = time.thread_time() - own, time.process_time() - all_threads
+                self.progress.cpu["learner"] += own
+                self.progress.cpu["environment"] += all_threads - own
                 self.progress.seconds = now = time.monotonic() - start
                 self.progress.share = share_done(self.config.schedule, self.progress)
             if now - saved >= self.config.schedule.checkpoint_seconds:
@@ -196,13 +202,16 @@ class _Run:
         # The world is stepped in its own thread while the learner trains.
         self.env.step_async(action)
         if not filling:
+            progress.updates += config.gradient_steps
             frozen = self.config.init is not None and (
                 progress.steps < config.learning_starts + config.critic_steps
             )
             learner.actor.requires_grad_(not frozen)
             learner._current_progress_remaining = 1.0 - progress.share
-            learn(learner, config)
-        seen, rewards, dones, infos = self.env.step_wait()
+            with self._timed("update"):
+                learn(learner, config)
+        with self._timed("waiting"):
+            seen, rewards, dones, infos = self.env.step_wait()
         after, ended = seen.copy(), np.flatnonzero(dones)
         for row in ended:
             after[row] = infos[row]["terminal_observation"]
@@ -268,7 +277,14 @@ class _Run:
             save_learner(folder, self.learner, self.env.snapshot(), state)
             self._write_policy(folder, {"steps": self.progress.steps})
 
-        self._write("last", fill)
+        with self._timed("checkpoint"):
+            self._write("last", fill)
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.progress.parts[part] += time.perf_counter() - start
 
     def _write(self, name: str, fill: Callable[[Path], None]) -> None:
         write_folder(self.out / "checkpoints" / name, fill)

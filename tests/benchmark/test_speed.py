@@ -8,8 +8,10 @@ from kinfeas.benchmark.peers import Peer, arm_urdf
 from kinfeas.benchmark.speed import (
     Effort,
     Figure,
+    LearningCurve,
     cold_targets,
     measure_speed,
+    measure_training,
     time_ours,
     time_peer,
     warm_targets,
@@ -51,6 +53,21 @@ def test_all_figures(monkeypatch, installed):
     assert len(parts) == 4
     missing = {figure.key for figure in figures if figure.value is None and figure.key}
     assert installed or missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
+
+
+@pytest.mark.slow
+def test_training_is_timed_by_the_robot_s_own_recipe():
+    figures = {one.key: one.value for one in measure_training("tiago", Effort(train_minutes=0.2))}
+    assert figures["train_steps_per_s"] > 100.0 * figures["updates_per_s"] > 100.0
+    assert 0.0 < figures["update_share"] < 1.0
+    assert 0.0 < figures["waiting_share"] < 1.0 - figures["update_share"]
+    assert figures["learner_cpu_us"] > 0.0
+    assert figures["environment_cpu_us"] > 0.0
+
+
+def test_the_first_evaluation_at_a_level_counts():
+    curve = LearningCurve((5.0, 10.0, 15.0), (0.2, 0.8, 0.7))
+    assert [curve.time_to(level) for level in (0.1, 0.7, 0.8, 0.9)] == [5.0, 10.0, 10.0, math.inf]
 
 
 def test_targets(pr2, cold, warm):
