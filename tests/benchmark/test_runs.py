@@ -63,19 +63,6 @@ def test_settings_of_a_training():
     assert settings.learner.algorithm == "sac"
 
 
-@pytest.mark.parametrize(
-    ("overrides", "named"),
-    [
-        (TWO, "hsr"),
-        (("robots=[pr2]", "trainings=[{robot: pr2, steps: 1}, {robot: pr2, steps: 2}]"), "pr2-sac"),
-        (("robots=[pr2]", "trainings=[{robot: pr2, settings: ['hldd=4']}]"), "hldd"),
-    ],
-)
-def test_invalid_trainings(overrides, named):
-    with pytest.raises(KinfeasError, match=named):
-        plan_runs(study({}, *overrides), OUT)
-
-
 def made(folder, seed, success):
     robot, settings = load_robot("hsr"), tiny(f"seed={seed}")
     best = folder / f"run-{seed}" / "checkpoints" / "best"

@@ -37,15 +37,3 @@ def test_tables_show_text_without_markup_and_whole(capsys, monkeypatch):
     assert "a[/b] [bold]c[/] :cat: ?[31m?" in shown
     rows = [line.split("│") for line in shown.splitlines() if line.startswith("│")]
     assert "".join(row[2].strip() for row in rows) == name
-
-
-def test_progress_writes_lines_where_there_is_no_terminal(capfd, monkeypatch):
-    now = 0.0
-    monkeypatch.setattr(output.time, "monotonic", lambda: now)
-    with output.progress("8 [cells]", 8.0) as advance, output.status("[/]") as show:
-        for seconds in (10.0, 20.0, 30.0, 240.0):
-            now = seconds
-            advance(1.0)
-        show("then")
-    lines = [" 25%  8 [cells], 1:00 left", " 50%  8 [cells], 4:00 left"]
-    assert capfd.readouterr() == ("", "\n".join([*lines, ""]))

@@ -46,17 +46,6 @@ class Recorder:
         return RobotState(self.base.copy(), self.joints.copy())
 
 
-class Noisy(AnalyticBackend):
-    """Remembers the seeds that it is given."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.given: list[tuple[list[int], list[int]]] = []
-
-    def seed(self, seeds, env_ids):
-        self.given.append((seeds.tolist(), env_ids.tolist()))
-
-
 def rngs(n: int, seed: int = 0) -> Sequence[np.random.Generator]:
     return [np.random.default_rng((seed, i)) for i in range(n)]
 
@@ -202,16 +191,6 @@ def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     metres = np.linalg.norm(fine.planned[:, :3] - fine.desired[:, :3], axis=1)
     coarse_metres = np.linalg.norm(coarse.planned[:, :3] - coarse.desired[:, :3], axis=1)
     np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
-
-
-def test_backends_that_draw_get_a_seed_for_each_episode(solver):
-    backend = Noisy()
-    loop = make_loop(solver, 4, backend)
-    ((first, rows),) = backend.given
-    assert rows == [0, 1, 2, 3]
-    assert len(set(first)) == 4
-    loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
-    assert backend.given[-1] == ([first[2]], [1])
 
 
 def test_errors_of_backends_name_them(solver):

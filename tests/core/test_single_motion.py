@@ -117,17 +117,12 @@ def test_each_row_has_its_own_dt():
     assert seconds == [0.1, 100.0]
 
 
-class NoPair(Approach):
-    def twist(self, state, ee_pose, target_pose, dt):
-        return super().twist(state, ee_pose, target_pose, dt)[0]
-
-
 class WordInState(Approach):
     def start(self, ee_pose, target_pose, rng):
         return {**super().start(ee_pose, target_pose, rng), "way": "up"}
 
 
-@pytest.mark.parametrize("single", [NoPair, WordInState, Growing])
+@pytest.mark.parametrize("single", [WordInState, Growing])
 def test_invalid_answers_raise(single):
     generator = batched(single)()
     with pytest.raises(ValueError, match=r"\w"):
