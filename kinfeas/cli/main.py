@@ -22,6 +22,7 @@ from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.speed import speed
+from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import view
 from kinfeas.core.errors import KinfeasError, raised_by
@@ -32,7 +33,7 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, evaluate, benchmark, ceiling, speed, export, deploy, simulate, view, fit,
+    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, deploy, simulate, view, fit,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

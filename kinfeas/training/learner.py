@@ -32,6 +32,10 @@ INITIAL_STD = 0.1
 """Standard deviation, before the bounds, of SAC's actions when it starts from a policy."""
 
 
+class DivergedError(KinfeasError):
+    """Losses or weights of a learner are no longer finite."""
+
+
 class Replay(ReplayBuffer):
     """A replay buffer with one row of numbers for each transition, so that a batch is one gather.
 
@@ -361,14 +365,14 @@ def learn(learner: Learner, config: LearnerConfig) -> None:
 
 
 def check_losses(losses: Mapping[str, float], config: LearnerConfig) -> None:
-    """Raise KinfeasError if a loss of the learner is not finite."""
+    """Raise DivergedError if a loss of the learner is not finite."""
     if not all(map(math.isfinite, losses.values())):
         raise _divergence(config)
 
 
-def _divergence(config: LearnerConfig) -> KinfeasError:
+def _divergence(config: LearnerConfig) -> DivergedError:
     rate = config.learning_rate
-    return KinfeasError(f"learning diverged: learner.learning_rate is {rate:g}, try a lower one")
+    return DivergedError(f"learning diverged: learner.learning_rate is {rate:g}, try a lower one")
 
 
 def _diverged(learner: Learner) -> bool:

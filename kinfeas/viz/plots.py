@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
@@ -99,4 +100,27 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
         if samples.broken is not None:
             title = fill(f"{title}; it ends early: {samples.broken}", 120)
         figure.suptitle(title, fontsize=11, x=0.01, ha="left")
+    return figure
+
+
+def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str, float]) -> Figure:
+    """Return plots of a sweep: the scores of its trials, and the importance of each key."""
+    finished = [one for one in results if "score" in one]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 3.8), layout="constrained")
+        history, shares = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
+        for state, colour in (("complete", EE), ("pruned", FAINT)):
+            own = [one for one in finished if one["state"] == state]
+            numbers, scores = [one["number"] for one in own], [one["score"] for one in own]
+            history.plot(numbers, scores, "o", color=colour, ms=6.0, mec="white", label=state)
+        complete = [one for one in finished if one["state"] == "complete"]
+        best = np.maximum.accumulate([one["score"] for one in complete])
+        numbers = [one["number"] for one in complete]
+        history.step(numbers, best, where="post", color=EE, lw=1.6, zorder=1.5, label="best")
+        history.set(xlabel="trial", title="score")
+        history.legend(loc="lower right")
+        names = sorted(importances, key=lambda key: importances[key])
+        shares.barh(names, [importances[name] for name in names], color=BASE)
+        shares.grid(axis="y", visible=False)
+        shares.set(title="importance", xlabel="share of the variance of the score")
     return figure

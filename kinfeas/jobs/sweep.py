@@ -1,0 +1,266 @@
+"""Sweeps: trials of a recipe's keys, chosen by Optuna, each a training job.
+
+The study is a journal file in the folder of the sweep, so that workers of any engine share it. The
+driver creates all trials; the worker of a trial draws its values, trains and reports.
+"""
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import optuna
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, Trial, TrialState
+
+from kinfeas import config
+from kinfeas.config import Interval
+from kinfeas.config.quantities import LAST_SEED, Count
+from kinfeas.config.recipes import find_recipe, load_recipe, load_section
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.registry import from_anywhere
+from kinfeas.io.files import writing
+from kinfeas.jobs.job import Job, Result
+from kinfeas.jobs.training import finish
+from kinfeas.robots.loading import load_robot
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.run import Progress
+
+SETTINGS, BEST = "sweep.yaml", "best.yaml"
+"""Files of a sweep: its settings, and the recipe of its best trial."""
+
+STATES = {
+    TrialState.WAITING: "waiting",
+    TrialState.RUNNING: "running",
+    TrialState.COMPLETE: "complete",
+    TrialState.PRUNED: "pruned",
+    TrialState.FAIL: "failed",
+}
+"""States of trials in tables."""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """Values of one key: choices, or the numbers from `low` to `high`, whole ones if both are.
+
+    Attributes:
+        log: Draw the logarithm of the number evenly.
+        when: Choices of other keys, above this one, on which it depends.
+    """
+
+    choices: tuple[object, ...] = ()
+    low: int | float | None = None
+    high: int | float | None = None
+    log: bool = False
+    when: dict[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that there are values."""
+        if (self.low is None) != (self.high is None) or (self.low is None) != bool(self.choices):
+            raise ValueError("a dimension has 'choices', or 'low' and 'high'")
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError("'low' must be below 'high'")
+
+    def draw(self, key: str, trial: Trial) -> object:
+        """Return the value of a trial."""
+        if self.low is None or self.high is None:
+            # Optuna takes no lists, so that choices are JSON.
+            choices = [json.dumps(choice) for choice in self.choices]
+            return json.loads(trial.suggest_categorical(key, choices))
+        if isinstance(self.low, int) and isinstance(self.high, int):
+            return trial.suggest_int(key, self.low, self.high, log=self.log)
+        return trial.suggest_float(key, self.low, self.high, log=self.log)
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """The schema of `configs/sweep`.
+
+    Attributes:
+        robot: Name or YAML file; its section `train` is the recipe by default.
+        recipe: Name or file of another recipe.
+        settings: Assignments `a.b=c` to the recipe of all trials.
+        space: Keys of the recipe and their values.
+        trials: Number of trials. The first one is the recipe itself, as far as it is in the space.
+        sampler: `tpe` learns from finished trials; `random` depends on the seed alone.
+        pruner: Ends trials by their evaluations: below the `median` of the others, or by `asha`.
+        seed: Of the sampler.
+    """
+
+    space: dict[str, Dimension]
+    robot: str = "pr2"
+    recipe: str | None = None
+    settings: tuple[str, ...] = ()
+    trials: Count = 20
+    sampler: Literal["tpe", "random"] = "tpe"
+    pruner: Literal["median", "asha", "none"] = "median"
+    seed: Annotated[int, Interval(low=0, high=LAST_SEED)] = 0
+
+
+def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:
+    """Return a sweep by its recipe's name or file; raise KinfeasError for a wrong key or value."""
+    sweep = config.load(SweepConfig, find_recipe(name, "sweep"), overrides)
+    sweep = replace(sweep, robot=from_anywhere(sweep.robot))
+    for key, dimension in sweep.space.items():
+        ends = [one for one in (dimension.low, dimension.high) if one is not None]
+        for value in (*dimension.choices, *ends):
+            settings_of(sweep, {key: value})
+        for other in dimension.when:
+            if other not in list(sweep.space)[: list(sweep.space).index(key)]:
+                raise KinfeasError(f"{name}: space.{key}.when: {other!r} is no key above")
+    return sweep
+
+
+def settings_of(sweep: SweepConfig, values: Mapping[str, object]) -> TrainConfig:
+    """Return the recipe with values of a trial."""
+    changes = [*sweep.settings, *(f"{key}={json.dumps(value)}" for key, value in values.items())]
+    if sweep.recipe is None:
+        changes = [f"robot={json.dumps(sweep.robot)}", *changes]
+        return load_section(TrainConfig, "train", load_robot(sweep.robot).name, changes)
+    return load_recipe(TrainConfig, sweep.recipe, "train", changes)
+
+
+def plan_trials(sweep: SweepConfig, folder: Path) -> list[Job]:
+    """Return the jobs of a sweep, after the missing trials have been added to its study.
+
+    Raises:
+        KinfeasError: If the folder has a sweep with other settings than the number of trials.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / SETTINGS).exists():
+            before = config.load(SweepConfig, folder / SETTINGS)
+            if replace(before, trials=sweep.trials) != sweep:
+                raise KinfeasError(f"{folder}: a sweep with other settings; use another --out")
+        config.dump(sweep, folder / SETTINGS)
+    study = open_study(folder)
+    for number in range(len(study.trials), sweep.trials):
+        study.enqueue_trial(_own_values(sweep) if number == 0 else {})
+    trials = range(sweep.trials)
+    return [Job(run_trial, (folder, n), folder / "results" / f"{n}.json") for n in trials]
+
+
+def open_study(folder: Path) -> optuna.Study:
+    """Return the study of a sweep."""
+    sweep = config.load(SweepConfig, folder / SETTINGS)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    pruners: dict[str, optuna.pruners.BasePruner] = {
+        "median": optuna.pruners.MedianPruner(n_startup_trials=4, n_warmup_steps=1),
+        "asha": optuna.pruners.SuccessiveHalvingPruner(1, reduction_factor=3),
+        "none": optuna.pruners.NopPruner(),
+    }
+    return optuna.create_study(
+        study_name="sweep",
+        storage=JournalStorage(JournalFileBackend(str(folder / "journal.log"))),
+        load_if_exists=True,
+        direction="maximize",
+        pruner=pruners[sweep.pruner],
+    )
+
+
+def run_trial(description: tuple[Path, int]) -> Result:
+    """Train a trial of a sweep, or the rest of it; return its state, values and metrics."""
+    from kinfeas.training.learner import DivergedError
+
+    folder, number = description
+    sweep, study = config.load(SweepConfig, folder / SETTINGS), open_study(folder)
+    frozen = study.trials[number]
+    if frozen.state.is_finished():  # killed before its file was written
+        return told(frozen)
+    if frozen.state == TrialState.WAITING:
+        study._storage.set_trial_state_values(frozen._trial_id, TrialState.RUNNING)
+    trial = Trial(study, frozen._trial_id)
+    values = _drawn(sweep, trial)
+
+    def evaluations() -> dict[int, float]:
+        return study.trials[number].intermediate_values
+
+    def report(progress: Progress) -> None:
+        if progress.evaluations and progress.evaluations not in evaluations():
+            trial.report(progress.best, progress.evaluations)
+            if progress.share < 1.0 and trial.should_prune():
+                raise optuna.TrialPruned
+
+    state, metrics = TrialState.COMPLETE, {}
+    try:
+        metrics = finish((settings_of(sweep, values), folder / "trials" / str(number)), report)
+        metrics["score"] = (metrics["success"] + metrics["within_5cm"]) / 2.0
+    except optuna.TrialPruned:
+        state, metrics["score"] = TrialState.PRUNED, max(evaluations().values())
+    except DivergedError as error:
+        state, metrics["error"] = TrialState.FAIL, str(error)
+    result = {"number": number, "state": STATES[state], "values": values, **metrics}
+    trial.set_user_attr("result", result)
+    study.tell(trial, metrics["score"] if state == TrialState.COMPLETE else None, state)
+    return result
+
+
+def told(trial: FrozenTrial) -> Result:
+    """Return the result of a trial, or its state, values and best evaluation so far."""
+    if "result" in trial.user_attrs:
+        return dict(trial.user_attrs["result"])
+    values = {k: json.loads(v) if isinstance(v, str) else v for k, v in trial.params.items()}
+    found: Result = {"number": trial.number, "state": STATES[trial.state], "values": values}
+    scores = trial.intermediate_values.values()
+    return {**found, "score": max(scores)} if scores else found
+
+
+def write_best(folder: Path, results: Sequence[Result]) -> Result:
+    """Write the recipe of the best trial as `best.yaml`; return the result of this trial.
+
+    Raises:
+        KinfeasError: If no trial is complete.
+    """
+    complete = [one for one in results if one["state"] == "complete"]
+    if not complete:
+        raise KinfeasError(f"{folder}: no trial is complete")
+    best = max(complete, key=lambda one: float(one["score"]))
+    sweep = config.load(SweepConfig, folder / SETTINGS)
+    with writing(folder):
+        config.dump(settings_of(sweep, best["values"]), folder / BEST)
+    return best
+
+
+def importances(folder: Path) -> dict[str, float]:
+    """Return the share of each key in the variance of the score; none for too few trials."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return optuna.importance.get_param_importances(open_study(folder))
+    except (ValueError, RuntimeError):
+        return {}
+
+
+def _drawn(sweep: SweepConfig, trial: Trial) -> dict[str, object]:
+    """Return the values of a trial; those drawn before a kill stay."""
+    values: dict[str, object] = {}
+    for index, (key, dimension) in enumerate(sweep.space.items()):
+        # A sampler for each value, so that a kill in between does not change the next one.
+        seed = int(np.random.SeedSequence([sweep.seed, trial.number, index]).generate_state(1)[0])
+        trial.study.sampler = (
+            optuna.samplers.TPESampler(seed=seed, n_startup_trials=5)
+            if sweep.sampler == "tpe"
+            else optuna.samplers.RandomSampler(seed=seed)
+        )
+        if all(values.get(other) == choice for other, choice in dimension.when.items()):
+            values[key] = dimension.draw(key, trial)
+    return values
+
+
+def _own_values(sweep: SweepConfig) -> dict[str, object]:
+    """Return the recipe's own values of the keys, where they are in the space."""
+    own: dict[str, object] = {}
+    for key, dimension in sweep.space.items():
+        value: Any = config.to_mapping(settings_of(sweep, {}))
+        for part in key.split("."):
+            value = value[int(part)] if isinstance(value, list) else value.get(part)
+        if value in dimension.choices:
+            own[key] = json.dumps(value)
+        elif dimension.low is not None and isinstance(value, int | float):
+            assert dimension.high is not None
+            if dimension.low <= value <= dimension.high:
+                own[key] = value
+    return own

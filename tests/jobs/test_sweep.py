@@ -1,0 +1,134 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from kinfeas import config
+from kinfeas.core.errors import KinfeasError
+from kinfeas.jobs.job import run_jobs
+from kinfeas.jobs.local import Local
+from kinfeas.training import train as training
+from kinfeas.training.config import TrainConfig
+from kinfeas.training.learner import DivergedError
+from tests.cli.conftest import TINY
+
+optuna = pytest.importorskip("optuna")
+sweep = pytest.importorskip("kinfeas.jobs.sweep")
+
+SWEEP = {
+    "robot": "hsr",
+    "settings": [*TINY[1::2], "schedule.steps=64", "schedule.minutes=null"],
+    "space": {
+        "learner.learning_rate": {"low": 1e-4, "high": 1e-3, "log": True},
+        "learner.batch_size": {"choices": [16, 32]},
+        "num_envs": {"low": 4, "high": 8},
+    },
+    "trials": 3,
+    "sampler": "random",
+    "pruner": "none",
+}
+
+
+def tiny(**changes):
+    return config.from_mapping(sweep.SweepConfig, {**SWEEP, **changes}, "tiny")
+
+
+def finished(folder, **changes):
+    return run_jobs(sweep.plan_trials(tiny(**changes), folder), Local())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep")
+    return folder, finished(folder)
+
+
+def told(results):
+    return [{key: value for key, value in one.items() if key != "policy"} for one in results]
+
+
+def test_the_first_trial_is_the_recipe_and_the_best_one_becomes_a_recipe(whole):
+    folder, results = whole
+    own = sweep.settings_of(tiny(), {})
+    assert results[0]["values"]["learner.learning_rate"] == own.learner.learning_rate
+    assert {one["state"] for one in results} == {"complete"}
+    assert len({one["values"]["learner.learning_rate"] for one in results}) == 3
+    best = sweep.write_best(folder, results)
+    assert best["score"] == max(one["score"] for one in results)
+    recipe = config.load(TrainConfig, folder / sweep.BEST)
+    assert recipe.learner.batch_size == best["values"]["learner.batch_size"]
+    assert recipe.num_envs == best["values"]["num_envs"]
+
+
+class KilledError(BaseException):
+    """Stands for a kill: nothing catches it."""
+
+
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [(training._Run, "_step"), (training._Run, "_save"), (optuna.Study, "tell"),
+     (optuna.Trial, "suggest_categorical")],
+)  # fmt: skip
+def test_a_killed_sweep_continues_to_the_same_results(whole, tmp_path, monkeypatch, owner, name):
+    function, calls = getattr(owner, name), []
+
+    def killed(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KilledError
+        return function(*arguments, **options)
+
+    with monkeypatch.context() as patch, pytest.raises(KilledError):
+        patch.setattr(owner, name, killed)
+        finished(tmp_path)
+    assert told(finished(tmp_path)) == told(whole[1])
+
+
+def test_a_sweep_can_be_extended_but_not_changed(tmp_path):
+    first = finished(tmp_path, trials=1)
+    assert finished(tmp_path, trials=2)[:1] == first
+    with pytest.raises(KinfeasError, match="other settings"):
+        sweep.plan_trials(tiny(seed=5), tmp_path)
+
+
+def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
+    losses = training.check_losses
+
+    def diverged(found, learner):
+        losses(found, learner)
+        if learner.batch_size == 32:
+            raise DivergedError("diverged")
+
+    monkeypatch.setattr(training, "LOG_SECONDS", 0.0)
+    monkeypatch.setattr(training, "check_losses", diverged)
+    monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 2)
+    space = {"learner.batch_size": {"choices": [16, 32]}}
+    settings = [*SWEEP["settings"], "schedule.evaluations=2"]
+    results = finished(tmp_path, trials=4, space=space, settings=settings)
+    states = {one["number"]: (one["state"], one["values"]["learner.batch_size"]) for one in results}
+    assert states[0] == ("complete", 16)
+    assert states[2] in {("pruned", 16), ("failed", 32)}
+    assert {state for state, _ in states.values()} == {"complete", "pruned", "failed"}
+
+
+@pytest.mark.parametrize(
+    ("space", "named"),
+    [
+        ({"learner.speed": {"choices": [1]}}, "learner.speed"),
+        ({"num_envs": {"low": 1, "high": -1}}, "low"),
+        ({"num_envs": {"choices": [0, 4]}}, "num_envs"),
+        ({"num_envs": {}}, "choices"),
+        ({"num_envs": {"choices": [4], "when": {"seed": 1}}}, "seed"),
+    ],
+)
+def test_the_wrong_key_or_value_is_named(tmp_path, space, named):
+    (tmp_path / "wrong.yaml").write_text(json.dumps({"space": space}))
+    with pytest.raises(KinfeasError, match=named):
+        sweep.read_sweep(str(tmp_path / "wrong.yaml"), ())
+
+
+@pytest.mark.parametrize("name", ["pr2", "paper"])
+def test_shipped_sweeps_are_valid(name):
+    read = sweep.read_sweep(f"sweep/{name}", ())
+    assert replace(read, trials=1).space
+    assert name != "paper" or read.space["world.max_failures"].choices == (1, 19, 99)
