@@ -193,6 +193,22 @@ def test_control_rate_changes_the_step_but_not_the_horizon(solver, dt):
     np.testing.assert_allclose(metres, coarse_metres, rtol=0.02)
 
 
+class Drawing(AnalyticBackend):
+    """Remembers the seeds that it is given, by row."""
+
+    def seed(self, seeds, env_ids):
+        self.seeds = dict(zip(env_ids.tolist(), seeds.tolist(), strict=True))
+
+
+def test_backends_that_draw_get_a_seed_for_each_episode(solver):
+    backend = Drawing()
+    loop = make_loop(solver, 4, backend)
+    first = backend.seeds
+    assert len(set(first.values())) == len(first) == 4
+    loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
+    assert backend.seeds == {1: first[2]}
+
+
 def test_errors_of_backends_name_them(solver):
     recorder = Recorder()
     loop = make_loop(solver, 4, recorder)
