@@ -48,7 +48,7 @@ def list_plugins(json: options.JsonPath = None) -> None:
             listed.append({**vars(plugin), "kind": kind, "description": text, "error": error})
             shown = Text(text) if error is None else Text(f"broken: {error}", "red")
             rows.append([plugin.name, f"{plugin.distribution} {plugin.version}", shown])
-        print_table(f"{kind}s", ["name", "from", "description"], rows)
+        print_table(f"{kind}s".replace("ys", "ies"), ["name", "from", "description"], rows)
     write_json(listed, json)
 
 

@@ -142,6 +142,8 @@ class _Run:
         with Logs(self.out, self.progress.steps) as logs, without_denormals():
             try:
                 self._loop(logs, report)
+                if report is not None:
+                    report(replace(self.progress, evaluating=True))
                 self._evaluate_best()
             except KeyboardInterrupt:
                 if self.observation is not None:

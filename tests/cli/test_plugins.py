@@ -27,7 +27,7 @@ def test_list_has_every_group(kinfeas, tmp_path):
     assert {one["group"] for one in found} == set(GROUPS)
     own = [one for one in found if one["distribution"] == "kinfeas"]
     assert all(one["description"] and one["error"] is None for one in own)
-    assert all(f"{kind}s" in outcome.out for kind in GROUPS.values())
+    assert all(f"{kind}s".replace("ys", "ies") in outcome.out for kind in GROUPS.values())
 
 
 def test_info_on_parameters(info):

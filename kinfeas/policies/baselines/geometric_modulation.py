@@ -267,7 +267,7 @@ class GeometricModulation:
 
 
 def geometric_modulation(robot: Robot) -> GeometricModulation:
-    """Return the policy for a robot; fitting its ellipses takes about two seconds."""
+    """Return the baseline that keeps the base between two reach ellipses; takes about 2 s."""
     return GeometricModulation(robot, fit_ellipses(robot))
 
 

@@ -63,7 +63,7 @@ class WholeBodyQp:
 
 
 def whole_body_qp(robot: Robot) -> WholeBodyQp:
-    """Return the policy for a robot."""
+    """Return the baseline that solves whole-body differential IK as a QP."""
     missing = [name for name in ("pinocchio", "pink", "qpsolvers", _SOLVER) if not find_spec(name)]
     if missing:
         raise KinfeasError(f'whole_body_qp needs {", ".join(missing)}: pip install "kinfeas[qp]"')
