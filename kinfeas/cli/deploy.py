@@ -39,7 +39,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
         str,
         typer.Option(
-            help="analytic, pybullet, ros2, ros1, or a plugin.",
+            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.",
             autocompletion=options.names_of("backends"),
         ),
     ] = "pybullet",

@@ -47,10 +47,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     time_scale: Annotated[
         float | None,
-        typer.Option(help="Relative EE speed.  [default: 1; PyBullet pr2 0.5]"),
+        typer.Option(help="Relative EE speed.  [default: 1; pr2 with physics 0.5]"),
     ] = None,
     without_objects: Annotated[
-        bool, typer.Option("--no-objects", help="PyBullet: leave out the furniture.")
+        bool, typer.Option("--no-objects", help="Physics: leave out the furniture.")
     ] = False,
     filters: options.Filters = None,
     gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
@@ -191,22 +191,23 @@ def _show_episode(
     """Run an episode again and write it as picture, film and page."""
     if picture is None and video is None and replay is None:
         return
+    from kinfeas.backends.physics.backend import PhysicsBackend
     from kinfeas.envs.world import World
     from kinfeas.evaluation.recording import record_episodes
     from kinfeas.viz.episodes import EpisodeFilm, episodes_figure
-    from kinfeas.viz.pages import episode_html, pybullet_html
-    from kinfeas.viz.pybullet_film import make_film
+    from kinfeas.viz.pages import episode_html, physics_html
+    from kinfeas.viz.physics_film import make_film
     from kinfeas.viz.style import png
 
     robot = chosen.robot
     world = World(robot, chosen.task, chosen.world, chosen.seed)
     try:
-        if chosen.world.backend == "pybullet":
+        if isinstance(world.backend, PhysicsBackend):
             with status(f"episode {number}"):
-                pybullet_film = make_film(world, policy, number)
-            _write_film(pybullet_film, video)
-            write_drawing(lambda: pybullet_html(pybullet_film).encode(), replay)
-            _write_film(pybullet_film, picture)
+                physics_film = make_film(world, policy, number)
+            _write_film(physics_film, video)
+            write_drawing(lambda: physics_html(physics_film).encode(), replay)
+            _write_film(physics_film, picture)
             return
         with status(f"episode {number}"):
             (recording,) = record_episodes(world, policy, 1, first=number)

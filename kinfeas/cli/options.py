@@ -97,7 +97,7 @@ PolicyName = Annotated[
 World = Annotated[
     str,
     typer.Option(
-        help="Backend: analytic, pybullet, or a plugin.",
+        help="Backend: analytic, pybullet, mujoco, or a plugin.",
         autocompletion=names_of("backends"),
     ),
 ]

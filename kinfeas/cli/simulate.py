@@ -33,15 +33,19 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     command_timeout: Annotated[
         float, typer.Option(min=0.0, help="Seconds without a command after which the base stops.")
     ] = 0.25,
-    gui: Annotated[bool, typer.Option("--gui", help="Show a window.")] = False,
+    world: Annotated[
+        str | None, typer.Option(help="pybullet or mujoco.  [default: the first installed]")
+    ] = None,
+    gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
     json: options.JsonPath = None,
 ) -> None:
-    """Simulate a robot behind ROS topics. PyBullet runs in real time.
+    """Simulate a robot behind ROS topics, with physics in real time.
 
     Programs for the real robot, such as kinfeas deploy, can drive it. Ctrl-C ends it.
 
     Example: kinfeas simulate --backend ros2 --robot pr2 --task door
     """
+    from kinfeas.core.start import episode_rng
     from kinfeas.sim2real.simulator import simulation
 
     if task is not None and scene is not None:
@@ -49,9 +53,10 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     known = options.read_robot(robot)
     link = simulation.robot_link(backend, known, topics)
     drawn_by = options.read_task(task, {}) if task is not None else None
-    world, state = simulation.spawn(known, drawn_by, scene, seed=seed, episode=episode, gui=gui)
+    rng = episode_rng(seed, episode)
+    room, state = simulation.spawn(known, drawn_by, scene, rng=rng, engine=world, gui=gui)
     config = simulation.SimulationConfig(rate, command_timeout, seconds)
-    player = simulation.SimulatedRobot(world, state, config)
+    player = simulation.SimulatedRobot(room, state, config)
 
     def ready() -> None:
         x, y = state.base_pose[0, :2]
@@ -60,6 +65,6 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     try:
         played = simulation.simulate(player, link, ready)
     finally:
-        world.close()
+        room.close()
     write_json(asdict(played), json)
     print_facts("simulated robot", asdict(played))

@@ -62,11 +62,12 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Train a base policy. Ctrl-C leaves a checkpoint to --resume from.
 
-    Recipes are sections of configs/robots: train, with --world pybullet train_physics, with --init
-    as well finetune_physics. Settings: every key of the recipe, such as learner.batch_size=256.
+    Recipes are sections of configs/robots: train, with --world pybullet or mujoco train_physics,
+    with --init as well finetune_physics. Settings: every key of the recipe, such as
+    learner.batch_size=256.
 
-    A run resumed in the analytic world equals one that was never interrupted. In PyBullet, episodes
-    in progress restart.
+    A resumed run equals one that was never interrupted. Only in PyBullet, and with several
+    processes, episodes in progress restart.
 
     Example: kinfeas train --robot pr2 --minutes 3 --out runs/pr2
 
@@ -131,6 +132,10 @@ def read_settings(  # noqa: PLR0913 - options of the command
     changes = [*options.assignments(given), *_duration(minutes, steps), *overrides]
     section = "train"
     if world != "analytic":
+        changes.insert(0, f"world.backend={world}")
+        # MuJoCo steps a batch on all cores, and only a world in this process can be saved.
+        if world == "mujoco" and processes is None:
+            changes.insert(0, "processes=1")
         section = "train_physics" if init is None else "finetune_physics"
     if config is None:
         name = options.read_robot(robot or options.DEFAULT_ROBOT).name
@@ -156,7 +161,7 @@ def _duration(minutes: float | None, steps: int | None) -> list[str]:
 
 
 def default_folder(settings: "TrainConfig") -> Path:
-    """Return `runs/ROBOT-TASK-SEED`, with `-pybullet` appended for a run with physics."""
+    """Return `runs/ROBOT-TASK-SEED`, with its engine appended for a run with physics."""
     robot, task = Path(settings.robot).stem, Path(settings.task).stem
     backend = settings.world.backend
     suffix = "" if backend == "analytic" else f"-{backend}"

@@ -8,8 +8,11 @@ from gymnasium.envs import registration
 ENVIRONMENT = "kinfeas/BaseMotion-v0"
 """Gymnasium id of the environment without physics."""
 
-PHYSICS_ENVIRONMENT = "kinfeas/BaseMotionPyBullet-v0"
-"""Gymnasium id of the environment in PyBullet."""
+PHYSICS_ENVIRONMENTS = {
+    "pybullet": "kinfeas/BaseMotionPyBullet-v0",
+    "mujoco": "kinfeas/BaseMotionMuJoCo-v0",
+}
+"""Gymnasium ids of the environments with physics, by backend."""
 
 
 def register() -> None:
@@ -20,13 +23,15 @@ def register() -> None:
             entry_point="kinfeas.viz.gym:RenderedMotionEnv",
             vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
         )
-    if PHYSICS_ENVIRONMENT not in registration.registry:
-        registration.register(
-            PHYSICS_ENVIRONMENT,
-            entry_point="kinfeas.envs.gym:BaseMotionEnv",
-            vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
-            kwargs={"backend": "pybullet"},
-        )
+    for backend, name in PHYSICS_ENVIRONMENTS.items():
+        if name not in registration.registry:
+            kind = "WindowedMotionEnv" if backend == "pybullet" else "RenderedMotionEnv"
+            registration.register(
+                name,
+                entry_point=f"kinfeas.viz.gym:{kind}",
+                vector_entry_point="kinfeas.envs.vector:BaseMotionVectorEnv",
+                kwargs={"backend": backend},
+            )
 
 
 register()

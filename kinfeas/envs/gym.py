@@ -38,7 +38,7 @@ class BaseMotionEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
         "render_modes": ["human", "rgb_array"] if _SCREEN else ["rgb_array"],
-        "render_fps": 50,  # at the default control period of PyBullet
+        "render_fps": 50,  # at the default control period of physics
     }
 
     def __init__(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control import observation
+from kinfeas.core.backend import Resumable
 from kinfeas.core.motion import Rows
 from kinfeas.envs.episodes import begin_worker
 from kinfeas.envs.world import Transition, World
@@ -37,8 +38,7 @@ class Batch:
     def __post_init__(self) -> None:
         """Set the scale of the observations."""
         self.scale = observation.scale(self.world.robot).astype(np.float32)
-        # The state of PyBullet cannot be saved.
-        self._saves_world = self.world.config.backend == "analytic"
+        self._saves_world = isinstance(self.world.backend, Resumable)
 
     def start(self) -> NDArray[np.float32]:
         """Begin fresh episodes everywhere and return their observations, shape (n, d)."""
@@ -78,7 +78,9 @@ class Batch:
         Without a state of the world the next episodes begin.
         """
         self.world.next_episode = int(snapshot["next_episode"])
-        return self._scaled(self.world.restore(snapshot)) if self._saves_world else self.start()
+        if self._saves_world and snapshot.keys() > {"next_episode"}:
+            return self._scaled(self.world.restore(snapshot))
+        return self.start()
 
     def _note_ends(self, infos: list[dict[str, Any]], transition: Transition, rows: Rows) -> None:
         """Write the ends of the episodes in `rows` as Stable-Baselines3 reads them."""
@@ -99,7 +101,7 @@ _worker: tuple[TrainConfig, int, int] | Batch  # of a worker process
 
 
 def begin_batch(config: TrainConfig, rows: int, first: int) -> None:
-    """Prepare a worker process for a batch of `rows` episodes in PyBullet, from `first` on."""
+    """Prepare a worker process for a batch of `rows` episodes with physics, from `first` on."""
     global _worker
     begin_worker(signal.SIG_IGN)  # its parent handles Ctrl-C
     _worker = config, rows, first

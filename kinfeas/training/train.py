@@ -109,7 +109,7 @@ class _Run:
         self.config, self.out = config, out
         self.env: EpisodesVecEnv = (
             WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
-            if config.world.backend == "analytic"
+            if config.processes == 1
             else ProcessVecEnv(config)
         )
         self.learner = make_learner(config.learner, self.env, config.seed)

@@ -165,7 +165,7 @@ class WorldVecEnv(EpisodesVecEnv):
 
 
 class ProcessVecEnv(EpisodesVecEnv):
-    """Episodes in PyBullet worlds, a batch in each of a few processes.
+    """Episodes in physics worlds, a batch in each of a few processes.
 
     Each process has its own episode numbers, so that a run is the same to the bit however fast the
     processes are. Snapshots hold the numbers of the next episodes only.

@@ -128,16 +128,16 @@ def watch(recording: Recording) -> Camera:
 
 
 def moment_image(
-    robot: Robot, recording: Recording, camera: Camera, moment: int
+    solids: Sequence[drawing.Solid], recording: Recording, camera: Camera, moment: int
 ) -> NDArray[np.uint8]:
-    """Return an image of one moment and the paths until then, shape (360, 480, 3)."""
+    """Return an image of solids at a moment and the paths until then, shape (360, 480, 3)."""
     heading, seen = camera
     with rc_context(STYLE):
         figure = Figure(figsize=(SIZE[0] / 100, SIZE[1] / 100), dpi=100)
         canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
         axes = drawing.add_axes(figure, (0.0, 0.0, 1.0, 1.0), heading, _ELEVATION)
         drawing.draw_floor(axes, seen)
-        drawing.draw_solids(axes, _robot(robot, recording, moment))
+        drawing.draw_solids(axes, solids)
         _draw_paths(axes, recording, moment + 1)
         drawing.show_all(axes, seen, SIZE[0] / SIZE[1])
         canvas.draw()
@@ -145,20 +145,34 @@ def moment_image(
 
 
 @dataclass(frozen=True, eq=False)
-class EpisodeFilm(Film):
-    """An episode in the analytic world."""
+class SolidsFilm(Film):
+    """An episode drawn as solids."""
 
-    robot: Robot
+    def solids(self, moment: int) -> Sequence[drawing.Solid]:
+        """Return what is visible at a moment."""
+        raise NotImplementedError
 
     def picture(self, moment: int) -> Image.Image:
         """Return the picture of one moment with the paths until then."""
         camera = watch(self.recording)
-        return Image.fromarray(moment_image(self.robot, self.recording, camera, moment))
+        return Image.fromarray(moment_image(self.solids(moment), self.recording, camera, moment))
 
 
-def _robot(
+@dataclass(frozen=True, eq=False)
+class EpisodeFilm(SolidsFilm):
+    """An episode in the analytic world."""
+
+    robot: Robot
+
+    def solids(self, moment: int) -> list[drawing.Solid]:
+        """Return the robot at a moment."""
+        return robot_at(self.robot, self.recording, moment)
+
+
+def robot_at(
     robot: Robot, recording: Recording, moment: int, colours: tuple[str, ...] = (BODY, ARM)
 ) -> list[drawing.Solid]:
+    """Return the solids of a robot at a moment of an episode; colours of body and arm."""
     pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
     return drawing.robot_solids(robot, pose, joints, colours)
 
@@ -193,7 +207,7 @@ def _draw_side(
 ) -> None:
     solids = list(furniture)
     for moment, *colours in _fading(recording):
-        solids += _robot(robot, recording, moment, tuple(colours))
+        solids += robot_at(robot, recording, moment, tuple(colours))
     ends = recording.desired[:, :3], recording.goals[:, :3]
     points = np.concatenate([drawing.corners(solids), *ends])
     floor = drawing.draw_floor(axes, points)
@@ -204,7 +218,7 @@ def _draw_side(
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
     for moment, body, arm in _fading(recording):
-        solids = _robot(robot, recording, moment, (body, arm))
+        solids = robot_at(robot, recording, moment, (body, arm))
         carried = [solid for solid in solids if solid.colour == body]
         if carried:
             _draw_outline(axes, drawing.corners(carried), (*to_rgb(body), 0.55), 2.0)

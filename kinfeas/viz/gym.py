@@ -1,10 +1,11 @@
-"""The analytic world as a Gymnasium environment with pictures."""
+"""Gymnasium environments with pictures."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.envs.gym import BaseMotionEnv, check_reset
 
 if TYPE_CHECKING:
@@ -31,10 +32,11 @@ class RenderedMotionEnv(BaseMotionEnv):
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of robot and goal, shape (360, 480, 3), in the mode `rgb_array`."""
         check_reset(self.world)
-        if self.render_mode is None:
+        if self.render_mode != "rgb_array":
             return None
         from kinfeas.evaluation.recording import Recording
-        from kinfeas.viz.episodes import moment_image, watch
+        from kinfeas.viz.episodes import moment_image, robot_at, watch
+        from kinfeas.viz.physics_film import solids, visible
 
         loop = self.world.loop
         state = loop.state
@@ -44,4 +46,16 @@ class RenderedMotionEnv(BaseMotionEnv):
         )  # fmt: skip
         if self._camera is None:  # it stays when the base moves
             self._camera = watch(now)
-        return moment_image(self.world.solver.robot, now, self._camera, 0)
+        backend = self.world.backend
+        if isinstance(backend, PhysicsBackend):
+            shapes, links = visible(backend)
+            seen = solids(shapes, links, backend.link_poses(0, links))
+        else:
+            seen = robot_at(self.world.robot, now, 0)
+        return moment_image(seen, now, self._camera, 0)
+
+
+class WindowedMotionEnv(RenderedMotionEnv):
+    """`RenderedMotionEnv` in PyBullet, which also has the render mode `human`."""
+
+    metadata = BaseMotionEnv.metadata

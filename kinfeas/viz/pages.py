@@ -21,7 +21,7 @@ from kinfeas.viz.film import result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
 
 if TYPE_CHECKING:
-    from kinfeas.viz.pybullet_film import PyBulletFilm
+    from kinfeas.viz.physics_film import PhysicsFilm
 
 _FLOOR = (245, 246, 248)
 _AROUND = 1.5  # m, of floor beyond the paths
@@ -30,7 +30,6 @@ _SCENE_FRAMES, _SCENE_RATE = 90, 30.0
 _TURN = 3.0  # rad, range of a joint without limits
 _RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest number
 _STILL = 1e-4  # m, and of a quaternion
-_WALL = 4.0  # m; longer boxes hide the room
 
 
 def scene_html(scene: Scene) -> str:
@@ -79,20 +78,12 @@ def episode_html(
         return _play(server, recording, recording.times if times is None else times, shapes, poses)
 
 
-def pybullet_html(film: "PyBulletFilm") -> str:
-    """Return the page of an episode in PyBullet, with everything that moves."""
-    from kinfeas.backends.pybullet import camera
-
-    shapes = [
-        ((one.body, one.link), one.shape, one.colour)
-        for one in camera.visual_shapes(film.physics)
-        if one.shape.kind != "box" or max(one.shape.size) <= _WALL
-    ]
-    links = list(dict.fromkeys(link for link, *_ in shapes))
+def physics_html(film: "PhysicsFilm") -> str:
+    """Return the page of an episode in a physics world, with everything that moves."""
+    shapes = [(one.link, one.shape, one.colour) for one in film.shapes]
 
     def poses(moment: int) -> Mapping[Any, Array]:
-        camera.show_moment(film.physics, film.moments[moment])
-        return dict(zip(links, camera.link_poses(film.physics, links), strict=True))
+        return dict(zip(film.links, film.moments[moment], strict=True))
 
     with _serving(film.title) as server:
         return _play(server, film.recording, film.recording.times, shapes, poses)

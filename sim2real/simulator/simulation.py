@@ -1,4 +1,4 @@
-"""A simulated robot in PyBullet that listens to the topics of a real one, in real time."""
+"""A simulated robot with physics that listens to the topics of a real one, in real time."""
 
 import math
 import threading
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.config.recipes import default_engine
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip, RobotState, build_backend
@@ -86,7 +87,7 @@ class JointSetpoints:
 
 
 class SimulatedRobot:
-    """A robot in PyBullet that executes orders, and counts them as in `SimulationResult`."""
+    """A robot in a physics world that executes orders, and counts them as in `SimulationResult`."""
 
     def __init__(
         self,
@@ -203,21 +204,23 @@ def spawn(
     task: Task | None = None,
     scene: str | None = None,
     *,
-    seed: int = 1,
-    episode: int = 0,
+    rng: np.random.Generator | None = None,
+    engine: str | None = None,
     gui: bool = False,
 ) -> tuple[PhysicsBackend, RobotState]:
-    """Return a world and the robot's state in it.
+    """Return a world of an engine, by default the first installed, and the robot's state in it.
 
-    The robot starts as in an episode of the task, or without a task at the origin of a scene, by
-    default an empty floor; an object there raises KinfeasError.
+    The robot starts as in an episode of the task, which `rng` draws, or without a task at the
+    origin of a scene, by default an empty floor; an object there raises KinfeasError.
     """
     around = read_scene(scene) if scene is not None else None
-    parameters = evaluation_world("pybullet", robot.name).backend_parameters
-    backend = build_backend("pybullet", {**parameters, "gui": gui}, robot=robot, scene=around)
-    assert isinstance(backend, PhysicsBackend)
+    engine = engine or default_engine()
+    parameters = evaluation_world(engine, robot.name).backend_parameters
+    backend = build_backend(engine, {**parameters, "gui": gui}, robot=robot, scene=around)
+    if not isinstance(backend, PhysicsBackend):
+        raise KinfeasError(f"backend {engine!r} has no physics")
     if task is not None:
-        start = backend.stage(task).sample(IkSolver(robot), episode_rng(seed, episode))
+        start = backend.stage(task).sample(IkSolver(robot), rng or episode_rng(0, 0))
         base, joints = start.base_pose, start.joint_positions
         return backend, backend.reset(base[np.newaxis], joints[np.newaxis])
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])

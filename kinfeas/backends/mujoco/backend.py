@@ -1,6 +1,6 @@
 """The MuJoCo world as a backend of the loop: n robots, stepped side by side on several cores."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,7 @@ from kinfeas.backends.physics.backend import Motion, PhysicsBackend
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.drives import ArmSetpoints
 from kinfeas.backends.physics.obstacles import stack
+from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
@@ -39,6 +40,12 @@ class MuJoCoBackend(PhysicsBackend):
     def sims(self) -> "Simulations":
         """The simulations; `reset` and `place` add the missing ones."""
         return Simulations(self.model, self.config, 1)
+
+    def open(self) -> None:
+        """Build the first simulation; a second call does nothing."""
+        if self._gui:
+            raise KinfeasError("the MuJoCo world has no window; use PyBullet, or --replay")
+        self._provide(0)
 
     def close(self) -> None:
         """End the simulations; a second call does nothing."""
@@ -87,6 +94,11 @@ class MuJoCoBackend(PhysicsBackend):
         self._reset(np.array([row]), base_pose[np.newaxis], joint_positions[np.newaxis])
         found = self._contacts(row)
         return not (found.base or found.arm)
+
+    def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
+        """Return the world poses of links of a row, shape (k, 7)."""
+        bodies, data = [self.model.body(*one) for one in links], self.sims.data(row)
+        return np.hstack([data.xpos[bodies], np.roll(data.xquat[bodies], -1, axis=1)])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""

@@ -156,8 +156,8 @@ class Model:
         )  # fmt: skip
 
     def body(self, name: str, link: str) -> int:
-        """Return the body of a link of an object."""
-        return int(self.engine.body(f"{name}:{link}").id)
+        """Return the body of a link of an object, or of the robot for an empty name."""
+        return int(self.engine.body(f"{name}:{link}" if name else _OWN + link).id)
 
     def root(self, name: str) -> int:
         """Return the body of the root link of an object."""

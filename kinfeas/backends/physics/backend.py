@@ -1,6 +1,7 @@
 """A physics world as a backend of the loop: checks, measurements and tasks with objects."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.robot import robot_state
 from kinfeas.backends.physics.stage import Stage, task_scene
+from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
@@ -55,7 +57,9 @@ class PhysicsBackend(ABC):
         """Return a task whose episodes also place its objects; call it before any other method."""
         if self._objects:
             self.scene = task_scene(task)
-        return Stage(task, self)
+        stage = Stage(task, self)
+        self.open()  # shows errors early
+        return stage
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -110,6 +114,10 @@ class PhysicsBackend(ABC):
             raise KinfeasError("poses, twists and joint positions must be finite numbers")
 
     @abstractmethod
+    def open(self) -> None:
+        """Build the first simulation; a second call does nothing."""
+
+    @abstractmethod
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
 
@@ -137,6 +145,10 @@ class PhysicsBackend(ABC):
 
         Returns whether the robot has no contact.
         """
+
+    @abstractmethod
+    def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
+        """Return the world poses of links of a row, shape (k, 7)."""
 
     @abstractmethod
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:

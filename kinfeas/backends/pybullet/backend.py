@@ -1,5 +1,6 @@
 """The PyBullet world as a backend of the loop: robots with inertia, motors and contacts."""
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
 from kinfeas.backends.physics.obstacles import stack
 from kinfeas.backends.physics.robot import PLANAR_JOINTS
-from kinfeas.backends.pybullet.camera import take_side_view
+from kinfeas.backends.physics.visuals import ROBOT, LinkName
 from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.simulation import Simulation
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances
@@ -52,14 +53,13 @@ class PyBulletBackend(PhysicsBackend):
                 one.handle(name, link, rigid=rigid)
         return self._sims[row]
 
+    def open(self) -> None:
+        """Build the first simulation, and its window; a second call does nothing."""
+        self.simulation(0)
+
     def contacts(self, env_id: int) -> Contacts:
         """Return the current contacts of a robot, except with the grasped link and the floor."""
         return self.sims[env_id].contacts()
-
-    def render(self, env_id: int, goal: Array) -> NDArray[np.uint8]:
-        """Return an RGB picture of a robot and its goal position (3,), shape (360, 480, 3)."""
-        base = self._measure(np.array([env_id])).base_pose[env_id, :3]
-        return take_side_view(self.sims[env_id].physics, base, goal)
 
     def handle(self, name: str, link: str, *, rigid: bool = True) -> None:
         """Set the link that closing grippers grasp, as in `PhysicsBackend`."""
@@ -90,6 +90,18 @@ class PyBulletBackend(PhysicsBackend):
             simulation.furniture.scene = scene
         simulation.reset(base_pose, joint_positions)
         return simulation.free()
+
+    def link_poses(self, row: int, links: Sequence[LinkName]) -> Array:
+        """Return the world poses of links of a row, shape (k, 7)."""
+        sim = self.sims[row]
+        body, furniture = sim.body, sim.furniture
+        at = [
+            (body.body, body.links[link])
+            if owner == ROBOT or furniture is None
+            else furniture.link(owner, link)
+            for owner, link in links
+        ]
+        return np.stack([sim.physics.link_pose(*one) for one in at])
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""

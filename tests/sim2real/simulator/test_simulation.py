@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.start import episode_rng
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
 from kinfeas.tasks.loading import load_task
@@ -124,8 +125,8 @@ def test_starts_as_an_episode_of_a_task():
     robot, task = load_robot("hsr"), load_task("drawer", {})
     places = []
     for episode in (0, 0, 1):
-        backend, state = spawn(robot, task, seed=1, episode=episode)
-        assert backend.sims[0].furniture is not None
+        backend, state = spawn(robot, task, rng=episode_rng(1, episode))
+        assert backend.scene is not None
         places.append(state.base_pose[0, 0])
         backend.close()
     assert places[0] == places[1] != places[2]

@@ -1,4 +1,4 @@
-"""The Gymnasium environment in PyBullet."""
+"""The Gymnasium environments with physics."""
 
 from dataclasses import replace
 
@@ -7,27 +7,35 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-pytest.importorskip("pybullet")
-
 from kinfeas.core.errors import KinfeasError
-from kinfeas.envs import PHYSICS_ENVIRONMENT
+from kinfeas.envs import PHYSICS_ENVIRONMENTS
 from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.world import evaluation_world
 
 
-def make(robot="hsr", **arguments):
-    return gymnasium.make(PHYSICS_ENVIRONMENT, robot=robot, **arguments)
+@pytest.fixture(params=["pybullet", "mujoco"])
+def engine(request):
+    pytest.importorskip(request.param)
+    return request.param
+
+
+@pytest.fixture
+def make(engine):
+    """A function that makes the environment of an engine."""
+    return lambda robot="hsr", **arguments: gymnasium.make(
+        PHYSICS_ENVIRONMENTS[engine], robot=robot, **arguments
+    )
 
 
 @pytest.mark.filterwarnings("error")
-def test_gymnasium_finds_nothing_wrong():
+def test_gymnasium_finds_nothing_wrong(make):
     env = make(render_mode="rgb_array")
     check_env(env.unwrapped)
     env.close()
 
 
-def test_steps_count_contacts_and_pictures_show_the_robot():
-    world = replace(evaluation_world("pybullet", "hsr"), max_seconds=0.1)
+def test_steps_count_contacts_and_pictures_show_the_robot(make, engine):
+    world = replace(evaluation_world(engine, "hsr"), max_seconds=0.1)
     env = make(task="door", world=world, render_mode="rgb_array")
     env.reset(seed=1)
     for last in (False, False, False, False, True):
@@ -41,7 +49,7 @@ def test_steps_count_contacts_and_pictures_show_the_robot():
     env.close()
 
 
-def test_every_observation_is_within_the_space():
+def test_every_observation_is_within_the_space(make):
     env = make().unwrapped
     rng = np.random.default_rng(1)
     seen, _ = env.reset(seed=3)
@@ -51,13 +59,14 @@ def test_every_observation_is_within_the_space():
     env.close()
 
 
-def test_no_filter_changes_commands_unless_the_world_has_one():
+def test_no_filter_changes_commands_unless_the_world_has_one(make, engine):
     assert not make("pr2").unwrapped.world.config.filters
-    own = evaluation_world("pybullet", "pr2")
+    own = evaluation_world(engine, "pr2")
     assert make("pr2", world=own).unwrapped.world.config.filters == own.filters
 
 
 def test_a_window_without_a_screen(monkeypatch):
+    pytest.importorskip("pybullet")
     monkeypatch.setenv("DISPLAY", ":77")
     with pytest.raises(KinfeasError, match="DISPLAY"):
         BaseMotionEnv("hsr", backend="pybullet", render_mode="human")

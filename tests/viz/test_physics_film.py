@@ -5,28 +5,30 @@ import pytest
 from PIL import Image
 
 from kinfeas.config import PluginSpec
+from kinfeas.envs.world import World, evaluation_world
 from kinfeas.policies.loading import load_policy
 from kinfeas.tasks.loading import load_task
-
-pytest.importorskip("pybullet")
-
-from kinfeas.backends.pybullet.camera import link_poses, show_moment
-from kinfeas.envs.world import World, evaluation_world
 from kinfeas.viz.film import captioned, count_pictures, result, write_film
-from kinfeas.viz.pages import pybullet_html
-from kinfeas.viz.pybullet_film import make_film
+from kinfeas.viz.pages import physics_html
+from kinfeas.viz.physics_film import make_film
 from kinfeas.viz.style import FAILURE
 
 
-def start(robot, task, seconds, **changes):
-    config = replace(evaluation_world("pybullet", robot.name), max_seconds=seconds, **changes)
+def start(robot, task, seconds, engine, **changes):
+    config = replace(evaluation_world(engine, robot.name), max_seconds=seconds, **changes)
     return World(robot, load_task(task), config, 1), load_policy("follow_ee", robot)
 
 
+@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
+def engine(request):
+    pytest.importorskip(request.param)
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def film(hsr):
+def film(hsr, engine):
     """One second in which the task is not done."""
-    world, policy = start(hsr, "door", 1)
+    world, policy = start(hsr, "door", 1, engine)
     yield make_film(world, policy, 0)
     world.close()
 
@@ -40,16 +42,14 @@ def test_a_film_has_the_episode(film):
     assert result(recording) == ("goal not reached, task not done", False)
 
 
-def test_paths_are_true_positions_without_sensor_errors(hsr):
+def test_paths_are_true_positions_without_sensor_errors(hsr, engine):
     lost = PluginSpec("localisation", {"drift": 0.5, "turn_drift": 0.5})
-    world, policy = start(hsr, "ggr", 1, adapters=(lost,))
+    world, policy = start(hsr, "ggr", 1, engine, adapters=(lost,))
     film = make_film(world, policy, 0)
-    body, recording = world.task.backend.sims[0].body, film.recording
-    for moment, base, ee in zip(film.moments, recording.base_pose, recording.ee_pose, strict=True):
-        show_moment(film.physics, moment)
-        seen = link_poses(film.physics, [(body.body, body.links[hsr.ee_frame])])
-        np.testing.assert_allclose(base[:2], body.planar()[:2], atol=1e-9)
-        np.testing.assert_allclose(ee[:3], seen[0, :3], atol=1e-6)
+    base, hand = (film.links.index(("", link)) for link in (hsr.base.frame, hsr.ee_frame))
+    recording, poses = film.recording, np.stack(film.moments)
+    np.testing.assert_allclose(recording.base_pose[:, :2], poses[:, base, :2], atol=1e-7)
+    np.testing.assert_allclose(recording.ee_pose[:, :3], poses[:, hand, :3], atol=1e-6)
     world.close()
 
 
@@ -85,22 +85,22 @@ def test_films_are_written(film, tmp_path, suffix):
     if suffix == ".mp4":
         av = pytest.importorskip("av")
     path, told = tmp_path / f"film{suffix}", []
-    write_film(replace(film, size=(96, 72)), path, told.append)
+    write_film(film, path, told.append)
     assert sum(told) == count_pictures(film, path)
     if suffix == ".mp4":
         with av.open(str(path)) as file:
             shown = [frame.width for frame in file.decode(video=0)]
-        assert set(shown) == {96}
+        assert set(shown) == {480}
         assert len(shown) > sum(told)  # the last picture stays
         return
     with Image.open(path) as image:
         assert getattr(image, "n_frames", 1) == (sum(told) if suffix == ".gif" else 1)
-        assert image.size == ((96, 72) if suffix == ".gif" else (2 * 96 + 6, 2 * 72 + 6))
+        assert image.size == ((480, 360) if suffix == ".gif" else (2 * 480 + 6, 2 * 360 + 6))
 
 
 def test_a_page_is_self_contained(film):
     pytest.importorskip("viser")
-    page = pybullet_html(film)
+    page = physics_html(film)
     assert page.lstrip().lower().startswith("<!doctype html")
     assert len(page) < 3_000_000
     assert 'src="http' not in page

@@ -1,0 +1,57 @@
+"""Visible shapes of a physics world, for pictures."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from kinfeas.backends.physics.robot import physics_urdf
+from kinfeas.robots.elements import Element, parse_xml, read_xml
+from kinfeas.robots.robot import Robot
+from kinfeas.robots.urdf import Shape, read_shape
+from kinfeas.scenes.scene import Scene
+
+ROBOT = ""
+"""Stands for the robot in place of the name of an object."""
+
+LinkName = tuple[str, str]
+"""Name of an object, or `ROBOT`, and of a link."""
+
+_GREY = (0.7, 0.7, 0.7)
+
+
+@dataclass(frozen=True, eq=False)
+class VisualShape:
+    """A visible primitive of a link, in its frame, and its colour as shares of 1."""
+
+    link: LinkName
+    shape: Shape
+    colour: tuple[float, float, float]
+
+
+def visual_shapes(robot: Robot, scene: Scene | None) -> list[VisualShape]:
+    """Return the visible primitives of robot and scene; meshes are left out."""
+    urdf, _ = physics_urdf(robot)
+    shapes = list(_shapes(ROBOT, parse_xml(urdf, "robot", str(robot.urdf_path))))
+    for name, one in scene.objects.items() if scene else ():
+        shapes += _shapes(name, read_xml(one.urdf_path, "robot"))
+    return shapes
+
+
+def _shapes(owner: str, urdf: Element) -> Iterator[VisualShape]:
+    colours = {one.get("name"): _colour(one) for one in urdf.xml.findall("material")}
+    for link in urdf.children("link"):
+        for visual in link.children("visual"):
+            shape, material = read_shape(visual), visual.xml.find("material")
+            colour = None if material is None else _colour(material)
+            if material is not None and colour is None:
+                colour = colours.get(material.get("name"))
+            if shape is not None:
+                yield VisualShape((owner, link.text("name")), shape, colour or _GREY)
+
+
+def _colour(material: Any) -> tuple[float, float, float] | None:
+    colour = material.find("color")
+    if colour is None:
+        return None
+    red, green, blue, *_ = map(float, colour.get("rgba").split())
+    return red, green, blue
