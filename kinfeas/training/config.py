@@ -102,6 +102,8 @@ class TrainConfig:
             times and a longer horizon. In an evaluation and on a robot each period has its own
             action.
         world: Control period, limits of an episode, adapters, reward and IK.
+        trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` and `mlflow`
+            are extras.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
             `learner.net_arch`.
         learner: Algorithm and hyperparameters.
@@ -116,6 +118,7 @@ class TrainConfig:
     processes: Annotated[int, Interval(low=1, high=MOST_PROCESSES)] = 1
     action_repeat: Annotated[int, Interval(low=1, high=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
+    trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
     init: str | None = None
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)

@@ -1,14 +1,19 @@
-"""Logs of a training run: `metrics.csv` and TensorBoard."""
+"""Logs of a training run: `metrics.csv`, and trackers such as TensorBoard."""
 
 import csv
+import hashlib
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from torch.utils.tensorboard import SummaryWriter
-
+from kinfeas import __version__, config
+from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import writing
+from kinfeas.training.config import TrainConfig
 
 LEARNER = ("train/actor_loss", "train/critic_loss", "train/ent_coef", "train/learning_rate")
 """Figures of SB3's own log that are kept."""
@@ -26,13 +31,113 @@ COLUMNS = (
 )  # fmt: skip
 """Columns of `metrics.csv`, in order."""
 
-_FLUSH_SECONDS = 10
+
+class Tracker(Protocol):
+    """Shows figures of a run; made of its folder, its settings and the steps it resumes from."""
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+
+    def close(self) -> None:
+        """End the run."""
+
+
+class TensorBoard:
+    """Event files in `tensorboard` in the folder of the run."""
+
+    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._folder = out / "tensorboard"
+        with writing(self._folder):
+            self._board = SummaryWriter(str(self._folder), purge_step=steps, flush_secs=10)
+            for name, value in _about(settings).items():
+                self._board.add_text(name, value, steps)
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+        with writing(self._folder):  # its thread passes on its errors
+            for key, value in figures.items():
+                self._board.add_scalar(key, value, steps)
+
+    def close(self) -> None:
+        """End the run."""
+        with writing(self._folder):
+            self._board.close()
+
+
+class Wandb:
+    """A run of Weights & Biases; its environment variables apply, such as WANDB_MODE."""
+
+    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
+        import wandb
+
+        self._run = wandb.init(
+            project="kinfeas",
+            name=str(out),
+            id=_identity(out),
+            resume="allow",
+            dir=out,
+            config={**config.to_mapping(settings), "version": __version__},
+        )
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+        self._run.log(dict(figures), step=steps)
+
+    def close(self) -> None:
+        """End the run."""
+        self._run.finish()
+
+
+class Mlflow:
+    """A run of MLflow, in the store that MLFLOW_TRACKING_URI names."""
+
+    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
+        from mlflow import MlflowClient
+
+        self._client, experiment = MlflowClient(), "kinfeas"
+        found = self._client.get_experiment_by_name(experiment)
+        number = found.experiment_id if found else self._client.create_experiment(experiment)
+        tags = {"kinfeas.run": _identity(out)}
+        runs = self._client.search_runs([number], f"tags.`kinfeas.run` = '{_identity(out)}'")
+        if runs:
+            self._run = runs[0].info.run_id
+            self._client.update_run(self._run, "RUNNING")
+        else:
+            self._run = self._client.create_run(number, tags=tags, run_name=str(out)).info.run_id
+            for name, value in {**_about(settings), "seed": settings.seed}.items():
+                self._client.set_tag(self._run, name, value)
+
+    def log(self, figures: Mapping[str, float], steps: int) -> None:
+        """Add figures by name."""
+        from mlflow.entities import Metric
+
+        now = int(1000.0 * time.time())
+        metrics = [Metric(key, value, now, steps) for key, value in figures.items()]
+        self._client.log_batch(self._run, metrics)
+
+    def close(self) -> None:
+        """End the run."""
+        self._client.set_terminated(self._run)
+
+
+TRACKERS: dict[str, Callable[[Path, TrainConfig, int], Tracker]] = {
+    "tensorboard": TensorBoard, "wandb": Wandb, "mlflow": Mlflow,
+}  # fmt: skip
+
+
+def check_trackers(settings: TrainConfig) -> None:
+    """Check that the libraries of a run's trackers are installed."""
+    for name in settings.trackers:
+        if find_spec(name) is None:
+            raise KinfeasError(f"the tracker {name} needs: pip install 'kinfeas[{name}]'")
 
 
 class Logs:
     """The logs of a run, open for writing; a context manager."""
 
-    def __init__(self, out: Path, steps: int) -> None:
+    def __init__(self, out: Path, settings: TrainConfig, steps: int) -> None:
         """Open them in the folder of a run that resumes from `steps`; later rows are dropped."""
         self.path = out / "metrics.csv"
         with writing(self.path):
@@ -46,11 +151,7 @@ class Logs:
             fresh.replace(self.path)
             self._file = self.path.open("a", newline="", encoding="utf-8")
         self._table = _table(self._file)
-        self._folder = out / "tensorboard"
-        with writing(self._folder):
-            self._board = SummaryWriter(
-                str(self._folder), purge_step=steps, flush_secs=_FLUSH_SECONDS
-            )
+        self.trackers = [TRACKERS[name](out, settings, steps) for name in settings.trackers]
 
     def __enter__(self) -> "Logs":
         return self
@@ -58,18 +159,30 @@ class Logs:
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):  # a full disk; `write` has raised for it
             self._file.close()
-        with writing(self._folder):
-            self._board.close()
+        for tracker in self.trackers:
+            tracker.close()
 
     def write(self, row: dict[str, float]) -> None:
         """Write one row of figures."""
         with writing(self.path):
             self._table.writerow(row)
             self._file.flush()
-        with writing(self._folder):  # its thread passes on its errors
-            for key, value in row.items():
-                if key != "steps":
-                    self._board.add_scalar(key, value, int(row["steps"]))
+        self.track({key: row[key] for key in row if key != "steps"}, int(row["steps"]))
+
+    def track(self, figures: Mapping[str, float], steps: int) -> None:
+        """Show figures that are not in `metrics.csv`."""
+        for tracker in self.trackers:
+            tracker.log(figures, steps)
+
+
+def _about(settings: TrainConfig) -> dict[str, str]:
+    """Return the version and the recipe of a run as texts."""
+    return {"version": __version__, "recipe": strict_yaml.to_text(config.to_mapping(settings))}
+
+
+def _identity(out: Path) -> str:
+    """Return a name of the run in a folder, the same when it resumes."""
+    return f"{out.name}-{hashlib.sha256(str(out.absolute()).encode()).hexdigest()[:10]}"
 
 
 def _table(file: Any) -> "csv.DictWriter[str]":

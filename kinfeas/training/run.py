@@ -176,10 +176,9 @@ def evaluations_due(config: TrainConfig, progress: Progress) -> int:
 
 
 def identity(config: TrainConfig) -> dict[str, object]:
-    """Return the settings that must not change when a run is resumed: all but the schedule."""
+    """Return the settings that must not change when a run is resumed: not schedule and trackers."""
     mapping = configuration.to_mapping(config)
-    del mapping["schedule"]
-    return mapping
+    return {key: mapping[key] for key in mapping if key not in ("schedule", "trackers")}
 
 
 def with_initial_policy(config: TrainConfig) -> TrainConfig:

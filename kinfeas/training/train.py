@@ -29,7 +29,7 @@ from kinfeas.training.learner import (
     take_network,
     without_denormals,
 )
-from kinfeas.training.logs import LEARNER, Logs
+from kinfeas.training.logs import LEARNER, Logs, check_trackers
 from kinfeas.training.run import (
     SETTINGS,
     Progress,
@@ -106,6 +106,7 @@ class _Run:
     """One training run in its folder."""
 
     def __init__(self, config: TrainConfig, out: Path) -> None:
+        check_trackers(config)
         self.config, self.out = config, out
         self.env: EpisodesVecEnv = (
             WorldVecEnv(training_world(config), config.num_envs, config.action_repeat)
@@ -139,12 +140,12 @@ class _Run:
 
     def go(self, report: Report | None) -> Progress:
         """Run to the end; an interruption leaves a checkpoint behind."""
-        with Logs(self.out, self.progress.steps) as logs, without_denormals():
+        with Logs(self.out, self.config, self.progress.steps) as logs, without_denormals():
             try:
                 self._loop(logs, report)
                 if report is not None:
                     report(replace(self.progress, evaluating=True))
-                self._evaluate_best()
+                self._evaluate_best(logs)
             except KeyboardInterrupt:
                 if self.observation is not None:
                     self._save()
@@ -248,7 +249,7 @@ class _Run:
             row = {f"evaluation/{key}": float(value) for key, value in figures.items()}
             logs.write(self._row() | row)
 
-    def _evaluate_best(self) -> None:
+    def _evaluate_best(self, logs: Logs) -> None:
         """Evaluate the best policy on episodes that did not select it."""
         best = find_folder(self.out / "checkpoints" / "best")
         trained, network = read_trained(best), read_network(best, self.env.robot)
@@ -258,6 +259,8 @@ class _Run:
         figures = _measured(evaluator(network, self.config.schedule.final_episodes))
         updated = replace(trained, fresh_evaluation=figures)
         copy_network(best, updated, self.out / "checkpoints" / "best")
+        fresh = {f"fresh/{key}": float(value) for key, value in figures.items()}
+        logs.track(fresh, self.progress.steps)
 
     def _row(self) -> dict[str, float]:
         p = self.progress
