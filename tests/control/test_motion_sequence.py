@@ -189,6 +189,16 @@ def test_a_head_start_delays_the_first_subgoal_only(robot):
     assert sequence.subgoal.tolist() == [1, 0]
 
 
+def test_a_head_start_is_for_each_episode_alone(robot):
+    sequence = begin(robot, 2, [SubgoalMotion(Linear())], head_start=0.3)
+    follow(sequence, 3)
+    sequence.start(poses(1), poses(1, 1)[:, np.newaxis], rngs([0]), np.array([0]))
+    before = sequence.desired
+    (after,) = follow(sequence, 1)
+    assert np.all(after[0] == before[0])
+    assert np.any(after[1] != before[1])
+
+
 @pytest.mark.parametrize(("settled_at", "stops_at"), [(2, 2), (0, 0), (99, 4)])
 def test_a_subgoal_that_ends_with_a_grip_goes_on_until_it_settles(robot, settled_at, stops_at):
     close, finish = (SubgoalMotion(Linear(), dwell=0.3, grip=grip) for grip in ("close", "open"))
