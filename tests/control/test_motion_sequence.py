@@ -160,6 +160,14 @@ def test_a_restart_is_the_same_in_any_row_and_touches_no_other(robot):
     np.testing.assert_array_equal(seen[:, rows], follow(begin(robot, 6), 300)[:, [0, 5]])
 
 
+def test_randomness_differs_between_rows_and_subgoals(robot):
+    sequence = MotionSequence([SubgoalMotion(Wander()), SubgoalMotion(Wander())], robot, HORIZON)
+    sequence.start(poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
+    first = sequence.goal
+    sequence.advance(everyone(sequence))
+    assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4
+
+
 @pytest.mark.parametrize("steps", [1, 250, 700])
 def test_snapshot_goes_on_to_the_bit(robot, steps):
     sequence, again = begin(robot), MotionSequence(chain(), robot, HORIZON)

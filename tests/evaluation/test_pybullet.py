@@ -39,15 +39,6 @@ def test_wrong_settings_are_named(wrong):
         read_settings("hsr", "pybullet", [wrong])
 
 
-@pytest.mark.slow
-def test_processes_change_nothing(chosen, policy, records):
-    ended = []
-    again = run(chosen, policy, 2, ended.append)
-    for key, values in vars(records).items():
-        np.testing.assert_array_equal(getattr(again, key), values, err_msg=key)
-    assert sum(ended) == 3
-
-
 def test_records(records):
     assert np.all((records.steps > 0) & (records.steps <= 200))
     assert np.all(records.max_deviation >= records.mean_deviation)

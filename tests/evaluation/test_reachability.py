@@ -17,11 +17,6 @@ def test_ceilings_of_the_documentation(robot):
     assert share.low < share.value < share.high or share.value == 1.0
 
 
-def test_pr2_reaches_few_goals_at_the_heights_of_the_paper_s_table():
-    high = ggr(heights=(1.2, 1.4))
-    assert measure_reachability(load_robot("pr2"), high, 24, 1).share.value < 0.5
-
-
 def test_a_pose_tolerance_ends_at_the_tolerance_of_the_goal():
     robot, task = load_robot("hsr"), ggr(heights=(0.05, 1.7))
     strict = measure_reachability(robot, task, 40, 1).reached

@@ -51,14 +51,3 @@ def test_goals_and_waypoints_are_those_of_the_world(robot, solver, task):
     for row in range(2):
         missed = found[row][:, np.newaxis] - np.array(seen)[:, row]
         assert np.all(np.abs(missed).max(axis=2).min(axis=1) == 0.0)
-
-
-def test_waypoints_end_at_the_goals_of_the_sub_goals(solver):
-    task = pick_place()
-    goals = draw_goals(solver, task, 4, 0)
-    every = draw_waypoints(solver, task, 4, 0)
-    found = every.reshape(4, 4, A_SUBGOAL, 7)
-    metres, radians = spatial.distance(found[:, :, -1], goals)
-    assert np.all((metres <= 0.025) & (radians <= np.deg2rad(12.0)))
-    assert np.all(spatial.distance(found[:, :, -2], goals)[0] > metres)
-    np.testing.assert_array_equal(draw_waypoints(solver, task, 2, 0), every[:2])

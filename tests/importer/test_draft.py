@@ -11,13 +11,12 @@ from kinfeas.importer.reach import (
     built_to_touch,
     comfortable,
     free_share,
-    useful_heights,
     with_pairs,
 )
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
-from kinfeas.robots.loading import load_robot, read_robot
+from kinfeas.robots.loading import read_robot
 from kinfeas.robots.urdf import parse_urdf
 from tests.importer.conftest import STUCK
 
@@ -118,13 +117,3 @@ def test_the_home_is_free_in_front_and_off_the_limits(hsr, monkeypatch):
     monkeypatch.setattr("kinfeas.importer.reach.self_collides", always)
     with pytest.raises(KinfeasError, match=r"hsr.*self-collision"):
         comfortable(hsr)
-
-
-def test_useful_heights_are_those_of_the_shipped_file(monkeypatch):
-    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 12)
-    robot = load_robot("tiago")
-    heights = useful_heights(robot)
-    low, high = robot.goal_heights["ggr_restricted"]
-    inside = (heights.at >= low) & (heights.at <= high)
-    assert heights.share[inside].mean() > 0.9
-    assert heights.share[heights.at > 1.8].max(initial=0.0) < 0.5

@@ -3,18 +3,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from kinfeas.control.drive import action_size, base_twist
 from kinfeas.control.observation import HORIZON
-from kinfeas.core.spatial import integrate, make_pose, planar_pose, relative, wrap, yaw
+from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
-from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.policies.baselines import whole_body_qp as qp
 from kinfeas.policies.baselines.following import DemonstratedBase, FollowEe, demonstrated_base
 from kinfeas.policies.baselines.geometric_modulation import (
     GeometricModulation,
-    approach,
     fit_ellipses,
     modulated,
 )
@@ -121,26 +119,6 @@ def test_modulation_never_leaves_the_ring():
         inner, outer = levels(place)
         assert inner.min() > 0.95
         assert outer.max() < 1.05
-
-
-def test_ik_reaches_far_more_within_the_ellipses():
-    robot, rng, n = load_robot("hsr"), np.random.default_rng(5), 6000
-    ellipses = ellipses_of("hsr")
-    low, high = robot.goal_heights["ggr"]
-    position = np.stack([np.zeros(n), np.zeros(n), rng.uniform(low, high, n)], axis=1)
-    ee = make_pose(position, Rotation.from_euler("xyz", rng.uniform(0.0, 2.0 * np.pi, (n, 3))))
-    x, y = rng.uniform(-1.0, 1.0, (2, n))
-    base = planar_pose(x, y, np.arctan2(-y, -x) - ellipses.bearing)
-    home = np.tile(robot.home["home"], (n, 1))
-    found = IkSolver(robot).solve(relative(ee, base), home).feasible
-    pitch, azimuth = approach(robot, ee)
-    shape = ellipses.at(ee[:, 2], pitch)
-    ahead = np.cos(azimuth) * x + np.sin(azimuth) * y
-    aside = np.cos(azimuth) * y - np.sin(azimuth) * x
-    outer = np.hypot((ahead - shape[:, 0]) / shape[:, 2], (aside - shape[:, 1]) / shape[:, 3])
-    inner = np.hypot(ahead / shape[:, 4], aside / shape[:, 5])
-    within = (outer < 1.0) & (inner > 1.0)
-    assert found[within].mean() > 2.5 * found[~within].mean()
 
 
 def test_the_model_of_the_qp_agrees_with_our_kinematics(robot):

@@ -155,12 +155,6 @@ def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
         read_robot(write(tmp_path, spec))
 
 
-@pytest.mark.parametrize("name", ["arm.urdf", "arm.urdf.xacro", "nobody"])
-def test_a_robot_is_a_yaml_file_or_a_known_name(name):
-    with pytest.raises(KinfeasError, match=name):
-        load_robot(name)
-
-
 def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path):
     robot = read_robot(write(tmp_path, crane()))
     before = np.array([0.5, 0.0, math.pi - 0.01])

@@ -1,4 +1,3 @@
-import hashlib
 import json
 import math
 import re
@@ -106,13 +105,3 @@ def test_the_example_observes_as_the_loop_does():
     joints = rng.normal(size=(50, 7))
     shown = [example["observe"](*row, angles) for *row, angles in zip(*poses, joints, strict=True)]
     np.testing.assert_allclose(shown, observe(Seen(*poses, joints)), atol=1e-12)
-
-
-def test_the_digest_can_be_computed_with_onnx_alone(pr2, tmp_path):
-    write_run(pr2, tmp_path)
-    export(tmp_path, pr2, tmp_path / "policy.onnx")
-    model = onnx.load(tmp_path / "policy.onnx")
-    (entry,) = (one for one in model.metadata_props if one.key == "kinfeas.digest")
-    model.metadata_props.remove(entry)
-    found = hashlib.sha256(model.SerializeToString()).hexdigest()
-    assert json.loads(entry.value) == f"sha256:{found}"

@@ -131,11 +131,6 @@ def test_a_base_may_leave_an_obstacle_that_it_touches(robot):
     assert backend.state.base_pose[0, 0] == pytest.approx(-robot.base.max_velocity * DT)
 
 
-def corner(x, y):
-    point, ahead = np.array([[[x, y]]]), np.array([[[1.0, 0.0]]])
-    return Fixed(lambda: ObstacleDistances(point, ahead, np.array([[KEPT]])))
-
-
 @pytest.mark.parametrize(("dt", "limit"), [(1e-3, "braking"), (1.0, "period")])
 def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
     way, ahead = 0.02, np.array([[[1.0, 0.0]]])
@@ -147,13 +142,6 @@ def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
     braking = min(base.max_acceleration, 0.5 * base.max_rotation_acceleration)
     expected = way / (2.0 * dt) if limit == "period" else np.sqrt(2.0 * 0.5 * braking * way)
     assert velocity == pytest.approx(expected)
-
-
-def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
-    held = constraints(robot, corner(0.3, 0.05)).hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
-    assert held[2] == pytest.approx(1.0)
-    limit = 0.05 * robot.base.max_rotation
-    assert held[0] * robot.base.max_velocity == pytest.approx(limit, rel=1e-3)
 
 
 def test_candidates_of_the_feasibility_filter_keep_the_distance(robot):
