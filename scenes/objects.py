@@ -85,14 +85,7 @@ class SceneObject:
 
     def link_poses(self) -> dict[str, Array]:
         """Return the world pose of each link, shape (7,)."""
-        poses, links = {self.urdf.root: self.pose}, [self.urdf.root]
-        for link in links:
-            for joint in self.urdf.on[link]:
-                origin = compose(poses[link], joint.origin)
-                position = self.joint_positions.get(joint.name, 0.0)
-                poses[joint.child] = compose(origin, joint.motion_at(position))
-                links.append(joint.child)
-        return poses
+        return self.urdf.link_poses(self.joint_positions, self.pose)
 
     def shapes(self) -> Iterator[tuple[str, Shape]]:
         """Yield the name of a link and a shape in world coordinates, for each shape."""

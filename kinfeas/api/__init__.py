@@ -105,8 +105,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
     from kinfeas.evaluation import evaluate as evaluation
 
     name = str(policy)
-    specs = options.read_adapters(_name(adapters))
-    overrides = options.with_filters(filters, options.assignments(settings or {}))
+    given = options.adapters_of_world(_name(adapters)) | dict(settings or {})
+    overrides = options.with_filters(filters, options.assignments(given))
     chosen, driver = evaluation.prepare(
         name,
         _name(robot) or options.robot_of(name),
@@ -116,9 +116,8 @@ def evaluate(  # noqa: PLR0913 - options of the command
         seed=seed,
         overrides=overrides,
     )
-    evaluation.check_adapters(specs, chosen.robot)
     ceiling = evaluation.reachability_of(chosen)
-    return evaluation.evaluate(chosen.within(specs), driver, name, ceiling, processes, on_done)
+    return evaluation.evaluate(chosen, driver, name, ceiling, processes, on_done)
 
 
 def export(

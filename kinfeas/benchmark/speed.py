@@ -88,7 +88,6 @@ class IkTiming:
 
 def measure_speed(
     robot: str,
-    network: Network | None = None,
     effort: Effort | None = None,
     on_part: Callable[[str], None] | None = None,
     *,
@@ -96,16 +95,14 @@ def measure_speed(
 ) -> list[Figure]:
     """Return all measurements: on one core, except training, which uses all.
 
-    The latency is that of `network`, by default of 256 x 256 random weights. `on_part` is called
-    with the name of each part at its beginning. `to_level` adds training times to levels of
-    success.
+    `on_part` is called with the name of each part at its beginning. `to_level` adds training times
+    to levels of success.
     """
     effort, known = effort or Effort(), load_robot(robot)
-    network = network or random_network(known)
     parts: dict[str, Callable[[], Iterator[Figure]]] = {
         "inverse kinematics": lambda: measure_ik(known, effort),
         "environment": lambda: measure_environments(known, effort),
-        "action": lambda: measure_action(known, network, effort),
+        "action": lambda: measure_action(known, random_network(known), effort),
         "training": lambda: measure_training(robot, effort),
     }
     if to_level:

@@ -20,7 +20,6 @@ from kinfeas.core.errors import KinfeasError
 if TYPE_CHECKING:
     from kinfeas.core.policy import Policy
     from kinfeas.evaluation.evaluate import EvalConfig, Summary
-    from kinfeas.evaluation.sim2real import Cost, Specs
     from kinfeas.viz.film import Film
 
 
@@ -75,8 +74,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Evaluate a policy.
 
-    The ceiling is the share of goals that some base pose reaches. With --adapters a table shows the
-    effect of each one. Pictures show the desired EE path dashed, the achieved one green.
+    The ceiling is the share of goals that some base pose reaches. Pictures show the desired EE path
+    dashed, the achieved one green.
 
     Settings: task.KEY and world.KEY: dt, max_failures, max_seconds, arm_settle_timeout, ik.KEY,
     filters, adapters, backend_parameters.KEY.
@@ -84,23 +83,20 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas evaluate --policy pretrained --task door --world pybullet
     """
     from kinfeas.evaluation.evaluate import (
-        check_adapters,
         default_episodes,
         prepare,
         reachability_of,
     )
     from kinfeas.evaluation.evaluate import evaluate as run
-    from kinfeas.evaluation.sim2real import measure_costs
 
     robot = robot or options.robot_of(policy)
-    specs = options.read_adapters(adapters)
-    check_adapters(specs, options.read_robot(robot))
     count = episodes or default_episodes(world)
     if episode >= count:
         raise KinfeasError(f"--episode must be below --episodes, {count}, not {episode}")
-    given = {"world.head_start": head_start, "world.time_scale": time_scale}
+    given: dict[str, object] = {"world.head_start": head_start, "world.time_scale": time_scale}
     given |= {"world.backend_parameters.objects": False if without_objects else None}
     given |= {"world.backend_parameters.gui": gui or None}
+    given |= options.adapters_of_world(adapters)
     settings = [*options.assignments(given), *options.with_filters(filters, overrides or [])]
     chosen, driver = prepare(
         policy, robot, task, world, episodes=count, seed=seed, overrides=settings
@@ -108,27 +104,11 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     with progress("ceiling") as advance:
         ceiling = reachability_of(chosen, advance)
     cores = 1 if gui else processes
-    if adapters is None:
-        with progress(f"{count} episodes", count) as advance:
-            summary = run(chosen, driver, policy, ceiling, cores, advance)
-        write_json(summary, json)
-        _show(summary)
-    else:
-        count = len(specs) * (1 + (len(specs) > 2)) + 2
-        with progress(f"{count} evaluations", count) as advance:
-
-            def within(some: "Specs") -> "Summary":
-                summary = run(chosen.within(some), driver, policy, ceiling, cores)
-                advance(1.0)
-                return summary
-
-            costs = measure_costs(within, specs)
-        summary = costs[-1].metrics
-        rows = [{"adapter": one.adapter, "left_out": one.left_out, **one.metrics} for one in costs]
-        write_json({**summary, "sim2real": adapters, "costs": rows}, json)
-        _show(summary)
-        _show_costs(adapters, costs)
-    _show_episode(chosen.within(specs), driver, episode, picture, video, replay)
+    with progress(f"{count} episodes", count) as advance:
+        summary = run(chosen, driver, policy, ceiling, cores, advance)
+    write_json(summary, json)
+    _show(summary)
+    _show_episode(chosen, driver, episode, picture, video, replay)
 
 
 def _show(summary: "Summary") -> None:
@@ -159,25 +139,6 @@ def _show(summary: "Summary") -> None:
 
 def _share(summary: Mapping[str, Any], key: str) -> str:
     return share(*(summary[f"{key}{end}"] for end in ("", "_low", "_high")))
-
-
-def _show_costs(name: str, costs: "list[Cost]") -> None:
-    rows = []
-    for cost in costs:
-        found, beside = cost.metrics, costs[-1 if cost.left_out else 0].metrics
-        difference = 100.0 * (found["success"] - beside["success"])
-        rows.append(
-            [
-                cost.label,
-                share(found["success"], found["success_low"], found["success_high"]),
-                "" if found is beside else f"{difference:+.1f}",
-                share(found["reached"]),
-                f"{1000.0 * found['mean_deviation_m']:.1f} mm",
-            ]
-        )
-    columns = ["adapter", " success", " points", " reached", " deviation"]
-    title = f"adapters of {name}: points relative to none, or to all for those left out"
-    print_table(title, columns, rows)
 
 
 def _show_episode(

@@ -159,6 +159,11 @@ def read_task(name: str, parameters: dict[str, object]) -> "Task":
     return load_task(name, parameters)
 
 
+def adapters_of_world(name: str | None) -> dict[str, object]:
+    """Return the adapters of `--adapters` by the key of an assignment; nothing for None."""
+    return {} if name is None else {"world.adapters": [vars(one) for one in read_adapters(name)]}
+
+
 def read_adapters(name: str | None) -> "tuple[PluginSpec, ...]":
     """Return a list of adapters by name or path; none for None."""
     from kinfeas.control.adapters import read_sim2real

@@ -146,7 +146,8 @@ def check(  # noqa: PLR0913, PLR0917 - each option is an argument
     write_json(told, json)
     rows = [[RULES[one.rule], _result(one), one.broken or ""] for one in findings]
     print_table(f"motion generator {name}", ["rule", "", "error"], rows)
-    write_drawing(lambda: _drawing(name, parameters, trial), picture)
+    if all(one.checked for one in findings):  # a severe violation ends the motions
+        write_drawing(lambda: _drawing(name, parameters, trial), picture)
     if broken:
         raise KinfeasError(f"{len(broken)} of {len(findings)} rules broken: {broken[0]}")
     typer.echo(f"motion generator {name} passes all {len(findings)} rules")

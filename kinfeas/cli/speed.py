@@ -6,21 +6,13 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, share, status, write_json
-from kinfeas.core.errors import KinfeasError
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.speed import Figure
-    from kinfeas.policies.network import Network
 
 
 def speed(
-    robot: options.PolicyRobotName = None,
-    policy: Annotated[
-        str | None,
-        typer.Option(
-            help="Run folder of the timed policy.  [default: 256 x 256 random weights]",
-        ),
-    ] = None,
+    robot: options.RobotName = options.DEFAULT_ROBOT,
     to_level: Annotated[
         bool,
         typer.Option(
@@ -33,33 +25,21 @@ def speed(
     """Time IK, environments, policy and training.
 
     IK is timed beside Pinocchio and PyBullet. Figures are the best of several repeats on one core.
-    Training uses the robot's recipe on all cores for half a minute. Steps are control periods.
-    With --to-level the recipe trains to its end, with an evaluation every five seconds, which does
-    not count as training time.
+    The policy has random weights. Training uses the robot's recipe on all cores for half a minute.
+    Steps are control periods. With --to-level the recipe trains to its end, with an evaluation
+    every five seconds, which does not count as training time.
 
     Example: kinfeas speed --robot hsr
     """
     from kinfeas.benchmark.speed import measure_speed
 
-    robot = robot or options.robot_of(policy)
-    network = None if policy is None else _read_network(policy, robot)
     with status("speed") as show:
         figures = measure_speed(
-            robot, network, on_part=lambda part: show(f"timing: {part}"), to_level=to_level
+            robot, on_part=lambda part: show(f"timing: {part}"), to_level=to_level
         )
     write_json({figure.key: figure.value for figure in figures if figure.key}, json)
     rows = [[figure.text, _text(figure)] for figure in figures]
     print_table(f"speed, robot {robot}", ["", " on this machine"], rows)
-
-
-def _read_network(policy: str, robot: str) -> "Network":
-    from kinfeas.policies.loading import load_policy
-    from kinfeas.policies.network import Network
-
-    network = load_policy(policy, options.read_robot(robot))
-    if not isinstance(network, Network):
-        raise KinfeasError(f"--policy {policy}: must be a run folder")
-    return network
 
 
 def _text(figure: "Figure") -> str:

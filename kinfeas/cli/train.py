@@ -127,8 +127,7 @@ def read_settings(  # noqa: PLR0913 - options of the command
         robot = options.robot_of(init)
     given: dict[str, object] = {"robot": robot, "task": task, "seed": seed, "init": init}
     given |= {"processes": processes, "learner.algorithm": algorithm}
-    if adapters is not None:
-        given["world.adapters"] = [vars(one) for one in options.read_adapters(adapters)]
+    given |= options.adapters_of_world(adapters)
     changes = [*options.assignments(given), *_duration(minutes, steps), *overrides]
     section = "train"
     if world != "analytic":

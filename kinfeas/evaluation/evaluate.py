@@ -1,10 +1,10 @@
 """Evaluation of a policy: metrics of its episodes in any world, beside the reachability bound."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
-from kinfeas.config import PluginSpec, from_mapping
+from kinfeas.config import from_mapping
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.core.backend import build_backend
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, summarize
@@ -29,6 +29,7 @@ class Summary(Metrics):
     world: str
     time_scale: float
     head_start: float
+    adapters: list[str]
     filters: list[str]
     backend_parameters: dict[str, object]
     ceiling: float | None
@@ -46,11 +47,6 @@ class EvalConfig:
     seed: int = 1
     world: WorldConfig = field(default_factory=evaluation_world)
     first: int = 0
-
-    def within(self, adapters: Sequence[PluginSpec]) -> "EvalConfig":
-        """Return the evaluation with more adapters around its own."""
-        world = replace(self.world, adapters=(*self.world.adapters, *adapters))
-        return replace(self, world=world)
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,7 @@ def prepare(  # noqa: PLR0913 - the options of the command
     """
     model = load_robot(robot)
     settings = read_settings(model.name, backend, overrides)
-    check_adapters(settings.world.adapters, model)
+    wrap(build_backend("analytic", {}), settings.world.adapters, model)  # raises its errors early
     count = default_episodes(backend) if episodes is None else episodes
     config = EvalConfig(model, load_task(task, settings.task), count, seed, settings.world)
     return config, load_policy(policy, model)
@@ -98,11 +94,6 @@ def prepare(  # noqa: PLR0913 - the options of the command
 def default_episodes(backend: str) -> int:
     """Return the default number of episodes: 500, or 50 in worlds with physics."""
     return 500 if backend == "analytic" else 50
-
-
-def check_adapters(adapters: Sequence[PluginSpec], robot: Robot) -> None:
-    """Check that adapters can be built."""
-    wrap(build_backend("analytic", {}), adapters, robot)
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
@@ -131,6 +122,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it
         "world": world.backend,
         "time_scale": execution.time_scale,
         "head_start": execution.head_start,
+        "adapters": [one.name for one in world.adapters],
         "filters": [one.name for one in world.filters],
         "backend_parameters": world.backend_parameters,
         **summarize(records),

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError, no_such
-from kinfeas.core.spatial import IDENTITY, Array, compose, relative, rotation
+from kinfeas.core.spatial import Array, compose, relative, rotation
 from kinfeas.robots.spec import Gripper
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
@@ -30,22 +30,12 @@ def place(
 
     Positions are rad or m, by joint name; all other joints are as near to 0 as possible.
     """
-    at = link_pose(urdf, frame, positions)
+    poses = urdf.link_poses(positions)
     return [
-        replace(shape, pose=relative(compose(link_pose(urdf, link, positions), shape.pose), at))
+        replace(shape, pose=relative(compose(poses[link], shape.pose), poses[frame]))
         for link in links
         for shape in urdf.links[link].shapes
     ]
-
-
-def link_pose(urdf: Urdf, link: str, positions: Mapping[str, float]) -> Array:
-    """Return the pose of a link in the frame of the root, shape (7,); positions as above."""
-    pose = IDENTITY
-    for joint in urdf.path_to(link):
-        leader, scale, offset = urdf.followed(joint)
-        position = positions.get(leader.name, leader.rest)
-        pose = compose(pose, joint.pose_at(scale * position + offset))
-    return pose
 
 
 @dataclass(frozen=True)
@@ -178,8 +168,8 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     closed, opened = _finger_positions(urdf, arm, fingers)
     links = urdf.rigid[arm.hand].union(*(urdf.below(finger.name) for finger in arm.fingers))
     shapes = place(urdf, sorted(links), arm.hand, {})
-    hand = link_pose(urdf, arm.hand, {})
-    wrist = relative(link_pose(urdf, arm.joints[-1].child, {}), hand)[:3]
+    poses = urdf.link_poses({})
+    wrist = relative(poses[arm.joints[-1].child], poses[arm.hand])[:3]
     at = np.array([_middle(urdf, arm, finger, opened) for finger in arm.fingers])
     several = len(at) > 1
     front = at.mean(axis=0) if several else _farthest(shapes, wrist)
@@ -241,8 +231,8 @@ def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:
     last = arm.joints[-1]
     if last.kind == "prismatic" or _off_axis(urdf, last).any():
         return reach
-    axis = rotation(link_pose(urdf, last.child, {})).apply(last.axis)
-    axis = rotation(link_pose(urdf, arm.hand, {})).inv().apply(axis)
+    poses = urdf.link_poses({})
+    axis = rotation(relative(poses[last.child], poses[arm.hand])).apply(last.axis)
     own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, {})
     parent = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, {})
     ahead = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
@@ -262,8 +252,8 @@ def _farthest(shapes: list[Shape], wrist: Array) -> Array:
 def _closing(urdf: Urdf, arm: Arm, x: Array) -> Array:
     """Return the direction in which a single jaw closes, shape (3,); 0 without a jaw."""
     for jaw in arm.fingers:
-        seen = relative(link_pose(urdf, jaw.child, {}), link_pose(urdf, arm.hand, {}))
-        axis = rotation(seen).apply(jaw.axis)
+        poses = urdf.link_poses({})
+        axis = rotation(relative(poses[jaw.child], poses[arm.hand])).apply(jaw.axis)
         return axis if jaw.kind == "prismatic" else np.cross(axis, x)
     return np.zeros(3)
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
-from kinfeas.importer.arm import Arm, link_pose, place
+from kinfeas.importer.arm import Arm, place
 from kinfeas.robots.elements import (
     Element,
     find_mesh,
@@ -113,7 +113,7 @@ def _first_body(urdf: Urdf, links: Mapping[str, Element]) -> str:
 
 def _is_planar(urdf: Urdf, joint: Joint) -> bool:
     """Return whether a joint slides along the floor or turns about the vertical."""
-    upright = abs(float(rotation(link_pose(urdf, joint.child, {})).apply(joint.axis)[2]))
+    upright = abs(float(rotation(urdf.link_poses({})[joint.child]).apply(joint.axis)[2]))
     return upright < _SLANT if joint.kind == "prismatic" else upright > 1.0 - _SLANT
 
 

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, make_pose, rotation
-from kinfeas.importer.arm import link_pose
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.reachability import at_goals, reachable
@@ -95,7 +94,8 @@ def _allowed(robot: Robot, one: str, other: str) -> float:
 
 def _in_line(urdf: Urdf, slides: Iterable[Joint]) -> bool:
     """Return whether prismatic joints have parallel axes, as the parts of a telescope have."""
-    along = [rotation(link_pose(urdf, joint.child, {})).apply(joint.axis) for joint in slides]
+    poses = urdf.link_poses({})
+    along = [rotation(poses[joint.child]).apply(joint.axis) for joint in slides]
     return all(abs(float(along[0] @ other)) > _PARALLEL for other in along)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
-from kinfeas.core.spatial import Array, compose, make_pose
+from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose
 from kinfeas.robots.elements import Element, read_xml
 
 ShapeKind = Literal["box", "cylinder", "sphere"]
@@ -172,6 +172,23 @@ class Urdf:
     def below(self, joint: str) -> frozenset[str]:
         """Return the links that the joint of this name carries."""
         return frozenset(_descendants(self.on, self.joints[joint].child))
+
+    def link_poses(
+        self, positions: Mapping[str, float], root_pose: Array = IDENTITY
+    ) -> dict[str, Array]:
+        """Return the poses of all links in the frame that `root_pose` is in, shape (7,) each.
+
+        Positions are rad or m by joint; by default mimic joints follow, and others are at `rest`.
+        """
+        poses, links = {self.root: root_pose}, [self.root]
+        for link in links:
+            for joint in self.on[link]:
+                leader, scale, offset = self.followed(joint)
+                following = scale * positions.get(leader.name, leader.rest) + offset
+                motion = joint.motion_at(positions.get(joint.name, following))
+                poses[joint.child] = compose(compose(poses[link], joint.origin), motion)
+                links.append(joint.child)
+        return poses
 
     def followed(self, joint: Joint) -> tuple[Joint, float, float]:
         """Return the joint at the end of the mimic chain (or `joint`), multiplier and offset."""

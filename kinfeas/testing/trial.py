@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.errors import PLUGIN_ERRORS, KinfeasError
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, integrate, make_pose
 
 
@@ -56,33 +56,25 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """t steps of n motions: world poses (t + 1, n, 7), twists (t, n, 6) and goals (n, 7).
-
-    `broken` is the error that ended the motions, or None.
-    """
+    """t steps of n motions: world poses (t + 1, n, 7), twists (t, n, 6) and goals (n, 7)."""
 
     ee_pose: Array
     twist: Array
     goal: Array
-    broken: str | None
 
 
 def sample_motions(motion: CheckedMotion, trial: Trial) -> Samples:
-    """Return the motions of a trial up to the first error of a step."""
+    """Return the motions of a trial."""
     ee_pose, targets = trial.poses()
     rngs = [np.random.default_rng([trial.seed, row]) for row in range(len(targets))]
     state = motion.start(ee_pose.copy(), targets.copy(), rngs)
-    goal, poses, twists, broken = motion.goal_pose(state, targets), [ee_pose], [], None
-    dt = np.full(len(targets), trial.dt)
-    try:
-        for _ in range(trial.steps):
-            twist, state = motion.twist(state, ee_pose, targets, dt)
-            ee_pose = integrate(ee_pose, twist, trial.dt)
-            poses.append(ee_pose)
-            twists.append(twist)
-    except PLUGIN_ERRORS as error:
-        broken = describe(error, motion.subject)
-    return Samples(np.stack(poses), np.array(twists).reshape(-1, len(goal), 6), goal, broken)
+    goal, poses, twists = motion.goal_pose(state, targets), [ee_pose], []
+    for _ in range(trial.steps):
+        twist, state = motion.twist(state, ee_pose, targets, np.full(len(targets), trial.dt))
+        ee_pose = integrate(ee_pose, twist, trial.dt)
+        poses.append(ee_pose)
+        twists.append(twist)
+    return Samples(np.stack(poses), np.stack(twists), goal)
 
 
 def describe(error: BaseException, subject: str) -> str:

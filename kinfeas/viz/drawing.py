@@ -81,18 +81,9 @@ def robot_parts(robot: Robot) -> list[Part]:
 
 def link_poses(robot: Robot, base_pose: Array, joint_positions: Array) -> dict[str, Array]:
     """Return the world poses (7,) of a robot's links by name; arguments as in `robot_solids`."""
-    urdf, names = robot.urdf, (joint.name for joint in robot.arm)
+    names = (joint.name for joint in robot.arm)
     positions = {**robot.fixed_joints, **dict(zip(names, joint_positions.tolist(), strict=True))}
-    poses, links = {urdf.root: base_pose}, [urdf.root]
-    for link in links:
-        for joint in urdf.on[link]:
-            leader, multiplier, offset = urdf.followed(joint)
-            position = multiplier * positions.get(leader.name, 0.0) + offset
-            poses[joint.child] = compose(
-                poses[link], joint.pose_at(positions.get(joint.name, position))
-            )
-            links.append(joint.child)
-    return poses
+    return robot.urdf.link_poses(positions, base_pose)
 
 
 def scene_solids(scene: Scene) -> Iterator[tuple[str, Solid]]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -97,8 +96,6 @@ def motion_figure(name: str, samples: Samples, trial: Trial) -> Figure:
         for axes in below if moving.any() else ():
             axes.set_xlim(right=1.05 * max(time[moving][-1], trial.dt))
         title = f"{name}: {len(samples.goal)} sample motions, each to its goal (diamond)"
-        if samples.broken is not None:
-            title = fill(f"{title}; it ends early: {samples.broken}", 120)
         figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     return figure
 

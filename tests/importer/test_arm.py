@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.importer.arm import find_arm, link_pose, read_hand
+from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import parse_urdf
@@ -74,7 +74,7 @@ def test_link_poses_are_those_of_forward_kinematics():
     home = robot.home["home"]
     positions = {joint.name: at for joint, at in zip(robot.arm, home, strict=True)}
     expected = forward(build_chain(robot), home[np.newaxis])[0]
-    found = link_pose(robot.urdf, robot.ee_frame, robot.fixed_joints | positions)
+    found = robot.urdf.link_poses(robot.fixed_joints | positions)[robot.ee_frame]
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
