@@ -315,11 +315,12 @@ class Simulations:
 
     def _grasp_force(self, row: int) -> float:
         """Return the force between hand and object, N."""
-        self.batch.get_data(row, self._scratch)
-        mujoco.mj_forward(self.model.engine, self._scratch)
-        equal = self._scratch.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        forces = self._scratch.efc_force[equal & (self._scratch.efc_id == self.model.grasp)]
-        return float(np.linalg.norm(forces[:3]))
+        engine, data, grasp = self.model.engine, self._scratch, self.model.grasp
+        engine.eq_data[grasp] = self._ends[row]
+        self.batch.get_data(row, data)
+        mujoco.mj_forward(engine, data)
+        equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        return float(np.linalg.norm(data.efc_force[equality & (data.efc_id == grasp)][:3]))
 
     def _pose(self, body: int) -> Array:
         data = self._scratch
