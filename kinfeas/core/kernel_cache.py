@@ -14,7 +14,7 @@ import numba
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import try_lock
 
-_POLL, _DEADLINE = 0.02, time.monotonic() + 60.0
+_POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""
 
 
