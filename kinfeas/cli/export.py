@@ -27,6 +27,8 @@ def export(
 ) -> None:
     """Write or verify a policy as ONNX file. The file describes itself.
 
+    Its model card has the same name with the suffix .md.
+
     The file answers as the training policy does, to 1e-5. It runs with onnxruntime alone, and
     --policy of other commands takes it.
 
@@ -42,6 +44,8 @@ def export(
         told = {**facts(found, out), "parity": deviation}
         write_json(told, json)
         _show(f"exported: {out}", told)
+        if card := _write_card(found, out):
+            typer.echo(str(card))
     else:
         raise KinfeasError("give POLICY and --out FILE to export, or --check FILE to verify")
 
@@ -57,6 +61,18 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolic
 
     folder = pretrained.find(known.name) if policy == pretrained.NAME else Path(policy)
     return run(folder, known, out)
+
+
+def _write_card(policy: "OnnxPolicy", out: Path) -> Path | None:
+    """Write the model card beside a file, unless that is a device or a pipe; return its path."""
+    from kinfeas.io.files import replaced, write_file
+    from kinfeas.sim2real.card import model_card
+
+    if replaced(out) is None:
+        return None
+    card = out.with_suffix(".md")
+    write_file(card, model_card(policy.metadata).encode())
+    return card
 
 
 def _check(path: Path, robot: str | None, json: Path | None) -> None:

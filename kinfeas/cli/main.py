@@ -18,6 +18,7 @@ from kinfeas.cli.deploy import deploy
 from kinfeas.cli.evaluate import evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.fit import fit
+from kinfeas.cli.hub import pull, push
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
 from kinfeas.cli.simulate import simulate
@@ -33,7 +34,8 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, deploy, simulate, view, fit,
+    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, push, pull, deploy, simulate,
+    view, fit,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

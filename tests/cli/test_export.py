@@ -17,6 +17,7 @@ def file(kinfeas, tmp_path):
 
 def test_export_and_check_show_the_same_metadata(kinfeas, file, tmp_path):
     exported = json.loads((tmp_path / "out.json").read_text())
+    assert (tmp_path / "hsr.md").read_text().startswith("---")
     assert 0.0 <= exported.pop("parity") <= 1e-5
     assert exported["robot"]["name"] == "hsr"
     outcome = kinfeas(
