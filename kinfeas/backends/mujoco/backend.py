@@ -159,7 +159,7 @@ class MuJoCoBackend(PhysicsBackend):
         for one, other in bodies[(owner[bodies] == ROBOT).any(axis=1)].tolist():
             own, beyond = (one, other) if owner[one] == ROBOT else (other, one)
             if beyond != spared:
-                found[on_arm[own]].append((own, int(owner[beyond]), beyond))
+                found[int(on_arm[own])].append((own, int(owner[beyond]), beyond))
         return Contacts(frozenset(found[0]), frozenset(found[1]))
 
     def _provide(self, row: int) -> None:

@@ -5,7 +5,7 @@ from kinfeas.backends.physics.stage import Stage
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.scenes.scene import read_scene
 from kinfeas.tasks.loading import load_task
-from tests.backends.pybullet.conftest import place, stay
+from tests.backends.conftest import place, stay
 
 
 def push(world, force, ticks):

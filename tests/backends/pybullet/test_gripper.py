@@ -3,7 +3,7 @@ import pytest
 
 from kinfeas.backends.pybullet.physics import ROOT
 from kinfeas.core import spatial
-from tests.backends.pybullet.conftest import place, stay
+from tests.backends.conftest import place, stay
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from kinfeas.backends.pybullet.contacts import contacts
 from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter
 from kinfeas.control.loop import Loop
@@ -10,7 +9,7 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
-from tests.backends.pybullet.conftest import stay, twist
+from tests.backends.conftest import place, stay, twist
 
 WALL = -2.95  # m, x of the wall's front
 
@@ -28,28 +27,24 @@ def test_a_robot_alone_touches_nothing_and_has_no_obstacles(world, begin):
 def test_a_base_in_a_wall_touches_it(world, begin):
     begin(x=-2.3)
     stay(world, 150, twist(-0.2))
-    wall = world.sims[0].furniture.link("wall", "wall")
-    assert {body for _, body, _ in world.contacts(0).base} == {wall[0]}
+    assert world.touched() == ["wall"]
+    assert len({body for _, body, _ in world.contacts(0).base}) == 1
     assert not world.contacts(0).arm
-    assert not contacts(world.sims[0].body, [wall]).base
 
 
 def test_an_arm_in_a_wall_touches_it(world, begin, between_fingers):
     begin(wall=np.array([*between_fingers[:2], 0.0, 0.0, 0.0, 0.0, 1.0]))
     stay(world, 2)
-    touched = {body for _, body, _ in world.contacts(0).arm}
-    assert world.sims[0].furniture.bodies["wall"] in touched
+    assert world.touched() == ["wall"]
+    assert world.contacts(0).arm
     assert world.obstacle_distances(0.02).distance.size == 0  # only the base counts
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -2.6])
 def test_distance_and_normal_of_a_wall(world, begin, yaw):
     begin(x=-2.3, yaw=yaw)
-    near, sim = world.obstacle_distances(1.0), world.sims[0]
-    wall = sim.furniture.bodies["wall"]
-    nearest = sim.physics.client.getClosestPoints(sim.body.body, wall, 1.0)
-    nearest = [point for point in nearest if point[3] not in sim.body.arm_links]
-    assert near.distance.shape[1] > len(nearest) > 0  # rays from corners, too
+    near = world.obstacle_distances(1.0)
+    assert near.distance.shape[1] > 1  # rays from corners, too
     heading = np.array([np.cos(yaw), np.sin(yaw)])
     to_world = np.array([heading, [-heading[1], heading[0]]])
     normals, points = near.normal[0] @ to_world, near.closest_point[0] @ to_world + [-2.3, 0.0]
@@ -63,21 +58,22 @@ def test_contacts_begin_where_the_distance_ends(world, begin):
     assert world.obstacle_distances(distance - 0.01).distance.size == 0
     assert world.obstacle_distances(distance + 0.01).distance.size > 0
     begin(x=-2.3 - distance + 3e-4)
-    assert world.sims[0].free()
+    assert not world.touched()
     begin(x=-2.3 - distance - 2e-3)
-    assert not world.sims[0].free()
+    assert world.touched()
     assert world.obstacle_distances(1.0).distance.min() < 0.0
 
 
-def test_the_grasped_link_and_objects_beneath_are_no_obstacles(world, begin, monkeypatch):
-    begin(x=-2.3)
-    sim = world.sims[0]
-    assert world.obstacle_distances(1.0).distance.size > 0
-    monkeypatch.setattr(sim, "_handled", sim.furniture.link("wall", "wall"))
+def test_the_grasped_link_and_objects_beneath_are_no_obstacles(hsr, scene, opened):
+    world = opened(hsr, scene)
+    world.handle("wall", "wall")
+    place(world, x=-2.3)
     assert world.obstacle_distances(1.0).distance.size == 0
-    monkeypatch.undo()
-    begin(bar=np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0]))
-    assert sim.physics.client.getClosestPoints(sim.body.body, sim.furniture.bodies["bar"], 0.3)
+    place(world, x=-2.5)
+    stay(world, 5)
+    assert not (world.contacts(0).base or world.touched())
+    sunk = scene.with_poses({"bar": np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0])})
+    place(world, scene=sunk)
     assert world.obstacle_distances(0.3).distance.size == 0
 
 

@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 
+from kinfeas.backends.physics.visuals import ROBOT
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
-from tests.backends.pybullet.conftest import place, stay, twist
+from tests.backends.conftest import place, stay, twist
 
 DT = 0.02
 
@@ -37,15 +38,14 @@ def test_a_reset_is_measured(world, begin):
 @pytest.mark.parametrize("name", ["pr2", "tiago", "hsr"])
 def test_the_hand_agrees_with_the_kinematics_and_holds_its_position(name, opened):
     world = opened(load_robot(name))
-    solver, rng, body = IkSolver(world.robot), np.random.default_rng(0), world.sims[0].body
+    solver, rng = IkSolver(world.robot), np.random.default_rng(0)
     for _ in range(10):
         joints = random_joints(solver, rng)
         base = spatial.planar_pose(*rng.uniform(-1.5, 1.5, (3, 1)))
         before = ee_pose(solver, world.reset(base, joints[np.newaxis]))
-        link = body.links[solver.robot.ee_frame]
         for _ in range(25):
             state = world.step(twist(), joints[np.newaxis], DT)
-        measured = body.physics.link_pose(body.body, link)[np.newaxis]
+        measured = world.link_poses(0, [(ROBOT, solver.robot.ee_frame)])
         metres, radians = spatial.distance(ee_pose(solver, state), measured)
         assert metres[0] <= 1e-6
         assert radians[0] <= 1e-6
@@ -82,35 +82,28 @@ def test_positions_are_the_integral_of_velocities(world, begin):
 
 
 def play(world, scene, seed):
-    """Return all measurements of an episode in which the robot pushes a bar."""
-    rng, sim = np.random.default_rng(seed), world.sims[0]
+    """Return all measurements of an episode in which the robot pushes and grasps a bar."""
+    rng = np.random.default_rng(seed)
     bar = np.array([0.6, *rng.uniform(-0.1, 0.1, 1), 0.05, 0.0, 0.0, 0.0, 1.0])
-    sim.furniture.scene = scene.with_poses({"bar": bar})
-    place(world)
-    sim.gripper.close()
+    place(world, scene=scene.with_poses({"bar": bar}))
+    world.grip("close", np.array([0]))
     seen, touched = [], 0
     for _ in range(150):
         (state,) = stay(world, 1, twist(0.2, 0.0, rng.uniform(-0.2, 0.2)))
         measured = (state.base_pose, state.joint_positions, state.joint_velocities)
-        bar = sim.furniture.link_pose("bar", "bar")
+        bar, _ = world.object_motion(0, "bar")
         seen.append(np.concatenate([bar, *(one.ravel() for one in measured)]))
-        touched += len(sim.contacts().base)
+        touched += len(world.contacts(0).base)
     assert touched > 0
     return np.array(seen)
 
 
-def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, between_fingers, opened):
-    """Whatever happened before: contacts, a grasp, another control period."""
+def test_equal_episodes_are_equal_to_the_bit(hsr, scene, world, begin, opened):
+    """Whatever happened before: contacts, another control period."""
     solver, rng = IkSolver(hsr), np.random.default_rng(0)
     for _ in range(20):  # sometimes inside a wall
         begin(*rng.uniform(-1.5, 1.5, 3), joints=random_joints(solver, rng))
         stay(world, 1, twist(0.2, 0.1, 0.3))
-    begin(bar=between_fingers)
-    world.sims[0].gripper.close()
-    for _ in range(40):
-        stay(world, 1)
-        if world.sims[0].grasp.held is None:
-            world.sims[0].grasp.hold(*world.sims[0].furniture.link("bar", "bar"))
     play(world, scene, 5)
     stay(world, 2, dt=0.1)
     later = play(world, scene, 7)

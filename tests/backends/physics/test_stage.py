@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.physics.stage import check_task, task_scene
-from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
@@ -13,7 +12,7 @@ from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.scenes.scene import read_scene
 from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place, SuccessCondition, TaskScene
 from kinfeas.tasks.loading import load_task
-from tests.backends.pybullet.conftest import stay
+from tests.backends.conftest import stay
 
 FIXED = {"object": "pick_table", "link": "table"}
 
@@ -24,8 +23,8 @@ def solver():
 
 
 @pytest.fixture(scope="module", params=["pick_place", "door", "drawer"])
-def stage(request, solver):
-    made = PyBulletBackend(solver.robot).stage(load_task(request.param))
+def stage(request, solver, engine):
+    made = engine(solver.robot).stage(load_task(request.param))
     yield made
     made.backend.close()
 
@@ -40,13 +39,14 @@ def test_episodes_start_free_of_collisions_and_not_done(stage, solver):
     assert stage.drawn()[0] == "room"
     assert (stage.name, stage.subgoals) == (stage.task.name, stage.task.subgoals)
     for seed in range(5):
-        start, sim = begin(stage, solver, seed), stage.backend.sims[0]
-        there = SceneCollision(sim.furniture.scene)
+        start = begin(stage, solver, seed)
+        poses = stage.task.object_poses(start.target_poses)
+        there = SceneCollision(stage.scene.with_poses(poses))
         assert not robot_touches(there, solver.robot, start.base_pose, start.joint_positions)
-        assert sim.free()
+        assert not stage.backend.touched()
         assert stage.done() is False
-        for name, pose in stage.task.object_poses(start.target_poses).items():
-            measured = sim.furniture.link_pose(name, stage.scene.objects[name].urdf.root)
+        for name, pose in poses.items():
+            measured, _ = stage.backend.object_motion(0, name)
             assert spatial.distance(measured, pose)[0] <= 1e-6
 
 
@@ -72,41 +72,45 @@ def test_a_start_in_collision_is_drawn_again_with_the_same_goals(stage, solver, 
         assert abs((turned + np.pi) % (2.0 * np.pi) - np.pi) <= allowed.heading + 1e-9
 
 
-def test_the_success_condition_is_measured(stage, solver, monkeypatch):
-    begin(stage, solver, 5)
-    success, sim = stage.task.scene.success, stage.backend.sims[0]
-    body = sim.furniture.bodies[success.object]
-    if success.joint is None:
-        table = sim.furniture.link_pose("place_table", "table")
-        on_top = spatial.compose(table, np.array([0.0, 0.0, 0.64, 0.0, 0.0, 0.0, 1.0]))
-        sim.physics.place(body, on_top)
-    else:
-        joint = sim.physics.joints(body)[success.joint]
-        sim.physics.client.resetJointState(body, joint, 1.1 * success.threshold)
+def arrange(stage, solver, scene):
+    """Start an episode with the objects as in a scene."""
+    start = stage.sample(solver, np.random.default_rng(5))
+    stage.backend.place(0, scene, start.base_pose, start.joint_positions)
+    stage.backend.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
     stay(stage.backend, 50)
+
+
+def test_the_success_condition_is_measured(stage, solver, monkeypatch):
+    success, scene = stage.task.scene.success, stage.scene
+    if success.joint is None:
+        on_top = np.array([0.0, 0.0, 0.64, 0.0, 0.0, 0.0, 1.0])
+        pose = spatial.compose(scene.objects["place_table"].pose, on_top)
+        arrange(stage, solver, scene.with_poses({success.object: pose}))
+    else:
+        opened = {success.object: {success.joint: 1.1 * success.threshold}}
+        arrange(stage, solver, scene.with_joints(opened))
     assert stage.done() is True
     if success.joint is None:  # an object in the hand was not put down
-        monkeypatch.setattr(sim.grasp, "held", sim.furniture.link("box", "box"))
+        monkeypatch.setattr(stage.backend, "holds", lambda *_: True)
         assert stage.done() is False
 
 
 @pytest.mark.parametrize(("threshold", "opened"), [(-0.15, -0.2), (0.15, 0.2)])
-def test_a_joint_opens_in_the_direction_of_its_threshold(hsr, scene_path, threshold, opened):
+def test_a_joint_opens_in_the_direction_of_its_threshold(
+    hsr, scene_path, threshold, opened, engine
+):
     wanted = TaskScene(scene_path, SuccessCondition("chest", joint="slide", threshold=threshold))
     here = {"here": Place((1.0, 0.0, 0.8))}
     task = ChainTask("pull", (ChainSubgoal(place="here"),), here, scene=wanted)
-    stage = PyBulletBackend(hsr).stage(task)
-    begin(stage, IkSolver(hsr), 0)
-    sim = stage.backend.sims[0]
-    body = sim.furniture.bodies["chest"]
+    stage, solver = engine(hsr).stage(task), IkSolver(hsr)
     for position, done in ((0.0, False), (-opened, False), (opened, True)):
-        sim.physics.client.resetJointState(body, sim.physics.joints(body)["slide"], position)
+        arrange(stage, solver, stage.scene.with_joints({"chest": {"slide": position}}))
         assert stage.done() is done
     stage.backend.close()
 
 
-def test_arms_do_not_start_in_the_floor(solver):
-    stage = PyBulletBackend(solver.robot).stage(load_task("ggr"))
+def test_arms_do_not_start_in_the_floor(solver, engine):
+    stage = engine(solver.robot).stage(load_task("ggr"))
     for seed in range(20):
         start = begin(stage, solver, seed)
         for _ in range(10):
@@ -115,9 +119,9 @@ def test_arms_do_not_start_in_the_floor(solver):
     stage.backend.close()
 
 
-def test_a_task_without_objects_has_no_success_condition(hsr):
+def test_a_task_without_objects_has_no_success_condition(hsr, engine):
     assert task_scene(load_task("ggr")) is None
-    stage = PyBulletBackend(hsr, objects=False).stage(load_task("door"))
+    stage = engine(hsr, objects=False).stage(load_task("door"))
     begin(stage, IkSolver(hsr), 0)
     assert stage.done() is None
     assert not stage.has_success_condition
@@ -126,9 +130,9 @@ def test_a_task_without_objects_has_no_success_condition(hsr):
     stage.backend.close()
 
 
-def test_overlapping_objects_are_an_error(hsr):
+def test_overlapping_objects_are_an_error(hsr, engine):
     sunk = {"scene": {"moves": {"box": {"offset": [0.04, 0.0, -0.1]}}}}
-    stage = PyBulletBackend(hsr).stage(load_task("pick_place", sunk))
+    stage = engine(hsr).stage(load_task("pick_place", sunk))
     with pytest.raises(KinfeasError, match="'pick_table' and 'box'"):
         stage.sample(IkSolver(hsr), np.random.default_rng(0))
     stage.backend.close()
