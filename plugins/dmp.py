@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 
-from kinfeas.config import Interval
 from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
@@ -44,7 +44,7 @@ class Dmp:
         *,
         file: str,
         frame: Literal["goal", "object"] = "goal",
-        basis_functions: Annotated[int, Interval(low=2, high=100)] = 25,
+        basis_functions: Annotated[int, Interval(ge=2, le=100)] = 25,
         max_velocity: Positive = 0.1,
         max_angular_velocity: Positive = 0.1,
     ) -> None:

@@ -25,10 +25,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import Interval, strict_yaml
+from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import Count, Positive, PositiveShare
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.motion import State
@@ -39,7 +40,7 @@ from kinfeas.plugins.path import PathMotion, PosePath
 
 Kind = Literal["imitation", "gaussian_mixture"]
 # Beyond any room or turn, and small enough that nothing computed from it overflows.
-Number = Annotated[float, Interval(low=-1000.0, high=1000.0)]
+Number = Annotated[float, Interval(ge=-1000.0, le=1000.0)]
 
 _SIZE, _SIZE_WITH_BASE = 7, 10  # numbers of a component's mean
 _FOLDER = Path(__file__).parent / "models"
@@ -169,7 +170,7 @@ class Model:
 
     format: Literal[1]
     kind: Kind
-    duration: Annotated[float, Interval(low=0.01, high=3600.0)]
+    duration: Annotated[float, Interval(ge=0.01, le=3600.0)]
     goal: tuple[Number, Number, Number, float, float, float, float]
     mean_orientation: tuple[float, float, float, float]
     fitted_from: Source

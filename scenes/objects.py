@@ -5,13 +5,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-from kinfeas.config import Interval
+from annotated_types import Interval
+
 from kinfeas.config.quantities import FARTHEST, Position, Radians
 from kinfeas.core.spatial import Array, compose
 from kinfeas.robots.urdf import Joint, Shape, Urdf
 
 Angles = tuple[Radians, Radians, Radians]
-Side = Annotated[float, Interval(low=0.0, high=FARTHEST, open_low=True)]
+Side = Annotated[float, Interval(gt=0.0, le=FARTHEST)]
 
 
 @dataclass(frozen=True)

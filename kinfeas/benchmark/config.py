@@ -4,8 +4,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
+from annotated_types import Interval
+
 from kinfeas import config
-from kinfeas.config import Interval, PluginSpec
+from kinfeas.config import PluginSpec
 from kinfeas.config.quantities import MOST_EPISODES, Count, Positive
 from kinfeas.config.recipes import find_recipe
 from kinfeas.core.errors import KinfeasError, no_such
@@ -15,7 +17,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task, task_name
 from kinfeas.tasks.task import build_subgoals
 
-Seed = Annotated[int, Interval(low=0)]
+Seed = Annotated[int, Interval(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ class BenchmarkConfig:
     policies: Literal["train", "pretrained", "either"] = "train"
     trainings: tuple[Training, ...] = ()
     seeds: tuple[Seed, ...] = (0,)
-    episodes: Annotated[int, Interval(low=1, high=MOST_EPISODES)] = 500
+    episodes: Annotated[int, Interval(ge=1, le=MOST_EPISODES)] = 500
     evaluation_seed: Seed = 1
     variants: tuple[Variant, ...] = ()
     backend: str = "analytic"

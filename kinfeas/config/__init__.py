@@ -5,15 +5,12 @@ another type, NaN and infinity raise an error with the path of the key. `quantit
 with bounds. A dataclass checks relations of its fields in `__post_init__` and raises ValueError.
 """
 
-import math
 import reprlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
-
-from annotated_types import Ge, GroupedMetadata, Gt, Le
 
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
@@ -22,31 +19,6 @@ if TYPE_CHECKING:  # takes 0.1 s to import
     from pydantic import TypeAdapter, ValidationError
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Interval(GroupedMetadata):
-    """The finite numbers from `low`, included unless open, to `high`; annotates a number."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
-
-    def __iter__(self) -> Iterator[Ge | Gt | Le]:
-        """Yield the bounds in the form that pydantic reads."""
-        if self.low > -math.inf:
-            yield Gt(self.low) if self.open_low else Ge(self.low)
-        if self.high < math.inf:
-            yield Le(self.high)
-
-    def __contains__(self, value: float) -> bool:
-        """Return whether `value` is finite and within the bounds."""
-        above = self.low < value if self.open_low else self.low <= value
-        return math.isfinite(value) and above and value <= self.high
-
-    def __str__(self) -> str:
-        """Return the interval as `in (0, 1]`."""
-        return f"in {'(' if self.open_low else '['}{self.low:g}, {self.high:g}]"
 
 
 @dataclass(frozen=True)

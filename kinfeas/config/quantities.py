@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from kinfeas.config import Interval
+from annotated_types import Interval
 
 FARTHEST, LONGEST = 1e4, 1e5
 """Largest length in metres and time in seconds."""
@@ -12,21 +12,21 @@ REMOTEST = 1e8
 
 MOST_EPISODES, MOST_PROCESSES, LAST_SEED = 1_000_000, 256, 2**32 - 1
 
-TIME_SCALES = Interval(low=0.001, high=1.0)
+TIME_SCALES = Interval(ge=0.001, le=1.0)
 """Speeds of motions relative to the plan."""
 
-Metres = Annotated[float, Interval(low=-FARTHEST, high=FARTHEST)]
-Distance = Annotated[float, Interval(low=0.0, high=FARTHEST)]
-Radians = Annotated[float, Interval(low=-1e4, high=1e4)]
-Seconds = Annotated[float, Interval(low=0.0, high=LONGEST)]
-PositiveSeconds = Annotated[float, Interval(low=0.0, high=LONGEST, open_low=True)]
+Metres = Annotated[float, Interval(ge=-FARTHEST, le=FARTHEST)]
+Distance = Annotated[float, Interval(ge=0.0, le=FARTHEST)]
+Radians = Annotated[float, Interval(ge=-1e4, le=1e4)]
+Seconds = Annotated[float, Interval(ge=0.0, le=LONGEST)]
+PositiveSeconds = Annotated[float, Interval(gt=0.0, le=LONGEST)]
 TimeScale = Annotated[float, TIME_SCALES]
-Count = Annotated[int, Interval(low=1)]
-Episodes = Annotated[int, Interval(low=1, high=MOST_EPISODES)]
-NotNegative = Annotated[float, Interval(low=0.0)]
-Positive = Annotated[float, Interval(low=0.0, open_low=True)]
-Share = Annotated[float, Interval(low=0.0, high=1.0)]
-PositiveShare = Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
+Count = Annotated[int, Interval(ge=1)]
+Episodes = Annotated[int, Interval(ge=1, le=MOST_EPISODES)]
+NotNegative = Annotated[float, Interval(ge=0.0)]
+Positive = Annotated[float, Interval(gt=0.0)]
+Share = Annotated[float, Interval(ge=0.0, le=1.0)]
+PositiveShare = Annotated[float, Interval(gt=0.0, le=1.0)]
 
 Vector = tuple[float, float, float]
 Position = tuple[Metres, Metres, Metres]

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval, PluginSpec, from_mapping
+from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
 from kinfeas.control.adapters import execution_of, wrap
@@ -43,8 +44,8 @@ class WorldConfig(ExecutionConfig):
         backend_parameters: Keyword parameters of the backend.
     """
 
-    dt: Annotated[float, Interval(low=0.001, high=1.0)] = 0.1
-    max_failures: Annotated[int, Interval(low=0)] = 19
+    dt: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.1
+    max_failures: Annotated[int, Interval(ge=0)] = 19
     max_seconds: PositiveSeconds = 150.0
     adapters: tuple[PluginSpec, ...] = ()
     reward: RewardConfig = field(default_factory=RewardConfig)

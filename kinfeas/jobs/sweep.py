@@ -13,12 +13,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import optuna
+from annotated_types import Interval
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from kinfeas import config
-from kinfeas.config import Interval
 from kinfeas.config.quantities import LAST_SEED, Count
 from kinfeas.config.recipes import find_recipe, load_recipe, load_section
 from kinfeas.core.errors import KinfeasError
@@ -98,7 +98,7 @@ class SweepConfig:
     trials: Count = 20
     sampler: Literal["tpe", "random"] = "tpe"
     pruner: Literal["median", "asha", "none"] = "median"
-    seed: Annotated[int, Interval(low=0, high=LAST_SEED)] = 0
+    seed: Annotated[int, Interval(ge=0, le=LAST_SEED)] = 0
 
 
 def read_sweep(name: str, overrides: Sequence[str]) -> SweepConfig:

@@ -4,9 +4,9 @@ from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval
 from kinfeas.config.quantities import Positive, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, rotation
@@ -42,14 +42,14 @@ class IkOptions:
             of the largest joint step; 0 for none.
     """
 
-    library: Annotated[int, Interval(low=1, high=65536)] = 2048
-    restarts: Annotated[int, Interval(low=0, high=65536)] = 24
-    candidates: Annotated[int, Interval(low=1, high=65536)] = 3
+    library: Annotated[int, Interval(ge=1, le=65536)] = 2048
+    restarts: Annotated[int, Interval(ge=0, le=65536)] = 24
+    candidates: Annotated[int, Interval(ge=1, le=65536)] = 3
     self_collision: bool = True
     pose_tolerance: bool = True
     position_tolerance: Positive = 1e-4
     rotation_tolerance: Positive = 1e-3
-    max_iterations: Annotated[int, Interval(low=1, high=10_000)] = 40
+    max_iterations: Annotated[int, Interval(ge=1, le=10_000)] = 40
     centering: Share = 1.0
 
     def thorough(self) -> "IkOptions":

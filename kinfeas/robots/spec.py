@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from kinfeas.config import Interval
+from annotated_types import Interval
+
 from kinfeas.config.quantities import Metres
 from kinfeas.core.errors import check_name
 
@@ -14,10 +15,10 @@ Drive = Literal["omnidirectional", "differential"]
 MAX_JOINT_VELOCITY = 1000.0
 """rad/s or m/s; larger numbers in a URDF stand for no limit."""
 
-Velocity = Annotated[float, Interval(low=0.0, high=100.0, open_low=True)]
-JointVelocity = Annotated[float, Interval(low=0.0, high=MAX_JOINT_VELOCITY, open_low=True)]
-Acceleration = Annotated[float, Interval(low=0.0, high=1e4, open_low=True)]
-Effort = Annotated[float, Interval(low=0.0, high=1e5, open_low=True)]
+Velocity = Annotated[float, Interval(gt=0.0, le=100.0)]
+JointVelocity = Annotated[float, Interval(gt=0.0, le=MAX_JOINT_VELOCITY)]
+Acceleration = Annotated[float, Interval(gt=0.0, le=1e4)]
+Effort = Annotated[float, Interval(gt=0.0, le=1e5)]
 
 GOAL_HEIGHTS = ("ggr", "ggr_restricted")
 
@@ -45,8 +46,8 @@ class ArmJointSpec:
 class PoseTolerance:
     """Pose error that still counts as feasible, metres and radians."""
 
-    position: Annotated[float, Interval(low=0.0, high=1.0, open_low=True)]
-    rotation: Annotated[float, Interval(low=0.0, high=math.pi, open_low=True)]
+    position: Annotated[float, Interval(gt=0.0, le=1.0)]
+    rotation: Annotated[float, Interval(gt=0.0, le=math.pi)]
 
 
 @dataclass(frozen=True)

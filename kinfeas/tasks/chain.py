@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from scipy.spatial.transform import Rotation
 
 from kinfeas import config
-from kinfeas.config import Interval, strict_yaml
+from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import Distance, Metres, Position, Radians
 from kinfeas.core.errors import KinfeasError, check_name, no_such
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
@@ -64,7 +65,7 @@ class BaseStart:
     """
 
     square: Distance = 1.5
-    heading: Annotated[float, Interval(low=0.0, high=float(np.pi))] = float(np.pi / 2.0)
+    heading: Annotated[float, Interval(ge=0.0, le=float(np.pi))] = float(np.pi / 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from kinfeas.config import Interval
+from annotated_types import Interval
+
 from kinfeas.config.quantities import (
     LAST_SEED,
     MOST_PROCESSES,
@@ -45,15 +46,15 @@ class LearnerConfig:
     algorithm: Literal["sac", "td3"] = "sac"
     learning_rate: PositiveShare = 6e-4
     schedule: Literal["constant", "linear"] = "linear"
-    batch_size: Annotated[int, Interval(low=1, high=65_536)] = 256
-    gradient_steps: Annotated[int, Interval(low=1, high=10_000)] = 1
-    policy_delay: Annotated[int, Interval(low=1, high=100)] = 1
+    batch_size: Annotated[int, Interval(ge=1, le=65_536)] = 256
+    gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] = 1
+    policy_delay: Annotated[int, Interval(ge=1, le=100)] = 1
     gamma: Share = 0.99
     tau: Share = 0.005
-    buffer_size: Annotated[int, Interval(low=1, high=10_000_000)] = 1_000_000
-    learning_starts: Annotated[int, Interval(low=0)] = 3_000
-    critic_steps: Annotated[int, Interval(low=0)] = 0
-    net_arch: tuple[Annotated[int, Interval(low=1, high=2048)], ...] = (256, 256)
+    buffer_size: Annotated[int, Interval(ge=1, le=10_000_000)] = 1_000_000
+    learning_starts: Annotated[int, Interval(ge=0)] = 3_000
+    critic_steps: Annotated[int, Interval(ge=0)] = 0
+    net_arch: tuple[Annotated[int, Interval(ge=1, le=2048)], ...] = (256, 256)
     ent_coef: NotNegative | Literal["learned"] = 0.01
     anchor: NotNegative = 0.0
     exploration_noise: NotNegative = 0.25
@@ -76,7 +77,7 @@ class ScheduleConfig:
 
     steps: Count | None = None
     minutes: Positive | None = 3.0
-    evaluations: Annotated[int, Interval(low=1, high=10_000)] = 3
+    evaluations: Annotated[int, Interval(ge=1, le=10_000)] = 3
     evaluation_episodes: Episodes = 256
     final_episodes: Episodes = 256
     checkpoint_seconds: Positive = 30.0
@@ -113,10 +114,10 @@ class TrainConfig:
     robot: str = "pr2"
     task: str = "ggr"
     task_parameters: dict[str, object] = field(default_factory=dict)
-    seed: Annotated[int, Interval(low=0, high=LAST_SEED)] = 0
-    num_envs: Annotated[int, Interval(low=1, high=65_536)] = 256
-    processes: Annotated[int, Interval(low=1, high=MOST_PROCESSES)] = 1
-    action_repeat: Annotated[int, Interval(low=1, high=1000)] = 1
+    seed: Annotated[int, Interval(ge=0, le=LAST_SEED)] = 0
+    num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256
+    processes: Annotated[int, Interval(ge=1, le=MOST_PROCESSES)] = 1
+    action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
     world: WorldConfig = field(default_factory=WorldConfig)
     trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
     init: str | None = None

@@ -11,11 +11,11 @@ from tempfile import TemporaryFile
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 
 from kinfeas import config as configuration
-from kinfeas.config import Interval
 from kinfeas.config.quantities import NotNegative
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import find_folder, writing
@@ -28,7 +28,7 @@ from kinfeas.training.config import ScheduleConfig, TrainConfig
 SETTINGS = "config.yaml"
 """File with the settings of a run, the first that it writes."""
 
-_Tally = Annotated[int, Interval(low=0)]
+_Tally = Annotated[int, Interval(ge=0)]
 _RECENT = 256  # training episodes in the reported success rate
 _FORMAT, _STATE = 2, "state.json"
 _BROKEN = (
@@ -83,7 +83,7 @@ class _Saved:
 
     steps: _Tally
     seconds: NotNegative
-    best: Annotated[float, Interval(low=-1.0, high=1.0)]
+    best: Annotated[float, Interval(ge=-1.0, le=1.0)]
     evaluations: _Tally
     recent: tuple[bool, ...]
 

@@ -2,17 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval
+from kinfeas.config import convert
 from kinfeas.control.adapters import chain
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, BackendWrapper, Resumable, RobotState, Stochastic
 from kinfeas.core.checks import check_array, check_state
-from kinfeas.core.errors import plugin_note
+from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import with_rows
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
@@ -35,11 +36,13 @@ class Range:
 
 
 def read_range(name: str, value: Number, within: Interval) -> Range:
-    """Return the range of a parameter; ValueError if it does not ascend `within` the interval."""
+    """Return the range of a parameter; KinfeasError if it does not ascend `within` the interval."""
     ends = value if isinstance(value, list | tuple) else (value, value)
     low, high = ends[0], ends[-1]
-    if len(ends) != 2 or not (low in within and high in within and low <= high):
-        raise ValueError(f"{name} must be {within}, or an ascending range of such, not {value!r}")
+    if len(ends) != 2 or low > high:
+        raise KinfeasError(f"{name} must be a number or an ascending range, not {value!r}")
+    for end in ends:
+        convert(Annotated[float, within], end, "parameters", name)
     return Range(low, high)
 
 
@@ -83,7 +86,7 @@ class Adapter(BackendWrapper):
         """
         self.backend, self.robot, self.memory = backend, robot, Memory()
         self.continuous = robot.continuous
-        allowed = within or Interval(low=0.0, high=_LIMIT)
+        allowed = within or Interval(ge=0.0, le=_LIMIT)
         self.ranges: dict[str, Range] = {
             name: read_range(name, value, allowed) for name, value in (numbers or {}).items()
         }

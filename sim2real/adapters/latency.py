@@ -6,10 +6,10 @@ Buffers hold the last commands or measurements of each row, the newest at the en
 from typing import Any
 
 import numpy as np
+from annotated_types import Interval
 from numba import njit
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.spatial import Array, integrate, twist_between
 from kinfeas.robots.robot import Robot, joint_displacement
@@ -18,7 +18,7 @@ from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
 # Tolerances of rounding: in control periods and in seconds.
 _PERIOD_TOLERANCE, _TIME_TOLERANCE = 1e-6, 1e-7
 
-_DELAYS = Interval(low=0.0, high=60.0)
+_DELAYS = Interval(ge=0.0, le=60.0)
 
 _POSES, _JOINTS = ("base_pose", "ee_in_base"), "joint_positions"
 _MEASURED = (*_POSES, _JOINTS, "base_twist", "joint_velocities", "age")
@@ -139,7 +139,7 @@ class DroppedCommands(Adapter):
     """
 
     def __init__(self, backend: Backend, robot: Robot, *, share: Number = 0.05) -> None:
-        super().__init__(backend, robot, {"share": share}, Interval(0.0, 1.0))
+        super().__init__(backend, robot, {"share": share}, Interval(ge=0.0, le=1.0))
 
     def on_reset(self, state: RobotState) -> Memory:
         """Return the command to rest."""

@@ -1,14 +1,14 @@
 """Limits of base and arm: acceleration, velocity, joint range and actuator lag."""
 
 import numpy as np
+from annotated_types import Interval
 
-from kinfeas.config import Interval
 from kinfeas.core.backend import Backend, RobotState
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number
 
-_POSITIVE = Interval(low=0.0, open_low=True)
+_POSITIVE = Interval(gt=0.0)
 
 
 class AccelerationLimit(Adapter):

@@ -9,15 +9,15 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
-from kinfeas.config import Interval
 from kinfeas.control.drive import world_twist
 from kinfeas.core.backend import RobotState
 from kinfeas.core.spatial import Array, planar_pose, wrap
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
 
-Drift = Annotated[float, Interval(low=0.0, high=0.99)]
+Drift = Annotated[float, Interval(ge=0.0, le=0.99)]
 """Fraction by which a robot's clock may be slow."""
 
 DRIFT = 1e-3

@@ -3,16 +3,17 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
+from annotated_types import Interval
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.config import Interval, PluginSpec, assigned, dump, from_mapping, load
+from kinfeas.config import PluginSpec, assigned, dump, from_mapping, load
 from kinfeas.core.errors import KinfeasError
 
 
 @dataclass(frozen=True)
 class Noise:
-    base: Annotated[float, Interval(0.0, 1.0)] = 0.0
+    base: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
     lag: int = 0
 
     def __post_init__(self):
@@ -23,8 +24,8 @@ class Noise:
 @dataclass(frozen=True)
 class Recipe:
     robot: str
-    steps: Annotated[int, Interval(low=1)] = 1000
-    rate: Annotated[float, Interval(low=0.0, open_low=True)] = 1e-3
+    steps: Annotated[int, Interval(ge=1)] = 1000
+    rate: Annotated[float, Interval(gt=0.0)] = 1e-3
     flag: bool = False
     algorithm: Literal["sac", "td3"] = "sac"
     layers: tuple[int, ...] = (256, 256)

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from kinfeas.config import Interval
+from annotated_types import Interval
+
 from kinfeas.config.quantities import NotNegative, Positive
 from kinfeas.core.errors import KinfeasError
 
@@ -30,10 +31,10 @@ class PhysicsConfig:
         grasp_limit: Force at which a held object slips out of the hand, N.
     """
 
-    rate: Annotated[float, Interval(low=0.0, high=1e5, open_low=True)] = 240.0
+    rate: Annotated[float, Interval(gt=0.0, le=1e5)] = 240.0
     gravity: NotNegative = 9.81
-    iterations: Annotated[int, Interval(low=1, high=10_000)] = 50
-    drive_reserve: Annotated[float, Interval(low=1.0)] = 2.0
+    iterations: Annotated[int, Interval(ge=1, le=10_000)] = 50
+    drive_reserve: Annotated[float, Interval(ge=1.0)] = 2.0
     wheel_grip: NotNegative = 0.12
     arm_horizon: Positive = 0.1
     finger_friction: NotNegative = 1.0

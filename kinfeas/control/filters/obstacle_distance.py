@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval
 from kinfeas.control.adapters import chain
 from kinfeas.control.drive import action_size, carried_out
 from kinfeas.control.filters.half_spaces import project
@@ -72,7 +72,7 @@ class ObstacleFilter:
         min_distance: Distance that the base keeps from obstacles, metres.
     """
 
-    def __init__(self, min_distance: Annotated[float, Interval(low=0.0, high=10.0)] = 0.03) -> None:
+    def __init__(self, min_distance: Annotated[float, Interval(ge=0.0, le=10.0)] = 0.03) -> None:
         self.min_distance = min_distance
 
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from kinfeas.config import Interval
 from kinfeas.config.quantities import LONGEST, PositiveSeconds, Share
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON
@@ -56,10 +56,10 @@ class RolloutPlanner:
         offset: Sum that is added to the commands now, shape (n, a).
     """
 
-    horizon: Annotated[float, Interval(low=HORIZON, high=LONGEST)] = 6.0
+    horizon: Annotated[float, Interval(ge=HORIZON, le=LONGEST)] = 6.0
     replan_interval: PositiveSeconds = 0.5
-    num_samples: Annotated[int, Interval(low=1, high=1000)] = 32
-    noise_std: Annotated[float, Interval(low=0.0, high=100.0, open_low=True)] = 0.8
+    num_samples: Annotated[int, Interval(ge=1, le=1000)] = 32
+    noise_std: Annotated[float, Interval(gt=0.0, le=100.0)] = 0.8
     jump_cost: Share = 0.1
     deviation_cost: Share = 0.1
     offset: Array = field(default_factory=lambda: np.zeros((0, 0)), init=False)
