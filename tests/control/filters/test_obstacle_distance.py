@@ -144,6 +144,15 @@ def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
     assert velocity == pytest.approx(expected)
 
 
+def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
+    point, ahead = np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]])
+    corner = Fixed(lambda: ObstacleDistances(point, ahead, np.array([[KEPT]])))
+    held = constraints(robot, corner).hold(np.array([[[1.0, 0.0, 0.0]]]))[0, 0]
+    assert held[2] == pytest.approx(1.0)
+    limit = 0.05 * robot.base.max_rotation
+    assert held[0] * robot.base.max_velocity == pytest.approx(limit, rel=1e-3)
+
+
 def test_candidates_of_the_feasibility_filter_keep_the_distance(robot):
     backend = Pillars(*([RADIUS + KEPT, y] for y in np.linspace(-1.0, 1.0, 21)))
     filters = [ObstacleFilter(KEPT), FeasibilityFilter()]
