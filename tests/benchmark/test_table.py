@@ -55,15 +55,6 @@ def test_one_seed_has_wilson_s_interval():
     assert (simple.success_low, simple.success_high) == (expected.low, expected.high)
 
 
-def test_figures_of_the_paper():
-    assert cell("pr2", "ggr", "sac").paper_success == 0.902
-    assert cell("hsr", "ggr", "follow_ee").paper_within_5cm == 0.074
-    assert cell("pr2", "door", "follow_ee").paper_success is None
-    assert cell("pr2", "ggr", "sac", "goals up to 1.4 m").paper_success is None
-    assert cell("pr2", "ggr", "sac", row="feasibility filter").paper_success is None
-    assert [one.paper_success for one in physical()] == [0.88, 0.942]
-
-
 def test_parts_are_joined_beside_the_analytic_world():
     plain, head_start = physical()
     assert (plain.success, plain.task_success) == (pytest.approx(0.7), pytest.approx(0.6))

@@ -37,12 +37,6 @@ def test_robot_without_a_file_has_the_default(robot):
     assert section("train", robot)[0] == section("train", "default")[0]
 
 
-def test_path_wins_over_a_name(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "own.yaml").write_text("seed: 3\n")
-    assert load_recipe(TrainConfig, "own.yaml", "train", ["num_envs=2"]).seed == 3
-
-
 @pytest.mark.parametrize("name", ["train/tiagoo", "nothing", "../pyproject", "", "/no.yaml", "."])
 def test_unknown_name_is_an_error_with_the_known_ones(name):
     with pytest.raises(KinfeasError, match="train/tiago"):

@@ -10,7 +10,7 @@ from kinfeas.core.checks import (
     check_array,
     check_state,
 )
-from kinfeas.core.errors import KinfeasError, check_name, plugin_note, raised_by
+from kinfeas.core.errors import KinfeasError, plugin_note, raised_by
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.plugins.linear import Linear
 
@@ -59,13 +59,6 @@ def test_exceptions_keep_their_type_and_name_the_plugin():
         raise error
     assert caught.value is error
     assert raised_by(error) == "adapter Mine"
-
-
-@pytest.mark.parametrize("name", ["", " ", "a/b", "a\nb", "\x1b[31m"])
-def test_names_that_do_not_fit_a_line(name):
-    check_name("My robot-2")
-    with pytest.raises(ValueError, match="'name'"):
-        check_name(name)
 
 
 POSES, DT = np.tile(IDENTITY, (3, 1)), np.full(3, 0.1)

@@ -54,12 +54,6 @@ def test_a_draft_is_a_robot(changed, tmp_path, few):
     assert (again.yaml, again.urdf) == (draft.yaml, draft.urdf)
 
 
-def test_errors_name_the_given_file(changed):
-    path = changed(('<box size="0.04 0.1 0.04"/>', '<box size="0.04 0.1 9999999"/>'))
-    with pytest.raises(KinfeasError, match=f"^{path}: "):
-        draft_robot(path, "dolly")
-
-
 @pytest.mark.parametrize(
     ("share", "expected"),
     [

@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pytest
 
-from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, relative
 from kinfeas.plugins.dmp import Dmp
@@ -50,14 +49,6 @@ def test_moves_as_the_library_does(library, files):
     assert np.linalg.norm((ours - theirs)[:, :3], axis=1).max() < 1e-2
     dots = np.abs(np.sum(ours[:, 3:] * theirs[:, 3:], axis=1))
     assert 2.0 * np.arccos(np.minimum(dots.min(), 1.0)) < 0.03
-
-
-@pytest.mark.parametrize("size", [1, 101, 2.5, "ten", True])
-def test_wrong_numbers_of_basis_functions_raise(files, size):
-    with pytest.raises(KinfeasError, match="basis_functions"):
-        registry.build(
-            "kinfeas.motion_generators", "dmp", {"file": files["shown"], "basis_functions": size}
-        )
 
 
 def test_a_missing_library_raises_with_the_extra_s_name(files, monkeypatch):

@@ -54,13 +54,6 @@ def test_a_class_of_a_module_in_the_working_folder(hsr, tmp_path, monkeypatch):
             load_policy(wrong, hsr)
 
 
-@pytest.mark.parametrize("name", ["follow_me", "", "/dev/null", "a:b:c"])
-def test_an_unknown_policy_raises(hsr, trained, monkeypatch, name):
-    monkeypatch.chdir(trained)  # the empty name is not the current folder
-    with pytest.raises(KinfeasError):
-        load_policy(name, hsr)
-
-
 def test_wrong_folders_and_files_raise_errors_that_name_them(hsr, trained, tmp_path):
     (tmp_path / "empty.onnx").write_bytes(b"")
     (tmp_path / "none").mkdir()

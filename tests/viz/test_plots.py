@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from kinfeas.core.checks import CheckedMotion
-from kinfeas.core.errors import KinfeasError
 from kinfeas.plugins.linear import Linear
 from kinfeas.testing.trial import Trial, sample_motions
 from kinfeas.viz.plots import learning_curve, motion_figure, read_metrics
@@ -27,16 +26,6 @@ def test_metrics_are_read_as_columns(run):
     metrics = read_metrics(run)
     np.testing.assert_array_equal(metrics["steps"], [0.0, 1000.0, 2000.0, 3000.0])
     np.testing.assert_array_equal(metrics["evaluation/success"], [np.nan, np.nan, 0.75, np.nan])
-
-
-@pytest.mark.parametrize(
-    "text", [None, "", "steps,seconds\n", "a,b\n1,2\n", TABLE.replace("1000", "many")]
-)
-def test_another_file_is_an_error(tmp_path, text):
-    if text is not None:
-        (tmp_path / "metrics.csv").write_text(text)
-    with pytest.raises(KinfeasError, match=r"metrics\.csv"):
-        read_metrics(tmp_path)
 
 
 def test_the_learning_curve_names_its_levels(run):

@@ -7,7 +7,6 @@ import sys
 import pytest
 
 from kinfeas.core.errors import Fault, KinfeasError
-from kinfeas.sim2real.ros import ros1
 from kinfeas.sim2real.ros.ros1 import MasterWatch
 
 
@@ -45,12 +44,6 @@ def test_nodes_on_one_machine_use_an_address_that_works(server, monkeypatch):
     monkeypatch.delenv("ROS_HOSTNAME", raising=False)
     MasterWatch().close()
     assert os.environ["ROS_IP"] == "127.0.0.1"
-
-
-def test_a_missing_package_is_named(monkeypatch):
-    monkeypatch.setattr(ros1, "_DEBIAN", ())
-    with pytest.raises(KinfeasError, match="apt install python3-imaginary-msgs"):
-        ros1.ros("imaginary_msgs.msg")
 
 
 def test_the_watchdog_imports_little():

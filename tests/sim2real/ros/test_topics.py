@@ -46,11 +46,3 @@ def test_controllers_must_have_each_joint_of_the_arm_once(tmp_path, joints, name
     path.write_text(TOPICS % ", ".join(joints))
     with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers'.*{named}"):
         read_topics(HSR, 1, str(path))
-
-
-def test_the_gripper_message_of_the_pr2_is_one_of_ros_1(tmp_path):
-    path = tmp_path / "topics.yaml"
-    path.write_text(TOPICS % ", ".join(ARM) + "gripper: {command: /gripper, kind: pr2}\n")
-    assert read_topics(HSR, 1, str(path)).gripper.kind == "pr2"
-    with pytest.raises(KinfeasError, match=r"topics\.yaml: 'gripper\.kind'"):
-        read_topics(HSR, 2, str(path))

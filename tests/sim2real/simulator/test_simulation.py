@@ -3,7 +3,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import episode_rng
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
@@ -15,7 +14,6 @@ from kinfeas.sim2real.simulator.simulation import (
     JointSetpoints,
     SimulatedRobot,
     SimulationConfig,
-    robot_link,
     simulate,
     spawn,
 )
@@ -113,12 +111,6 @@ def test_runs_in_real_time(world, time):
     assert link.report.call_count == pytest.approx(25, abs=2)
     stamps = [call.args[0].stamp for call in link.report.call_args_list]
     assert stamps == sorted(stamps)
-
-
-@pytest.mark.parametrize("backend", ["analytic", "ros3"])
-def test_a_backend_without_a_transport_is_an_error(backend):
-    with pytest.raises(KinfeasError, match=backend):
-        robot_link(backend, load_robot("hsr"))
 
 
 def test_starts_as_an_episode_of_a_task():
