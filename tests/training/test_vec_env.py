@@ -96,6 +96,21 @@ def test_resumes_from_a_snapshot_to_the_bit():
     assert not np.array_equal(run(env, 2, seed=1)[-1][0], expected[1][0])
 
 
+def test_a_world_in_mujoco_resumes_to_the_bit():
+    pytest.importorskip("mujoco")
+    chosen = physical("world.backend=mujoco", "task=door", "processes=1")
+    env, fresh = (WorldVecEnv(training_world(chosen), 3, 5) for _ in range(2))
+    env.reset()
+    run(env, 3)
+    snapshot = env.snapshot()
+    expected = run(env, 10, seed=1)
+    assert any(one[2].any() for one in expected)  # episodes that ended
+    fresh.restore(snapshot)
+    assert_equal(run(fresh, 10, seed=1), expected)
+    for one in (env, fresh):
+        one.close()
+
+
 def test_a_seed_begins_again_from_its_first_episode():
     env = make(3)
     first = env.reset()
@@ -165,10 +180,11 @@ def test_processes_hold_batches_that_restart_and_a_killed_one_raises():
 
 
 @pytest.mark.slow
-def test_a_policy_is_tuned_in_physics_and_resumed(tmp_path):
-    pytest.importorskip("pybullet")
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_a_policy_is_tuned_in_physics_and_resumed(tmp_path, engine):
+    pytest.importorskip(engine)
     out = tmp_path / "run"
-    progress = train(physical("init=pretrained"), out)
+    progress = train(physical("init=pretrained", f"world.backend={engine}"), out)
     assert progress.steps == 210
     assert progress.evaluations == 2  # the initial policy is evaluated, too
     assert resume(out, overrides=["schedule.steps=220"]).steps == 225

@@ -53,7 +53,8 @@ class MuJoCoBackend(PhysicsBackend):
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all robots, their rooms and their motors."""
-        return {key: values.copy() for key, values in self.sims.state().items()}
+        n = len(self._positions)
+        return {key: values[:n].copy() for key, values in self.sims.state().items()}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Continue from a `snapshot` and return the measured state."""
@@ -126,7 +127,7 @@ class MuJoCoBackend(PhysicsBackend):
 
     def holds(self, row: int, name: str) -> bool:
         """Return whether the gripper holds an object."""
-        return self._handled is not None and self._handled[0] == name and self.sims.held[row]
+        return self._handled is not None and self._handled[0] == name and bool(self.sims.held[row])
 
     def joint_motion(self, row: int = 0) -> Motion:
         """Return the motion of all joints of a robot except those of its base."""
