@@ -70,7 +70,11 @@ class Batch:
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state to resume from, by name."""
         world = self.world.snapshot() if self._saves_world else {}
-        return {**world, "next_episode": np.array(self.world.next_episode)}
+        return {**world, "next_episode": np.array(self.number())}
+
+    def number(self) -> int:
+        """Return the number of the next episode."""
+        return self.world.next_episode
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Resume from a snapshot and return the observations, shape (n, d).

@@ -182,15 +182,14 @@ class ProcessVecEnv(EpisodesVecEnv):
         sizes = [len(part) for part in parts]
         super().__init__(load_robot(config.robot), sizes, workers, call_batch)
         try:
-            self._ask("snapshot")
+            self._ask("number")
         except KinfeasError:
             self.close()
             raise
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the numbers of the next episodes, a number a process."""
-        parts = self._ask("snapshot")
-        return {"next_episode": np.array([part["next_episode"] for part in parts])}
+        return {"next_episode": np.array(self._ask("number"))}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Begin the next episodes of a snapshot and return the observations, shape (n, d)."""

@@ -11,6 +11,7 @@ from kinfeas.tasks.loading import load_task
 from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import resume, train
 from kinfeas.training.vec_env import SHARE, ProcessVecEnv, WorldVecEnv
+from kinfeas.training.worlds import training_world
 
 NOISY = WorldConfig(max_seconds=1.2, max_failures=3, adapters=(PluginSpec("base_noise"),))
 

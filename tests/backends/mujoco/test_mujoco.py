@@ -96,7 +96,8 @@ def test_a_grasp_carries_an_object_until_it_is_opened(begun):
     assert not world.holds(0, "bar")
     close(world)
     stay(world, 50)
-    assert world.sims._grasp_force(0) == pytest.approx(0.3 * 9.81, rel=0.2)  # the fingers bear the rest
+    # The fingers bear the rest.
+    assert world.sims._grasp_force(0) == pytest.approx(0.3 * 9.81, rel=0.2)
     assert world.object_motion(0, "bar")[0][2] > 0.7
     world.grip("open", np.array([0]))
     assert not world.holds(0, "bar")
