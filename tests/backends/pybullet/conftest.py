@@ -9,3 +9,11 @@ from kinfeas.backends.pybullet.backend import PyBulletBackend
 def engine():
     """The class of the backend."""
     return PyBulletBackend
+
+
+@pytest.fixture(scope="session")
+def world(hsr, scene, engine):
+    """That of this engine: one that other folders share may be of another."""
+    backend = engine(hsr, scene)
+    yield backend
+    backend.close()
