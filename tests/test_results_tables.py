@@ -4,8 +4,6 @@ import json
 import runpy
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SCRIPT = runpy.run_path(str(DOCS / "results_tables.py"))
@@ -20,9 +18,3 @@ def test_the_pages_hold_what_the_record_says():
     assert SCRIPT["fill_results"](RESULTS, STUDY) == RESULTS
     assert SCRIPT["fill_readme"](README, STUDY, IN_PYBULLET) == README
     assert SCRIPT["fill_physics"](PHYSICS, IN_PYBULLET) == PHYSICS
-
-
-def test_a_row_whose_name_has_changed_is_an_error():
-    changed = README.replace("| TIAGo, `whole_body_qp` |", "| TIAGo, QP |")
-    with pytest.raises(SystemExit, match=r"README\.md: no row 'TIAGo, `whole_body_qp`'; its fig"):
-        SCRIPT["fill_readme"](changed, STUDY, IN_PYBULLET)

@@ -3,7 +3,6 @@ import json
 import pytest
 
 from kinfeas.robots.loading import load_robot
-from tests.cli.conftest import check_one_line
 from tests.sim2real.policy_cases import write_run
 
 
@@ -27,11 +26,3 @@ def test_export_and_check_show_the_same_metadata(kinfeas, file, tmp_path):
     for words in ("name: hsr", "arm_lift_joint", "not compared"):
         assert (words in outcome.out) is (words != "not compared")
     assert "not compared" in kinfeas("export", "--check", "hsr.onnx").out
-
-
-def test_altered_file_and_other_robot_are_one_line(kinfeas, file):
-    words = ("evaluate", "--policy", "hsr.onnx", "--robot", "pr2", "--episodes", "1")
-    check_one_line(kinfeas(*words), "'hsr'")
-    file.write_bytes(file.read_bytes()[:-1000])
-    for words in (("export", "--check"), ("evaluate", "--policy")):
-        check_one_line(kinfeas(*words, "hsr.onnx"), "hsr.onnx")

@@ -109,17 +109,6 @@ def test_error_names_file_and_key_in_one_line(key, value, named):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_and_misspelt_keys():
-    with pytest.raises(KinfeasError, match="'robot' is missing"):
-        from_mapping(Recipe, {}, "x")
-    with pytest.raises(KinfeasError, match=r"'robt' .did you mean 'robot'"):
-        from_mapping(Recipe, {"robt": "pr2"}, "x")
-    with pytest.raises(KinfeasError, match=r"'many.a.lagg' .did you mean 'lag'\?.; known are base"):
-        from_mapping(Recipe, {"robot": "pr2", "many": {"a": {"lagg": 1}}}, "x")
-    with pytest.raises(KinfeasError, match=r"^x: must be a mapping"):
-        from_mapping(Recipe, [], "x")
-
-
 @pytest.mark.parametrize(
     ("override", "changed"),
     [

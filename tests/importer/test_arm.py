@@ -107,20 +107,3 @@ def test_reads_the_fingers_and_the_tip(changed, changes, closed):
     np.testing.assert_allclose(hand.rotation, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
     assert (hand.gripper.fingers, hand.gripper.effort) == (("l", "r"), 20.0)
     assert (hand.gripper.closed, hand.gripper.open) == (closed, 0.04 - closed)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        [('upper="0.04" velocity="0.1" effort="20"', 'upper="0.05" velocity="0.1" effort="20"')],
-        [('effort="20"', 'effort="0"')],
-        [('effort="20"/>', 'effort="20"/><mimic joint="l" multiplier="-1"/>')],
-        WITHOUT_FINGERS,
-        [fixed("r")],
-    ],
-)
-def test_other_fingers_are_no_gripper_but_have_a_tip(changed, changes):
-    hand = hand_of(changed(*changes))
-    assert hand.gripper is None
-    assert hand.tip[0] == pytest.approx(0.12)
-    np.testing.assert_allclose(axes(hand.rotation)[:, 0], [1.0, 0.0, 0.0], atol=1e-9)

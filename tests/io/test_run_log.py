@@ -1,6 +1,3 @@
-import resource
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -74,27 +71,6 @@ def test_a_truncated_file_is_readable(path):
         assert len(read_record(path).time) == 1
     path.write_bytes(whole)
     assert len(read_record(path).time) == 2
-
-
-@contextmanager
-def full_disk(size):
-    """Let no file grow beyond a size."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_a_full_disk_is_one_error_and_leaves_what_was_written(path):
-    with Recorder(path, ABOUT) as recorder:
-        recorder.write(moment(1))
-        with full_disk(path.stat().st_size + 20):
-            with pytest.raises(KinfeasError, match=r"run\.csv: cannot be written"):
-                recorder.write(moment(2))
-            recorder.__exit__()
-    assert read_record(path).time.tolist() == [0.02]
 
 
 def test_an_existing_file_raises(path):

@@ -36,14 +36,6 @@ def test_shrunk_groups_allow_an_overlap(kind):
     assert Solids([sheet], 1e-3).touches(Solids([at(kind, 0.0)], 1e-3))
 
 
-def test_a_group_touches_with_any_shape_and_moves():
-    group, probe = Solids([at("box", 0.0), at("sphere", 5.0)]), Solids([at("box", 5.1)])
-    assert group.touches(probe)
-    group.place(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [7.0, 0.0, 0.0]]))
-    assert not group.touches(probe)
-    assert not Solids([]).touches(probe)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "where"),
     [

@@ -57,15 +57,3 @@ def test_parameters(hsr, sample):
     assert np.all((goal[:, 2] >= 1.3) & (goal[:, 2] <= 1.4))
     with pytest.raises(KinfeasError, match="'stacking'"):
         ggr(name="stacking").sample(hsr, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("distanse", (1, 2)), ("distance", (2, 1)), ("distance", (-1, 1)), ("heights", (2, 1)),
-        ("orientation", "rpm"), ("motion", "linear"), ("start", "all"),
-    ],
-)  # fmt: skip
-def test_wrong_parameters_raise(key, value):
-    with pytest.raises(KinfeasError, match=key):
-        ggr(**{key: value})

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from kinfeas.sim2real.adapters.random_numbers import normal, per_episode, salt, uniform
+from kinfeas.sim2real.adapters.random_numbers import normal, uniform
 
 
 def seeds(n, first=0):
@@ -29,14 +29,3 @@ def test_rows_and_steps_are_on_their_own(draw):
         alone = draw(seeds(1, row), steps(1, 3), 4)
         np.testing.assert_array_equal(alone[0], together[row])
     assert np.intersect1d(together, draw(seeds(5), steps(5, 4), 4)).size == 0
-
-
-def test_numbers_of_episodes_and_steps_differ():
-    for step in range(3):
-        drawn = uniform(seeds(50), steps(50, step), 3)
-        assert np.intersect1d(per_episode(seeds(50), 3), drawn).size == 0
-
-
-def test_salts_differ_by_name_and_number_and_none_keeps_the_seeds():
-    assert salt("", 0) == 0
-    assert len({int(salt(name, i)) for name in ("", "A", "B") for i in range(3)}) == 9
