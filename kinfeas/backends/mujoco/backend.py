@@ -14,6 +14,7 @@ from kinfeas.backends.mujoco.surroundings import Surroundings
 from kinfeas.backends.physics.backend import Motion, PhysicsBackend
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.drives import ArmSetpoints
+from kinfeas.backends.physics.kernels import base_path
 from kinfeas.backends.physics.obstacles import stack
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.control.execution import tool_pose
@@ -113,7 +114,7 @@ class MuJoCoBackend(PhysicsBackend):
 
     def object_joint(self, row: int, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""
-        return float(self.sims.batch.qpos[row, self.model.address(name, joint)])
+        return float(self.sims.qpos[row, self.model.address(name, joint)])
 
     def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
         """Return whether an object is on another one, as in `PhysicsBackend`."""
@@ -131,7 +132,7 @@ class MuJoCoBackend(PhysicsBackend):
 
     def joint_motion(self, row: int = 0) -> Motion:
         """Return the motion of all joints of a robot except those of its base."""
-        qpos, qvel = self.sims.batch.qpos[row], self.sims.batch.qvel[row]
+        qpos, qvel = self.sims.qpos[row], self.sims.qvel[row]
         joints = self.model.joints
         return {n: float(qpos[at]) for n, (at, _) in joints.items()}, {
             n: float(qvel[at]) for n, (_, at) in joints.items()
@@ -183,7 +184,7 @@ class MuJoCoBackend(PhysicsBackend):
     def _read(self, rows: _Rows) -> tuple[Array, Array]:
         count, sims = 3 + len(self.robot.arm), self.sims
         positions, velocities = self.model.at[:, :count]
-        return sims.batch.qpos[rows][:, positions], sims.batch.qvel[rows][:, velocities]
+        return sims.qpos[rows][:, positions], sims.qvel[rows][:, velocities]
 
 
 class Simulations:
@@ -218,6 +219,8 @@ class Simulations:
         self._ends = self.batch.expand("eq_data")[:, -1] if grasps else np.zeros((n, 0))
         self._tip = tool_pose(robot)
         self._time_step = self.batch.expand("opt.timestep")
+        self.qpos, self.qvel = self.batch.qpos, self.batch.qvel
+        self._warning, self._active = self.batch.warning, self.batch.eq_active
 
     def state(self) -> dict[str, Any]:
         """Return the whole state by name, as arrays of n rows that can be changed."""
@@ -244,7 +247,7 @@ class Simulations:
         qpos = self._qpos[rows]
         qpos[:, model.at[0, :2]], qpos[:, model.at[0, 2]] = base_pose[:, :2], yaw(base_pose)
         qpos[:, model.arm_at] = self._arm.follow(joint_positions)
-        batch.qpos[rows] = qpos
+        self.qpos[rows] = qpos
         batch.mocap_pos[rows] = self._mocap[rows, :, :3]
         batch.mocap_quat[rows] = self._mocap[rows, :, 3:]
         self._arm.reset(joint_positions, rows)
@@ -258,22 +261,26 @@ class Simulations:
         self._time_step[rows] = dt / steps
         time = dt / steps * np.arange(1.0, steps + 1.0)
         control = np.zeros((len(rows), steps, model.engine.nu))
-        control[..., :3] = self._base_velocities(rows, base_twist, time)
+        base = model.robot.base
+        control[..., :3] = base_path(
+            self._base, rows, base_twist, self.qpos[:, model.at[0, 2]], time,
+            base.drive == "differential", base.max_acceleration, base.max_rotation_acceleration,
+        )  # fmt: skip
         path, speed = self._arm.plan(joint_targets, time, rows)
         arm, servos = joint_targets.shape[1], control[..., 3 : model.at.shape[1]]
         servos[..., :arm] = (path + LAG * speed)[..., :arm]
         servos[..., arm:] = self.fingers[rows, np.newaxis]
         # A setpoint far ahead of its joint would exceed the velocity limit.
-        now = self.batch.qpos[rows][:, np.newaxis, model.at[0, 3:]]
+        now = self.qpos[rows][:, np.newaxis, model.at[0, 3:]]
         ahead = model.velocity * (LAG + time[:, np.newaxis])
         np.clip(servos, now - ahead, now + ahead, out=servos)
         self.batch.rollout(steps, control, record=(), ids=rows)
-        if self.batch.warning[rows].any():
+        if self._warning[rows].any():
             raise KinfeasError("MuJoCo: the simulation is unstable; try a higher 'physics.rate'")
         if model.grasp is not None:
             for row in rows[self.held[rows]].tolist():
                 if self._grasp_force(row) > self._config.grasp_limit:
-                    self.batch.eq_active[row, model.grasp] = 0.0
+                    self._active[row, model.grasp] = 0.0
             # An object that has slipped out is not grasped again.
             for row in rows[self._closing[rows]].tolist():
                 self._closing[row] = not self._hold(row)
@@ -283,7 +290,7 @@ class Simulations:
         """Whether each hand holds something, shape (n,)."""
         if self.model.grasp is None:
             return np.zeros(self.n, dtype=np.bool_)
-        return self.batch.eq_active[:, self.model.grasp] > 0.0
+        return self._active[:, self.model.grasp] > 0.0
 
     def grip(self, grip: Grip, rows: _Rows) -> None:
         """Start to close or open the grippers of some simulations."""
@@ -292,7 +299,7 @@ class Simulations:
         self._closing[rows] = grip == "close"
         self.fingers[rows] = gripper.closed if grip == "close" else gripper.open
         if self.model.grasp is not None and grip == "open":
-            self.batch.eq_active[rows, self.model.grasp] = 0.0
+            self._active[rows, self.model.grasp] = 0.0
 
     def _hold(self, row: int) -> bool:
         """Hold the object in the hand if both fingers touch it; return whether they do."""
@@ -309,9 +316,9 @@ class Simulations:
             self._ends[row, :6] = [*in_hand, *in_link]
         else:
             self._ends[row, :10] = [*in_link, *in_hand, *turn]
-        self.batch.eq_active[row, model.grasp] = 1.0
+        self._active[row, model.grasp] = 1.0
         # The fingers stay where they are: the constraint holds, not their force.
-        self.fingers[row] = self.batch.qpos[row, model.at[0, -2:]]
+        self.fingers[row] = self.qpos[row, model.at[0, -2:]]
         return True
 
     def _grasp_force(self, row: int) -> float:
@@ -338,33 +345,3 @@ class Simulations:
         self.batch.get_data(row, self._scratch)
         mujoco.mj_fwdPosition(self.model.engine, self._scratch)
         return self._scratch
-
-    def _base_velocities(self, rows: _Rows, twist: Array, time: Array) -> Array:
-        """Return setpoints of x, y and yaw at t times within the acceleration limits, (m, t, 3).
-
-        A differential drive moves along its heading only, at the part of the twist along its
-        heading at the end of the period, as in `kinfeas.control.drive`.
-        """
-        base, start, target = self.model.robot.base, self._base[rows], twist[:, [0, 1, 5]]
-        heading = self.batch.qpos[rows, self.model.at[0, 2]]
-        differential = base.drive == "differential"
-        if differential:
-            end = heading + target[:, 2] * time[-1]
-            target[:, 0] = np.cos(end) * target[:, 0] + np.sin(end) * target[:, 1]
-            target[:, 1] = 0.0
-        change = target - start
-        length = np.hypot(change[:, 0], change[:, 1])
-        needed = np.stack(
-            [length / base.max_acceleration, np.abs(change[:, 2]) / base.max_rotation_acceleration]
-        )[[0, 0, 1]].T
-        share = np.minimum(time[:, np.newaxis] / np.maximum(needed, 1e-9)[:, np.newaxis], 1.0)
-        velocity = start[:, np.newaxis] + share * change[:, np.newaxis]
-        self._base[rows] = velocity[:, -1]
-        if differential:
-            way = np.cumsum(velocity[..., 2], axis=1) * time[0]
-            heading = heading[:, np.newaxis] + way
-            forward = velocity[..., 0]
-            velocity = np.stack(
-                [np.cos(heading) * forward, np.sin(heading) * forward, velocity[..., 2]], axis=-1
-            )
-        return velocity

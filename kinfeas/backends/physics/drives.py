@@ -4,9 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
+from kinfeas.backends.physics.kernels import arm_paths
 from kinfeas.backends.physics.robot import arm_followers
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array, wrap
+from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 
 
@@ -81,35 +82,12 @@ class ArmSetpoints:
             Positions and velocities of all `names`, shape (m, t, j + f).
         """
         where = slice(None) if rows is None else rows
-        at, change = self.at[where], targets - self.at[where]
-        change = np.where(self._continuous, wrap(change), change)
-        # The peak velocity of a cubic from rest is 1.5 times its mean. Larger changes are scaled
-        # down for all joints alike, because the EE deviates less if no joint runs ahead.
-        needed = np.max(1.5 * np.abs(change) / self._fastest, axis=-1, keepdims=True)
-        change *= self._horizon / np.maximum(self._horizon, needed)
-        path, speed = cubic(
-            at[:, np.newaxis], self.speed[where][:, np.newaxis], change[:, np.newaxis],
+        path, speed = arm_paths(
+            self.at[where], self.speed[where], targets, self._continuous, self._fastest,
             self._horizon, time,
         )  # fmt: skip
         self.at[where], self.speed[where] = path[:, -1], speed[:, -1]
-        rates = speed[..., self._leaders] * self._multipliers
-        return self.follow(path), np.concatenate([speed, rates], axis=-1)
-
-
-def cubic(
-    position: Array, velocity: Array, change: Array, duration: float, time: Array
-) -> tuple[Array, Array]:
-    """Return positions and velocities, each (..., t, j), on cubics that end at rest at `duration`.
-
-    Args:
-        position: Start, shape (j,) or (..., 1, j), rad or m.
-        velocity: At the start, of the same shape.
-        change: From start to end, of the same shape.
-        duration: Seconds.
-        time: Seconds since the start, shape (t,).
-    """
-    s = np.minimum(time[:, np.newaxis] / duration, 1.0)
-    rest = 1.0 - s
-    path = position + velocity * duration * s * rest * rest + change * s * s * (3.0 - 2.0 * s)
-    speed = velocity * rest * (1.0 - 3.0 * s) + 6.0 * change / duration * s * rest
-    return path, speed
+        if self._leaders:
+            rates = speed[..., self._leaders] * self._multipliers
+            path, speed = self.follow(path), np.concatenate([speed, rates], axis=-1)
+        return path, speed

@@ -3,21 +3,12 @@
 import numpy as np
 import pytest
 
+from kinfeas.backends.mujoco.backend import MuJoCoBackend
 from kinfeas.core import spatial
+from kinfeas.core.errors import KinfeasError
 from tests.backends.conftest import stay, twist
 
-pytest.importorskip("mujoco")
-
-from kinfeas.backends.mujoco.backend import MuJoCoBackend
-from kinfeas.core.errors import KinfeasError
-
 DT = 0.02
-
-
-@pytest.fixture(scope="session")
-def engine():
-    """The class of the backend."""
-    return MuJoCoBackend
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinfeas.backends.physics.drives import cubic
+from kinfeas.backends.physics.kernels import cubic
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
@@ -18,18 +18,17 @@ STEP = 1 / 240
 @given(NUMBER, NUMBER, NUMBER, st.floats(0.05, 2.0))
 def test_a_cubic_meets_its_boundary_conditions(position, velocity, change, duration):
     time = np.array([0.0, 1e-7, duration, 2.0 * duration])
-    start = [np.array([value]) for value in (position, velocity, change)]
-    path, speed = cubic(*start, duration, time)
-    assert (path[0, 0], speed[0, 0]) == (position, velocity)
-    assert (path[1, 0] - path[0, 0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
-    np.testing.assert_allclose(path[2:, 0], position + change, atol=1e-9)
-    np.testing.assert_allclose(speed[2:, 0], 0.0, atol=1e-9)
+    path, speed = np.array([cubic(position, velocity, change, duration, one) for one in time]).T
+    assert (path[0], speed[0]) == (position, velocity)
+    assert (path[1] - path[0]) / 1e-7 == pytest.approx(velocity, abs=1e-2)
+    np.testing.assert_allclose(path[2:], position + change, atol=1e-9)
+    np.testing.assert_allclose(speed[2:], 0.0, atol=1e-9)
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_a_cubic_keeps_the_velocity_it_was_scaled_for(start, share):
-    change, duration = np.array([share]), 1.5 * max(share, 0.1)
-    _, speed = cubic(np.zeros(1), np.array([start]), change, duration, np.linspace(0, 2, 99))
+    duration = 1.5 * max(share, 0.1)
+    speed = [cubic(0.0, start, share, duration, time)[1] for time in np.linspace(0, 2, 99)]
     assert np.abs(speed).max() <= 1.0 + 1e-9
 
 

@@ -1,0 +1,11 @@
+import pytest
+
+pytest.importorskip("mujoco")
+
+from kinfeas.backends.mujoco.backend import MuJoCoBackend
+
+
+@pytest.fixture(scope="session")
+def engine():
+    """The class of the backend."""
+    return MuJoCoBackend
