@@ -146,8 +146,13 @@ class MuJoCoBackend(PhysicsBackend):
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the obstacles nearer than `within` metres to the bases, except grasped links."""
-        rows = range(len(self._positions))
-        return stack([self._surroundings.around(self.sims.data(row), within) for row in rows])
+        sims, measured = self.sims, self._surroundings
+        return stack(
+            [
+                measured.around(sims.batch, row, sims.data(row), within)
+                for row in range(len(self._positions))
+            ]
+        )
 
     @cached_property
     def _surroundings(self) -> Surroundings:

@@ -26,7 +26,9 @@ class Surroundings:
         owner, base = model.owner[engine.geom_bodyid], ~model.on_arm[engine.geom_bodyid]
         self._base = np.flatnonzero((owner == ROBOT) & base)
         spared = model.grasped[1] if model.grasp is not None else -1
-        self._objects = np.flatnonzero((owner >= 0) & (engine.geom_bodyid != spared))
+        objects = (owner >= 0) & (engine.geom_bodyid != spared)
+        self._objects = np.flatnonzero(objects)
+        self._is_object = np.append(objects, False)  # the last one is what rays hit at -1
         data = mujoco.MjData(engine)
         data.qpos[:] = model.rest
         mujoco.mj_kinematics(engine, data)
@@ -36,43 +38,57 @@ class Surroundings:
             if (corners := _corners(engine, geom)) is not None
         ]
 
-    def around(self, data: Any, within: float) -> ObstacleDistances:
-        """Return the obstacles within a distance (m) of one robot as a batch of 1."""
+    def around(self, batch: Any, row: int, data: Any, within: float) -> ObstacleDistances:
+        """Return the obstacles within a distance (m) of one robot as a batch of 1.
+
+        Args:
+            batch: MuJoCo's batch.
+            row: Simulation of the robot.
+            data: Its data at the present positions.
+            within: Metres.
+        """
         engine, owner = self._model.engine, self._model.owner
-        hit, normal = np.zeros(1, dtype=np.int32), np.zeros(3)
 
         def cast(places: Array, ahead: Array, height: float) -> Iterator[Obstacle]:
-            way = np.array([*ahead, 0.0])
-            for place in places:
-                start = np.array([*place, height]) + _OUTSIDE * way
-                reach = mujoco.mj_ray(engine, data, start, way, _OTHERS, True, -1, hit, normal)
-                beside = is_beside(normal) and normal @ way < 0.0  # not from inside an object
-                if beside and 0.0 <= reach <= within - _OUTSIDE and hit[0] in self._objects:
-                    to_hit, toward = (reach + _OUTSIDE) * ahead, -normal[:2]
-                    yield Obstacle(place, toward, float(to_hit @ toward), height)
+            starts = np.column_stack([places + _OUTSIDE * ahead, np.full(len(places), height)])
+            found = batch.ray(starts, [*ahead, 0.0], _OTHERS, ids=[row], normal=True)
+            for place, reach, geom, normal in zip(places, *(one[0] for one in found), strict=True):
+                entered = normal[:2] @ ahead < 0.0  # else it starts inside an object
+                near = self._is_object[geom] and reach <= within - _OUTSIDE
+                if near and entered and is_beside(normal):
+                    toward = -normal[:2]
+                    yield Obstacle(
+                        place, toward, float((reach + _OUTSIDE) * ahead @ toward), height
+                    )
 
         nearest: dict[int, dict[tuple[int, int], Obstacle]] = {}
-        for own, other in self._near(data, within):
+        for own, other, least in self._near(data, within):
             bodies = int(engine.geom_bodyid[own]), int(engine.geom_bodyid[other])
             found = nearest.setdefault(int(owner[bodies[1]]), {})
-            one = _closest(engine, data, own, other, within)
-            if one is not None and (bodies not in found or one.distance < found[bodies].distance):
+            best = found[bodies].distance if bodies in found else within
+            one = _closest(engine, data, own, other, best) if least < best else None
+            if one is not None:
                 found[bodies] = one
         x, y, heading = data.qpos[self._model.at[0, :3]].tolist()
         closest = ([*nearest[number].values()] for number in sorted(nearest))
         return obstacle_distances((x, y, heading), closest, self._shapes, cast)
 
-    def _near(self, data: Any, within: float) -> list[list[int]]:
-        """Return pairs of geoms of base and objects that may be within a distance."""
+    def _near(self, data: Any, within: float) -> Iterator[tuple[int, int, float]]:
+        """Yield pairs of geoms of base and objects, and the least distance that they can have.
+
+        Pairs beyond `within` metres are left out; the nearest ones come first.
+        """
         engine, objects = self._model.engine, self._objects
         turn = data.geom_xmat[objects].reshape(-1, 3, 3)
         away = data.geom_xpos[self._base][:, np.newaxis] - data.geom_xpos[objects]
         box = engine.geom_aabb[objects]
-        beyond = np.abs(np.einsum("bgi,gij->bgj", away, turn) - box[:, :3]) - box[:, 3:]
-        apart = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
-        own, other = np.nonzero(apart <= engine.geom_rbound[self._base][:, np.newaxis] + within)
-        pairs: list[list[int]] = np.column_stack([self._base[own], objects[other]]).tolist()
-        return pairs
+        beyond = np.abs((away[..., np.newaxis, :] @ turn)[..., 0, :] - box[:, :3]) - box[:, 3:]
+        least = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        least -= engine.geom_rbound[self._base][:, np.newaxis]
+        own, other = np.nonzero(least < within)
+        bounds = least[own, other]
+        for pair in np.argsort(bounds, kind="stable").tolist():
+            yield int(self._base[own[pair]]), int(objects[other[pair]]), float(bounds[pair])
 
 
 def _closest(engine: Any, data: Any, own: int, other: int, within: float) -> Obstacle | None:
