@@ -1,6 +1,7 @@
 """`kinfeas evaluate`: metrics of a policy, and films of its episodes."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,7 +47,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = None,
     time_scale: Annotated[
         float | None,
-        typer.Option(help="Relative EE speed.  [default: 1; pr2 with physics 0.5]"),
+        typer.Option(help="Relative EE speed.  [default: of the robot]"),
     ] = None,
     without_objects: Annotated[
         bool, typer.Option("--no-objects", help="Physics: leave out the furniture.")
@@ -54,6 +55,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     filters: options.Filters = None,
     gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
     adapters: options.AdapterList = None,
+    ablation: Annotated[
+        bool,
+        typer.Option("--ablation", help="Also evaluate single adapters."),
+    ] = False,
     picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
     video: Annotated[
         Path | None,
@@ -74,8 +79,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
 ) -> None:
     """Evaluate a policy.
 
-    The ceiling is the share of goals that some base pose reaches. Pictures show the desired EE path
-    dashed, the achieved one green.
+    The ceiling is the share of goals that some base pose reaches. Pictures: desired EE path dashed,
+    achieved green.
 
     Settings: task.KEY and world.KEY: dt, max_failures, max_seconds, arm_settle_timeout, ik.KEY,
     filters, adapters, backend_parameters.KEY.
@@ -83,6 +88,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas evaluate --policy pretrained --task door --world pybullet
     """
     from kinfeas.evaluation.evaluate import (
+        adapter_subsets,
         default_episodes,
         prepare,
         reachability_of,
@@ -106,9 +112,32 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     cores = 1 if gui else processes
     with progress(f"{count} episodes", count) as advance:
         summary = run(chosen, driver, policy, ceiling, cores, advance)
-    write_json(summary, json)
+    rows = {}
+    if ablation:
+        parts = adapter_subsets(chosen.world.adapters)
+        with progress(f"{len(parts)} evaluations", len(parts)) as advance:
+            for label, some in parts.items():
+                part = replace(chosen, world=replace(chosen.world, adapters=some))
+                rows[label] = run(part, driver, policy, ceiling, cores)
+                advance(1.0)
+    write_json({**summary, "ablation": rows} if ablation else summary, json)
     _show(summary)
+    if ablation:
+        _show_ablation({**rows, "all": summary})
     _show_episode(chosen, driver, episode, picture, video, replay)
+
+
+def _show_ablation(rows: "Mapping[str, Summary]") -> None:
+    cells = [
+        [
+            label,
+            _share(found, "success"),
+            share(found["reached"]),
+            f"{1000.0 * found['mean_deviation_m']:.1f} mm",
+        ]
+        for label, found in rows.items()
+    ]
+    print_table("adapters", ["", " success", " reached", " deviation"], cells)
 
 
 def _show(summary: "Summary") -> None:

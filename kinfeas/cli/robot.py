@@ -10,6 +10,7 @@ from kinfeas.cli import options
 from kinfeas.cli.output import (
     check_file_path,
     print_facts,
+    print_table,
     progress,
     write_drawing,
     write_json,
@@ -59,6 +60,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.core.errors import check_name
     from kinfeas.importer.draft import draft_robot
+    from kinfeas.importer.text import guessed
     from kinfeas.io.files import write_file, writing
 
     called = urdf.stem if name is None else name
@@ -80,6 +82,7 @@ def import_urdf(  # noqa: PLR0913, PLR0917 - each option is an argument
     summary = _summary(draft)
     write_json(summary, json)
     print_facts(f"robot {called}", summary)
+    print_table("guesses to check", ["key", "value"], guessed(draft.spec, draft.guesses))
     quoted = shlex.quote(str(yaml_path))
     typer.echo(f"next: check the guesses in {yaml_path}, then kinfeas ceiling --robot {quoted}")
     write_drawing(lambda: _drawing(draft), picture)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from kinfeas.config import from_mapping
+from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.control.adapters import execution_of, wrap
 from kinfeas.core.backend import build_backend
 from kinfeas.core.metrics import EpisodeRecords, Metrics, Share, summarize
@@ -94,6 +94,16 @@ def prepare(  # noqa: PLR0913 - the options of the command
 def default_episodes(backend: str) -> int:
     """Return the default number of episodes: 500, or 50 in worlds with physics."""
     return 500 if backend == "analytic" else 50
+
+
+def adapter_subsets(adapters: Sequence[PluginSpec]) -> dict[str, tuple[PluginSpec, ...]]:
+    """Return no adapters, each one alone, and all but each one, by label."""
+    names, every = [one.name for one in adapters], tuple(adapters)
+    return {
+        "none": (),
+        **{name: (one,) for name, one in zip(names, every, strict=True)},
+        **{f"no {name}": every[:i] + every[i + 1 :] for i, name in enumerate(names)},
+    }
 
 
 def evaluate(  # noqa: PLR0913, PLR0917 - an evaluation and how to run it

@@ -40,6 +40,23 @@ class Guesses:
         return "m" if joint in self.slides else "rad"
 
 
+def guessed(spec: RobotSpec, guesses: Guesses) -> list[list[str]]:
+    """Return key and value, with its unit, of each guess in the YAML file."""
+    found: dict[str, tuple[object, str]] = {
+        f"base.{key}": (value, _BASE_UNITS.get(key, "")) for key, value in vars(spec.base).items()
+    }
+    found |= {"tool_tip": (spec.tool_tip, "m"), "gripper_rotation": (spec.gripper_rotation, "")}
+    for name in guesses.limits:
+        found[f"arm.{name}.soft_limits"] = spec.arm[name].soft_limits, guesses.unit(name)
+    for name in guesses.speeds:
+        found[f"arm.{name}.velocity"] = spec.arm[name].velocity, f"{guesses.unit(name)}/s"
+    if spec.pose_tolerance is not None:
+        found["pose_tolerance"] = vars(spec.pose_tolerance), "m, rad"
+    if spec.ignored_collisions:
+        found["ignored_collisions"] = len(spec.ignored_collisions), "pairs of links"
+    return [[key, f"{to_line(value)} {unit}".strip()] for key, (value, unit) in found.items()]
+
+
 def robot_yaml(spec: RobotSpec, guesses: Guesses) -> str:
     """Return the text of a robot's YAML file, with comments that mark guesses."""
     joints = {

@@ -66,6 +66,14 @@ def test_adapters_of_a_file(evaluate, tmp_path):
     figures = evaluate(*SHORT, "--adapters", "mine.yaml")
     assert figures["adapters"] == ["base_noise", "head_start"]
     assert figures["head_start"] == 1.0
+    rows = evaluate(*SHORT, "--adapters", "mine.yaml", "--ablation")["ablation"]
+    assert {label: row["adapters"] for label, row in rows.items()} == {
+        "none": [],
+        "base_noise": ["base_noise"],
+        "head_start": ["head_start"],
+        "no base_noise": ["head_start"],
+        "no head_start": ["base_noise"],
+    }
 
 
 @pytest.mark.parametrize("world", ["analytic", "pybullet"])
