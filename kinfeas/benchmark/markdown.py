@@ -58,8 +58,9 @@ def to_markdown(
 
     `pictures` are files to show, relative to the text.
     """
-    world = cells[0].world
-    lines = [f"# Benchmark{'' if world == 'analytic' else f' in {world}'}", ""]
+    world, worlds = cells[0].world, list(dict.fromkeys(cell.world for cell in cells))
+    named = "" if world == "analytic" else f" in {' and '.join(worlds)}"
+    lines = [f"# Benchmark{named}", ""]
     lines += [f"**{note}**", ""] if note else []
     lines += [_HOW + (_ANALYTIC if world == "analytic" else _PHYSICS), "", _effort(cells), ""]
     for robot, variant in groups(cells):
@@ -88,15 +89,16 @@ def title(robot: str, variant: str) -> str:
 
 def label(cell: Cell) -> str:
     """Return the name of the row of a cell: its policy and the label of the row."""
-    parts = [_LEARNED.get(cell.policy, cell.policy), cell.row.replace("_", " ")]
+    engine = "" if cell.world == "analytic" else cell.world
+    parts = [_LEARNED.get(cell.policy, cell.policy), cell.row.replace("_", " "), engine]
     return ", ".join(part for part in parts if part)
 
 
 def rows_of(cells: Sequence[Cell]) -> list[dict[str, Cell]]:
     """Return the rows of a table in order: the cells of each by task."""
-    rows: dict[tuple[str, str], dict[str, Cell]] = {}
+    rows: dict[tuple[str, str, str], dict[str, Cell]] = {}
     for cell in cells:
-        rows.setdefault((cell.policy, cell.row), {})[cell.task] = cell
+        rows.setdefault((cell.policy, cell.row, cell.world), {})[cell.task] = cell
     return list(rows.values())
 
 
@@ -104,7 +106,8 @@ def _effort(cells: Sequence[Cell]) -> str:
     seeds = sorted({cell.seeds for cell in cells if cell.learned})
     policies = f"{_or(seeds)} training seed{'s' * (seeds != [1])} a policy, " if seeds else ""
     episodes = f"{_or(sorted({cell.episodes_per_seed for cell in cells}))} episodes of each"
-    return f"World: {cells[0].world}; {policies}{episodes}, the same for all policies."
+    worlds = ", ".join(dict.fromkeys(cell.world for cell in cells))
+    return f"World: {worlds}; {policies}{episodes}, the same for all policies."
 
 
 def _or(numbers: Sequence[int]) -> str:

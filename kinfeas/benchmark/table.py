@@ -84,10 +84,10 @@ class Cell:
         return self.policy in ("sac", "td3", pretrained.NAME)
 
 
-def tabulate(found: Sequence[tuple[Evaluation, Result]], backend: str) -> list[Cell]:
+def tabulate(found: Sequence[tuple[Evaluation, Result]], *backends: str) -> list[Cell]:
     """Return the cells of a benchmark, learned policies first if there is physics.
 
-    Evaluations in the analytic world beside another `backend` are references of its cells.
+    Evaluations in the analytic world beside other `backends` are references of their cells.
     """
     groups: dict[tuple[str, ...], list[tuple[Evaluation, Result]]] = {}
     for job, result in found:
@@ -95,16 +95,23 @@ def tabulate(found: Sequence[tuple[Evaluation, Result]], backend: str) -> list[C
         groups.setdefault(key, []).append((job, result))
     cells = []
     for (robot, variant, task, policy, row, world), group in groups.items():
-        if policy == CEILING or world != backend:
+        if policy == CEILING or world not in backends:
             continue
         ((_, ceiling),) = groups[robot, variant, task, CEILING, "", "analytic"]
         beside = groups.get((robot, variant, task, policy, row, "analytic"), [])
-        analytic = [] if backend == "analytic" else [result for _, result in beside]
+        analytic = [] if world == "analytic" else [result for _, result in beside]
         cells.append(_cell(group, ceiling, analytic))
-    if backend == "analytic":
+    if backends == ("analytic",):
         return cells
     robots = list(dict.fromkeys(cell.robot for cell in cells))
-    return sorted(cells, key=lambda cell: (robots.index(cell.robot), not cell.learned))
+    rows = list(dict.fromkeys((cell.policy, cell.row) for cell in cells))
+
+    def order(cell: Cell) -> tuple[int, bool, int]:
+        """Keep the engines' figures of a policy together."""
+        row = rows.index((cell.policy, cell.row)) if len(backends) > 1 else 0
+        return robots.index(cell.robot), not cell.learned, row
+
+    return sorted(cells, key=order)
 
 
 def interval(shares: Sequence[float], episodes: int) -> Share:

@@ -3,7 +3,7 @@
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 _RECIPES = {
     ("analytic", False): "benchmark/study",
     ("analytic", True): "benchmark/quick",
-    ("pybullet", False): "benchmark/physics",
-    ("pybullet", True): "benchmark/physics_quick",
+    ("physics", False): "benchmark/physics",
+    ("physics", True): "benchmark/physics_quick",
 }
 
 
@@ -38,7 +38,12 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     out: Annotated[
         Path | None, typer.Option(help="Folder of the results.  [default: runs/benchmark/NAME]")
     ] = None,
-    world: options.World = "analytic",
+    world: Annotated[
+        str,
+        typer.Option(
+            help="Backend: analytic, pybullet, mujoco, or a plugin; several engines with commas."
+        ),
+    ] = "analytic",
     quick: Annotated[bool, typer.Option("--quick", help="Small version of a few minutes.")] = False,
     episodes: Annotated[
         int | None, options.episodes_option("Number of episodes for each policy and task.")
@@ -64,24 +69,26 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas benchmark --quick --out runs/quick
 
-    Example: kinfeas benchmark --world pybullet --policy pretrained --episodes 20
+    Example: kinfeas benchmark --world pybullet,mujoco --policy pretrained --episodes 20
     """
     from kinfeas.benchmark.config import read_benchmark, restricted
     from kinfeas.benchmark.evaluations import plan_evaluations
     from kinfeas.benchmark.runs import find_runs, read_run
     from kinfeas.io.files import write_file, writing
 
-    name = config or _RECIPES.get((world, quick), world)
+    worlds = world.split(",")
+    name, backend = (config, []) if config else _recipe(worlds[0], quick)
     out = out or Path("runs/benchmark") / Path(name).stem
     if policy and runs:
         raise KinfeasError("--policy and --runs exclude each other")
-    assignments = [*(["policies=pretrained"] if policy else []), *(overrides or [])]
+    chosen_policy = ["policies=pretrained"] if policy else []
+    assignments = [*backend, *chosen_policy, *(overrides or [])]
     assignments += [] if episodes is None else [f"episodes={episodes}"]
     chosen, taken = read_benchmark(name, assignments), find_runs(runs or [])
     if taken:
         chosen = restricted(chosen, {run.robot for run in taken})
-    if chosen.backend != world:
-        raise KinfeasError(f"{name}: 'backend' must be {world!r} for --world {world}")
+    if chosen.backend not in worlds or (len(worlds) > 1 and "analytic" in worlds):
+        raise KinfeasError(f"{name}: its 'backend', {chosen.backend}, does not fit --world {world}")
     plans = [] if taken else _plans(chosen, out)
     runner = options.read_engine(engine, processes, address)
     with writing(out):
@@ -90,7 +97,10 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         if plans:
             _run("trainings", plans, runner)
             taken = [read_run(job.path.parent) for job in plans]
-        evaluations = plan_evaluations(chosen, taken)
+        evaluations = [
+            one for each in worlds for one in plan_evaluations(replace(chosen, backend=each), taken)
+        ]
+        evaluations = list({one.name: one for one in evaluations}.values())  # equal references
         results = _run("evaluations", [one.job(out / "results") for one in evaluations], runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
@@ -100,7 +110,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.benchmark.table import tabulate
 
     found = list(zip(evaluations, results, strict=True))
-    cells = tabulate(found, chosen.backend)
+    cells = tabulate(found, *worlds)
     with status("drawing"):
         pictures = draw_pictures(chosen, taken, found, cells)
     files = {f"{key}.png": picture for key, picture in pictures.items()}
@@ -115,6 +125,15 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     _show(cells, chosen.note)
     for path in (*(out / key for key in files), out / "table.json", *published):
         typer.echo(str(path))
+
+
+def _recipe(world: str, quick: bool) -> tuple[str, list[str]]:
+    """Return the recipe of a world, and the assignment of its engine."""
+    from kinfeas.config.recipes import ENGINES
+
+    if world in ENGINES:
+        return _RECIPES["physics", quick], [f"backend={world}"]
+    return _RECIPES.get((world, quick), world), []
 
 
 def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:
