@@ -37,12 +37,13 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     ],
     robot: options.PolicyRobotName = None,
     backend: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.",
+            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  [default: the first "
+            "installed of pybullet and mujoco]",
             autocompletion=options.names_of("backends"),
         ),
-    ] = "pybullet",
+    ] = None,
     goal: Annotated[
         Three | None,
         typer.Option(metavar="X Y Z", help="Goal of the EE in the world frame, metres."),
@@ -96,13 +97,14 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9
     """
+    from kinfeas.config.recipes import default_engine
     from kinfeas.io.run_log import About, Recorder
     from kinfeas.sim2real.deploy.runtime import deploy as run
 
     if record is not None and (record.exists() or record.suffix != ".csv"):
         raise KinfeasError(f"--record: {record} must be a new file that ends in .csv")
     with status("preparing"):
-        robot = robot or options.robot_of(policy)
+        robot, backend = robot or options.robot_of(policy), backend or default_engine()
         known = options.read_robot(robot)
         changes = options.with_filters(filters, overrides or [], "")
         config = _read_settings(known, guards, changes)
