@@ -16,6 +16,7 @@ from kinfeas.control.execution import (
 )
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON, OBSERVATION, Seen, observe
+from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
 from kinfeas.core.checks import check_state
@@ -28,6 +29,8 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.robots.robot import exceeds_joint_velocity, joint_displacement
+
+_TARGETS = "target_stream."
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,7 @@ class Step:
         goal_angle: The same in radians.
         finished: Whether the end of the last sub-goal was reached, on this feasible step.
         joint_jump: Whether an arm joint was commanded to move faster than its limit.
+        time_scale: Share of the planned motion that was carried out.
     """
 
     feasible: NDArray[np.bool_]
@@ -57,6 +61,7 @@ class Step:
     goal_angle: Array
     finished: NDArray[np.bool_]
     joint_jump: NDArray[np.bool_]
+    time_scale: Array
 
 
 class Loop:
@@ -64,8 +69,10 @@ class Loop:
 
     Attributes:
         policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
+        target_stream: Targets that move; then no sub-goal ends. None for those of the start.
         joint_command: Last commanded arm joints, shape (n, j).
         periods: Control periods since the start of each row, shape (n,).
+        time_scale: Share of the planned motion that the last step carries out, shape (n,).
         next_desired: During a step: desired world pose of the EE at its end, shape (n, 7).
         paused: During a step: whether base and motion pause while the arm reconfigures, shape (n,);
             None if they never do.
@@ -101,6 +108,9 @@ class Loop:
         self.kinematic_step = KinematicStep(solver, dt)
         self.policy: Policy | None = None
         self._recurrent: RecurrentPolicy | None = None
+        self.target_stream: TargetStream | None = None
+        self.time_scale: Array = np.empty(0)
+        self._full_scale: Array = np.empty(0)
         self.paused: NDArray[np.bool_] | None = None
         self.next_desired: Array = np.empty((0, 7))
         self.velocity_constraints: Any = None
@@ -151,6 +161,10 @@ class Loop:
             joints[others] = self.joint_command[others]
             self.periods[rows] = self._waited[rows] = 0
         self.joint_command = joints
+        self.time_scale = self._full_scale = np.ones(len(joints))
+        if self.target_stream is not None:
+            self.target_stream.start(self, rngs, fresh)
+            self.sequence.aim(self.target_stream.targets(self))
         self._plan()
         if self._recurrent is not None:
             self._recurrent.reset(self, fresh)
@@ -168,6 +182,7 @@ class Loop:
         """
         sequence, before = self.sequence, self.joint_command
         self.paused = self._find_paused() if self._arm_settle_timeout else None
+        self.time_scale = self._full_scale
         self.next_desired = sequence.next_desired(self._next, self.paused)
         command = self._filtered(action)
         sequence.move(self._next, self.paused)
@@ -181,6 +196,8 @@ class Loop:
         self._measure(state)
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
+        if self.target_stream is not None:
+            arrived = np.zeros_like(arrived)
         step = Step(
             feasible=arm.feasible,
             position_error=arm.position_error,
@@ -191,17 +208,30 @@ class Loop:
             goal_angle=goal_angle,
             finished=arrived & sequence.last,
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
+            time_scale=self.time_scale,
         )
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
         self._grip(step.subgoal, stops | step.finished)
         self.periods += 1
+        if self.target_stream is not None:
+            self.sequence.aim(self.target_stream.targets(self))
         self._plan()
         return step
 
+    def slow_down(self, time_scale: Array) -> None:
+        """Let this step carry out shares, shape (n,), of its planned motion; for filters."""
+        self.time_scale = time_scale
+        self._next = self.sequence.plan(self._motion_time * time_scale)
+        self.next_desired = self.sequence.next_desired(self._next, self.paused)
+
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as arrays by name."""
-        backend = self._resumable
-        return {**self.kinematic_state(), **backend.snapshot()}
+        backend, stream = self._resumable, self.target_stream
+        state = {**self.kinematic_state(), **backend.snapshot()}
+        if stream is not None:
+            targets = {f"{_TARGETS}{key}": values for key, values in stream.snapshot().items()}
+            state |= {"time_scale": self.time_scale, **targets}
+        return state
 
     def kinematic_state(self) -> dict[str, NDArray[Any]]:
         """Return the state without the backend's own: that of a loop in the analytic world."""
@@ -221,6 +251,11 @@ class Loop:
         self._measure(backend.restore(snapshot))
         self.joint_command = snapshot["joint_command"].copy()
         self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
+        self.time_scale = self._full_scale = np.ones(len(self.joint_command))
+        if self.target_stream is not None:
+            self.time_scale = snapshot["time_scale"].copy()
+            given = {k: v for k, v in snapshot.items() if k.startswith(_TARGETS)}
+            self.target_stream.restore({k.removeprefix(_TARGETS): v for k, v in given.items()})
         self._plan()
 
     @property

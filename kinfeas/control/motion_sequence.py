@@ -138,10 +138,20 @@ class MotionSequence:
             return np.broadcast_to(np.nan, (len(self.subgoal), 7))
         return self._ask(CheckedMotion.base_pose)
 
-    def plan(self, dt: float) -> Plan:
-        """Return the next step of `dt` seconds; each generator is called once, nothing moves."""
+    def aim(self, target_poses: Array) -> None:
+        """Replace the targets of each row's sub-goal, shape (n, 7)."""
+        self._targets = self._targets.copy()
+        self._targets[np.arange(len(self.subgoal)), self.subgoal] = target_poses
+        self._goal = None
+
+    def plan(self, dt: float | Array) -> Plan:
+        """Return the next step of `dt` seconds, 0 for rest; generators are called, nothing moves.
+
+        `dt` is one number for all rows, or has the shape (n,).
+        """
         frame, targets = self._to_frame(self.desired), self._target
-        seconds, resting = np.full(len(frame), dt), self.resting
+        seconds = np.full(len(frame), dt)
+        resting = self.resting | (seconds == 0.0)
         if len(self.generators) == 1 and not resting.any():
             twist, state = self.generators[0].twist(self._states[0], frame, targets, seconds)
             states = [state]
@@ -153,7 +163,7 @@ class MotionSequence:
                 twist[rows], after = generator.twist(*given)
                 states[number] = merged(states[number], rows, after, len(frame))
         desired = preview = self._to_ee(spatial.integrate(frame, twist, dt))
-        if dt != HORIZON:
+        if isinstance(dt, np.ndarray) or dt != HORIZON:
             preview = self._to_ee(spatial.integrate(frame, twist, HORIZON))
         if resting.any():
             desired, preview = (

@@ -33,6 +33,10 @@ class EpisodeRecords:
             task has no objects, shape (n,); None if the backend does not measure it.
         base_collisions: Collisions of the base, shape (n,); None likewise.
         arm_collisions: Collisions of the arm, shape (n,); None likewise.
+        rms_deviation: Root mean square of the deviation, metres, shape (n,), where the target is a
+            stream.
+        way: Length of the EE's true way, metres, shape (n,), likewise.
+        planned_way: Length of its way without time scaling, metres, shape (n,), likewise.
     """
 
     reached: NDArray[np.bool_]
@@ -45,6 +49,9 @@ class EpisodeRecords:
     task_done: NDArray[np.bool_] | None = None
     base_collisions: NDArray[np.intp] | None = None
     arm_collisions: NDArray[np.intp] | None = None
+    rms_deviation: Array | None = None
+    way: Array | None = None
+    planned_way: Array | None = None
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -92,7 +99,9 @@ def wilson(hits: int, trials: int) -> Share:
 class Metrics(TypedDict):
     """Metrics of episodes; `low` and `high` are the ends of the interval of a share.
 
-    Task success and collisions are null if the backend does not measure them.
+    Task success and collisions are null if the backend does not measure them. The last five are
+    those of streams of targets: `smooth` is the share of episodes without IK failure and joint
+    jump, `speed_share` the mean speed of the EE as a share of the planned one.
     """
 
     episodes: int
@@ -113,6 +122,11 @@ class Metrics(TypedDict):
     base_collisions: float | None
     arm_collisions: float | None
     collision_free_rate: float | None
+    smooth: float | None
+    smooth_low: float | None
+    smooth_high: float | None
+    speed_share: float | None
+    rms_deviation_m: float | None
 
 
 def summarize(records: EpisodeRecords) -> Metrics:
@@ -122,6 +136,11 @@ def summarize(records: EpisodeRecords) -> Metrics:
     within = wilson(int(records.within.sum()), episodes)
     done, base, arm = records.task_done, records.base_collisions, records.arm_collisions
     task = None if done is None else wilson(int(done.sum()), episodes)
+    smooth = speed = rms = None
+    if records.way is not None and records.rms_deviation is not None:
+        smooth = wilson(int((records.success & (records.joint_jumps == 0)).sum()), episodes)
+        speed = float(records.way.sum() / np.sum(records.planned_way))
+        rms = float(np.sqrt(np.average(records.rms_deviation**2, weights=records.steps)))
     return {
         "episodes": episodes,
         "success": success.value,
@@ -143,4 +162,9 @@ def summarize(records: EpisodeRecords) -> Metrics:
         "collision_free_rate": (
             None if base is None or arm is None else float(np.mean(base + arm == 0))
         ),
+        "smooth": smooth.value if smooth else None,
+        "smooth_low": smooth.low if smooth else None,
+        "smooth_high": smooth.high if smooth else None,
+        "speed_share": speed,
+        "rms_deviation_m": rms,
     }

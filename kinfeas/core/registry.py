@@ -23,6 +23,7 @@ GROUPS = {
     "kinfeas.backends": "backend",
     "kinfeas.policies": "policy",
     "kinfeas.filters": "command filter",
+    "kinfeas.target_sources": "target source",
 }
 """Entry-point groups and the noun for their entries."""
 
@@ -32,6 +33,7 @@ _MEMBERS = {
     "kinfeas.backends": ("reset", "step", "close"),
     "kinfeas.policies": ("act",),
     "kinfeas.filters": ("reset", "__call__"),
+    "kinfeas.target_sources": ("start", "close"),
 }
 """Required members; those of motion generators are called before an episode begins."""
 

@@ -168,6 +168,7 @@ class _Tally:
         self.reached = np.zeros(episodes, dtype=np.bool_)
         self.failures, self.joint_jumps, self.steps = np.zeros((3, episodes), dtype=np.intp)
         self.deviation_sum, self.deviation_max, self.final = np.zeros((3, episodes))
+        self.deviation_squares, self.way, self.planned_way = np.zeros((3, episodes))
         self.base, self.arm = (Collisions(episodes, world.loop.dt) for _ in range(2))
         self.task_done: list[bool | None] = [None] * episodes
 
@@ -178,6 +179,10 @@ class _Tally:
         self.joint_jumps[episodes] += step.joint_jump[rows]
         self.steps[episodes] += 1
         self.deviation_sum[episodes] += step.deviation[rows]
+        if transition.way is not None and transition.planned_way is not None:
+            self.deviation_squares[episodes] += step.deviation[rows] ** 2
+            self.way[episodes] += transition.way[rows]
+            self.planned_way[episodes] += transition.planned_way[rows]
         self.deviation_max[episodes] = np.maximum(
             self.deviation_max[episodes], step.deviation[rows]
         )
@@ -201,17 +206,22 @@ class _Tally:
 
     def records(self) -> EpisodeRecords:
         contacts = isinstance(self.world.backend, SupportsContacts)
+        stream = self.world.loop.target_stream is not None
+        steps = np.maximum(self.steps, 1)
         return EpisodeRecords(
             reached=self.reached,
             failures=self.failures,
             max_deviation=self.deviation_max,
-            mean_deviation=self.deviation_sum / np.maximum(self.steps, 1),
+            mean_deviation=self.deviation_sum / steps,
             final_distance=self.final,
             joint_jumps=self.joint_jumps,
             steps=self.steps,
             task_done=None if None in self.task_done else np.array(self.task_done, dtype=np.bool_),
             base_collisions=self.base.count if contacts else None,
             arm_collisions=self.arm.count if contacts else None,
+            rms_deviation=np.sqrt(self.deviation_squares / steps) if stream else None,
+            way=self.way if stream else None,
+            planned_way=self.planned_way if stream else None,
         )
 
 

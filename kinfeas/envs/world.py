@@ -16,6 +16,7 @@ from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
+from kinfeas.control.observation import HORIZON
 from kinfeas.core.backend import RealTimeBackend, build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -24,7 +25,14 @@ from kinfeas.core.start import episode_rng, stacked
 from kinfeas.envs.reward import RewardConfig, reward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.robots.robot import Robot
-from kinfeas.tasks.task import StagedTask, SupportsTaskScenes, Task, build_subgoals, sample_start
+from kinfeas.tasks.task import (
+    StagedTask,
+    StreamTask,
+    SupportsTaskScenes,
+    Task,
+    build_subgoals,
+    sample_start,
+)
 
 
 @dataclass(frozen=True)
@@ -79,8 +87,11 @@ class Transition:
         reward: Reward of the step.
         terminated: Whether the episode ended by success or by too many failures.
         truncated: Whether it ended by the time limit.
-        reached: Whether the end of the last sub-goal was reached on a feasible step.
+        reached: Whether the end of the last sub-goal was reached on a feasible step, or that of a
+            stream of targets.
         step: Result of the loop's step.
+        way: True way of the EE in a stream of targets, metres.
+        planned_way: Its planned way likewise.
     """
 
     observation: Array
@@ -89,6 +100,8 @@ class Transition:
     truncated: NDArray[np.bool_]
     reached: NDArray[np.bool_]
     step: Step
+    way: Array | None = None
+    planned_way: Array | None = None
 
     @property
     def done(self) -> NDArray[np.bool_]:
@@ -130,7 +143,8 @@ class World:
         self._staged = isinstance(self.task, StagedTask)
         wrapped = wrap(self.backend, config.adapters, robot)
         execution = execution_of(wrapped, config)
-        self._max_steps = max(1, round(config.max_seconds / execution.time_scale / config.dt))
+        seconds = task.seconds if isinstance(task, StreamTask) else config.max_seconds
+        self._max_steps = max(1, round(seconds / execution.time_scale / config.dt))
         self.loop = Loop(
             self.solver,
             build_subgoals(task.subgoals),
@@ -139,6 +153,8 @@ class World:
             execution,
             build_filters(config.filters),
         )
+        if isinstance(task, StreamTask):
+            self.loop.target_stream = task.target_stream(self.solver)
         self.failures: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.steps: NDArray[np.intp] = np.empty(0, dtype=np.intp)
 
@@ -185,20 +201,31 @@ class World:
         Args:
             action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
         """
-        action = np.clip(action, -1.0, 1.0)
+        action, loop = np.clip(action, -1.0, 1.0), self.loop
+        way = planned_way = None
+        if loop.target_stream is not None:
+            before, share = loop.true_state[1], loop.dt / HORIZON
+            planned_way = share * np.linalg.norm((loop.planned - loop.desired)[:, :3], axis=1)
         step = self.loop.step(action)
         self.steps += 1
         self.steps[self.loop.sequence.subgoal != step.subgoal] = 0
         self.failures += ~step.feasible
         terminated = step.finished | (self.failures > self.config.max_failures)
+        truncated = (self.steps >= self._max_steps) & ~terminated
+        reached = step.finished
+        if planned_way is not None:
+            way = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
+            reached = truncated
         joints = self.loop.state.joint_positions
         return Transition(
             observation=self.loop.observation,
             reward=reward(self.config.reward, self.robot, step, action, joints),
             terminated=terminated,
-            truncated=(self.steps >= self._max_steps) & ~terminated,
-            reached=step.finished,
+            truncated=truncated,
+            reached=reached,
             step=step,
+            way=way,
+            planned_way=planned_way,
         )
 
     def close(self) -> None:

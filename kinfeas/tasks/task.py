@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import Seconds
 from kinfeas.control.execution import Frame, SubgoalMotion
+from kinfeas.control.targets import TargetStream
 from kinfeas.core import registry
 from kinfeas.core.backend import Grip
 from kinfeas.core.checks import are_unit, check_array
@@ -96,6 +97,22 @@ class SupportsTaskScenes(Protocol):
 
     def stage(self, task: Task) -> Task:
         """Return the task, set up in this backend: a `StagedTask`."""
+        ...
+
+
+@runtime_checkable
+class StreamTask(Protocol):
+    """A task whose targets move until the end of the episode.
+
+    Attributes:
+        seconds: Motion time of an episode.
+    """
+
+    @property
+    def seconds(self) -> float: ...  # noqa: D102 - see above
+
+    def target_stream(self, solver: IkSolver) -> TargetStream:
+        """Return the targets of the episodes of a loop."""
         ...
 
 

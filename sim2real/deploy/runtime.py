@@ -15,7 +15,7 @@ import numpy as np
 from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import execution_of
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.control.loop import Loop
+from kinfeas.control.loop import Loop, Step
 from kinfeas.core.backend import Backend, RealTimeBackend
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, plugin_note
@@ -31,7 +31,7 @@ from kinfeas.sim2real.deploy.preflight import preflight
 from kinfeas.sim2real.deploy.rate import Clock, Rate, Timing
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.deploy.watchdog import Watchdog, Watched
-from kinfeas.tasks.task import Task, build_subgoals
+from kinfeas.tasks.task import StreamTask, Task, build_subgoals
 
 
 class Code(IntEnum):
@@ -60,6 +60,7 @@ class Outcome:
         seconds: Duration.
         failures: Control periods without an IK solution.
         timing: Statistics of the control periods.
+        time_scale: Mean share of the planned motion that the steps carried out.
         unclosed: Why the backend could not be closed; empty if it could.
         task_done: Whether the task's objects are at their goal; None if there are none.
     """
@@ -70,6 +71,7 @@ class Outcome:
     seconds: float
     failures: int
     timing: Timing
+    time_scale: float = 1.0
     unclosed: str = ""
     task_done: bool | None = None
 
@@ -184,8 +186,10 @@ class _Run:
             setup.filters,
         )
         self.loop.set_policy(setup.policy)
+        if isinstance(setup.task, StreamTask):
+            self.loop.target_stream = setup.task.target_stream(setup.solver)
         self.steps = self.failures = 0
-        self.began = 0.0
+        self.time_scale, self.scales, self.began = 1.0, 0.0, 0.0
 
     def watchdog(self) -> Watchdog | nullcontext[None]:
         """Return the watchdog, if guards and backend have one."""
@@ -205,7 +209,8 @@ class _Run:
         """Start the loop, with a real robot where it is."""
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
         start = begin(setup.task, setup.solver, rng, self.guarded.read())
-        if warning := preflight(self.loop, start, rng, setup.guards):
+        stream = self.loop.target_stream is not None  # its targets are not known yet
+        if not stream and (warning := preflight(self.loop, start, rng, setup.guards)):
             sys.stderr.write(f"{warning}\n")
         self.loop.start(start, [rng])
         self.began = self.clock.monotonic()
@@ -241,6 +246,7 @@ class _Run:
             self.seconds(),
             self.failures,
             self.rate.timing(),
+            self.scales / max(self.steps, 1),
             task_done=done,
         )
 
@@ -265,12 +271,20 @@ class _Run:
             feasible, subgoal = bool(step.feasible[0]), int(step.subgoal[0])
             self.steps, self.failures = self.steps + 1, self.failures + (not feasible)
             after = int(loop.sequence.subgoal[0])
-            event = f"sub-goal {after + 1} begins" if after > subgoal else ""
+            event = f"sub-goal {after + 1} begins" if after > subgoal else self.slowed(step)
             self.record(event, goal, subgoal, feasible=feasible)
             self.guarded.count(feasible=feasible)
             if step.finished[0]:
                 return Code.REACHED, REACHED
+        if loop.target_stream is not None:
+            return Code.REACHED, f"followed the targets for {setup.seconds:g} s"
         return Code.TIME_OVER, f"the goal was not reached within {setup.seconds:g} s"
+
+    def slowed(self, step: Step) -> str:
+        """Return the time scale of a step if it has changed, otherwise an empty string."""
+        before, self.time_scale = self.time_scale, float(step.time_scale[0])
+        self.scales += self.time_scale
+        return f"time scale {self.time_scale:g}" if self.time_scale != before else ""
 
     def seconds(self) -> float:
         """Return the seconds since the start: by the clock, if the world has one."""

@@ -48,11 +48,12 @@ class FeasibilityFilter:
 
     def _replace(
         self, command: Array, late: NDArray[np.intp], inputs: tuple[Array, ...], rows: Any
-    ) -> None:
+    ) -> Any:
         """Put the nearest feasible candidates into the commands of all robots, shape (n, a).
 
         `late` are the m robots with infeasible commands, with their base poses, desired poses and
         arm joints as `inputs`; `rows` are indices into these m of those that may get another one.
+        Those without a feasible candidate are returned.
         """
         constraints = self._loop.velocity_constraints
         away = np.linalg.norm(self.candidates - command[late[rows], np.newaxis], axis=2)
@@ -67,6 +68,7 @@ class FeasibilityFilter:
             found = feasible.any(axis=1)
             command[late[rows[found]]] = tries[found, feasible[found].argmax(axis=1)]
             rows, order = rows[~found], order[~found]
+        return rows
 
     def _feasible(
         self, tries: Array, base_pose: Array, desired: Array, joints: Array

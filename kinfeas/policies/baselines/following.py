@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.drive import action_toward
+from kinfeas.control.drive import action_size, action_toward
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, wrap, yaw
@@ -49,6 +49,22 @@ def follow_ee(robot: Robot) -> FollowEe:
 def follow_ee_feedback(robot: Robot) -> FollowEe:
     """Return the baseline that copies the planar velocity from the achieved to the planned pose."""
     return FollowEe(robot.base, feedback=True)
+
+
+@dataclass(frozen=True)
+class Stationary:
+    """Leaves the base at rest, so that the arm moves alone."""
+
+    base: Base
+
+    def act(self, policy_input: PolicyInput) -> Array:
+        """Return zero commands, shape (n, 3) or (n, 2)."""
+        return np.zeros((len(policy_input.base_pose), action_size(self.base)))
+
+
+def stationary(robot: Robot) -> Stationary:
+    """Return the baseline that leaves the base at rest."""
+    return Stationary(robot.base)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,56 @@
+"""Time scaling: the EE slows down or waits where no base command lets the arm follow."""
+
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.config import Interval
+from kinfeas.control.filters.feasibility import FeasibilityFilter
+from kinfeas.core.policy import PolicyInput
+from kinfeas.core.spatial import Array
+from kinfeas.kinematics.ik import IkSolution
+
+_SHARES = (1.0, 0.5, 0.25, 0.0)
+"""Time scales that are tried, until there is a feasible command."""
+
+
+class TimeScalingFilter(FeasibilityFilter):
+    """Replaces infeasible base commands as the feasibility filter, and slows down the EE.
+
+    Where no candidate is feasible for the whole step of the EE, those for a part of it are tried,
+    at last those for a resting EE, while the base moves on. Without any, base and arm hold. Thus no
+    IK failure and no joint jump is commanded. It must be the last filter.
+
+    Args:
+        max_deviation: Largest position error of an arm with a pose tolerance, metres; the EE waits
+            where no candidate has a smaller one.
+    """
+
+    def __init__(self, max_deviation: Annotated[float, Interval(low=0.0)] = 0.01) -> None:
+        self.max_deviation = max_deviation
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return feasible commands; arguments as in `CommandFilter`."""
+        loop, command = self._loop, command.copy()
+        scale, left = np.ones(len(command)), np.arange(len(command))
+        if loop.paused is not None:
+            left = left[~loop.paused]
+        for share in _SHARES:
+            if share < 1.0:
+                scale[left] = share
+                loop.slow_down(scale.copy())
+            inputs = loop.state.base_pose[left], loop.next_desired[left], loop.joint_command[left]
+            late = np.flatnonzero(~self._feasible(command[left, np.newaxis], *inputs)[:, 0])
+            left = left[self._replace(command, left, inputs, late)]
+            if not left.size:
+                break
+        command[left] = 0.0
+        inputs = loop.state.base_pose, loop.next_desired, loop.joint_command
+        loop.solved = command, *loop.kinematic_step(command, *inputs, allow_reconfiguration=False)
+        return command
+
+    def _in_time(self, joints: Array, arm: IkSolution) -> NDArray[np.bool_]:
+        exact = arm.position_error <= self.max_deviation
+        good: NDArray[np.bool_] = super()._in_time(joints, arm) & exact
+        return good

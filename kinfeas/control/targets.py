@@ -1,0 +1,221 @@
+"""Targets that move: messages with poses or twists, checked and limited, n motions at a time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.config.quantities import REMOTEST, Positive, PositiveSeconds
+from kinfeas.core import spatial
+from kinfeas.core.motion import Rows
+from kinfeas.core.spatial import Array
+
+_UNIT = 1e-2  # deviation of a quaternion's norm from 1
+
+
+class TargetStream(Protocol):
+    """Targets of the EEs of a loop, which change while it runs."""
+
+    def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
+        """Begin new motions in the m `rows` of the `kinfeas.control.loop.Loop`."""
+        ...
+
+    def targets(self, loop: Any) -> Array:
+        """Return the world poses that the EEs go to in the next period, shape (n, 7)."""
+        ...
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state as arrays by name."""
+        ...
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
+        """Continue from a state that `snapshot` returned."""
+        ...
+
+
+@dataclass(frozen=True)
+class TargetRules:
+    """Limits of targets, and rules for their messages.
+
+    Attributes:
+        timeout: Age of a message, or of the last pose of a chunk, from which on it is ignored. The
+            EE comes to rest if no newer one arrives, seconds.
+        max_jump: Distance from the current target to a pose beyond which it is ignored, metres.
+        max_turn: The same angle, radians.
+        max_velocity: Limit of the target's velocity, m/s.
+        max_angular_velocity: The same, rad/s.
+        heights: Lowest and highest target, metres; a target beyond only moves back.
+    """
+
+    timeout: PositiveSeconds = 0.1
+    max_jump: Positive = 0.5
+    max_turn: Positive = 1.6
+    max_velocity: Positive = 0.2
+    max_angular_velocity: Positive = 0.5
+    heights: tuple[float, float] | None = None
+
+
+RULES = ("accepted", "invalid", "late", "repeated", "jump")
+"""What becomes of a message. Invalid ones have numbers that are not finite or far too large, no
+unit quaternion or times that do not ascend; repeated ones are no newer than the last one."""
+
+
+class TargetInbox:
+    """Targets of n motions, each from the newest message of its row.
+
+    A twist moves the target as it is. A single pose is reached when the next one is expected, so
+    that slow streams do not stutter; poses of a chunk are interpolated by their times. The target
+    waits where the motion waits.
+
+    Attributes:
+        target: World poses, shape (n, 7).
+        live: Whether each target moves by a message that is not too old, shape (n,).
+        counts: Messages by each of `RULES`, shape (n, 5).
+    """
+
+    def __init__(self, rules: TargetRules, size: int = 2) -> None:
+        """Hold chunks of up to `size` poses, at least two."""
+        self.rules, self._size = rules, size
+        self._put_all(np.empty((0, 7)))
+
+    def start(self, target: Array, rows: Rows | None = None) -> None:
+        """Rest at targets (m, 7), without messages, in `rows` or as all of them."""
+        if rows is None:
+            self._put_all(target)
+            return
+        fresh = TargetInbox(self.rules, self._size)
+        fresh._put_all(target)
+        for name, values in vars(fresh).items():
+            if isinstance(values, np.ndarray):
+                getattr(self, name)[rows] = values
+
+    def put_twists(self, rows: Rows, now: Array, sent: Array, twist: Array) -> None:
+        """Take world twists (m, 6) of m rows, sent at times (m,) and read at `now`, (m,)."""
+        valid = np.isfinite(twist).all(axis=1) & (np.abs(twist) <= REMOTEST).all(axis=1)
+        good = self._admitted(rows, now, sent, sent, valid)
+        self._twist[rows[good]], self._poses_given[rows[good]] = twist[good], False
+
+    def put_poses(self, rows: Rows, now: Array, sent: Array, times: Array, poses: Array) -> None:
+        """Take world poses (m, k, 7) for times (m, k); other arguments as in `put_twists`.
+
+        Of one pose, k = 1, the time is its sending.
+        """
+        m, k, _ = poses.shape
+        numbers = np.concatenate([poses.reshape(m, -1), times], axis=1)
+        valid = np.isfinite(numbers).all(axis=1) & (np.abs(numbers) <= REMOTEST).all(axis=1)
+        usable = np.where(valid[:, np.newaxis, np.newaxis], poses, spatial.IDENTITY)
+        length = np.linalg.norm(usable[:, :, 3:], axis=2)
+        valid &= (np.abs(length - 1.0) <= _UNIT).all(axis=1) & (k <= self._size)
+        when = np.where(valid[:, np.newaxis], times, 0.0)
+        valid &= (np.diff(when, axis=1) > 0.0).all(axis=1)
+        usable = np.where(valid[:, np.newaxis, np.newaxis], usable, spatial.IDENTITY)
+        usable[:, :, 3:] /= np.linalg.norm(usable[:, :, 3:], axis=2, keepdims=True)
+        aims = _interpolated(now, when, usable)
+        metres, radians = spatial.distance(self.target[rows], aims)
+        near = (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
+        interval = np.where(now <= self._until[rows], sent - self._sent[rows], 0.0)
+        good = self._admitted(rows, now, sent, when[:, -1], valid, near)
+        if k == 1:
+            later = now + np.clip(interval, 1e-6, self.rules.timeout)
+            when = np.stack([now, later], axis=1)
+            usable = np.concatenate([self.target[rows, np.newaxis], usable], axis=1)
+        chosen = rows[good]
+        self._times[chosen], self._poses[chosen] = np.inf, usable[good, -1:]
+        self._times[chosen, : when.shape[1]] = when[good]
+        self._poses[chosen, : when.shape[1]] = usable[good]
+        self._poses_given[chosen] = True
+
+    def reject(self, rows: Rows) -> None:
+        """Count messages that are no poses or twists at all."""
+        self.counts[rows, 1] += 1
+
+    def advance(self, now: Array, dt: float, seconds: float, time_scale: Array) -> Array:
+        """Return the targets for the end of the next period, shape (n, 7).
+
+        Args:
+            now: Time of its beginning, shape (n,).
+            dt: Its length.
+            seconds: Its motion time.
+            time_scale: Share of the last step that the motion carried out, shape (n,).
+        """
+        rest = self.target
+        if (time_scale != 1.0).any():
+            rest = spatial.integrate(
+                self._before, spatial.twist_between(self._before, rest, 1.0), time_scale
+            )
+        self.live = now <= self._until
+        aims = _interpolated(now + dt, self._times, self._poses)
+        twist = np.where(
+            self._poses_given[:, np.newaxis],
+            spatial.twist_between(rest, aims, seconds),
+            self._twist,
+        )
+        twist *= self._allowed(twist)[:, np.newaxis]
+        self._before, self.target = rest, spatial.integrate(rest, twist, seconds)
+        if self.rules.heights is not None:
+            low, high = self.rules.heights
+            z = rest[:, 2]
+            self.target[:, 2] = np.clip(
+                self.target[:, 2], np.minimum(low, z), np.maximum(high, z)
+            )
+        return self.target
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state as arrays by name."""
+        return {key: one.copy() for key, one in vars(self).items() if isinstance(one, np.ndarray)}
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
+        """Continue from a state that `snapshot` returned."""
+        vars(self).update({key: values.copy() for key, values in snapshot.items()})
+
+    def _put_all(self, target: Array) -> None:
+        n = len(target)
+        self.target, self._before = target.copy(), target.copy()
+        self.live, self._poses_given = np.zeros((2, n), dtype=np.bool_)
+        self._sent, self._until = np.full((2, n), -np.inf)
+        self._twist = np.zeros((n, 6))
+        self._times = np.full((n, self._size), np.inf)
+        self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
+        self.counts: NDArray[np.intp] = np.zeros((n, len(RULES)), dtype=np.intp)
+
+    def _admitted(  # noqa: PLR0913, PLR0917 - facts of messages
+        self,
+        rows: Rows,
+        now: Array,
+        sent: Array,
+        last: Array,
+        valid: NDArray[np.bool_],
+        near: NDArray[np.bool_] | bool = True,
+    ) -> NDArray[np.bool_]:
+        """Return which messages are used, shape (m,), and note their times."""
+        until = last + self.rules.timeout
+        valid = valid & np.isfinite(sent)
+        repeated = ~(sent > self._sent[rows])
+        conditions = [~valid, ~(until >= now), repeated, ~np.broadcast_to(near, valid.shape)]
+        rule = np.select(conditions, [1, 2, 3, 4], 0)
+        self.counts[rows, rule] += 1
+        good = rule == 0
+        self._sent[rows[good]], self._until[rows[good]] = sent[good], until[good]
+        return good
+
+    def _allowed(self, twist: Array) -> Array:
+        """Return the factors by which twists shrink to the limits, or to rest, shape (n,)."""
+        rules = self.rules
+        linear = np.linalg.norm(twist[:, :3], axis=1) / rules.max_velocity
+        angular = np.linalg.norm(twist[:, 3:], axis=1) / rules.max_angular_velocity
+        return self.live / np.maximum(1.0, np.maximum(linear, angular))
+
+
+def _interpolated(now: Array, times: Array, poses: Array) -> Array:
+    """Return poses between those of a chunk, (n, k, 7) at times (n, k), shape (n, 7)."""
+    rows, last = np.arange(len(times)), times.shape[1] - 1
+    passed = (times <= now[:, np.newaxis]).sum(axis=1)
+    before, after = np.maximum(passed - 1, 0), np.minimum(passed, last)
+    start, end = times[rows, before], times[rows, after]
+    between = (after > before) & np.isfinite(end)
+    span = np.subtract(end, start, where=between, out=np.ones_like(end))
+    share = np.subtract(now, start, where=between, out=np.zeros_like(end)) / span
+    left = poses[rows, before]
+    return spatial.integrate(left, spatial.twist_between(left, poses[rows, after], 1.0), share)

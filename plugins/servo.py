@@ -1,0 +1,83 @@
+"""The `servo` motion: follows a target that moves, within limits of velocity, acceleration, jerk."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinfeas.core.motion import State
+from kinfeas.core.spatial import Array, integrate, twist_between
+from kinfeas.plugins.limits import positive, slowed
+
+_ACCELERATION = 2.0 / np.e
+_JERK = 2.0 + 2.0 / np.e**2
+"""L1 norms of the impulse responses from the command to acceleration and jerk, at a time constant
+of one second: bounds of their size at a command of size one."""
+
+
+class Servo:
+    """Follows a moving target smoothly, without overshoot.
+
+    The velocity that would bring the EE to rest at the target is limited and passes two equal
+    first-order low-pass filters, integrated exactly for any `dt`. Velocities are means of past
+    commands, so they keep the velocity limit; the time constant is the smallest one that keeps the
+    other two for any sequence of targets. Positions are means of past targets, so they stay within
+    any convex region that contains these.
+
+    Args:
+        max_velocity: Limit of the linear velocity, m/s.
+        max_angular_velocity: The same, rad/s.
+        max_acceleration: Limit of the linear acceleration, m/s^2.
+        max_angular_acceleration: The same, rad/s^2.
+        max_jerk: Limit of the linear jerk, m/s^3.
+        max_angular_jerk: The same, rad/s^3.
+        lookahead: Seconds of motion at the current velocity to the goal that the policy observes.
+    """
+
+    def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
+        self,
+        *,
+        max_velocity: float = 0.2,
+        max_angular_velocity: float = 0.5,
+        max_acceleration: float = 4.0,
+        max_angular_acceleration: float = 10.0,
+        max_jerk: float = 400.0,
+        max_angular_jerk: float = 1000.0,
+        lookahead: float = 2.0,
+    ) -> None:
+        limits = {key: positive(key, value) for key, value in locals().items() if "max" in key}
+        self._velocity = limits["max_velocity"], limits["max_angular_velocity"]
+        linear, angular = (
+            max(
+                _ACCELERATION * limits[f"max_{kind}velocity"] / limits[f"max_{kind}acceleration"],
+                np.sqrt(_JERK * limits[f"max_{kind}velocity"] / limits[f"max_{kind}jerk"]),
+            )
+            for kind in ("", "angular_")
+        )
+        self._tau = np.repeat([linear, angular], 3)
+        self._lookahead = lookahead
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return the outputs of both filters at rest."""
+        return {"filtered": np.zeros((len(ee_pose), 6)), "velocity": np.zeros((len(ee_pose), 6))}
+
+    def goal_pose(self, state: State, target_pose: Array) -> Array:
+        """Return the pose that a target at the current velocity will have after `lookahead`."""
+        return integrate(target_pose, state["velocity"], self._lookahead)
+
+    def twist(
+        self, state: State, ee_pose: Array, target_pose: Array, dt: Array
+    ) -> tuple[Array, State]:
+        """Return the mean filtered twist of the next `dt` seconds."""
+        first, second = state["filtered"], state["velocity"]
+        # Where the EE would come to rest without further commands.
+        rest = integrate(ee_pose, self._tau * (first + second), 1.0)
+        command = twist_between(rest, target_pose, dt)
+        command *= slowed(command, *self._velocity)[:, np.newaxis]
+        way = dt[:, np.newaxis] / self._tau
+        decay, away = np.exp(-way), first - command
+        filtered = command + away * decay
+        velocity = command + (second - command + away * way) * decay
+        moved = self._tau * (first + second - filtered - velocity) / dt[:, np.newaxis]
+        return command + moved, {"filtered": filtered, "velocity": velocity}

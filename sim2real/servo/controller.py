@@ -1,0 +1,226 @@
+"""The controller of a servo run: takes targets from any thread and hands them to the loop."""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinfeas.control.drive import action_size
+from kinfeas.control.targets import RULES, TargetInbox, TargetRules
+from kinfeas.core import spatial
+from kinfeas.core.motion import Rows
+from kinfeas.core.policy import PolicyInput
+from kinfeas.core.spatial import Array
+from kinfeas.core.start import Start
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.link.measurements import TransportDelay
+from kinfeas.tasks.task import MotionSpec, Subgoal
+
+WORLD = ("", "world", "map", "odom")
+"""Names of the world frame."""
+
+_QUEUE = 256  # messages in a control period; older ones are dropped
+_ROW = np.zeros(1, dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class _Message:
+    """Twist (6,) or poses (k, 7) for times (k,), or neither; seconds of the sender and of ours."""
+
+    arrival: float
+    stamp: float | None
+    values: Array | None
+    times: Array | None = None
+    frame: str = ""
+
+
+class TargetController:
+    """Targets of one EE: a `TargetStream` of the loop, and a filter that stops the base.
+
+    Messages may come from any thread, at any rate and with any content: those that `TargetRules`
+    exclude are counted and have no other effect. Stamps and times are of the sender's clock, which
+    may differ from ours by a constant. A message without a stamp was sent when it arrives.
+
+    Attributes:
+        robot: Robot model.
+        rules: Limits of targets.
+        pose: World pose of the EE that is desired now, shape (7,).
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        rules: TargetRules | None = None,
+        *,
+        max_poses: int = 64,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Take chunks of at most `max_poses` poses; `clock` is in seconds."""
+        self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
+        self.pose = spatial.IDENTITY
+        self._inbox = TargetInbox(self.rules, max(2, max_poses))
+        self._queue: deque[_Message] = deque(maxlen=_QUEUE)
+        self._lock = threading.Lock()
+        self._delay, self._heard = TransportDelay(), -math.inf
+        self._base = spatial.IDENTITY
+
+    def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
+        """Send the EE to a pose (7,), given in the world, base or EE frame by its name.
+
+        `stamp` is the time, in seconds of the sender's clock, at which the pose was made.
+        """
+        self._put(pose, stamp, None, frame)
+
+    def set_twist(self, twist: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
+        """Move the EE by a twist (6,), linear and angular, along the axes of a frame."""
+        self._put(twist, stamp, None, frame)
+
+    def set_chunk(
+        self, poses: ArrayLike, times: ArrayLike, stamp: float | None = None, frame: str = ""
+    ) -> None:
+        """Lead the EE along poses (k, 7) at ascending times (k,) in place of the last chunk.
+
+        Times are of the sender's clock, or of our `clock` without a stamp.
+        """
+        self._put(poses, stamp, times, frame)
+
+    @property
+    def live(self) -> bool:
+        """Whether the last message is not too old."""
+        return bool(self._inbox.live.all())
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of messages by what became of them."""
+        return dict(zip(RULES, self._inbox.counts.sum(axis=0).tolist(), strict=True))
+
+    def start(self, loop: Any, rngs: Sequence[np.random.Generator], rows: Rows) -> None:
+        """Rest where the EE is; earlier messages are dropped."""
+        with self._lock:
+            self._queue.clear()
+        self._inbox.start(loop.desired)
+
+    def targets(self, loop: Any) -> Array:
+        """Return the target of the next period, shape (1, 7)."""
+        with self._lock:
+            messages = list(self._queue)
+            self._queue.clear()
+        now = np.array([self._clock()])
+        self._base, self.pose = loop.state.base_pose[0], loop.desired[0]
+        for message in messages:
+            self._read(message, now)
+        seconds = loop.dt * loop.execution.time_scale
+        return self._inbox.advance(now, loop.dt, seconds, loop.time_scale)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state as arrays by name."""
+        return self._inbox.snapshot()
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
+        """Continue from a state that `snapshot` returned."""
+        self._inbox.restore(snapshot)
+
+    def reset(self, loop: Any, rows: Rows) -> None:
+        """Do nothing: the state is that of the stream."""
+
+    def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
+        """Return the command, or zero after the end of the stream."""
+        return command if self.live else np.zeros((1, action_size(self.robot.base)))
+
+    def _put(
+        self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str
+    ) -> None:
+        arrival = self._clock()
+        try:  # copies, since the sender may write into its arrays
+            message = _Message(
+                arrival,
+                None if stamp is None else float(stamp),
+                np.array(values, dtype=np.float64),
+                None if times is None else np.array(times, dtype=np.float64),
+                frame,
+            )
+        except (TypeError, ValueError, OverflowError):
+            message = _Message(arrival, None, None)
+        with self._lock:
+            self._queue.append(message)
+
+    def _read(self, message: _Message, now: Array) -> None:
+        """Put a message into the inbox."""
+        values, times, stamp = message.values, message.times, message.stamp
+        frame = self._frame(message.frame)
+        if values is None or frame is None or (stamp is not None and not math.isfinite(stamp)):
+            self._inbox.reject(_ROW)
+            return
+        sent = self._sent(message)
+        if times is None and values.shape == (6,):
+            twist = spatial.compose(frame, _point(values[:3]))[:3] - frame[:3]
+            turn = spatial.compose(frame, _point(values[3:]))[:3] - frame[:3]
+            self._inbox.put_twists(_ROW, now, sent, np.concatenate([twist, turn])[np.newaxis])
+            return
+        if times is None and values.shape == (7,):
+            values, times = values[np.newaxis], sent
+        elif times is not None and stamp is not None:
+            times = times + (sent - stamp)
+        if times is None or times.shape != (len(values),) or values.shape != (len(times), 7):
+            self._inbox.reject(_ROW)
+            return
+        turns = np.linalg.norm(values[:, 3:], axis=1)
+        if frame is not spatial.IDENTITY and np.isfinite(values).all() and turns.all():
+            values = spatial.compose(frame, values)
+        self._inbox.put_poses(_ROW, now, sent, times[np.newaxis], values[np.newaxis])
+
+    def _frame(self, name: str) -> Array | None:
+        """Return the world pose of a frame; None if it is unknown."""
+        name = name.lstrip("/") if isinstance(name, str) else "?"
+        known = {self.robot.base.frame: self._base, self.robot.ee_frame: self.pose}
+        return spatial.IDENTITY if name in WORLD else known.get(name)
+
+    def _sent(self, message: _Message) -> Array:
+        """Return when a message was sent by our clock, shape (1,)."""
+        arrival, stamp = message.arrival, message.stamp
+        if arrival - self._heard > self.rules.timeout:
+            self._delay = TransportDelay()  # perhaps of another clock
+        self._heard = arrival
+        return np.array([arrival if stamp is None else self._delay.sent(stamp, arrival)])
+
+
+def _point(position: Array) -> Array:
+    return np.concatenate([position, spatial.IDENTITY[3:]])
+
+
+@dataclass(frozen=True, eq=False)
+class ServoTask:
+    """Follow the targets of a controller until the run ends, from the origin with the arm at home.
+
+    Attributes:
+        controller: Takes the targets.
+        motion: Motion generator.
+        name: Task name.
+        seconds: Motion time; the run has its own limit.
+    """
+
+    controller: TargetController
+    motion: MotionSpec = field(default_factory=lambda: MotionSpec("servo"))
+    name: str = "servo"
+    seconds: float = math.inf
+
+    @property
+    def subgoals(self) -> tuple[Subgoal, ...]:
+        """The one sub-goal, of the EE frame."""
+        return (Subgoal(self.motion),)
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return the start at the origin, without leading axes."""
+        home = solver.robot.home["home"]
+        return Start(spatial.IDENTITY, home, spatial.IDENTITY[np.newaxis])
+
+    def target_stream(self, solver: IkSolver) -> TargetController:
+        """Return the controller."""
+        return self.controller
