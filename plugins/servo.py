@@ -1,12 +1,13 @@
-"""The `servo` motion: follows a target that moves, within limits of velocity, acceleration, jerk."""
+"""The `servo` motion: follows a moving target within limits of velocity, acceleration and jerk."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from kinfeas.config.quantities import Positive, Seconds
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import Array, integrate, twist_between
-from kinfeas.plugins.limits import positive, slowed
+from kinfeas.plugins.limits import slowed
 
 _ACCELERATION = 2.0 / np.e
 _JERK = 2.0 + 2.0 / np.e**2
@@ -36,23 +37,17 @@ class Servo:
     def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
         self,
         *,
-        max_velocity: float = 0.2,
-        max_angular_velocity: float = 0.5,
-        max_acceleration: float = 4.0,
-        max_angular_acceleration: float = 10.0,
-        max_jerk: float = 400.0,
-        max_angular_jerk: float = 1000.0,
-        lookahead: float = 2.0,
+        max_velocity: Positive = 0.2,
+        max_angular_velocity: Positive = 0.5,
+        max_acceleration: Positive = 4.0,
+        max_angular_acceleration: Positive = 10.0,
+        max_jerk: Positive = 400.0,
+        max_angular_jerk: Positive = 1000.0,
+        lookahead: Seconds = 2.0,
     ) -> None:
-        limits = {key: positive(key, value) for key, value in locals().items() if "max" in key}
-        self._velocity = limits["max_velocity"], limits["max_angular_velocity"]
-        linear, angular = (
-            max(
-                _ACCELERATION * limits[f"max_{kind}velocity"] / limits[f"max_{kind}acceleration"],
-                np.sqrt(_JERK * limits[f"max_{kind}velocity"] / limits[f"max_{kind}jerk"]),
-            )
-            for kind in ("", "angular_")
-        )
+        self._velocity = max_velocity, max_angular_velocity
+        linear = _time_constant(max_velocity, max_acceleration, max_jerk)
+        angular = _time_constant(max_angular_velocity, max_angular_acceleration, max_angular_jerk)
         self._tau = np.repeat([linear, angular], 3)
         self._lookahead = lookahead
 
@@ -81,3 +76,7 @@ class Servo:
         velocity = command + (second - command + away * way) * decay
         moved = self._tau * (first + second - filtered - velocity) / dt[:, np.newaxis]
         return command + moved, {"filtered": filtered, "velocity": velocity}
+
+
+def _time_constant(velocity: float, acceleration: float, jerk: float) -> float:
+    return float(max(_ACCELERATION * velocity / acceleration, np.sqrt(_JERK * velocity / jerk)))

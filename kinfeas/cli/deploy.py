@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kinfeas.sim2real.deploy.runtime import Outcome, Setup
     from kinfeas.tasks.task import Task
 
+T = TypeVar("T")
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 
@@ -98,33 +99,46 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas deploy pr2.onnx --backend ros2 --goal 0.8 -0.2 0.9
     """
     from kinfeas.config.recipes import default_engine
-    from kinfeas.io.run_log import About, Recorder
-    from kinfeas.sim2real.deploy.runtime import deploy as run
+    from kinfeas.sim2real.deploy.config import DeployConfig
 
-    if record is not None and (record.exists() or record.suffix != ".csv"):
-        raise KinfeasError(f"--record: {record} must be a new file that ends in .csv")
+    check_record(record)
     with status("preparing"):
         robot, backend = robot or options.robot_of(policy), backend or default_engine()
         known = options.read_robot(robot)
         changes = options.with_filters(filters, overrides or [], "")
-        config = _read_settings(known, guards, changes)
+        config = read_settings(DeployConfig, "deploy", known, guards, changes)
         if task is None:
             toward = _goal_task(goal, rpy, quaternion, generator, config)
         elif goal or rpy or quaternion or generator or config.generator:
             raise KinfeasError("--task excludes --goal, --rpy, --quaternion and --generator")
         else:
             toward = options.read_task(task, config.task)
-        setup = _make_setup(
+        setup = make_setup(
             policy, backend, known, toward, config, adapters=options.read_adapters(adapters),
             dt=1.0 / rate, seconds=seconds, seed=seed, real_time=not no_real_time,
         )  # fmt: skip
-        joints = tuple(joint.name for joint in known.arm)
-        now = datetime.now().astimezone().isoformat(timespec="seconds")
-        about = About(
-            from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
-            **_drawn_scene(setup),
-        )  # fmt: skip
-        recorder = Recorder(record or _record_path(about), about)
+    run_and_report(setup, robot, policy, backend, record, json)
+
+
+def run_and_report(
+    setup: "Setup",
+    robot: str,
+    policy: str,
+    backend: str,
+    record: Path | None,
+    json: Path | None,
+) -> None:
+    """Run, write the record and results, and exit with the code of the run."""
+    from kinfeas.io.run_log import About, Recorder
+    from kinfeas.sim2real.deploy.runtime import deploy as run
+
+    joints = tuple(joint.name for joint in setup.solver.robot.arm)
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    about = About(
+        from_anywhere(robot), setup.task.name, policy, backend, setup.dt, joints, now,
+        **_drawn_scene(setup),
+    )  # fmt: skip
+    recorder = Recorder(record or _record_path(about), about)
     with recorder:
         outcome = run(setup, recorder)
     with suppress(OSError):  # of a terminal that was closed
@@ -136,18 +150,26 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     raise typer.Exit(int(outcome.code))
 
 
-def _read_settings(robot: "Robot", guards: Path | None, overrides: list[str]) -> "DeployConfig":
-    """Return the settings for a robot, with the guards of the user's file."""
+def check_record(record: Path | None) -> None:
+    """Raise KinfeasError if `record` is no new CSV file."""
+    if record is not None and (record.exists() or record.suffix != ".csv"):
+        raise KinfeasError(f"--record: {record} must be a new file that ends in .csv")
+
+
+def read_settings(
+    cls: type[T], name: str, robot: "Robot", guards: Path | None, overrides: list[str]
+) -> T:
+    """Return the settings of a section for a robot, with the guards of the user's file."""
     from kinfeas import config
     from kinfeas.config import strict_yaml
     from kinfeas.config.recipes import section
-    from kinfeas.sim2real.deploy.config import DeployConfig, Guards
+    from kinfeas.sim2real.deploy.config import Guards
 
-    data, source = section("deploy", robot.name)
+    data, source = section(name, robot.name)
     if guards is not None:
         config.load(Guards, guards)  # so that errors name this file
         data["guards"] = {**data.get("guards", {}), **strict_yaml.read(guards)}
-    return config.from_mapping(DeployConfig, data, source, overrides)
+    return config.from_mapping(cls, data, source, overrides)
 
 
 def _goal_task(
@@ -168,7 +190,7 @@ def _goal_task(
     return make_goal_task(goal, quaternion or rpy, motion)
 
 
-def _make_setup(  # noqa: PLR0913 - the parts of a run
+def make_setup(  # noqa: PLR0913 - the parts of a run
     policy_name: str,
     backend_name: str,
     robot: "Robot",

@@ -94,6 +94,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
         reachability_of,
     )
     from kinfeas.evaluation.evaluate import evaluate as run
+    from kinfeas.tasks.task import StreamTask
 
     robot = robot or options.robot_of(policy)
     count = episodes or default_episodes(world)
@@ -107,8 +108,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     chosen, driver = prepare(
         policy, robot, task, world, episodes=count, seed=seed, overrides=settings
     )
-    with progress("ceiling") as advance:
-        ceiling = reachability_of(chosen, advance)
+    ceiling = None
+    if not isinstance(chosen.task, StreamTask):  # whose targets are not known in advance
+        with progress("ceiling") as advance:
+            ceiling = reachability_of(chosen, advance)
     cores = 1 if gui else processes
     with progress(f"{count} episodes", count) as advance:
         summary = run(chosen, driver, policy, ceiling, cores, advance)
@@ -146,7 +149,6 @@ def _show(summary: "Summary") -> None:
     )
     rows = [
         ["goal reached without a kinematic failure", _share(summary, "success")],
-        ["ceiling: goals that some base pose reaches", _share(summary, "ceiling")],
         ["EE never more than 5 cm off, and at the goal", _share(summary, "within_5cm")],
         ["goal reached", share(summary["reached"])],
         ["kinematic failures an episode", f"{summary['ik_failures_per_episode']:.2f}"],
@@ -154,6 +156,14 @@ def _show(summary: "Summary") -> None:
         ["joint jumps an episode", f"{summary['joint_jumps_per_episode']:.2f}"],
         ["steps an episode", f"{summary['mean_steps']:.0f}"],
     ]
+    if summary["ceiling"] is not None:
+        rows.insert(1, ["ceiling: goals that some base pose reaches", _share(summary, "ceiling")])
+    if (rms := summary["rms_deviation_m"]) is not None:
+        rows += [
+            ["followed without failure and joint jump", _share(summary, "smooth")],
+            ["EE speed, share of the asked one", share(summary["speed_share"])],
+            ["EE deviation, root mean square", f"{1000 * rms:.1f} mm"],
+        ]
     if summary["collision_free_rate"] is not None:
         done = _share(summary, "task_success")
         rows += [

@@ -21,6 +21,7 @@ from kinfeas.cli.fit import fit
 from kinfeas.cli.hub import pull, push
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
+from kinfeas.cli.servo import servo
 from kinfeas.cli.simulate import simulate
 from kinfeas.cli.speed import speed
 from kinfeas.cli.sweep import sweep
@@ -34,8 +35,8 @@ app = typer.Typer(
     context_settings={"max_content_width": 100},
 )
 for _command in (
-    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, push, pull, deploy, simulate,
-    view, fit,
+    demo, train, sweep, evaluate, benchmark, ceiling, speed, export, push, pull, deploy, servo,
+    simulate, view, fit,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

@@ -215,6 +215,7 @@ class Loop:
         self.periods += 1
         if self.target_stream is not None:
             self.sequence.aim(self.target_stream.targets(self))
+            self.sequence.begin_again(np.flatnonzero(self.time_scale == 0.0))
         self._plan()
         return step
 

@@ -144,6 +144,11 @@ class MotionSequence:
         self._targets[np.arange(len(self.subgoal)), self.subgoal] = target_poses
         self._goal = None
 
+    def begin_again(self, rows: Rows) -> None:
+        """Start the motions of `rows` at their desired poses, as after a wait."""
+        if rows.size:
+            self._begin(rows)
+
     def plan(self, dt: float | Array) -> Plan:
         """Return the next step of `dt` seconds, 0 for rest; generators are called, nothing moves.
 

@@ -26,6 +26,11 @@ class TargetStream(Protocol):
         """Return the world poses that the EEs go to in the next period, shape (n, 7)."""
         ...
 
+    @property
+    def speed(self) -> Array:
+        """Asked speed of the EE in the next period, shape (n,), m/s."""
+        ...
+
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
         ...
@@ -71,9 +76,22 @@ class TargetInbox:
 
     Attributes:
         target: World poses, shape (n, 7).
+        speed: Speed of each target, if the motion does not wait, shape (n,), m/s.
         live: Whether each target moves by a message that is not too old, shape (n,).
         counts: Messages by each of `RULES`, shape (n, 5).
     """
+
+    target: Array
+    speed: Array
+    live: NDArray[np.bool_]
+    counts: NDArray[np.intp]
+    _before: Array
+    _twist: Array
+    _times: Array
+    _poses: Array
+    _poses_given: NDArray[np.bool_]
+    _sent: Array
+    _until: Array
 
     def __init__(self, rules: TargetRules, size: int = 2) -> None:
         """Hold chunks of up to `size` poses, at least two."""
@@ -93,7 +111,7 @@ class TargetInbox:
 
     def put_twists(self, rows: Rows, now: Array, sent: Array, twist: Array) -> None:
         """Take world twists (m, 6) of m rows, sent at times (m,) and read at `now`, (m,)."""
-        valid = np.isfinite(twist).all(axis=1) & (np.abs(twist) <= REMOTEST).all(axis=1)
+        valid = _numbers(twist)
         good = self._admitted(rows, now, sent, sent, valid)
         self._twist[rows[good]], self._poses_given[rows[good]] = twist[good], False
 
@@ -104,7 +122,7 @@ class TargetInbox:
         """
         m, k, _ = poses.shape
         numbers = np.concatenate([poses.reshape(m, -1), times], axis=1)
-        valid = np.isfinite(numbers).all(axis=1) & (np.abs(numbers) <= REMOTEST).all(axis=1)
+        valid = _numbers(numbers)
         usable = np.where(valid[:, np.newaxis, np.newaxis], poses, spatial.IDENTITY)
         length = np.linalg.norm(usable[:, :, 3:], axis=2)
         valid &= (np.abs(length - 1.0) <= _UNIT).all(axis=1) & (k <= self._size)
@@ -115,7 +133,8 @@ class TargetInbox:
         aims = _interpolated(now, when, usable)
         metres, radians = spatial.distance(self.target[rows], aims)
         near = (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
-        interval = np.where(now <= self._until[rows], sent - self._sent[rows], 0.0)
+        known = (now <= self._until[rows]) & np.isfinite(sent)
+        interval = np.subtract(sent, self._sent[rows], where=known, out=np.zeros(m))
         good = self._admitted(rows, now, sent, when[:, -1], valid, near)
         if k == 1:
             later = now + np.clip(interval, 1e-6, self.rules.timeout)
@@ -131,7 +150,9 @@ class TargetInbox:
         """Count messages that are no poses or twists at all."""
         self.counts[rows, 1] += 1
 
-    def advance(self, now: Array, dt: float, seconds: float, time_scale: Array) -> Array:
+    def advance(
+        self, now: Array, dt: float, seconds: float, time_scale: Array, desired: Array
+    ) -> Array:
         """Return the targets for the end of the next period, shape (n, 7).
 
         Args:
@@ -139,12 +160,14 @@ class TargetInbox:
             dt: Its length.
             seconds: Its motion time.
             time_scale: Share of the last step that the motion carried out, shape (n,).
+            desired: World poses of the motions now, shape (n, 7); targets begin there after a wait.
         """
         rest = self.target
         if (time_scale != 1.0).any():
             rest = spatial.integrate(
                 self._before, spatial.twist_between(self._before, rest, 1.0), time_scale
             )
+            rest = np.where(time_scale[:, np.newaxis] == 0.0, desired, rest)
         self.live = now <= self._until
         aims = _interpolated(now + dt, self._times, self._poses)
         twist = np.where(
@@ -153,13 +176,12 @@ class TargetInbox:
             self._twist,
         )
         twist *= self._allowed(twist)[:, np.newaxis]
+        self.speed = np.linalg.norm(twist[:, :3], axis=1)
         self._before, self.target = rest, spatial.integrate(rest, twist, seconds)
         if self.rules.heights is not None:
             low, high = self.rules.heights
             z = rest[:, 2]
-            self.target[:, 2] = np.clip(
-                self.target[:, 2], np.minimum(low, z), np.maximum(high, z)
-            )
+            self.target[:, 2] = np.clip(self.target[:, 2], np.minimum(low, z), np.maximum(high, z))
         return self.target
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
@@ -174,13 +196,14 @@ class TargetInbox:
         n = len(target)
         self.target, self._before = target.copy(), target.copy()
         self.live, self._poses_given = np.zeros((2, n), dtype=np.bool_)
+        self.speed = np.zeros(n)
         self._sent, self._until = np.full((2, n), -np.inf)
         self._twist = np.zeros((n, 6))
         self._times = np.full((n, self._size), np.inf)
         self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
-        self.counts: NDArray[np.intp] = np.zeros((n, len(RULES)), dtype=np.intp)
+        self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
 
-    def _admitted(  # noqa: PLR0913, PLR0917 - facts of messages
+    def _admitted(
         self,
         rows: Rows,
         now: Array,
@@ -206,6 +229,11 @@ class TargetInbox:
         linear = np.linalg.norm(twist[:, :3], axis=1) / rules.max_velocity
         angular = np.linalg.norm(twist[:, 3:], axis=1) / rules.max_angular_velocity
         return self.live / np.maximum(1.0, np.maximum(linear, angular))
+
+
+def _numbers(values: Array) -> NDArray[np.bool_]:
+    """Return which rows have finite numbers of usual size only, shape (n,)."""
+    return np.max(np.abs(values), axis=1, initial=0.0) <= REMOTEST
 
 
 def _interpolated(now: Array, times: Array, poses: Array) -> Array:

@@ -36,7 +36,7 @@ class EpisodeRecords:
         rms_deviation: Root mean square of the deviation, metres, shape (n,), where the target is a
             stream.
         way: Length of the EE's true way, metres, shape (n,), likewise.
-        planned_way: Length of its way without time scaling, metres, shape (n,), likewise.
+        planned_way: Length of the way that the stream asks for, metres, shape (n,), likewise.
     """
 
     reached: NDArray[np.bool_]
@@ -101,7 +101,7 @@ class Metrics(TypedDict):
 
     Task success and collisions are null if the backend does not measure them. The last five are
     those of streams of targets: `smooth` is the share of episodes without IK failure and joint
-    jump, `speed_share` the mean speed of the EE as a share of the planned one.
+    jump, `speed_share` the mean speed of the EE as a share of the asked one.
     """
 
     episodes: int
@@ -137,9 +137,13 @@ def summarize(records: EpisodeRecords) -> Metrics:
     done, base, arm = records.task_done, records.base_collisions, records.arm_collisions
     task = None if done is None else wilson(int(done.sum()), episodes)
     smooth = speed = rms = None
-    if records.way is not None and records.rms_deviation is not None:
+    if (
+        records.way is not None
+        and records.planned_way is not None
+        and records.rms_deviation is not None
+    ):
         smooth = wilson(int((records.success & (records.joint_jumps == 0)).sum()), episodes)
-        speed = float(records.way.sum() / np.sum(records.planned_way))
+        speed = float(records.way.sum() / records.planned_way.sum())
         rms = float(np.sqrt(np.average(records.rms_deviation**2, weights=records.steps)))
     return {
         "episodes": episodes,

@@ -16,7 +16,6 @@ from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
-from kinfeas.control.observation import HORIZON
 from kinfeas.core.backend import RealTimeBackend, build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
@@ -91,7 +90,7 @@ class Transition:
             stream of targets.
         step: Result of the loop's step.
         way: True way of the EE in a stream of targets, metres.
-        planned_way: Its planned way likewise.
+        planned_way: The way that the stream asks for, metres.
     """
 
     observation: Array
@@ -204,8 +203,8 @@ class World:
         action, loop = np.clip(action, -1.0, 1.0), self.loop
         way = planned_way = None
         if loop.target_stream is not None:
-            before, share = loop.true_state[1], loop.dt / HORIZON
-            planned_way = share * np.linalg.norm((loop.planned - loop.desired)[:, :3], axis=1)
+            before = loop.true_state[1]
+            planned_way = loop.target_stream.speed * loop.dt * loop.execution.time_scale
         step = self.loop.step(action)
         self.steps += 1
         self.steps[self.loop.sequence.subgoal != step.subgoal] = 0

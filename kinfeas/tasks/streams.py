@@ -1,7 +1,7 @@
 """Tasks whose targets move: simulated people, learned models and trackers that lead the EE."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,6 @@ from kinfeas import config
 from kinfeas.config.quantities import Positive, PositiveSeconds, Seconds, Share
 from kinfeas.control.targets import TargetInbox, TargetRules
 from kinfeas.core import spatial
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -32,8 +31,8 @@ class Stream:
 
     `joystick` sends twists of an Ornstein-Uhlenbeck process, as a person who keeps the EE within
     the heights. `chunks` sends poses of a smooth path in advance, as a learned model: each chunk
-    is off by an offset of its own, so that the target jumps. `carried` sends poses of an object that
-    is carried along a curve at constant speed.
+    is off by an offset of its own, so that the target jumps. `carried` sends poses of an object
+    that is carried along a curve at constant speed.
 
     Attributes:
         name: Task name.
@@ -70,8 +69,8 @@ class Stream:
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
-        low, high = self.heights(solver)
-        base = spatial.planar_pose(*np.zeros(2), np.array(rng.uniform(-np.pi, np.pi)))
+        (low, high), zero = self.heights(solver), np.zeros(())
+        base = spatial.planar_pose(zero, zero, np.array(rng.uniform(-np.pi, np.pi)))
         joints = random_arm(solver, rng, lambda ee: (ee[:, 2] >= low) & (ee[:, 2] <= high))
         return Start(base, joints, spatial.IDENTITY[np.newaxis])
 
@@ -89,12 +88,13 @@ class SimulatedStream:
 
     Attributes:
         inbox: Takes the messages.
+        asked: Takes them for EEs that never wait, as the measure of those that do.
     """
 
     def __init__(self, task: Stream, heights: tuple[float, float]) -> None:
         self.task, self._heights = task, heights
         self._chunk = 16 if task.kind == "chunks" else 2
-        self.inbox = TargetInbox(task.rules, self._chunk)
+        self.inbox, self.asked = (TargetInbox(task.rules, self._chunk) for _ in range(2))
         self._seeds = np.empty(0, dtype=np.uint64)
         self._read = np.empty(0, dtype=np.intp)
         self._begun = np.empty((0, 7))
@@ -105,7 +105,8 @@ class SimulatedStream:
         seeds = np.array([rng.integers(2**64, dtype=np.uint64) for rng in rngs], dtype=np.uint64)
         everyone = len(rows) == len(loop.desired)
         begun = loop.desired[rows]
-        self.inbox.start(begun, None if everyone else rows)
+        for one in (self.inbox, self.asked):
+            one.start(begun, None if everyone else rows)
         drawn = self._draw(seeds, begun)
         if everyone:
             self._seeds, self._read, self._begun = seeds, np.zeros(len(rows), dtype=np.intp), begun
@@ -127,20 +128,30 @@ class SimulatedStream:
             self._deliver(rows, now[rows], loop.desired[rows])
             self._read[rows] += 1
         seconds = loop.dt * loop.execution.time_scale
-        return self.inbox.advance(now, loop.dt, seconds, loop.time_scale)
+        self.asked.advance(now, loop.dt, seconds, np.ones(len(now)), loop.desired)
+        return self.inbox.advance(now, loop.dt, seconds, loop.time_scale, loop.desired)
+
+    @property
+    def speed(self) -> Array:
+        """Asked speed of the EE in the next period, shape (n,), m/s."""
+        return self.asked.speed
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
         own = {"seeds": self._seeds.copy(), "read": self._read.copy(), "begun": self._begun.copy()}
-        return own | {f"inbox.{key}": one for key, one in self.inbox.snapshot().items()}
+        for name in ("inbox", "asked"):
+            state = getattr(self, name).snapshot()
+            own |= {f"{name}.{key}": values for key, values in state.items()}
+        return own
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a state that `snapshot` returned."""
         self._seeds, self._read = snapshot["seeds"].copy(), snapshot["read"].copy()
         self._begun = snapshot["begun"].copy()
         self._drawn = self._draw(self._seeds, self._begun)
-        given = {k.removeprefix("inbox."): v for k, v in snapshot.items() if "inbox." in k}
-        self.inbox.restore(given)
+        for name in ("inbox", "asked"):
+            given = {k.partition(".")[2]: v for k, v in snapshot.items() if k.startswith(name)}
+            getattr(self, name).restore(given)
 
     def _draw(self, seeds: NDArray[np.uint64], begun: Array) -> dict[str, Array]:
         """Return messages of episodes: times (m, k), and twists (m, k, 6) or path and offsets."""
@@ -206,19 +217,23 @@ class SimulatedStream:
         sent = drawn["sent"][rows, read]
         if self.task.kind == "joystick":
             twists = self._walled(drawn["twists"][rows, read], desired[:, 2])
-            self.inbox.put_twists(rows, now, sent, twists)
+            self._put("put_twists", rows, now, sent, twists)
             return
         path = drawn["path"]
         if self.task.kind == "carried":
             step = np.minimum(np.rint(sent / _GRID).astype(np.intp), path.shape[1] - 1)
             poses = path[rows, step][:, np.newaxis]
-            self.inbox.put_poses(rows, now, sent, sent[:, np.newaxis], poses)
+            self._put("put_poses", rows, now, sent, sent[:, np.newaxis], poses)
             return
         first = np.ceil(sent / _GRID).astype(np.intp)
         steps = first[:, np.newaxis] + np.arange(self._chunk)
         poses = path[rows[:, np.newaxis], np.minimum(steps, path.shape[1] - 1)].copy()
         poses[..., :3] += drawn["offset"][rows, read][:, np.newaxis]
-        self.inbox.put_poses(rows, now, sent, steps * _GRID, poses)
+        self._put("put_poses", rows, now, sent, _GRID * steps.astype(np.float64), poses)
+
+    def _put(self, method: str, *message: NDArray[Any]) -> None:
+        for one in (self.inbox, self.asked):
+            getattr(one, method)(*message)
 
 
 def joystick(**parameters: object) -> Stream:
@@ -237,8 +252,6 @@ def carried(**parameters: object) -> Stream:
     return _stream("carried", {"speed": 0.2}, parameters)
 
 
-def _stream(
-    kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]
-) -> Stream:
+def _stream(kind: str, defaults: Mapping[str, object], parameters: Mapping[str, object]) -> Stream:
     given = {"name": kind, "kind": kind, **defaults, **parameters}
     return config.from_mapping(Stream, given, kind)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from kinfeas.config import PluginSpec
 from kinfeas.config.quantities import Count, Positive, PositiveSeconds, PositiveShare
 from kinfeas.control.execution import ExecutionConfig
+from kinfeas.control.targets import TargetRules
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkOptions
 
@@ -96,3 +97,16 @@ class DeployConfig(ExecutionConfig):
     backend: dict[str, object] = field(default_factory=dict)
     ik: IkOptions = field(default_factory=IkOptions)
     filters: tuple[PluginSpec, ...] = ()
+
+
+@dataclass(frozen=True)
+class ServoConfig(DeployConfig):
+    """Settings of a deployment whose targets move.
+
+    Attributes:
+        rules: Limits of targets, and rules for their messages.
+        source: Parameters of the source of targets.
+    """
+
+    rules: TargetRules = field(default_factory=TargetRules)
+    source: dict[str, object] = field(default_factory=dict)

@@ -25,6 +25,7 @@ class Messages:
 
     Twist: Any
     TwistStamped: Any
+    PoseStamped: Any
     Odometry: Any
     JointState: Any
     JointTrajectory: Any

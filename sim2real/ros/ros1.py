@@ -111,6 +111,7 @@ def ros1_message_classes() -> Messages:
     return Messages(
         Twist=geometry.Twist,
         TwistStamped=geometry.TwistStamped,
+        PoseStamped=geometry.PoseStamped,
         Odometry=ros("nav_msgs.msg").Odometry,
         JointState=ros("sensor_msgs.msg").JointState,
         JointTrajectory=trajectory.JointTrajectory,

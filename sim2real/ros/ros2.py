@@ -160,6 +160,7 @@ def ros2_message_classes() -> Messages:
     return Messages(
         Twist=Twist,
         TwistStamped=TwistStamped,
+        PoseStamped=PoseStamped,
         Odometry=Odometry,
         JointState=JointState,
         JointTrajectory=JointTrajectory,
@@ -207,6 +208,7 @@ Quaternion = _message(
     "geometry_msgs/Quaternion", x=_FLOAT, y=_FLOAT, z=_FLOAT, w=(float64, lambda: 1.0)
 )
 Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
+PoseStamped = _message("geometry_msgs/PoseStamped", header=Header, pose=Pose)
 Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
 TwistStamped = _message("geometry_msgs/TwistStamped", header=Header, twist=Twist)
 PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=_COVARIANCE)

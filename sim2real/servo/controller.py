@@ -51,7 +51,8 @@ class TargetController:
     Attributes:
         robot: Robot model.
         rules: Limits of targets.
-        pose: World pose of the EE that is desired now, shape (7,).
+        pose: World pose of the EE that is desired now, shape (7,), once `running`.
+        running: Whether the loop reads the messages.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class TargetController:
     ) -> None:
         """Take chunks of at most `max_poses` poses; `clock` is in seconds."""
         self.robot, self.rules, self._clock = robot, rules or TargetRules(), clock
-        self.pose = spatial.IDENTITY
+        self.pose, self.running = spatial.IDENTITY, False
         self._inbox = TargetInbox(self.rules, max(2, max_poses))
         self._queue: deque[_Message] = deque(maxlen=_QUEUE)
         self._lock = threading.Lock()
@@ -113,11 +114,16 @@ class TargetController:
             messages = list(self._queue)
             self._queue.clear()
         now = np.array([self._clock()])
-        self._base, self.pose = loop.state.base_pose[0], loop.desired[0]
+        self._base, self.pose, self.running = loop.state.base_pose[0], loop.desired[0], True
         for message in messages:
             self._read(message, now)
         seconds = loop.dt * loop.execution.time_scale
-        return self._inbox.advance(now, loop.dt, seconds, loop.time_scale)
+        return self._inbox.advance(now, loop.dt, seconds, loop.time_scale, loop.desired)
+
+    @property
+    def speed(self) -> Array:
+        """Asked speed of the EE in the next period, shape (1,), m/s."""
+        return self._inbox.speed
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
@@ -142,8 +148,8 @@ class TargetController:
             message = _Message(
                 arrival,
                 None if stamp is None else float(stamp),
-                np.array(values, dtype=np.float64),
-                None if times is None else np.array(times, dtype=np.float64),
+                np.array(values, dtype=np.float64, ndmin=1),
+                None if times is None else np.array(times, dtype=np.float64, ndmin=1),
                 frame,
             )
         except (TypeError, ValueError, OverflowError):
@@ -171,7 +177,7 @@ class TargetController:
         if times is None or times.shape != (len(values),) or values.shape != (len(times), 7):
             self._inbox.reject(_ROW)
             return
-        turns = np.linalg.norm(values[:, 3:], axis=1)
+        turns = np.abs(values[:, 3:]).max(axis=1)
         if frame is not spatial.IDENTITY and np.isfinite(values).all() and turns.all():
             values = spatial.compose(frame, values)
         self._inbox.put_poses(_ROW, now, sent, times[np.newaxis], values[np.newaxis])

@@ -59,9 +59,12 @@ def test_summary_of_a_hand_example():
 def test_task_success_and_collisions_of_backends_that_tell():
     base, arm = np.array([0, 2, 0, 0]), np.array([0, 1, 3, 0])
     done = np.array([True, False, False, False])
-    told = replace(records(), task_done=done, base_collisions=base, arm_collisions=arm)
+    ways = {"way": np.full(4, 0.9), "planned_way": np.ones(4), "rms_deviation": np.full(4, 0.01)}
+    told = replace(records(), task_done=done, base_collisions=base, arm_collisions=arm, **ways)
     found = summarize(told)
     assert (found["task_success"], found["collision_free_rate"]) == (0.25, 0.5)
     assert (found["base_collisions"], found["arm_collisions"]) == (0.5, 1.0)
+    assert (found["smooth"], found["speed_share"]) == (0.5, pytest.approx(0.9))
+    assert found["rms_deviation_m"] == pytest.approx(0.01)
     assert all(type(value) in (int, float) for value in found.values())
     assert summarize(records())["task_success"] is None

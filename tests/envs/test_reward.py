@@ -18,7 +18,9 @@ def step(feasible, metres=0.0, radians=0.0):
     n = len(feasible)
     zero, no = np.zeros(n), np.zeros(n, dtype=bool)
     subgoal = np.zeros(n, dtype=np.intp)
-    return Step(feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no, zero + 1.0)
+    return Step(
+        feasible, zero + metres, zero + radians, zero, subgoal, zero, zero, no, no, zero + 1.0
+    )
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray

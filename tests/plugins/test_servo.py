@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinfeas.core import spatial
+from kinfeas.plugins.servo import Servo
+
+LIMITS = {
+    "max_velocity": 0.2,
+    "max_acceleration": 2.0,
+    "max_jerk": 60.0,
+    "max_angular_velocity": 0.5,
+    "max_angular_acceleration": 6.0,
+    "max_angular_jerk": 150.0,
+}
+
+
+def poses(rng, n):
+    quaternions = rng.normal(size=(n, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.concatenate([rng.uniform(-1.0, 1.0, (n, 3)), spatial.canonical(quaternions)], axis=1)
+
+
+def follow(motion, pose, targets, dt):
+    """Return poses (t, n, 7) and velocities (t, n, 6) at the ends of steps toward targets."""
+    state, ways, velocities = motion.start(pose, targets[0], []), [], []
+    for target, seconds in zip(targets, dt, strict=True):
+        twist, state = motion.twist(state, pose, target, seconds)
+        pose = spatial.integrate(pose, twist, seconds)
+        ways.append(pose)
+        velocities.append(state["velocity"])
+    return np.array(ways), np.array(velocities)
+
+
+@given(seed=st.integers(0, 2**32 - 1), hold=st.integers(1, 20))
+@settings(max_examples=25, deadline=None)
+def test_velocity_acceleration_and_jerk_stay_within_their_limits(seed, hold):
+    """Also where targets jump, and where each row slows down by itself."""
+    rng, n, steps, dt = np.random.default_rng(seed), 20, 100, 1e-3
+    targets = np.array([poses(rng, n) for _ in range(steps)]).repeat(hold, axis=0)[:steps]
+    _, velocity = follow(Servo(**LIMITS), poses(rng, n), targets, np.full((steps, n), dt))
+    velocity = np.concatenate([np.zeros((2, n, 6)), velocity])
+    for part, kind in ((velocity[..., :3], ""), (velocity[..., 3:], "angular_")):
+        for order, name in enumerate(("velocity", "acceleration", "jerk")):
+            size = np.linalg.norm(np.diff(part, order, axis=0), axis=2) / dt**order
+            assert size.max() <= LIMITS[f"max_{kind}{name}"] * (1.0 + 1e-6), name
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_an_ee_stays_within_a_box_of_targets_and_reaches_the_last_one(seed):
+    rng, n, steps = np.random.default_rng(seed), 10, 600
+    targets = np.array([poses(rng, n) for _ in range(6)]).repeat(steps // 6, axis=0)
+    targets[steps // 3 :] = targets[-1]
+    dt = rng.uniform(0.001, 0.3, (steps, n))
+    start = poses(rng, n)
+    ways, _ = follow(Servo(**LIMITS), start, targets, dt)
+    box = np.concatenate([start[np.newaxis], targets])
+    assert np.all(ways[..., :3] >= box.min(axis=0)[:, :3] - 1e-9)
+    assert np.all(ways[..., :3] <= box.max(axis=0)[:, :3] + 1e-9)
+    metres, radians = spatial.distance(ways[-1], targets[-1])
+    assert metres.max() < 1e-4
+    assert radians.max() < 1e-3
+
+
+def test_a_motion_does_not_depend_on_the_control_rate():
+    """A command that both rates limit to the same velocity leads to the same pose."""
+    rng = np.random.default_rng(0)
+    start = poses(rng, 5)
+    target = start + np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    ends = [
+        follow(Servo(**LIMITS), start, np.array([target] * n), np.full((n, 5), 1.0 / n))[0][-1]
+        for n in (10, 50)
+    ]
+    np.testing.assert_allclose(*ends, atol=1e-9)
+
+
+@pytest.mark.parametrize("lookahead", [0.0, 2.0])
+def test_the_goal_lies_ahead_of_a_moving_target(lookahead):
+    motion, pose = Servo(**LIMITS, lookahead=lookahead), spatial.IDENTITY[np.newaxis]
+    target = pose + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    state = motion.start(pose, target, [])
+    for _ in range(10):
+        twist, state = motion.twist(state, pose, target, np.array([0.1]))
+    ahead = motion.goal_pose(state, target)[0, 0] - 1.0
+    assert ahead == pytest.approx(twist[0, 0] * lookahead, abs=1e-3)

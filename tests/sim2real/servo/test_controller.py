@@ -1,0 +1,152 @@
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from kinfeas.control.loop import Loop
+from kinfeas.control.targets import TargetRules
+from kinfeas.core import registry, spatial
+from kinfeas.core.start import Start
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.tasks.task import build_subgoals
+
+DT = 0.02
+
+
+class Time:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return IkSolver(load_robot("pr2"))
+
+
+def begin(solver, **rules):
+    clock = Time()
+    controller = TargetController(solver.robot, TargetRules(**rules), clock=clock)
+    analytic = registry.build("kinfeas.backends", "analytic", {})
+    subgoals = build_subgoals(ServoTask(controller).subgoals)
+    scaling = registry.build("kinfeas.filters", "time_scaling", {})
+    loop = Loop(solver, subgoals, analytic, DT, filters=[controller, scaling])
+    loop.target_stream = controller
+    start = ServoTask(controller).sample(solver, np.random.default_rng(0))
+    arrays = (start.base_pose, start.joint_positions, start.target_poses)
+    loop.start(Start(*(one[np.newaxis] for one in arrays)), [np.random.default_rng(0)])
+    return controller, clock, loop
+
+
+def step(clock, loop, base=0.0):
+    clock.now += DT
+    return loop.step(np.full((1, 3), base))
+
+
+def speed(loop, before):
+    return float(np.linalg.norm(loop.ee_pose[0, :3] - before[0, :3])) / DT
+
+
+def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver):
+    controller, clock, loop = begin(solver)
+    for _ in range(50):
+        controller.set_twist([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+        before = loop.ee_pose
+        assert step(clock, loop).feasible[0]
+    assert speed(loop, before) == pytest.approx(0.05, rel=1e-3)
+    ended = clock.now
+    while clock.now < ended + 0.3:
+        before = loop.ee_pose
+        step(clock, loop, base=0.5)
+    assert speed(loop, before) < 0.002
+    base = loop.state.base_pose
+    step(clock, loop, base=0.5)
+    np.testing.assert_array_equal(loop.state.base_pose, base)
+
+
+def test_twists_and_poses_may_be_given_in_the_frames_of_base_and_ee(solver):
+    controller, clock, loop = begin(solver, max_jump=1.0)
+    ee, frame = loop.desired[0], solver.robot.ee_frame
+    for _ in range(20):
+        controller.set_twist([0.05, 0.0, 0.0, 0.0, 0.0, 0.0], frame=frame)
+        step(clock, loop)
+    forward = spatial.rotation(ee).as_matrix()[:, 0]
+    way = loop.desired[0, :3] - ee[:3]
+    np.testing.assert_allclose(way / np.linalg.norm(way), forward, atol=1e-6)
+    above = spatial.IDENTITY + np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+    aim = spatial.compose(loop.desired[0], above)
+    for _ in range(2):
+        controller.set_target(above, frame=frame)
+        step(clock, loop)
+        controller.set_target(aim)
+    for _ in range(60):
+        controller.set_target(aim)
+        step(clock, loop)
+    assert spatial.distance(loop.desired[0], aim)[0] < 1e-4
+
+
+def test_stamps_of_another_clock_order_messages_and_show_their_age(solver):
+    controller, clock, loop = begin(solver)
+    there, up = 1000.0, [0.0, 0.0, 0.05, 0.0, 0.0, 0.0]
+    for stamp in (0.0, 0.02, 0.02, 0.01, 0.04):
+        controller.set_twist(up, stamp=there + stamp)
+        step(clock, loop)
+    assert controller.counts["repeated"] == 2
+    controller.set_twist(up, stamp=there + 0.041)  # 60 ms after the last one
+    clock.now += 0.5
+    controller.set_twist(up, stamp=there + 0.05)
+    step(clock, loop)
+    assert controller.counts["late"] == 1
+
+
+MALFORMED = [
+    None, "up", [], [1.0], [[1.0] * 6] * 2, {"x": 1}, object(), [1.0] * 8, ["a"] * 6, 10**400,
+    [math.nan] * 6, [math.inf] * 7, [0.0] * 7, [1e300] * 7, np.zeros((0, 7)),
+]  # fmt: skip
+
+
+def test_malformed_messages_from_many_threads_have_no_effect(solver):
+    controller, clock, loop = begin(solver)
+    begun = loop.desired.copy()
+
+    def send():
+        for value in MALFORMED:
+            controller.set_twist(value)
+            controller.set_target(value, stamp=math.nan)
+            controller.set_target(spatial.IDENTITY, frame="nowhere")
+            controller.set_target(spatial.IDENTITY, stamp="soon")
+            controller.set_chunk(value, [0.0, 1.0])
+            controller.set_chunk([spatial.IDENTITY] * 2, value)
+
+    threads = [threading.Thread(target=send) for _ in range(2)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    for _ in range(5):
+        step(clock, loop)
+    np.testing.assert_array_equal(loop.desired, begun)
+    assert controller.counts["accepted"] == 0
+    assert controller.counts["invalid"] == 2 * 6 * len(MALFORMED)
+
+
+def test_time_scaling_waits_at_the_end_of_the_reach(solver):
+    """An arm that is led out of its reach, while the base may not move, stops without a failure."""
+    controller, clock, loop = begin(solver)
+    scales = []
+    for _ in range(400):
+        controller.set_twist([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
+        found = step(clock, loop)
+        assert found.feasible[0]
+        assert not found.joint_jump[0]
+        scales.append(found.time_scale[0])
+    assert scales[0] == 1.0
+    assert scales[-1] == 0.0
+    controller.set_twist([0.0, 0.0, -0.2, 0.0, 0.0, 0.0])
+    for _ in range(4):
+        found = step(clock, loop)
+    assert found.time_scale[0] == 1.0

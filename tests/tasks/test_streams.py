@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from kinfeas.config import PluginSpec
+from kinfeas.envs.episodes import run_episodes
+from kinfeas.envs.world import World, WorldConfig
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+
+TASKS = ("joystick", "chunks", "carried")
+SCALING = WorldConfig(filters=(PluginSpec("time_scaling"),))
+
+
+def world(name, config=SCALING, **parameters):
+    return World(load_robot("pr2"), load_task(name, {"seconds": 8.0, **parameters}), config, 1)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_stream_is_followed_to_its_end_without_failure_and_jump(name):
+    records = run_episodes(world(name), load_policy("pretrained", load_robot("pr2")), 6)
+    assert (records.steps == 80).all()
+    assert records.success.all()
+    assert not records.joint_jumps.any()
+    assert records.way is not None
+    assert (records.way > 0.0).all()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_targets_keep_their_speed_and_heights(name):
+    made = world(name, seconds=20.0)
+    made.start(range(8))
+    inbox = made.loop.target_stream.inbox
+    low, high = made.robot.goal_heights["ggr_restricted"]
+    offset = 0.1 if name == "chunks" else 0.0
+    for _ in range(150):
+        before = inbox.target
+        made.step(np.zeros((8, 3)))
+        way = np.linalg.norm((inbox.target - inbox._before)[:, :3], axis=1)
+        assert way.max() <= 0.2 * 0.1 * (1.0 + 1e-9)
+        assert (inbox.target[:, 2] >= np.minimum(low - offset - 0.02, before[:, 2])).all()
+        assert (inbox.target[:, 2] <= np.maximum(high + offset + 0.02, before[:, 2])).all()
+    assert (inbox.counts[:, 0] > 0).all()
+
+
+def test_an_episode_is_the_same_in_any_batch_and_after_a_restore():
+    one, many = world("chunks"), world("chunks")
+    one.start([3])
+    many.start([1, 2])
+    many.start([3], np.array([1]))
+    for step in range(40):
+        if step == 20:
+            kept = one.snapshot()
+            one = world("chunks")
+            one.start([0])
+            one.restore(kept)
+        one.step(np.full((1, 3), 0.1))
+        many.step(np.full((2, 3), 0.1))
+    np.testing.assert_array_equal(one.loop.desired[0], many.loop.desired[1])
