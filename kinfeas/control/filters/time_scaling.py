@@ -1,11 +1,9 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.config import Interval
+from kinfeas.config.quantities import NotNegative
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
@@ -27,7 +25,7 @@ class TimeScalingFilter(FeasibilityFilter):
             where no candidate has a smaller one.
     """
 
-    def __init__(self, max_deviation: Annotated[float, Interval(low=0.0)] = 0.01) -> None:
+    def __init__(self, max_deviation: NotNegative = 0.01) -> None:
         self.max_deviation = max_deviation
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
