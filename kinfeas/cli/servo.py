@@ -28,12 +28,13 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = "pretrained",
     robot: options.PolicyRobotName = None,
     backend: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="analytic, pybullet, ros2, ros1, or a plugin.",
+            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  [default: the first "
+            "installed of pybullet and mujoco]",
             autocompletion=options.names_of("backends"),
         ),
-    ] = "pybullet",
+    ] = None,
     source: Annotated[
         str,
         typer.Option(
@@ -69,13 +70,14 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas servo pretrained --robot pr2 --backend ros2 --source ros2
     """
+    from kinfeas.config.recipes import default_engine
     from kinfeas.sim2real.deploy.config import ServoConfig
     from kinfeas.sim2real.servo.controller import ServoTask, TargetController
     from kinfeas.tasks.task import MotionSpec
 
     check_record(record)
     with status("preparing"):
-        robot = robot or options.robot_of(policy)
+        robot, backend = robot or options.robot_of(policy), backend or default_engine()
         known = options.read_robot(robot)
         changes = options.with_filters(filters, overrides or [], "")
         config = read_settings(ServoConfig, "servo", known, guards, changes)
