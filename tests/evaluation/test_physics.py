@@ -1,4 +1,4 @@
-"""Evaluation in PyBullet."""
+"""Evaluation with physics."""
 
 from dataclasses import replace
 
@@ -14,12 +14,16 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
 from kinfeas.tasks.loading import load_task
 
-pytest.importorskip("pybullet")
+
+@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
+def engine(request):
+    pytest.importorskip(request.param)
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def chosen():
-    world = replace(evaluation_world("pybullet", "hsr"), max_seconds=4.0)
+def chosen(engine):
+    world = replace(evaluation_world(engine, "hsr"), max_seconds=4.0)
     return EvalConfig(load_robot("hsr"), ggr(distance=(0.5, 0.8)), episodes=3, seed=3, world=world)
 
 
@@ -34,9 +38,9 @@ def records(chosen, policy):
 
 
 @pytest.mark.parametrize("wrong", ["world.time_scale=1.5", "world.action_repeat=3"])
-def test_wrong_settings_are_named(wrong):
+def test_wrong_settings_are_named(wrong, engine):
     with pytest.raises(KinfeasError, match=wrong.partition("=")[0]):
-        read_settings("hsr", "pybullet", [wrong])
+        read_settings("hsr", engine, [wrong])
 
 
 def test_records(records):
@@ -61,9 +65,9 @@ def test_task_success_is_unknown_without_the_objects(chosen, policy):
 
 
 @pytest.mark.parametrize("name", ["drawer", "pick_place"])
-def test_an_episode_is_the_same_to_the_bit_in_any_row(name):
+def test_an_episode_is_the_same_to_the_bit_in_any_row(name, engine):
     robot = load_robot("hsr")
-    config = replace(evaluation_world("pybullet", "hsr"), max_seconds=2.0)
+    config = replace(evaluation_world(engine, "hsr"), max_seconds=2.0)
     policy, parts = load_policy("pretrained", robot), []
     for first, count in ((0, 3), (2, 1)):
         world = World(robot, load_task(name), config, 1)
@@ -71,6 +75,17 @@ def test_an_episode_is_the_same_to_the_bit_in_any_row(name):
         world.close()
     for key, values in vars(parts[0]).items():
         np.testing.assert_array_equal(values[2:], vars(parts[1])[key], err_msg=key)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["hsr", "tiago", "pr2"])
+@pytest.mark.parametrize("task", ["drawer", "door"])
+def test_packaged_policies_do_their_tasks(robot, task, engine):
+    known = load_robot(robot)
+    world = evaluation_world(engine, robot)
+    found = run(EvalConfig(known, load_task(task), 2, 1, world), load_policy("pretrained", known))
+    assert found.reached.any()
+    np.testing.assert_array_equal(found.task_done, found.reached)
 
 
 def collisions(dt, *touched):
