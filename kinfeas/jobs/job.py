@@ -15,7 +15,7 @@ from kinfeas.config import PluginSpec, from_mapping, strict_yaml
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.io.files import write_file, writing
 
-ATTEMPTS = 5
+ATTEMPTS = 10
 """Times in a row that workers may die before a job is done."""
 
 ENGINES = {name: f"kinfeas.jobs.{name}:{name.title()}" for name in ("local", "ray", "slurm")}

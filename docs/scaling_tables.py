@@ -1,0 +1,189 @@
+"""Measure the jobs of a benchmark and write the tables of docs/scaling.md.
+
+python docs/scaling_tables.py           measures, into docs/figures/scaling.json, and writes
+python docs/scaling_tables.py --write   writes only
+
+Each job runs twice, with a small and a large number of steps or episodes, each in a process of its
+own. The difference is the cost of a step or an episode, the rest the cost of a start. Both are CPU
+time, which other programs on the machine hardly change.
+"""
+
+import heapq
+import json
+import os
+import platform
+import re
+import resource
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from kinfeas.benchmark.config import BenchmarkConfig, read_benchmark
+from kinfeas.benchmark.evaluations import CEILING, Evaluation, compute, plan_evaluations
+from kinfeas.benchmark.markdown import table
+from kinfeas.benchmark.runs import Run, plan_runs
+from kinfeas.config.recipes import load_section
+from kinfeas.jobs.training import finish
+from kinfeas.training.config import TrainConfig
+
+DOCS = Path(__file__).parent
+FIGURES, PAGE = DOCS / "figures" / "scaling.json", DOCS / "scaling.md"
+STUDY = "benchmark/study"
+TASK = "ggr"
+STEPS, EPISODES = (10_000, 40_000), (8, 108)
+CORES = (1, 4, 32, 256)
+
+Costs = dict[str, dict[str, Any]]
+"""CPU seconds of a unit and of a start, and memory in MB, by the name of a kind of job."""
+
+
+def training_cost(robot: str, steps: int) -> tuple[float, float]:
+    """Return CPU seconds and MB of a training of so many steps."""
+    schedule = {"steps": steps, "minutes": "null", "evaluations": 1}
+    schedule |= {"evaluation_episodes": 1, "final_episodes": 1}
+    changes = [f"schedule.{key}={value}" for key, value in schedule.items()]
+    with TemporaryDirectory() as folder:
+        finish((load_section(TrainConfig, "train", robot, changes), Path(folder) / "run"))
+    return spent()
+
+
+def evaluation_cost(evaluation: Evaluation, episodes: int) -> tuple[float, float]:
+    """Return CPU seconds and MB of an evaluation of so many episodes."""
+    compute(replace(evaluation, episodes=episodes))
+    return spent()
+
+
+def spent() -> tuple[float, float]:
+    """Return CPU seconds and MB of this process so far."""
+    return time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def measure(benchmark: BenchmarkConfig) -> Costs:
+    """Return the costs of the jobs of a benchmark, on its task `ggr`."""
+    kinds: dict[str, tuple[Any, Any, tuple[int, int], str]] = {
+        f"{robot}, training": (training_cost, robot, STEPS, "step") for robot in benchmark.robots
+    }
+    small = replace(benchmark, tasks=(TASK,), variants=(), policies="pretrained")
+    for one in plan_evaluations(small, []):
+        kinds[kind_of(one)] = (evaluation_cost, one, EPISODES, "episode")
+    costs: Costs = {}
+    for name, (cost, subject, sizes, unit) in kinds.items():
+        (few, _), (many, memory) = (alone(cost, subject, size) for size in sizes)
+        each = max(0.0, many - few) / (sizes[1] - sizes[0])
+        start = max(0.0, few - each * sizes[0])
+        costs[name] = {"unit": unit, "each": each, "start": start, "memory": memory}
+        sys.stderr.write(f"{name}: {each:.4g} s a {unit}, start {start:.1f} s, {memory:.0f} MB\n")
+    return costs
+
+
+def alone(cost: Any, *arguments: Any) -> tuple[float, float]:
+    """Return a cost, measured in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        found: tuple[float, float] = pool.submit(cost, *arguments).result()
+    return found
+
+
+def kind_of(one: Evaluation) -> str:
+    """Return the name of the costs of an evaluation."""
+    policy = "policy" if one.policy in ("sac", "td3", "pretrained") else one.policy
+    return ", ".join(part for part in (one.robot, policy, one.row) if part)
+
+
+def phases(benchmark: BenchmarkConfig, costs: Costs) -> list[list[float]]:
+    """Return the CPU seconds of the trainings of a benchmark, and those of its evaluations."""
+    plans = [job.description[0] for job in plan_runs(benchmark, Path("none"))]
+    runs = [Run(Path(f"{one.robot}-{one.learner.algorithm}-{one.seed}"), one.robot,
+                one.learner.algorithm, one.seed, TASK) for one in plans]  # fmt: skip
+    trainings = [seconds(costs[f"{one.robot}, training"], one.schedule.steps or 0) for one in plans]
+    evaluations = plan_evaluations(benchmark, runs)
+    return [trainings, [seconds(costs[kind_of(one)], one.episodes) for one in evaluations]]
+
+
+def seconds(cost: dict[str, Any], units: int) -> float:
+    """Return the CPU seconds of a job."""
+    return float(cost["start"] + units * cost["each"])
+
+
+def makespan(jobs: Iterable[float], cores: int) -> float:
+    """Return the seconds until the last of the jobs ends, the long ones first."""
+    free = [0.0] * cores
+    for job in sorted(jobs, reverse=True):
+        heapq.heapreplace(free, free[0] + job)
+    return max(free)
+
+
+def needs_table(costs: Costs) -> list[str]:
+    """Return the table of the needs of one job."""
+    rows = []
+    for name, cost in costs.items():
+        size = 1_000_000 if cost["unit"] == "step" else 500
+        minutes = f"{cost['each'] * size / 60.0:.1f}"
+        rows.append([name, f"{size:,} {cost['unit']}s", minutes, f"{cost['memory']:,.0f}"])
+    return table(["robot, job", "size", "core minutes", "memory, MB"], rows, names=2)
+
+
+def cluster_table(jobs: Sequence[Sequence[float]]) -> list[str]:
+    """Return the table of the time of the whole benchmark."""
+    alone = sum(map(sum, jobs))
+    rows = []
+    for cores in CORES:
+        parts = [makespan(one, cores) for one in jobs]
+        whole = sum(parts)
+        numbers = [f"{one / 3600.0:.2f}" for one in (*parts, whole)]
+        rows.append([str(cores), *numbers, f"{alone / whole:.1f}"])
+    return table(["cores", "trainings, h", "evaluations, h", "both, h", "times as fast"], rows)
+
+
+def growth_table(benchmark: BenchmarkConfig, costs: Costs) -> list[str]:
+    """Return the table of the core hours of larger and smaller benchmarks."""
+    cases = {
+        "the study": benchmark,
+        "one robot, PR2": replace(benchmark, robots=("pr2",)),
+        "one task": replace(benchmark, tasks=benchmark.tasks[:1]),
+        "one training seed": replace(benchmark, seeds=benchmark.seeds[:1]),
+        "ten training seeds": replace(benchmark, seeds=tuple(range(10))),
+        "2,000 episodes": replace(benchmark, episodes=2000),
+    }
+    rows = []
+    for name, case in cases.items():
+        trainings, evaluations = phases(case, costs)
+        hours = [f"{sum(part) / 3600.0:.1f}" for part in (trainings, evaluations)]
+        rows.append([name, str(len(trainings)), str(len(evaluations)), *hours])
+    heads = ["benchmark", "trainings", "evaluations", "core hours, trainings", "evaluations"]
+    return table(heads, rows)
+
+
+def fill(page: str, costs: Costs) -> str:
+    """Return the page with the tables of these costs."""
+    benchmark = read_benchmark(STUDY)
+    tables = {
+        "needs": needs_table({k: v for k, v in costs.items() if CEILING not in k}),
+        "growth": growth_table(benchmark, costs),
+        "cluster": cluster_table(phases(benchmark, costs)),
+    }
+    for name, lines in tables.items():
+        place = re.compile(rf"(?<=<!-- {name} -->\n).*?(?=\n<!-- end -->)", re.DOTALL)
+        text = "\n".join(lines)
+        page, count = place.subn(lambda _, text=text: text, page)
+        assert count == 1, name
+    return page
+
+
+def main() -> None:
+    """Measure, unless only the page is to be written; write the page."""
+    if "--write" not in sys.argv:
+        costs = measure(read_benchmark(STUDY))
+        about = {"processor": platform.machine(), "cores": os.cpu_count()}
+        FIGURES.write_text(json.dumps({"machine": about, "costs": costs}, indent=1) + "\n")
+    costs = json.loads(FIGURES.read_text())["costs"]
+    PAGE.write_text(fill(PAGE.read_text(), costs))
+
+
+if __name__ == "__main__":
+    main()
