@@ -92,48 +92,48 @@ def plan_evaluations(benchmark: BenchmarkConfig, runs: Sequence[Run]) -> list[Ev
     """
     names = {robot: load_robot(robot).name for robot in benchmark.robots}
     numbers = benchmark.episodes, benchmark.evaluation_seed
-    trials = [
+    ceilings = [
         Evaluation(robot, name, task, CEILING, CEILING, *numbers)
         for robot, name in names.items()
         for task in benchmark.tasks
     ]
-    trials += [
+    ceilings += [
         Evaluation(robot, names[robot], one.task, CEILING, CEILING, *numbers, variant=one.label,
             parameters=one.parameters)
         for one in benchmark.variants
         for robot in one.robots
         if robot in names and one.task in benchmark.tasks and benchmark.backend == "analytic"
     ]  # fmt: skip
-    return [job for trial in trials for job in _of_task(benchmark, runs, trial)]
+    return [case for ceiling in ceilings for case in _of_task(benchmark, runs, ceiling)]
 
 
-def check_baselines(jobs: Sequence[Evaluation]) -> None:
+def check_baselines(cases: Sequence[Evaluation]) -> None:
     """Build the baselines, so that a missing extra is an error before hours of work."""
-    for source, robot in dict.fromkeys((job.source, job.robot) for job in jobs):
+    for source, robot in dict.fromkeys((case.source, case.robot) for case in cases):
         if source in BASELINES:
             load_policy(source, load_robot(robot))
 
 
-def compute(job: Evaluation) -> Result:
+def compute(case: Evaluation) -> Result:
     """Return the summary of an evaluation, with points of the `workspace` for a learned policy."""
-    if job.policy == CEILING:
-        robot, task = load_robot(job.robot), load_task(job.task, job.parameters)
-        ik = read_settings(robot.name, job.backend, job.settings).world.ik
-        share = measure_reachability(robot, task, job.episodes, job.seed, ik).share
+    if case.policy == CEILING:
+        robot, task = load_robot(case.robot), load_task(case.task, case.parameters)
+        ik = read_settings(robot.name, case.backend, case.settings).world.ik
+        share = measure_reachability(robot, task, case.episodes, case.seed, ik).share
         return {"success": share.value, "success_low": share.low, "success_high": share.high}
-    parameters = [f"task.{key}={json.dumps(value)}" for key, value in job.parameters.items()]
+    parameters = [f"task.{key}={json.dumps(value)}" for key, value in case.parameters.items()]
     chosen, policy = prepare(
-        job.source,
-        job.robot,
-        job.task,
-        job.backend,
-        episodes=job.episodes,
-        seed=job.seed,
-        overrides=[*job.settings, *parameters],
+        case.source,
+        case.robot,
+        case.task,
+        case.backend,
+        episodes=case.episodes,
+        seed=case.seed,
+        overrides=[*case.settings, *parameters],
     )
-    sampled = job.backend == "analytic" and isinstance(policy, Network)
+    sampled = case.backend == "analytic" and isinstance(policy, Network)
     samples = WorkspaceSamples() if sampled else None
-    summary = evaluate(replace(chosen, first=job.first), policy, job.policy, watch=samples)
+    summary = evaluate(replace(chosen, first=case.first), policy, case.policy, watch=samples)
     return {**summary, "workspace": samples.kept()} if samples else dict(summary)
 
 
@@ -167,17 +167,17 @@ def thinned(points: Array, most: int) -> Array:
     return points[np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)]
 
 
-def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], job: Evaluation) -> list[Evaluation]:
+def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], case: Evaluation) -> list[Evaluation]:
     """Return a ceiling and what is beside it: learned policies, rows and baselines."""
-    base = replace(job, settings=benchmark.settings)
-    own = [run for run in runs if run.robot == job.robot_name]
+    base = replace(case, settings=benchmark.settings)
+    own = [run for run in runs if run.robot == case.robot_name]
     learned = [replace(base, policy=run.algorithm, source=str(run.folder), training_seed=run.seed)
                for run in own]  # fmt: skip
-    if not own and takes_pretrained(benchmark, job.robot):
+    if not own and takes_pretrained(benchmark, case.robot):
         learned = [replace(base, policy=pretrained.NAME, source=pretrained.NAME)]
     rows = []
-    for row in benchmark.rows if not job.variant else ():
-        if row.has(job.robot, job.task):
+    for row in benchmark.rows if not case.variant else ():
+        if row.has(case.robot, case.task):
             settings = (*benchmark.settings, *row.settings, *_filters(row.filters))
             rows += [
                 replace(one, row=row.label, settings=settings)
@@ -185,26 +185,26 @@ def _of_task(benchmark: BenchmarkConfig, runs: Sequence[Run], job: Evaluation) -
                 if one.policy != "td3"
             ]
     baselines = [replace(base, policy=name, source=name)
-                 for name, on in benchmark.baselines.items() if job.task in on]  # fmt: skip
+                 for name, on in benchmark.baselines.items() if case.task in on]  # fmt: skip
     policies = [*learned, *rows, *baselines]
     if benchmark.backend != "analytic":
         beside = [_without_physics(benchmark, one) for one in policies]
         policies = [*beside, *(part for one in policies for part in _parts(benchmark, one))]
     settings = benchmark.settings if benchmark.backend == "analytic" else ()
-    return [replace(job, settings=settings), *policies]
+    return [replace(case, settings=settings), *policies]
 
 
-def _without_physics(benchmark: BenchmarkConfig, job: Evaluation) -> Evaluation:
+def _without_physics(benchmark: BenchmarkConfig, case: Evaluation) -> Evaluation:
     """Return an evaluation with the same filters in the analytic world, which has no obstacles."""
-    used = read_settings(job.robot_name, benchmark.backend, job.settings).world.filters
+    used = read_settings(case.robot_name, benchmark.backend, case.settings).world.filters
     filters = tuple(one for one in used if one.name != "obstacle_distance")
-    return replace(job, settings=_filters(filters))
+    return replace(case, settings=_filters(filters))
 
 
-def _parts(benchmark: BenchmarkConfig, job: Evaluation) -> list[Evaluation]:
+def _parts(benchmark: BenchmarkConfig, case: Evaluation) -> list[Evaluation]:
     return [
-        replace(job, backend=benchmark.backend, first=at, episodes=min(PART, job.episodes - at))
-        for at in range(0, job.episodes, PART)
+        replace(case, backend=benchmark.backend, first=at, episodes=min(PART, case.episodes - at))
+        for at in range(0, case.episodes, PART)
     ]
 
 
@@ -215,11 +215,11 @@ def _filters(filters: tuple[PluginSpec, ...] | None) -> tuple[str, ...]:
     return (f"world.filters={json.dumps([config.to_mapping(one) for one in filters])}",)
 
 
-def _weights(job: Evaluation) -> str:
+def _weights(case: Evaluation) -> str:
     """Return the digest of a learned policy, which may be trained anew in the same folder."""
-    if job.source == CEILING or job.source in BASELINES:
+    if case.source == CEILING or case.source in BASELINES:
         return ""
-    shipped = job.source == pretrained.NAME
-    folder = pretrained.find(job.robot_name) if shipped else Path(job.source)
+    shipped = case.source == pretrained.NAME
+    folder = pretrained.find(case.robot_name) if shipped else Path(case.source)
     place = policy_folder(folder) / WEIGHTS
     return hashlib.sha256(place.read_bytes()).hexdigest()

@@ -276,14 +276,14 @@ def draw_pictures(
         pictures["learning_curves"] = png(curves_figure(ordered, _levels(runs, cells)), 110)
     spaces: dict[str, list[Result]] = {}
     for robot in benchmark.robots:
-        own = [(job, result) for job, result in found
-               if job.robot == robot and "workspace" in result and not job.variant]  # fmt: skip
-        own = [(job, result) for job, result in own if job.policy == own[0][0].policy]
+        own = [(case, result) for case, result in found
+               if case.robot == robot and "workspace" in result and not case.variant]  # fmt: skip
+        own = [(case, result) for case, result in own if case.policy == own[0][0].policy]
         if not own:
             continue
         known = load_robot(robot)
         spaces[known.name] = [result for _, result in own]
-        shown = _examples(known, [job for job, _ in own])
+        shown = _examples(known, [case for case, _ in own])
         titles = [_example_title(task, recording) for task, recording in shown.items()]
         figure = episodes_figure(known, list(shown.values()), titles)
         pictures[f"examples-{known.name}"] = png(figure, 80)
@@ -304,15 +304,15 @@ def _levels(runs: Sequence[Run], cells: Sequence[Cell]) -> dict[str, dict[str, f
     return levels
 
 
-def _examples(robot: Robot, jobs: Sequence[Evaluation]) -> dict[str, Recording]:
+def _examples(robot: Robot, cases: Sequence[Evaluation]) -> dict[str, Recording]:
     """Return an episode of each task: number 0 of the first one, 1 of the second and so on."""
     shown: dict[str, Recording] = {}
-    for job in jobs:
-        if job.task_name not in shown:
-            config = read_settings(robot.name, job.backend, job.settings).world
-            world = World(robot, load_task(job.task, job.parameters), config, job.seed)
-            policy = load_policy(job.source, robot)
-            (shown[job.task_name],) = record_episodes(world, policy, 1, first=len(shown))
+    for case in cases:
+        if case.task_name not in shown:
+            config = read_settings(robot.name, case.backend, case.settings).world
+            world = World(robot, load_task(case.task, case.parameters), config, case.seed)
+            policy = load_policy(case.source, robot)
+            (shown[case.task_name],) = record_episodes(world, policy, 1, first=len(shown))
     return shown
 
 

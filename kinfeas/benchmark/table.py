@@ -90,9 +90,9 @@ def tabulate(found: Sequence[tuple[Evaluation, Result]], *backends: str) -> list
     Evaluations in the analytic world beside other `backends` are references of their cells.
     """
     groups: dict[tuple[str, ...], list[tuple[Evaluation, Result]]] = {}
-    for job, result in found:
-        key = (job.robot, job.variant, job.task, job.policy, job.row, job.backend)
-        groups.setdefault(key, []).append((job, result))
+    for case, result in found:
+        key = (case.robot, case.variant, case.task, case.policy, case.row, case.backend)
+        groups.setdefault(key, []).append((case, result))
     cells = []
     for (robot, variant, task, policy, row, world), group in groups.items():
         if policy == CEILING or world not in backends:
@@ -145,7 +145,7 @@ def merged(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _cell(
     group: Sequence[tuple[Evaluation, Result]], ceiling: Result, analytic: Sequence[Result]
 ) -> Cell:
-    job, first = group[0]
+    case, first = group[0]
     by_source: dict[str, list[Result]] = {}
     for one, result in group:
         by_source.setdefault(one.source, []).append(result)
@@ -156,14 +156,14 @@ def _cell(
         share = None if means[key] is None else interval([one[key] for one in seeds], episodes)
         means[f"{key}_low"] = share.low if share else None
         means[f"{key}_high"] = share.high if share else None
-    paper = _paper(job)
+    paper = _paper(case)
     return Cell(
-        robot=job.robot_name,
-        variant=job.variant,
-        task=job.task_name,
-        policy=job.policy,
-        row=job.row,
-        world=job.backend,
+        robot=case.robot_name,
+        variant=case.variant,
+        task=case.task_name,
+        policy=case.policy,
+        row=case.row,
+        world=case.backend,
         filters=tuple(first["filters"]),
         time_scale=first["time_scale"],
         head_start=first["head_start"],
@@ -185,16 +185,16 @@ def _cell(
     )
 
 
-def _paper(job: Evaluation) -> PaperFigures | None:
+def _paper(case: Evaluation) -> PaperFigures | None:
     """Return the paper's figures in the same place; its learned policies are of SAC."""
-    if job.variant or job.policy == "td3":
+    if case.variant or case.policy == "td3":
         return None
-    world = "analytic" if job.backend == "analytic" else "physics"
-    known = paper_figures(job.robot_name, job.task, world)
-    if job.policy not in ("sac", pretrained.NAME):
-        return known.get(job.policy)
-    plain = None if job.row and world == "analytic" else known.get(LEARNED)
-    return known.get(job.row, plain)
+    world = "analytic" if case.backend == "analytic" else "physics"
+    known = paper_figures(case.robot_name, case.task, world)
+    if case.policy not in ("sac", pretrained.NAME):
+        return known.get(case.policy)
+    plain = None if case.row and world == "analytic" else known.get(LEARNED)
+    return known.get(case.row, plain)
 
 
 def _mean(metrics: Sequence[Mapping[str, Any]], key: str) -> float | None:

@@ -72,7 +72,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas benchmark --world pybullet,mujoco --policy pretrained --episodes 20
     """
     from kinfeas.benchmark.config import read_benchmark, restricted
-    from kinfeas.benchmark.evaluations import plan_evaluations
+    from kinfeas.benchmark.evaluations import check_baselines, plan_evaluations
     from kinfeas.benchmark.runs import find_runs, read_run
     from kinfeas.io.files import write_file, writing
 
@@ -101,7 +101,9 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             one for each in worlds for one in plan_evaluations(replace(chosen, backend=each), taken)
         ]
         evaluations = list({one.name: one for one in evaluations}.values())  # equal references
-        results = _run("evaluations", [one.job(out / "results") for one in evaluations], runner)
+        jobs = [one.job(out / "results") for one in evaluations]
+        check_baselines([job.description for job in jobs if not job.path.exists()])
+        results = _run("evaluations", jobs, runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
