@@ -1,7 +1,6 @@
 """Measure the jobs of a benchmark and write the tables of docs/scaling.md.
 
-python docs/scaling_tables.py           measures, into docs/figures/scaling.json, and writes
-python docs/scaling_tables.py --write   writes only
+It measures the kinds of jobs that docs/figures/scaling.json lacks; remove the file to measure all.
 
 Each job runs twice, with a small and a large number of steps or episodes, each in a process of its
 own. The difference is the cost of a step or an episode, the rest the cost of a start. Both are CPU
@@ -10,8 +9,6 @@ time, which other programs on the machine hardly change.
 
 import heapq
 import json
-import os
-import platform
 import re
 import resource
 import sys
@@ -36,7 +33,7 @@ DOCS = Path(__file__).parent
 FIGURES, PAGE = DOCS / "figures" / "scaling.json", DOCS / "scaling.md"
 STUDY = "benchmark/study"
 TASK = "ggr"
-STEPS, EPISODES = (10_000, 40_000), (8, 108)
+STEPS, EPISODES = (10_000, 40_000), (8, 40)
 CORES = (1, 4, 32, 256)
 
 Costs = dict[str, dict[str, Any]]
@@ -64,22 +61,22 @@ def spent() -> tuple[float, float]:
     return time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def measure(benchmark: BenchmarkConfig) -> Costs:
-    """Return the costs of the jobs of a benchmark, on its task `ggr`."""
+def measure(benchmark: BenchmarkConfig, costs: Costs) -> None:
+    """Add the missing costs of the jobs of a benchmark, on its task `ggr`, and keep each."""
     kinds: dict[str, tuple[Any, Any, tuple[int, int], str]] = {
         f"{robot}, training": (training_cost, robot, STEPS, "step") for robot in benchmark.robots
     }
     small = replace(benchmark, tasks=(TASK,), variants=(), policies="pretrained")
     for one in plan_evaluations(small, []):
         kinds[kind_of(one)] = (evaluation_cost, one, EPISODES, "episode")
-    costs: Costs = {}
-    for name, (cost, subject, sizes, unit) in kinds.items():
+    for name in [name for name in kinds if name not in costs]:
+        cost, subject, sizes, unit = kinds[name]
         (few, _), (many, memory) = (alone(cost, subject, size) for size in sizes)
         each = max(0.0, many - few) / (sizes[1] - sizes[0])
         start = max(0.0, few - each * sizes[0])
         costs[name] = {"unit": unit, "each": each, "start": start, "memory": memory}
         sys.stderr.write(f"{name}: {each:.4g} s a {unit}, start {start:.1f} s, {memory:.0f} MB\n")
-    return costs
+        FIGURES.write_text(json.dumps(costs, indent=1) + "\n")
 
 
 def alone(cost: Any, *arguments: Any) -> tuple[float, float]:
@@ -91,7 +88,8 @@ def alone(cost: Any, *arguments: Any) -> tuple[float, float]:
 
 def kind_of(one: Evaluation) -> str:
     """Return the name of the costs of an evaluation."""
-    policy = "policy" if one.policy in ("sac", "td3", "pretrained") else one.policy
+    same = {"sac": "policy", "td3": "policy", "pretrained": "policy"}
+    policy = {**same, "demonstrated_base": "follow_ee"}.get(one.policy, one.policy)
     return ", ".join(part for part in (one.robot, policy, one.row) if part)
 
 
@@ -168,20 +166,17 @@ def fill(page: str, costs: Costs) -> str:
         "cluster": cluster_table(phases(benchmark, costs)),
     }
     for name, lines in tables.items():
-        place = re.compile(rf"(?<=<!-- {name} -->\n).*?(?=\n<!-- end -->)", re.DOTALL)
-        text = "\n".join(lines)
-        page, count = place.subn(lambda _, text=text: text, page)
+        place = re.compile(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", re.DOTALL)
+        text = "\n".join([*lines, ""])
+        page, count = place.subn(lambda _, text=text: text, page, count=1)
         assert count == 1, name
     return page
 
 
 def main() -> None:
-    """Measure, unless only the page is to be written; write the page."""
-    if "--write" not in sys.argv:
-        costs = measure(read_benchmark(STUDY))
-        about = {"processor": platform.machine(), "cores": os.cpu_count()}
-        FIGURES.write_text(json.dumps({"machine": about, "costs": costs}, indent=1) + "\n")
-    costs = json.loads(FIGURES.read_text())["costs"]
+    """Measure, and write the page."""
+    costs: Costs = json.loads(FIGURES.read_text()) if FIGURES.exists() else {}
+    measure(read_benchmark(STUDY), costs)
     PAGE.write_text(fill(PAGE.read_text(), costs))
 
 
