@@ -72,7 +72,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     Example: kinfeas benchmark --world pybullet,mujoco --policy pretrained --episodes 20
     """
     from kinfeas.benchmark.config import read_benchmark, restricted
-    from kinfeas.benchmark.evaluations import check_baselines, plan_evaluations
+    from kinfeas.benchmark.evaluations import plan_evaluations
     from kinfeas.benchmark.runs import find_runs, read_run
     from kinfeas.io.files import write_file, writing
 
@@ -101,9 +101,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
             one for each in worlds for one in plan_evaluations(replace(chosen, backend=each), taken)
         ]
         evaluations = list({one.name: one for one in evaluations}.values())  # equal references
-        jobs = [one.job(out / "results") for one in evaluations]
-        check_baselines([job.description for job in jobs if not job.path.exists()])
-        results = _run("evaluations", jobs, runner)
+        results = _evaluate([one.job(out / "results") for one in evaluations], runner)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: results are kept, the same command continues\n")
         raise typer.Exit(130) from None
@@ -152,6 +150,14 @@ def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:
     if not all(job.path.exists() for job in plans):
         check_baselines(plan_evaluations(benchmark, []))
     return plans
+
+
+def _evaluate(jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
+    """Evaluate what is missing, after a check that its baselines can be built."""
+    from kinfeas.benchmark.evaluations import check_baselines
+
+    check_baselines([job.description for job in jobs if not job.path.exists()])
+    return _run("evaluations", jobs, engine)
 
 
 def _run(kind: str, jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
