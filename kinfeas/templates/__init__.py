@@ -16,6 +16,7 @@ class Kind(StrEnum):
     BACKEND = "backend"
     POLICY = "policy"
     FILTER = "filter"
+    TARGET_SOURCE = "target_source"
 
     @property
     def group(self) -> str:
