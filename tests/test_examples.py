@@ -21,6 +21,7 @@ PRINTED = {
 }
 TESTED_ELSEWHERE = {
     "onnx_inference": "sim2real/test_export.py",
+    "target_source": "cli/test_servo.py",
     "udp_backend": "sim2real/test_udp_example.py",
 }
 
