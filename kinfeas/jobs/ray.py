@@ -3,12 +3,11 @@
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import ray
-from ray.exceptions import RayTaskError, WorkerCrashedError
+from ray.exceptions import RayError, RayTaskError
 
 from kinfeas.jobs.job import ATTEMPTS, Job
 
@@ -41,11 +40,13 @@ class Ray:
             while waiting:
                 (done,), _ = ray.wait(list(waiting))
                 job = waiting.pop(done)
-                with suppress(WorkerCrashedError):
+                try:
                     ray.get(done)
-                    yield job
-        except RayTaskError as error:
-            raise error.cause from None
+                except RayTaskError as error:
+                    raise error.cause from None
+                except RayError:
+                    continue  # its worker or its machine has died
+                yield job
         finally:
             ray.shutdown()
 

@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -49,7 +50,7 @@ def workers(driver, engine):
         except OSError:
             continue  # has ended meanwhile
         parents[int(place.name)] = int(stat[1])
-    mark = "ray::" if engine == "ray" else "spawn_main"
+    mark = r"ray::(_run|IDLE)" if engine == "ray" else "spawn_main"
 
     def below(pid):
         while pid in parents:
@@ -58,7 +59,7 @@ def workers(driver, engine):
                 return True
         return False
 
-    return [pid for pid, line in lines.items() if mark in line and below(pid)]
+    return [pid for pid, line in lines.items() if re.search(mark, line) and below(pid)]
 
 
 def kept(folder):
