@@ -65,8 +65,8 @@ class Perceptrons:
     """k perceptrons of equal shape with ReLU between their layers, and their gradients.
 
     Torch's autograd takes twice the time for networks of this size. All parameters are one vector,
-    updated in one call; those of the torch modules become views of it. Products between hidden
-    layers, and all products of gradients, have the type `dtype`.
+    updated in one call; those of the torch modules become views of it. All products have the type
+    `dtype`, except those that lead to the outputs, which are float32.
 
     Args:
         networks: The layers of each perceptron; the outputs of the modules of a layer are joined.
@@ -100,12 +100,11 @@ class Perceptrons:
 
     def forward(self, inputs: torch.Tensor) -> list[torch.Tensor]:
         """Return the inputs, shape (b, d), and the output of each layer, shape (k, b, width)."""
-        last = len(self._shapes) - 1
-        values = [inputs.expand(self._shapes[0][0], *inputs.shape)]
-        for i in range(last + 1):
-            weight, bias = (self._exact if i in (0, last) else self._fast)[i]
-            out = torch.baddbmm(bias, values[-1].to(weight.dtype), weight.mT)
-            values.append(torch.relu_(out).to(self._rounded.dtype) if i < last else out)
+        values = [inputs.to(self._rounded.dtype).expand(self._shapes[0][0], *inputs.shape)]
+        for weight, bias in self._fast[:-1]:
+            values.append(torch.relu_(torch.baddbmm(bias, values[-1], weight.mT)))
+        weight, bias = self._exact[-1]
+        values.append(torch.baddbmm(bias, values[-1].to(weight.dtype), weight.mT))
         return values
 
     def backward(
@@ -120,7 +119,7 @@ class Perceptrons:
             weight = self._fast[i][0]
             if not columns:
                 change, shift = self._gradient[i]
-                change.copy_(torch.bmm(slope.mT, values[i].to(slope.dtype)))
+                change.copy_(torch.bmm(slope.mT, values[i]))
                 torch.sum(slope, 1, keepdim=True, dtype=torch.float32, out=shift)
             if i > 0:
                 slope = torch.bmm(slope, weight)
@@ -181,7 +180,7 @@ class FastSAC(SAC):
         if self.ent_coef_optimizer is not None:
             optimizers.append(self.ent_coef_optimizer)
         self._update_learning_rate(optimizers)
-        frozen = not next(self.actor.parameters()).requires_grad
+        frozen = not self.actor.mu.weight.requires_grad
         losses: dict[str, list[torch.Tensor]] = {"actor_loss": [], "critic_loss": []}
         assert self.replay_buffer is not None
         with torch.no_grad():
