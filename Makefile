@@ -1,13 +1,17 @@
-# `make demo` and `make test` need nothing but Python 3.11: each builds its own .venv.
+# `make demo` and `make test` need nothing but Python 3.11 to 3.13: each builds its own .venv.
 
-# The first that runs: a version manager's shim may be on the path without its Python.
-PYTHON ?= $(shell for p in python3.11 python3; do $$p -c "" 2>/dev/null && echo $$p && break; done)
+# The first that runs: a version manager's shim may be on the path without its Python. PyBullet has
+# no wheels for later versions than 3.11.
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	$$p -c "" 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+FRESH = build/$(notdir $(PYTHON))
+WORKERS ?= auto
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow docs lint layers format clean
+.PHONY: help install demo test test-slow test-python docs lint layers format clean
 
 help:  ## Show the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -22,6 +26,14 @@ test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
 
 test-slow: $(STAMP)  ## Run the tests that take longer
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
+
+# In a copy of the tree, so that the wheel has no file of an earlier build.
+test-python:  ## Run the fast tests with the wheel in a fresh environment of PYTHON=python3.12
+	rm -rf $(FRESH) && mkdir -p $(FRESH)/source && $(PYTHON) -m venv $(FRESH)/venv
+	git ls-files -z -co --exclude-standard | xargs -0 cp --parents -t $(FRESH)/source
+	$(FRESH)/venv/bin/pip wheel -q --no-deps -w $(FRESH) $(FRESH)/source
+	$(FRESH)/venv/bin/pip install -q "$$(echo $(FRESH)/*.whl)[test]"
+	cd $(FRESH)/source && ../venv/bin/pytest -n $(WORKERS) --dist loadgroup -m "not slow"
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site

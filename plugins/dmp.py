@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
 
 from kinfeas.config.quantities import Positive
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import State
 from kinfeas.core.spatial import IDENTITY, Array, compose, integrate, relative, twist_between
 from kinfeas.plugins.limits import slowed
@@ -133,8 +132,10 @@ def learn(time: Array, poses: Array, basis_functions: int) -> Array:
 
     The motion is `poses` in the frame of the goal, shape (t, 7), at strictly ascending seconds.
     """
+    from movement_primitives.dmp import CartesianDMP
+
     moments, table = np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, _SEGMENTS + 1)
-    model = _library()(
+    model = CartesianDMP(
         1.0,
         1.0 / _SAMPLES,
         basis_functions,
@@ -145,16 +146,6 @@ def learn(time: Array, poses: Array, basis_functions: int) -> Array:
     model.imitate(moments, _for_library(resampled(time, poses, moments)))
     force = np.concatenate([model.forcing_term_pos(table), model.forcing_term_rot(table)]).T
     return np.asarray(force / _phase(table)[:, np.newaxis])
-
-
-def _library() -> Any:
-    try:
-        from movement_primitives.dmp import CartesianDMP
-    except ImportError as error:
-        raise KinfeasError(
-            'dmp needs the package movement_primitives: pip install "kinfeas[dmp]"'
-        ) from error
-    return CartesianDMP
 
 
 def _for_library(poses: Array) -> Array:

@@ -3,8 +3,6 @@
 import csv
 import math
 import os
-import resource
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -34,6 +32,7 @@ from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.deploy.rate import peak_memory_mb
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
@@ -350,16 +349,6 @@ def one_core() -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, cores)
-
-
-def peak_memory_mb() -> float:
-    """Return the peak memory of this process and its children so far, 10^6 bytes."""
-    most = max(
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    # Linux counts kibibytes, macOS bytes.
-    return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6
 
 
 def _figures(text: str, timing: IkTiming | None, key: str) -> Iterator[Figure]:

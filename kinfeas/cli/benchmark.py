@@ -12,6 +12,7 @@ import typer
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, status, write_json
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.config import BenchmarkConfig
@@ -76,6 +77,7 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
     from kinfeas.benchmark.runs import find_runs, read_run
     from kinfeas.io.files import write_file, writing
 
+    require("matplotlib")
     worlds = world.split(",")
     name, backend = (config, []) if config else _recipe(worlds[0], quick)
     out = out or Path("runs/benchmark") / Path(name).stem
@@ -148,6 +150,7 @@ def _plans(benchmark: "BenchmarkConfig", out: Path) -> list["Job"]:
             pretrained.find(load_robot(robot).name)
     plans = plan_runs(benchmark, out)
     if not all(job.path.exists() for job in plans):
+        require("torch", "stable_baselines3")
         check_baselines(plan_evaluations(benchmark, []))
     return plans
 

@@ -13,6 +13,7 @@ from kinfeas.cli import options
 from kinfeas.cli.output import print_table, progress, share, write_json
 from kinfeas.cli.train import read_settings, train_run
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.comparison import Comparison
@@ -38,6 +39,7 @@ def demo(
 
     Example: kinfeas demo --robot hsr --minutes 3 --out runs/hsr_demo
     """
+    require("torch", "stable_baselines3", "matplotlib")
     from kinfeas.benchmark.comparison import compare, make_report
     from kinfeas.evaluation.evaluate import EvalConfig
     from kinfeas.io.files import write_file

@@ -262,7 +262,7 @@ def _record_path(about: "About") -> Path:
 
 
 def _show(outcome: "Outcome", about: "About", record: Path) -> None:
-    from kinfeas.benchmark.speed import peak_memory_mb
+    from kinfeas.sim2real.deploy.rate import peak_memory_mb
 
     facts = {**asdict(outcome), "code": int(outcome.code), "peak_memory_mb": peak_memory_mb()}
     title = f"{about.policy} on {about.task}, robot {about.robot}, {about.backend}"

@@ -24,14 +24,6 @@ if TYPE_CHECKING:
     from kinfeas.viz.film import Film
 
 
-def _check_video(path: Path | None) -> Path | None:
-    if path is not None:
-        from kinfeas.viz.film import check_film_path
-
-        check_film_path(path)
-    return options.output_file()(path)
-
-
 def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: options.PolicyName,
     robot: options.PolicyRobotName = None,
@@ -62,10 +54,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 - each option is an argument
     picture: Annotated[Path | None, options.file_option("Draw an episode.", ".png")] = None,
     video: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Episode as .gif or .mp4, or four frames as .png.",
-            callback=_check_video,
+        options.file_option(
+            "Episode as .gif or .mp4, or four frames as .png.", ".gif", ".mp4", ".png"
         ),
     ] = None,
     replay: Annotated[

@@ -8,6 +8,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import print_facts, status, write_json
+from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.plugins.fit import Fit
@@ -39,6 +40,7 @@ def fit(
     from kinfeas.plugins.fit import fit as run
     from kinfeas.plugins.fit import write_model
 
+    require("sklearn")
     # The model is for other machines, too: only the name of the folder.
     folder = shlex.quote(demonstrations.resolve().name)
     command = (

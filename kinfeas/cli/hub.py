@@ -1,7 +1,6 @@
 """`kinfeas push` and `kinfeas pull`: policies in repositories of the Hugging Face Hub."""
 
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated
 
 import typer
@@ -29,7 +28,8 @@ def push(
 
     known = options.read_robot(robot or options.robot_of(policy))
     folder = pretrained.find(known.name) if policy == pretrained.NAME else Path(policy)
-    hub = _hub()
+    from kinfeas.sim2real import hub
+
     with status("uploading"):
         address = hub.push(folder, known, repo, private=private)
     typer.echo(address)
@@ -46,16 +46,9 @@ def pull(
     """
     if out.exists():
         raise KinfeasError(f"{out}: already there; use another --out")
-    hub = _hub()
+    from kinfeas.sim2real import hub
+
     with status("downloading"):
         trained = hub.pull(repo, out, revision)
     typer.echo(f"{out}: a policy for {trained.robot}")
     typer.echo(f"evaluate it: kinfeas evaluate --policy {out} --robot {trained.trained_with}")
-
-
-def _hub() -> ModuleType:
-    try:
-        from kinfeas.sim2real import hub
-    except ModuleNotFoundError as error:
-        raise KinfeasError("the Hub needs: pip install 'kinfeas[hub]'") from error
-    return hub

@@ -28,6 +28,7 @@ from kinfeas.cli.sweep import sweep
 from kinfeas.cli.train import train
 from kinfeas.cli.view import view
 from kinfeas.core.errors import KinfeasError, raised_by
+from kinfeas.core.extras import missing_extra
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
@@ -54,6 +55,9 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = 130
     except Exception as error:
+        if missing := missing_extra(error):
+            sys.stderr.write(f"error: {missing}\n")
+            sys.exit(2)
         if (plugin := raised_by(error)) is None:
             raise
         traceback.print_exc()  # for the author of the plugin

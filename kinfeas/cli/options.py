@@ -15,6 +15,7 @@ from kinfeas.cli.output import STDOUT, check_file_path, check_suffix
 from kinfeas.config.quantities import LAST_SEED, MOST_EPISODES, MOST_PROCESSES
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 from kinfeas.io.files import is_path
 
 if TYPE_CHECKING:
@@ -24,6 +25,12 @@ if TYPE_CHECKING:
     from kinfeas.tasks.task import Task
 
 DEFAULT_ROBOT = "pr2"
+
+_WRITERS = {
+    ".png": "matplotlib", ".gif": "matplotlib", ".mp4": "av", ".html": "viser", ".htm": "viser",
+    ".onnx": "onnx",
+}  # fmt: skip
+"""Optional packages that write files, by suffix."""
 
 
 def names_of(*groups: str) -> Callable[[str], list[str]]:
@@ -47,8 +54,10 @@ def output_file(*suffixes: str) -> Callable[[Path | None], Path | None]:
     """Return a callback that checks that a file of one of the suffixes can be written."""
 
     def check(path: Path | None) -> Path | None:
-        if path is not None and suffixes:
+        if path is not None:
             check_suffix(path, *suffixes)
+            if writer := _WRITERS.get(path.suffix.lower()):
+                require(writer)
         return check_file_path(path)
 
     return check

@@ -6,6 +6,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import print_table, share, status, write_json
+from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.benchmark.speed import Figure
@@ -33,6 +34,7 @@ def speed(
     """
     from kinfeas.benchmark.speed import measure_speed
 
+    require("torch", "stable_baselines3")
     with status("speed") as show:
         figures = measure_speed(
             robot, on_part=lambda part: show(f"timing: {part}"), to_level=to_level

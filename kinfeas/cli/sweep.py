@@ -10,7 +10,7 @@ import typer
 
 from kinfeas.cli import options
 from kinfeas.cli.output import progress, write_drawing, write_json
-from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,12 +39,10 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas train --config runs/sweep/pr2/best.yaml --seed 1
     """
-    try:
-        from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
-    except ModuleNotFoundError as error:
-        raise KinfeasError(f"sweeps need {error.name}: pip install 'kinfeas[sweep]'") from error
     from kinfeas.jobs.job import run_jobs
+    from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
 
+    require("torch", "stable_baselines3", "matplotlib")
     chosen = read_sweep(config, overrides or ())
     runner = options.read_engine(engine, processes, address)
     folder = out or Path("runs/sweep") / Path(config).stem

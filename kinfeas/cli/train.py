@@ -14,6 +14,7 @@ from kinfeas.cli import options
 from kinfeas.cli.output import minutes as as_minutes
 from kinfeas.cli.output import print_table, progress, share, write_json
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.training.config import TrainConfig
@@ -75,6 +76,7 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     """
     from kinfeas.training.run import check_begun, check_new, finished
 
+    require("torch", "stable_baselines3")
     if resume is not None:
         others = (robot, task, seed, algorithm, adapters, init, processes, out, config, overrides)
         if world != "analytic" or any(one is not None for one in others):

@@ -44,15 +44,18 @@ def view(
 
 def _view_run(path: Path, json: Path | None, picture: Path | None, html: Path | None) -> None:
     from kinfeas.io.run_log import read_record
-    from kinfeas.viz.episodes import as_recording, record_figure, scene_of
-    from kinfeas.viz.pages import episode_html
-    from kinfeas.viz.style import png
 
     run = read_record(path)
     robot = options.read_robot(run.about.robot)
     facts = _run_facts(run)
     write_json(facts, json)
     print_facts(f"record {path}", facts)
+    if picture is None and html is None:
+        return
+    from kinfeas.viz.episodes import as_recording, record_figure, scene_of
+    from kinfeas.viz.pages import episode_html
+    from kinfeas.viz.style import png
+
     write_drawing(lambda: png(record_figure(run, robot), dpi=110), picture)
     shown = as_recording(run, robot)
     write_drawing(lambda: episode_html(shown, robot, scene_of(run), run.time).encode(), html)

@@ -13,6 +13,7 @@ from typing import Any
 
 from kinfeas.config import convert
 from kinfeas.core.errors import KinfeasError, no_such, plugin_note
+from kinfeas.core.extras import missing_extra
 from kinfeas.io.files import is_path
 
 GROUPS = {
@@ -128,7 +129,7 @@ def _build(entry: EntryPoint, parameters: Mapping[str, object]) -> Any:
         with plugin_note(subject):
             built = factory(**typed)
     except (ValueError, TypeError, ImportError) as error:
-        raise KinfeasError(f"{subject}: {error}") from error
+        raise KinfeasError(f"{subject}: {missing_extra(error) or error}") from error
     lacks = [name for name in _MEMBERS.get(group, ()) if not hasattr(built, name)]
     if lacks:
         raise KinfeasError(
@@ -188,6 +189,5 @@ def _import(entry: EntryPoint) -> Any:
     try:
         return entry.load()
     except (Exception, SystemExit) as error:  # the code of others, run on import
-        raise KinfeasError(
-            f"{_plugin(entry)} cannot be loaded: {type(error).__name__}: {error}"
-        ) from error
+        reason = missing_extra(error) or f"{type(error).__name__}: {error}"
+        raise KinfeasError(f"{_plugin(entry)} cannot be loaded: {reason}") from error

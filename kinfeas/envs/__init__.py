@@ -1,9 +1,10 @@
 """The Markov decision process, its Gymnasium environments and episodes run in it.
 
-May import backends and lower packages. Importing it registers the environments.
+May import backends and lower packages. Importing it registers the environments if Gymnasium is
+installed.
 """
 
-from gymnasium.envs import registration
+from importlib.util import find_spec
 
 ENVIRONMENT = "kinfeas/BaseMotion-v0"
 """Gymnasium id of the environment without physics."""
@@ -17,6 +18,8 @@ PHYSICS_ENVIRONMENTS = {
 
 def register() -> None:
     """Register the environments with Gymnasium; a second call changes nothing."""
+    from gymnasium.envs import registration
+
     if ENVIRONMENT not in registration.registry:
         registration.register(
             ENVIRONMENT,
@@ -34,4 +37,5 @@ def register() -> None:
             )
 
 
-register()
+if find_spec("gymnasium"):
+    register()

@@ -1,7 +1,6 @@
 """URDFs of primitives: links and joints of a vendor's URDF with its meshes replaced."""
 
 from collections.abc import Callable, Iterable, Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.config.quantities import FARTHEST
 from kinfeas.core.errors import KinfeasError, no_such
+from kinfeas.core.extras import require
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.importer.arm import Arm, place
 from kinfeas.robots.elements import (
@@ -74,7 +74,7 @@ def boxed_urdf(
         kind = "collision" if urdf.rigid[name] & colliding else "visual"
         shapes = list(_shapes(link, kind, path.absolute().parent))
         if len(shapes) > MAX_SHAPES:
-            _check_readers(["trimesh"], link.where)
+            require("trimesh")
             shapes = list(fit_primitives(np.concatenate([_box_triangles(one) for one in shapes])))
         depth = sum(joint.moves for joint in urdf.path_to(name))
         out.append(_link(name, link.xml.find("inertial"), shapes, _COLOURS[depth % 2]))
@@ -189,19 +189,13 @@ def read_triangles(mesh: Element, folder: Path) -> Array:
     path = find_mesh(mesh, folder, FORMATS)
     if path.stat().st_size > MAX_MESH_BYTES:
         raise mesh.error(f"{str(path)!r} is larger than {MAX_MESH_BYTES} bytes")
-    readers = ["trimesh", "collada"] if path.suffix.lower() == ".dae" else ["trimesh"]
-    _check_readers(readers, mesh.where)
+    require("trimesh", *(["collada"] if path.suffix.lower() == ".dae" else []))
     scale = mesh.vector("scale", 3, (1.0, 1.0, 1.0))
     with np.errstate(over="ignore", invalid="ignore"):
         triangles = _load(path, mesh.where) * np.array(scale)
     if not len(triangles) or not (np.abs(triangles) <= FARTHEST).all():
         raise mesh.error(f"{str(path)!r} has no triangles, or corners not within {FARTHEST:g} m")
     return triangles
-
-
-def _check_readers(packages: list[str], where: str) -> None:
-    if not all(map(find_spec, packages)):
-        raise KinfeasError(f"{where}: meshes need more packages: pip install 'kinfeas[meshes]'")
 
 
 def _load(path: Path, where: str) -> Array:

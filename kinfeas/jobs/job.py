@@ -111,11 +111,7 @@ def build_engine(text: str, processes: int, address: str | None = None) -> Engin
         raise KinfeasError(f"engine {text}: {error}") from error
     if spec.name not in ENGINES:
         raise KinfeasError(f"unknown engine {spec.name!r}{no_such(spec.name, ENGINES)}")
-    try:
-        factory = resolve_name(ENGINES[spec.name])
-    except ImportError as error:
-        needs = f"engine {spec.name}: {error}; pip install 'kinfeas[{spec.name}]'"
-        raise KinfeasError(needs) from error
+    factory = resolve_name(ENGINES[spec.name])
     given = {"processes": processes, **spec.parameters}
     if address is not None:
         given["address"] = address

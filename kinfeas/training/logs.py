@@ -5,13 +5,13 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
 from kinfeas import __version__, config
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 from kinfeas.io.files import writing
 from kinfeas.training.config import TrainConfig
 
@@ -129,9 +129,7 @@ TRACKERS: dict[str, Callable[[Path, TrainConfig, int], Tracker]] = {
 
 def check_trackers(settings: TrainConfig) -> None:
     """Check that the libraries of a run's trackers are installed."""
-    for name in settings.trackers:
-        if find_spec(name) is None:
-            raise KinfeasError(f"the tracker {name} needs: pip install 'kinfeas[{name}]'")
+    require(*settings.trackers)
 
 
 class Logs:

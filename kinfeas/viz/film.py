@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import get_data_path
@@ -38,21 +37,15 @@ class Film:
         raise NotImplementedError
 
 
-def check_film_path(path: Path) -> None:
-    """Check the suffix of a film, and that MP4 can be written."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
-    if path.suffix.lower() == ".mp4":
-        _av()
-
-
 def write_film(film: Film, path: Path, on_done: Callable[[int], None] | None = None) -> None:
     """Write a film as GIF or MP4, or four of its pictures as PNG.
 
     `on_done` is called with 1 after each picture, `count_pictures` times.
     """
-    check_film_path(path)
-    moments, suffix = _moments(film, path), path.suffix.lower()
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise KinfeasError(f"{path}: a film must end in one of: {', '.join(SUFFIXES)}")
+    moments = _moments(film, path)
     rate, _ = _RATES.get(suffix, (0.0, 0))
     speed = max(1.0, film.recording.times[-1] * rate / len(moments))
 
@@ -133,7 +126,8 @@ def _write_gif(pictures: Sequence[Image.Image], path: Path, rate: float) -> None
 
 
 def _write_mp4(pictures: Sequence[Image.Image], path: Path, rate: float) -> None:
-    av = _av()
+    import av
+
     shown = [*pictures, *[pictures[-1]] * round(_REST_SECONDS * rate)]
     with av.open(str(path), "w") as file:
         stream = file.add_stream("libx264", rate=round(rate), options={"crf": "23"})
@@ -142,11 +136,3 @@ def _write_mp4(pictures: Sequence[Image.Image], path: Path, rate: float) -> None
         for picture in shown:
             file.mux(stream.encode(av.VideoFrame.from_image(picture)))
         file.mux(stream.encode(None))
-
-
-def _av() -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise KinfeasError("MP4 needs av: pip install 'kinfeas[video]'; GIF does not") from error
-    return av

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
@@ -100,10 +99,8 @@ def moments(times: Array) -> NDArray[np.intp]:
 @contextmanager
 def _serving(title: str) -> Iterator[Any]:
     """Yield a server at a free port."""
-    try:
-        import viser
-    except ImportError as error:
-        raise KinfeasError("pages need viser: pip install 'kinfeas[view]'") from error
+    import viser
+
     with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
         server = viser.ViserServer("127.0.0.1", 0, title, verbose=False)
     try:

@@ -1,6 +1,8 @@
-"""A fixed control rate: absolute deadlines, and statistics of how well they were met."""
+"""A fixed control rate: absolute deadlines, and statistics of times and memory."""
 
 import math
+import resource
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -108,3 +110,13 @@ class Rate:
 def _percentiles(seconds: list[float]) -> tuple[float, float]:
     p50, p99 = np.percentile(seconds, (50.0, 99.0)).tolist()
     return p50, p99
+
+
+def peak_memory_mb() -> float:
+    """Return the peak memory of this process and its children so far, 10^6 bytes."""
+    most = max(
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    # Linux counts kibibytes, macOS bytes.
+    return most / 1e6 if sys.platform == "darwin" else most * 1024 / 1e6

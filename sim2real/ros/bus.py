@@ -86,15 +86,13 @@ class RosBus(Protocol):
 
 
 def make_bus(version: Version) -> RosBus:
-    """Return a bus that is not open yet; raise KinfeasError if the library for it is missing."""
+    """Return a bus that is not open yet."""
     if version == 1:
         from kinfeas.sim2real.ros.ros1 import Ros1Bus
 
         return Ros1Bus()
-    try:
-        from kinfeas.sim2real.ros.ros2 import Ros2Bus
-    except ImportError as error:
-        raise KinfeasError(f"ROS 2 needs pip install 'kinfeas[ros2]' ({error})") from error
+    from kinfeas.sim2real.ros.ros2 import Ros2Bus
+
     return Ros2Bus()
 
 

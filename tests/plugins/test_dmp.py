@@ -1,7 +1,5 @@
 """The movement primitive reproduces its demonstration, and moves as the library's."""
 
-import sys
-
 import numpy as np
 import pytest
 
@@ -51,7 +49,3 @@ def test_moves_as_the_library_does(library, files):
     assert 2.0 * np.arccos(np.minimum(dots.min(), 1.0)) < 0.03
 
 
-def test_a_missing_library_raises_with_the_extra_s_name(files, monkeypatch):
-    monkeypatch.setitem(sys.modules, "movement_primitives.dmp", None)
-    with pytest.raises(KinfeasError, match=r"kinfeas\[dmp\]"):
-        Dmp(file=files["shown"])

@@ -66,7 +66,7 @@ def test_tensorboard_has_version_recipe_and_figures(settings, tmp_path):
 
 
 def test_a_missing_library_is_an_error_before_anything_is_written(settings, tmp_path, monkeypatch):
-    monkeypatch.setattr(logs, "find_spec", lambda name: None)
+    monkeypatch.setattr("kinfeas.core.extras.find_spec", lambda name: None)
     with pytest.raises(KinfeasError, match="wandb"):
         train(settings("wandb"), tmp_path / "run")
     assert not (tmp_path / "run").exists()

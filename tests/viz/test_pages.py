@@ -1,16 +1,7 @@
-import sys
-
 import pytest
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.scenes.scene import read_scene
 from kinfeas.viz.pages import episode_html, scene_html
-
-
-def test_a_missing_viser_is_an_error_with_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(KinfeasError, match=r"kinfeas\[view\]"):
-        scene_html(read_scene("room"))
 
 
 def check_self_contained(html):

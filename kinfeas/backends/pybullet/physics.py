@@ -171,14 +171,10 @@ class Physics:
 
 
 def _connect(gui: bool) -> Any:
-    try:
-        with silence():
-            import pybullet
-            from pybullet_utils.bullet_client import BulletClient
-    except ImportError as error:
-        raise KinfeasError(
-            "the PyBullet world needs Python 3.11: there is no PyBullet for later versions"
-        ) from error
+    with silence():
+        import pybullet
+        from pybullet_utils.bullet_client import BulletClient
+
     if gui and sys.platform == "linux":
         _check_display()
 

@@ -7,7 +7,6 @@ a preferred posture of the arm.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from kinfeas.control.drive import action_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import require
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, relative
 from kinfeas.kinematics.forward import build_chain
@@ -64,9 +64,7 @@ class WholeBodyQp:
 
 def whole_body_qp(robot: Robot) -> WholeBodyQp:
     """Return the baseline that solves whole-body differential IK as a QP."""
-    missing = [name for name in ("pinocchio", "pink", "qpsolvers", _SOLVER) if not find_spec(name)]
-    if missing:
-        raise KinfeasError(f'whole_body_qp needs {", ".join(missing)}: pip install "kinfeas[qp]"')
+    require("pinocchio", "pink", "qpsolvers", _SOLVER)
     tree = build_chain(robot).tree
     if len(tree.variable) != len(robot.arm) or not np.all(tree.multiplier == 1.0):
         raise KinfeasError(
