@@ -4,7 +4,6 @@ import pytest
 
 from kinfeas import __version__
 from kinfeas.core.errors import KinfeasError
-from kinfeas.training import logs
 from kinfeas.training.train import resume, train
 
 
