@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, relative
 from kinfeas.plugins.dmp import Dmp
 from kinfeas.plugins.replay import resampled
@@ -47,5 +46,3 @@ def test_moves_as_the_library_does(library, files):
     assert np.linalg.norm((ours - theirs)[:, :3], axis=1).max() < 1e-2
     dots = np.abs(np.sum(ours[:, 3:] * theirs[:, 3:], axis=1))
     assert 2.0 * np.arccos(np.minimum(dots.min(), 1.0)) < 0.03
-
-
