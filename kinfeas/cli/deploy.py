@@ -40,8 +40,7 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
         str | None,
         typer.Option(
-            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  [default: the first "
-            "installed of pybullet and mujoco]",
+            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  [default: physics]",
             autocompletion=options.names_of("backends"),
         ),
     ] = None,
