@@ -19,6 +19,7 @@ from kinfeas.cli.evaluate import evaluate
 from kinfeas.cli.export import export
 from kinfeas.cli.fit import fit
 from kinfeas.cli.hub import pull, push
+from kinfeas.cli.play import play
 from kinfeas.cli.plugins import app as plugins
 from kinfeas.cli.robot import app as robot
 from kinfeas.cli.servo import servo
@@ -37,7 +38,7 @@ app = typer.Typer(
 )
 for _command in (
     demo, train, sweep, evaluate, benchmark, ceiling, speed, export, push, pull, deploy, servo,
-    simulate, view, fit,
+    play, simulate, view, fit,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

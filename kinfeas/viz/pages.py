@@ -1,12 +1,9 @@
 """HTML pages of scenes and episodes in 3-D, made by viser; they need no server."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
-from io import StringIO
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from kinfeas.core.spatial import Array
@@ -18,17 +15,16 @@ from kinfeas.scenes.scene import Scene
 from kinfeas.viz.drawing import link_poses, robot_parts, scene_solids
 from kinfeas.viz.film import result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
+from kinfeas.viz.viewer import FLOOR, draw, draw_scene, place, rgb, serving
 
 if TYPE_CHECKING:
     from kinfeas.viz.physics_film import PhysicsFilm
 
-_FLOOR = (245, 246, 248)
 _AROUND = 1.5  # m, of floor beyond the paths
 _PIECE = 0.02  # m, length of the pieces of a path
 _SCENE_FRAMES, _SCENE_RATE = 90, 30.0
 _TURN = 3.0  # rad, range of a joint without limits
 _RATE, _MOST = 15.0, 1200  # moments of an episode per second, and largest number
-_STILL = 1e-4  # m, and of a quaternion
 
 
 def scene_html(scene: Scene) -> str:
@@ -38,13 +34,13 @@ def scene_html(scene: Scene) -> str:
         for name, one in scene.objects.items()
         for joint in free_joints(one.urdf).values()
     }
-    with _serving(scene.name) as server:
+    with serving(scene.name) as server:
         server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
         server.initial_camera.look_at = np.zeros(3)
         server.scene.add_grid(
-            "/floor", *scene.size, cell_size=1.0, plane_color=_FLOOR, plane_opacity=1
+            "/floor", *scene.size, cell_size=1.0, plane_color=FLOOR, plane_opacity=1
         )
-        drawn = _draw_scene(server, scene)
+        drawn = draw_scene(server, scene)
         film = server.get_scene_serializer()
         for frame in range(_SCENE_FRAMES if joints else 0):
             share = 0.5 - 0.5 * np.cos(2.0 * np.pi * frame / _SCENE_FRAMES)
@@ -53,7 +49,7 @@ def scene_html(scene: Scene) -> str:
                 objects.setdefault(name, {})[joint] = at + share * (high - at)
             moved = scene_solids(scene.with_joints(objects))
             for one, (_, solid) in zip(drawn, moved, strict=True):
-                _place(one, solid.shape.pose)
+                place(one, solid.shape.pose)
             film.insert_sleep(1.0 / _SCENE_RATE)
         html: str = film.as_html()
         return html
@@ -71,9 +67,9 @@ def episode_html(
         return link_poses(robot, recording.base_pose[moment], recording.joint_positions[moment])
 
     shapes = [(link, shape, (BODY, ARM)[arm]) for link, shape, arm in robot_parts(robot)]
-    with _serving(robot.name) as server:
+    with serving(robot.name) as server:
         if scene is not None:
-            _draw_scene(server, scene)
+            draw_scene(server, scene)
         return _play(server, recording, recording.times if times is None else times, shapes, poses)
 
 
@@ -84,7 +80,7 @@ def physics_html(film: "PhysicsFilm") -> str:
     def poses(moment: int) -> Mapping[Any, Array]:
         return dict(zip(film.links, film.moments[moment], strict=True))
 
-    with _serving(film.title) as server:
+    with serving(film.title) as server:
         return _play(server, film.recording, film.recording.times, shapes, poses)
 
 
@@ -94,20 +90,6 @@ def moments(times: Array) -> NDArray[np.intp]:
     count = int(np.clip(np.ceil(seconds * _RATE), 1, min(_MOST, len(times))))
     wanted = np.linspace(times[0], times[-1], count)
     return np.unique(np.append(np.searchsorted(times, wanted), len(times) - 1))
-
-
-@contextmanager
-def _serving(title: str) -> Iterator[Any]:
-    """Yield a server at a free port."""
-    import viser
-
-    with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-        server = viser.ViserServer("127.0.0.1", 0, title, verbose=False)
-    try:
-        yield server
-    finally:
-        with redirect_stdout(StringIO()):
-            server.stop()
 
 
 def _play(
@@ -123,7 +105,7 @@ def _play(
     for number, (key, shape, colour) in enumerate(shapes):
         if key not in frames:
             frames[key] = server.scene.add_frame(f"/bodies/{len(frames)}", show_axes=False)
-        _draw(server, f"{frames[key].name}/{number}", shape, colour)
+        draw(server, f"{frames[key].name}/{number}", shape, colour)
     text = f"{failures_text(int(np.sum(~recording.feasible)))}, {result(recording)[0]}"
     position = recording.goal[:3] + np.array([0.0, 0.0, 0.15])
     label = server.scene.add_label("/result", text, position=position, visible=False)
@@ -131,28 +113,11 @@ def _play(
     for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
         now = poses(moment)
         for key, frame in frames.items():
-            _place(frame, now[key])
+            place(frame, now[key])
         label.visible = moment == shown[-1]
         film.insert_sleep(max(float(times[after] - times[moment]), 1.0 / _RATE))
     html: str = film.as_html()
     return html
-
-
-def _draw_scene(server: Any, scene: Scene) -> list[Any]:
-    return [
-        _draw(server, f"/{name}/{number}", solid.shape, solid.colour)
-        for number, (name, solid) in enumerate(scene_solids(scene))
-    ]
-
-
-def _draw(server: Any, name: str, shape: Shape, colour: str | tuple[float, ...]) -> Any:
-    how = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1), "color": _rgb(colour)}
-    if shape.kind == "box":
-        return server.scene.add_box(name, dimensions=shape.size, **how)
-    if shape.kind == "cylinder":
-        radius, height = shape.size
-        return server.scene.add_cylinder(name, radius=radius, height=height, **how)
-    return server.scene.add_icosphere(name, radius=shape.size[0], **how)
 
 
 def _draw_paths(server: Any, recording: Recording) -> None:
@@ -164,7 +129,7 @@ def _draw_paths(server: Any, recording: Recording) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     middle, size = (low + high) / 2.0 * [1.0, 1.0, 0.0], high - low + 2.0 * _AROUND
     server.scene.add_grid(
-        "/floor", size[0], size[1], cell_size=0.5, plane_color=_FLOOR, plane_opacity=1,
+        "/floor", size[0], size[1], cell_size=0.5, plane_color=FLOOR, plane_opacity=1,
         position=middle,
     )  # fmt: skip
     for colour, path in paths.items():
@@ -173,25 +138,14 @@ def _draw_paths(server: Any, recording: Recording) -> None:
         ends = path[np.concatenate([[0], kept + 1])]
         if len(kept):
             server.scene.add_line_segments(
-                f"/paths/{colour[1:]}", np.stack([ends[:-1], ends[1:]], axis=1), _rgb(colour),
+                f"/paths/{colour[1:]}", np.stack([ends[:-1], ends[1:]], axis=1), rgb(colour),
                 thickness=3.0, thickness_units="screen",
             )  # fmt: skip
     for number, goal in enumerate(goals):
-        server.scene.add_icosphere(f"/goals/{number}", 0.025, color=_rgb(GOAL), position=goal)
+        server.scene.add_icosphere(f"/goals/{number}", 0.025, color=rgb(GOAL), position=goal)
     failures = desired[~recording.feasible]
     if len(failures):
-        server.scene.add_point_cloud("/failures", failures, _rgb(FAILURE), point_size=0.025)
+        server.scene.add_point_cloud("/failures", failures, rgb(FAILURE), point_size=0.025)
     away = np.array([1.8, -2.6, 2.0]) * max(1.0, float(size.max()) / 4.0)
     server.initial_camera.position = middle + away
     server.initial_camera.look_at = middle + np.array([0.0, 0.0, 0.5])
-
-
-def _place(drawn: Any, pose: Array) -> None:
-    wxyz = np.roll(pose[3:], 1)
-    if max(np.abs(drawn.position - pose[:3]).max(), np.abs(drawn.wxyz - wxyz).max()) > _STILL:
-        drawn.position, drawn.wxyz = pose[:3], wxyz  # each change is a message in the page
-
-
-def _rgb(colour: str | tuple[float, ...]) -> tuple[int, ...]:
-    shares = to_rgb(colour) if isinstance(colour, str) else colour
-    return tuple(round(255.0 * share) for share in shares)

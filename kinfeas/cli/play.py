@@ -1,0 +1,56 @@
+"""`kinfeas play`: a page on which a simulated robot follows a target that one drags."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinfeas.cli import options
+
+
+def play(  # noqa: PLR0913, PLR0917 - each option is an argument
+    policy: Annotated[
+        str,
+        typer.Argument(
+            help="ONNX file, run folder, module:Class, or a name such as pretrained.",
+            autocompletion=options.complete_policy,
+        ),
+    ] = "pretrained",
+    robot: options.PolicyRobotName = None,
+    second_policy: Annotated[
+        str, typer.Option(help="Policy of a second robot with the same target.")
+    ] = "none",
+    generator: Annotated[
+        str,
+        typer.Option(
+            help="servo follows the handle; other generators start when it is released.",
+            autocompletion=options.names_of("motion_generators"),
+        ),
+    ] = "servo",
+    filters: options.Filters = None,
+    backend: Annotated[
+        str,
+        typer.Option(
+            help="analytic, pybullet or mujoco.", autocompletion=options.names_of("backends")
+        ),
+    ] = "analytic",
+    scene: Annotated[str, typer.Option(help="Scene by name or YAML file, or none.")] = "room",
+    demonstrations: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder of the recorded motions.")
+    ] = Path("demonstrations"),
+    host: Annotated[str, typer.Option(help="Address; 0.0.0.0 for other computers.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for a free one.")] = 8080,
+) -> None:
+    """Drag the target of a simulated robot in the browser; base and arm follow.
+
+    Example: kinfeas play --robot pr2 --backend mujoco
+    """
+    from kinfeas.viz.play import Choice
+    from kinfeas.viz.play import play as serve
+
+    names = "time_scaling" if filters is None else filters
+    chosen = tuple(name.strip() for name in names.split(",") if name.strip() not in ("", "none"))
+    choice = Choice(
+        robot or options.robot_of(policy), policy, second_policy, generator, chosen, backend, scene
+    )
+    serve(choice, demonstrations, host, port, typer.echo)

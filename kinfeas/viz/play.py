@@ -1,0 +1,505 @@
+"""A live page: simulated robots follow a target that is dragged with the mouse."""
+
+import queue
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kinfeas.config import PluginSpec
+from kinfeas.config.recipes import load_section
+from kinfeas.control.execution import tool_pose
+from kinfeas.control.filters import GROUP as FILTERS
+from kinfeas.control.filters import build_filters
+from kinfeas.control.filters.rollout import RolloutPlanner
+from kinfeas.control.loop import Loop
+from kinfeas.core import registry, spatial
+from kinfeas.core.backend import build_backend
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array
+from kinfeas.core.start import Start, stacked
+from kinfeas.io.demonstrations import Demonstration, write_demonstration
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.policies.loading import load_policy
+from kinfeas.robots.loading import load_robot
+from kinfeas.robots.robot import Robot, joint_displacement
+from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.sim2real.deploy.config import ServoConfig
+from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
+from kinfeas.sim2real.servo.controller import ServoTask, TargetController
+from kinfeas.tasks.task import MotionSpec, build_subgoals
+from kinfeas.viz.drawing import corners, robot_solids
+from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
+from kinfeas.viz.viewer import FLOOR, DrawnRobot, draw_scene, rgb, serving
+
+DT = 0.02
+"""Control period, seconds."""
+
+_STEPS_PER_FRAME = 2
+_FRAMES_PER_PLOT = 6
+_TRAIL = 500  # frames that paths and plots show
+_NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
+_UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
+_SECOND = "#e3d5c0", GOAL  # colours of the second robot
+_LOW = 0.5  # m, height of the parts that make the footprint of a base
+_NONE = "none"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the page shows.
+
+    Attributes:
+        robot: Robot by name or path.
+        policy: Policy by name or path.
+        second_policy: Policy of a second robot with the same target, or `none`.
+        generator: Motion generator; `servo` follows the handle, others start at its release.
+        filters: Names of the command filters, in order.
+        backend: Backend by name.
+        scene: Scene by name or path, or `none`.
+    """
+
+    robot: str
+    policy: str = "pretrained"
+    second_policy: str = _NONE
+    generator: str = "servo"
+    filters: tuple[str, ...] = ("time_scaling",)
+    backend: str = "analytic"
+    scene: str = "room"
+
+
+class Episode:
+    """A simulated robot whose EE follows targets, step by step.
+
+    Attributes:
+        loop: Loop of one robot.
+        controller: Takes the targets; its clock is the simulated time.
+        feasible: Whether IK found the last desired pose.
+        deviation: Distance of the EE from it, metres.
+        joint_speeds: Joint speeds of the last step as shares of their limits, shape (j,).
+    """
+
+    def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
+        """Build the parts of a choice with one of its policies."""
+        config = load_section(ServoConfig, "servo", robot.name)
+        self.follows = choice.generator == "servo"
+        rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
+        limits = {key: one for key, one in asdict(rules).items() if "velocity" in key}
+        if not self.follows:
+            rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
+        self._steps = 0
+        self.controller = TargetController(robot, rules, clock=lambda: self.seconds)
+        spec = MotionSpec(choice.generator, limits if self.follows else {})
+        self._task = ServoTask(self.controller, spec)
+        self._solver, self._policy = IkSolver(robot, config.ik), load_policy(policy, robot)
+        filters = [
+            RolloutPlannerThread.of(one) if isinstance(one, RolloutPlanner) else one
+            for one in build_filters([PluginSpec(name) for name in choice.filters])
+        ]
+        self._threads = [one for one in filters if isinstance(one, RolloutPlannerThread)]
+        self._backend = build_backend(choice.backend, config.backend, robot=robot, scene=scene)
+        self.loop = Loop(
+            self._solver, build_subgoals(self._task.subgoals), self._backend, DT, config,
+            (self.controller, *filters),
+        )  # fmt: skip
+        self.loop.set_policy(self._policy)
+        self.loop.target_stream = self.controller
+        self.restart()
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time."""
+        return self._steps * DT
+
+    @property
+    def base_pose(self) -> Array:
+        """World pose of the base, shape (7,)."""
+        return self.loop.true_state[0][0]
+
+    @property
+    def ee_pose(self) -> Array:
+        """World pose of the EE, shape (7,)."""
+        return self.loop.true_state[1][0]
+
+    @property
+    def joint_positions(self) -> Array:
+        """Arm joints, shape (j,)."""
+        return self.loop.state.joint_positions[0]
+
+    def restart(self) -> None:
+        """Put the robot at the origin, with the arm at home."""
+        rng = np.random.default_rng(0)
+        start: Start = stacked([self._task.sample(self._solver, rng)])
+        self.loop.start(start, [rng])
+        self._goal = self.ee_pose
+        self.feasible, self.deviation = True, 0.0
+        self.joint_speeds = np.zeros(len(self._solver.robot.arm))
+
+    def step(self, target: Array, *, held: bool = False) -> None:
+        """Advance by `DT` toward a target (7,); other generators than `servo` wait while `held`."""
+        begins = not self.follows and not held and not np.array_equal(target, self._goal)
+        if self.follows or begins:
+            self._goal = target.copy()
+        metres, radians = spatial.distance(self.loop.desired[0], self._goal)
+        if metres > _NEAR[0] or radians > _NEAR[1]:  # otherwise the base comes to rest
+            self.controller.set_target(self._goal)
+        before = self.joint_positions.copy()
+        step = self.loop.step(self._policy.act(self.loop.policy_input))
+        if begins:
+            self.loop.sequence.begin_again(np.zeros(1, dtype=np.intp))
+        self._steps += 1
+        self.feasible, self.deviation = bool(step.feasible[0]), float(step.deviation[0])
+        robot = self._solver.robot
+        way = np.abs(joint_displacement(robot, before, self.joint_positions))
+        self.joint_speeds = way / DT / robot.max_joint_velocity
+
+    def close(self) -> None:
+        """End threads and simulations."""
+        for one in self._threads:
+            one.close()
+        self._backend.close()
+
+
+class _Trail:
+    """The last points of a path, drawn as line segments of a constant number."""
+
+    def __init__(self, server: Any, name: str, colour: str, start: Array) -> None:
+        self._points = deque([start[:3].copy()] * _TRAIL, maxlen=_TRAIL)
+        self._colours = deque([rgb(colour)] * (_TRAIL - 1), maxlen=_TRAIL - 1)
+        self._colour = rgb(colour)
+        self._drawn = server.scene.add_line_segments(
+            name, self._segments(), self._pairs(), thickness=3.0, thickness_units="screen"
+        )
+
+    def add(self, pose: Array, *, failed: bool = False) -> None:
+        self._points.append(pose[:3].copy())
+        self._colours.append(rgb(FAILURE) if failed else self._colour)
+
+    def draw(self) -> None:
+        self._drawn.points, self._drawn.colors = self._segments(), self._pairs()
+
+    def _segments(self) -> Array:
+        points = np.array(self._points)
+        return np.stack([points[:-1], points[1:]], axis=1)
+
+    def _pairs(self) -> Any:
+        return np.repeat(np.array(self._colours, dtype=np.uint8)[:, np.newaxis], 2, axis=1)
+
+
+class _Shown:
+    """A robot in the page with its paths and footprint."""
+
+    def __init__(self, server: Any, name: str, robot: Robot, episode: Episode, second: bool):
+        colours = _SECOND if second else (BODY, ARM)
+        self._episode, self.failures = episode, 0
+        self._robot = DrawnRobot(server, f"{name}/robot", robot, colours)
+        starts = {BASE: episode.base_pose, DESIRED: episode.ee_pose, EE: episode.ee_pose}
+        self._base, self._desired, self._ee = (
+            _Trail(server, f"{name}/paths/{colour[1:]}", _SECOND[1] if second else colour, start)
+            for colour, start in starts.items()
+        )
+        outline = _footprint(robot)
+        self._outline = server.scene.add_line_segments(
+            f"{name}/footprint", np.stack([outline, np.roll(outline, -1, axis=0)], axis=1),
+            rgb(colours[1] if second else BASE), thickness=3.0, thickness_units="screen",
+        )  # fmt: skip
+        self.times: deque[float] = deque(maxlen=_TRAIL)
+        self.deviations: deque[float] = deque(maxlen=_TRAIL)
+        self.speeds: deque[Array] = deque(maxlen=_TRAIL)
+        self._failed = False
+
+    def note(self) -> None:
+        """Note whether the last step of the episode failed."""
+        self._failed |= not self._episode.feasible
+        self.failures += not self._episode.feasible
+
+    def draw(self) -> None:
+        """Show the state of the episode."""
+        episode = self._episode
+        self._robot.move(episode.base_pose, episode.joint_positions)
+        self._outline.position = [*episode.base_pose[:2], 0.01]
+        self._outline.wxyz = np.roll(episode.base_pose[3:], 1)
+        self._base.add(episode.base_pose + np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0]))
+        self._desired.add(episode.loop.desired[0], failed=self._failed)
+        self._ee.add(episode.ee_pose)
+        self._failed = False
+        self.times.append(episode.seconds)
+        self.deviations.append(1e3 * episode.deviation)
+        self.speeds.append(1e2 * episode.joint_speeds)
+
+    def draw_paths(self) -> None:
+        """Show the paths up to now."""
+        for one in (self._base, self._desired, self._ee):
+            one.draw()
+
+
+class PlayPage:
+    """The page and what it shows; callbacks of the browser are carried out between steps.
+
+    Attributes:
+        server: Server of viser.
+        handle: Handle of the target.
+        frames: Number of frames that were sent.
+    """
+
+    def __init__(self, server: Any, choice: Choice, folder: Path) -> None:
+        """Draw robot and scene of a choice; `start` adds what moves them.
+
+        Demonstrations are written to `folder`.
+        """
+        self.server, self.choice, self._folder = server, choice, folder
+        self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._episodes: list[Episode] = []
+        self._shown: list[_Shown] = []
+        self._plots: list[Any] = []
+        self._samples: list[tuple[float, Array, Array]] | None = None
+        self._held, self._paused, self.frames = False, False, 0
+        server.gui.configure_theme(control_layout="collapsible", show_logo=False)
+        server.initial_camera.position = np.array([2.2, -2.4, 2.2])
+        server.initial_camera.look_at = np.array([0.2, 0.0, 0.7])
+        self._robot = load_robot(choice.robot)
+        self._scene = self._draw_scene(choice.scene)
+        self._first = DrawnRobot(server, "/first", self._robot)
+        self._first.move(spatial.IDENTITY, self._robot.home["home"])
+        self.handle = server.scene.add_transform_controls("/target", scale=0.35, depth_test=False)
+        self.handle.visible = False
+
+        @self.handle.on_update
+        async def _(event: Any) -> None:
+            self._held = event.phase != "end"
+
+        self._add_controls()
+
+    @property
+    def target(self) -> Array:
+        """World pose of the handle, shape (7,)."""
+        return np.concatenate([self.handle.position, np.roll(self.handle.wxyz, -1)])
+
+    def start(self) -> None:
+        """Build the episodes of the choice."""
+        self._build(self.choice)
+        self._first.remove()
+
+    def run(self, seconds: float = np.inf) -> None:
+        """Run in real time; slower where the computer is too slow."""
+        ends, due = time.monotonic() + seconds, time.monotonic()
+        while (now := time.monotonic()) < ends:
+            with suppress(queue.Empty):
+                while True:
+                    self._tasks.get_nowait()()
+            self.frame()
+            due = max(due + _STEPS_PER_FRAME * DT, now)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def frame(self) -> None:
+        """Advance all episodes by one frame and draw them."""
+        if self._paused or not self._episodes:
+            return
+        target, held = self.target, self._held
+        for _ in range(_STEPS_PER_FRAME):
+            for episode, shown in zip(self._episodes, self._shown, strict=True):
+                episode.step(target, held=held)
+                shown.note()
+            self._sample()
+        with self.server.atomic():
+            for shown in self._shown:
+                shown.draw()
+            if self.frames % _FRAMES_PER_PLOT == 0:
+                self._draw_plots()
+        self.frames += 1
+
+    def close(self) -> None:
+        """End all episodes."""
+        for one in self._episodes:
+            one.close()
+        self._episodes = []
+
+    def record(self) -> None:
+        """Begin a recording, or end it and write the demonstration."""
+        if self._samples is None:
+            self._samples, self._record.label = [], "Stop and save"
+            return
+        samples, self._samples, self._record.label = self._samples, None, "Record"
+        self._folder.mkdir(parents=True, exist_ok=True)
+        numbers = (self._folder / f"{number:03}.csv" for number in range(1, 10_000))
+        path = next(path for path in numbers if not path.exists())
+        try:
+            write_demonstration(self._demonstration(samples), path)
+        except KinfeasError as error:
+            self._status.content = f"**{error}**"
+        else:
+            self._status.content = f"saved {path}"
+
+    def _demonstration(self, samples: list[tuple[float, Array, Array]]) -> Demonstration:
+        """Return the motion of the tool tip; the object's frame is its last pose."""
+        time = np.array([one[0] for one in samples])
+        ee = np.array([one[1] for one in samples]).reshape(-1, 7)
+        base = np.array([one[2] for one in samples]).reshape(-1, 7)
+        return Demonstration(time, ee, base, np.repeat(ee[-1:], len(ee), axis=0))
+
+    def _sample(self) -> None:
+        if self._samples is not None:
+            episode = self._episodes[0]
+            tool = spatial.compose(episode.ee_pose, tool_pose(self._robot))
+            self._samples.append((episode.seconds, tool, episode.base_pose.copy()))
+
+    def _add_controls(self) -> None:
+        gui, choice = self.server.gui, self.choice
+        self._status = gui.add_markdown("loading")
+        pause = gui.add_button("Pause")
+        reset = gui.add_button("Reset")
+        self._record = gui.add_button("Record")
+
+        def toggle() -> None:
+            self._paused = not self._paused
+            pause.label = "Continue" if self._paused else "Pause"
+
+        for button, task in ((pause, toggle), (reset, self._reset), (self._record, self.record)):
+            button.on_click(lambda _, task=task: self._tasks.put(task))
+        policies = ["pretrained", *registry.names("kinfeas.policies")]
+        options = {
+            "robot": registry.names("kinfeas.robots"),
+            "policy": policies,
+            "second_policy": [_NONE, *policies],
+            "generator": registry.names("kinfeas.motion_generators"),
+            "backend": ["analytic", "pybullet", "mujoco"],
+            "scene": [_NONE, "room"],
+        }
+        inputs, boxes = {}, {}
+        with gui.add_folder("Choice"):
+            for key, known in options.items():
+                value = getattr(choice, key)
+                names = list(dict.fromkeys([*known, value]))
+                label = key.replace("_", " ")
+                inputs[key] = gui.add_dropdown(label, names, initial_value=value)
+            for name in dict.fromkeys([*choice.filters, *registry.names(FILTERS)]):
+                boxes[name] = gui.add_checkbox(name, name in choice.filters)
+
+        def change() -> None:
+            filters = tuple(sorted((n for n, box in boxes.items() if box.value), key=_order))
+            chosen = {key: one.value for key, one in inputs.items()}
+            self._build(Choice(**chosen, filters=filters))
+
+        for one in (*inputs.values(), *boxes.values()):
+            one.on_update(lambda _: self._tasks.put(change))
+
+    def _build(self, choice: Choice) -> None:
+        """Replace the episodes; keep them if those of the choice cannot be built."""
+        if self._episodes and choice == self.choice:
+            return
+        fresh: list[Episode] = []
+        try:
+            robot = load_robot(choice.robot)
+            scene = None if choice.scene == _NONE else read_scene(choice.scene)
+            for policy in (choice.policy, choice.second_policy):
+                if policy != _NONE:
+                    fresh.append(Episode(choice, policy, robot, scene))
+        except (KinfeasError, ImportError) as error:
+            for one in fresh:
+                one.close()
+            self._status.content = f"**{error}**"
+            return
+        self.close()
+        if choice.scene != self.choice.scene:
+            for drawn in self._scene:
+                drawn.remove()
+            self._scene = self._draw_scene(choice.scene)
+        self._episodes, self.choice, self._robot = fresh, choice, robot
+        self._show()
+
+    def _reset(self) -> None:
+        for one in self._episodes:
+            one.restart()
+        self._show()
+
+    def _show(self) -> None:
+        """Draw the episodes anew, with the handle at the EE."""
+        for number in range(2):
+            with suppress(KeyError):
+                self.server.scene.remove_by_name(f"/robots/{number}")
+        self._samples, self._record.label = None, "Record"
+        self._shown = [
+            _Shown(self.server, f"/robots/{number}", self._robot, episode, second=number > 0)
+            for number, episode in enumerate(self._episodes)
+        ]
+        pose = self._episodes[0].ee_pose
+        self.handle.position, self.handle.wxyz = pose[:3], np.roll(pose[3:], 1)
+        self.handle.visible = True
+        for shown in self._shown:
+            shown.draw()
+        self._add_plots()
+
+    def _draw_scene(self, name: str) -> list[Any]:
+        scene = None if name == _NONE else read_scene(name)
+        size = (10.0, 10.0) if scene is None else scene.size
+        floor = self.server.scene.add_grid(
+            "/floor", *size, cell_size=0.5, plane_color=FLOOR, plane_opacity=1
+        )
+        return [floor] if scene is None else [floor, *draw_scene(self.server, scene)]
+
+    def _add_plots(self) -> None:
+        for plot in self._plots:
+            plot.remove()
+        policies = (self.choice.policy, self.choice.second_policy)
+        deviations = zip(policies, (EE, GOAL), self._shown, strict=False)
+        joints = [(joint.name, ARM) for joint in self._robot.arm]
+        self._plots = [
+            self._add_plot("Deviation, mm", [(name, colour) for name, colour, _ in deviations]),
+            self._add_plot("Joint speeds, % of limits", joints),
+        ]
+        self._draw_plots()
+
+    def _add_plot(self, title: str, lines: list[tuple[str, str]]) -> Any:
+        hue = len(lines) if len(lines) > 2 else 0
+        series = [
+            {"label": name, "stroke": f"hsl({360 * n // hue}, 60%, 45%)" if hue else colour}
+            for n, (name, colour) in enumerate(lines)
+        ]
+        return self.server.gui.add_uplot(
+            (np.zeros(1), *np.zeros((len(lines), 1))), ({}, *series), title=title, aspect=2.0,
+            scales={"x": {"time": False}}, legend={"show": not hue},
+        )  # fmt: skip
+
+    def _draw_plots(self) -> None:
+        first = self._shown[0]
+        for shown in self._shown:
+            shown.draw_paths()
+        times = np.array(first.times)
+        self._plots[0].data = (times, *(np.array(one.deviations) for one in self._shown))
+        self._plots[1].data = (times, *np.ascontiguousarray(np.array(first.speeds).T))
+        if self._samples is None and not self._status.content.startswith(("saved", "**")):
+            scale = float(self._episodes[0].loop.time_scale[0])
+            failed = ", ".join(str(one.failures) for one in self._shown)
+            self._status.content = f"infeasible steps: {failed}; time scale {scale:g}"
+
+
+def _order(name: str) -> tuple[bool, bool, str]:
+    """Return a key that sorts feasibility before time scaling and both behind other filters."""
+    return name == "time_scaling", name == "feasibility", name
+
+
+def _footprint(robot: Robot) -> Array:
+    """Return the outline of the low parts of a body on the floor, shape (k, 3), metres."""
+    body = list(robot_solids(robot, spatial.IDENTITY, robot.home["home"], ("", "arm")))
+    low = [one for one in body if not one.colour and corners([one])[:, 2].min() < _LOW]
+    points = corners(low)[:, :2]
+    outline = points[ConvexHull(points).vertices]
+    return np.column_stack([outline, np.zeros(len(outline))])
+
+
+def play(choice: Choice, folder: Path, host: str, port: int, ready: Callable[[str], None]) -> None:
+    """Serve the page until Ctrl-C; `ready` gets its address as soon as it can be opened."""
+    with serving("kinfeas play", host, port) as server:
+        page = PlayPage(server, choice, folder)
+        ready(f"http://{host}:{server.get_port()}")
+        try:
+            page.start()
+            page.run()
+        finally:
+            page.close()
