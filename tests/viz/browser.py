@@ -1,0 +1,88 @@
+"""A headless Chromium over its DevTools protocol, for tests of live pages."""
+
+import base64
+import json
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+BINARY = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+class Browser:
+    """One page of a headless Chromium."""
+
+    def __init__(self, folder: Path, size: tuple[int, int], idle: Callable[[], None]) -> None:
+        """Start with a new profile in `folder`; `idle` is called while it waits."""
+        from websockets.sync.client import connect
+
+        assert BINARY is not None
+        self._idle, self._numbers = idle, count(1)
+        self._process = subprocess.Popen(
+            [
+                BINARY, "--headless=new", "--no-sandbox", "--use-angle=swiftshader",
+                "--enable-unsafe-swiftshader", "--remote-debugging-port=0",
+                f"--window-size={size[0]},{size[1]}", f"--user-data-dir={folder}", "about:blank",
+            ],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        port_file = folder / "DevToolsActivePort"
+        self.wait(lambda: port_file.exists() and port_file.read_text().count("\n") > 0)
+        port = port_file.read_text().splitlines()[0]
+        pages = json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/json"))
+        page = next(one for one in pages if one["type"] == "page")
+        self._socket = connect(page["webSocketDebuggerUrl"], max_size=None)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=size[0], height=size[1], deviceScaleFactor=1, mobile=size[0] < 600,
+        )  # fmt: skip
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Return the result of a command of the protocol."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            try:
+                answer = json.loads(self._socket.recv(timeout=0.0))
+            except TimeoutError:
+                self._idle()
+                continue
+            if answer.get("id") == number:
+                result: dict[str, Any] = answer["result"]
+                return result
+
+    def value(self, expression: str) -> Any:
+        """Return the value of a JavaScript expression."""
+        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        return result["result"].get("value")
+
+    def wait(self, condition: Callable[[], object], seconds: float = 120.0) -> None:
+        """Wait until a condition holds."""
+        ends = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < ends
+            self._idle()
+
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        """Send `mousePressed`, `mouseMoved` or `mouseReleased` at a point of the page."""
+        pressed = kind != "mouseReleased"
+        self.call(
+            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left",
+            buttons=int(pressed), clickCount=int(kind != "mouseMoved"),
+        )  # fmt: skip
+
+    def screenshot(self, path: Path) -> None:
+        """Write the page as a PNG file."""
+        image = self.call("Page.captureScreenshot", format="png")["data"]
+        path.write_bytes(base64.b64decode(image))
+
+    def close(self) -> None:
+        """End the browser."""
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait()
