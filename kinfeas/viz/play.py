@@ -260,7 +260,7 @@ class PlayPage:
         self._plots: list[Any] = []
         self._samples: list[tuple[float, Array, Array]] | None = None
         self._held, self._paused, self.frames = False, False, 0
-        server.gui.configure_theme(control_layout="collapsible", show_logo=False)
+        server.gui.configure_theme(control_layout="floating", show_logo=False)
         server.initial_camera.position = np.array([2.2, -2.4, 2.2])
         server.initial_camera.look_at = np.array([0.2, 0.0, 0.7])
         self._robot = load_robot(choice.robot)
@@ -372,7 +372,7 @@ class PlayPage:
             "scene": [_NONE, "room"],
         }
         inputs, boxes = {}, {}
-        with gui.add_folder("Choice"):
+        with gui.add_folder("Choice", expand_by_default=False):
             for key, known in options.items():
                 value = getattr(choice, key)
                 names = list(dict.fromkeys([*known, value]))
