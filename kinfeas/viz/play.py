@@ -261,8 +261,9 @@ class PlayPage:
         self._samples: list[tuple[float, Array, Array]] | None = None
         self._held, self._paused, self.frames = False, False, 0
         server.gui.configure_theme(control_layout="floating", show_logo=False)
-        server.initial_camera.position = np.array([2.2, -2.4, 2.2])
+        server.initial_camera.position = np.array([1.9, -2.1, 1.9])
         server.initial_camera.look_at = np.array([0.2, 0.0, 0.7])
+        server.on_client_connect(_make_room)
         self._robot = load_robot(choice.robot)
         self._scene = self._draw_scene(choice.scene)
         self._first = DrawnRobot(server, "/first", self._robot)
@@ -324,6 +325,7 @@ class PlayPage:
         """Begin a recording, or end it and write the demonstration."""
         if self._samples is None:
             self._samples, self._record.label = [], "Stop and save"
+            self._status.content = "recording"
             return
         samples, self._samples, self._record.label = self._samples, None, "Record"
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -423,7 +425,7 @@ class PlayPage:
         for number in range(2):
             with suppress(KeyError):
                 self.server.scene.remove_by_name(f"/robots/{number}")
-        self._samples, self._record.label = None, "Record"
+        self._samples, self._record.label, self._status.content = None, "Record", ""
         self._shown = [
             _Shown(self.server, f"/robots/{number}", self._robot, episode, second=number > 0)
             for number, episode in enumerate(self._episodes)
@@ -477,6 +479,14 @@ class PlayPage:
             scale = float(self._episodes[0].loop.time_scale[0])
             failed = ", ".join(str(one.failures) for one in self._shown)
             self._status.content = f"infeasible steps: {failed}; time scale {scale:g}"
+
+
+def _make_room(client: Any) -> None:
+    """Move the view above the controls, which cover the lower part of a phone."""
+    if client.camera.aspect < 1.0:
+        with client.atomic():
+            client.camera.position = np.array([2.6, -2.9, 2.2])
+            client.camera.look_at = np.array([0.2, 0.0, -1.0])
 
 
 def _order(name: str) -> tuple[bool, bool, str]:

@@ -1,0 +1,116 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import distance, rotation
+from kinfeas.io.demonstrations import read_demonstration
+from kinfeas.viz import play
+from kinfeas.viz.play import Choice, PlayPage
+from tests.viz.browser import BINARY, Browser
+
+viewer = pytest.importorskip("kinfeas.viz.viewer")
+pytest.importorskip("viser")
+
+
+@pytest.fixture
+def server():
+    with viewer.serving("kinfeas play") as server:
+        yield server
+
+
+@pytest.fixture
+def make_page(server, tmp_path):
+    pages = []
+
+    def make(**changes) -> PlayPage:
+        pages.append(PlayPage(server, Choice("pr2", **changes), tmp_path / "demonstrations"))
+        pages[-1].start()
+        return pages[-1]
+
+    yield make
+    for one in pages:
+        one.close()
+
+
+def drag(page: PlayPage, way: tuple[float, float, float]) -> None:
+    page.handle.position = page.handle.position + np.array(way)
+
+
+def test_robots_of_two_policies_follow_the_handle_and_the_motion_is_saved(make_page, tmp_path):
+    page = make_page(second_policy="follow_ee")
+    page.record()
+    drag(page, (0.5, 0.3, 0.1))
+    for _ in range(150):
+        page.frame()
+    page.record()
+    for episode in page._episodes:
+        assert distance(episode.ee_pose, page.target)[0] < 0.005
+    saved = read_demonstration(tmp_path / "demonstrations" / "001.csv")
+    assert saved.has_base
+    assert np.ptp(saved.ee_pose[:, 0]) == pytest.approx(0.5, abs=0.02)
+
+
+def test_other_generators_wait_until_the_handle_is_released(make_page):
+    page = make_page(generator="linear")
+    page._held = True
+    drag(page, (0.1, 0.0, 0.0))
+    before = page._episodes[0].ee_pose
+    for _ in range(10):
+        page.frame()
+    assert distance(page._episodes[0].ee_pose, before)[0] < 1e-3
+    page._held = False
+    for _ in range(100):
+        page.frame()
+    assert distance(page._episodes[0].ee_pose, page.target)[0] < 0.08
+
+
+def test_a_choice_that_cannot_be_built_leaves_the_episode(make_page, monkeypatch):
+    page = make_page()
+    before = page._episodes[0]
+
+    def fails(*_):
+        raise KinfeasError("no such policy")
+
+    monkeypatch.setattr(play, "load_policy", fails)
+    page._build(Choice("pr2", policy="nothing"))
+    assert page._episodes == [before]
+    assert "no such policy" in page._status.content
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BINARY is None, reason="needs Chromium")
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=["desktop", "phone"])
+def test_the_mouse_drags_the_target_in_a_browser(make_page, server, tmp_path, size):
+    page = make_page()
+    browser = Browser(tmp_path / "profile", size, lambda: page.run(0.04))
+    try:
+        browser.call("Page.navigate", url=f"http://127.0.0.1:{server.get_port()}")
+        browser.wait(server.get_clients)
+        page.run(6.0)
+        camera = next(iter(server.get_clients().values())).camera
+        height = page.handle.position[2]
+        x, y = on_screen(camera, page.handle.position + np.array([0.0, 0.0, 0.25]))
+        _, up = on_screen(camera, page.handle.position + np.array([0.0, 0.0, 0.5]))
+        browser.mouse("mouseMoved", x, y)
+        page.run(1.0)
+        browser.mouse("mousePressed", x, y)
+        for share in np.linspace(0.1, 1.0, 10):
+            browser.mouse("mouseMoved", x, y + share * (up - y))
+            page.run(0.2)
+        browser.mouse("mouseReleased", x, up)
+        page.run(3.0)
+        browser.screenshot(Path(tmp_path / "page.png"))
+        assert page.handle.position[2] > height + 0.1
+        assert page._episodes[0].ee_pose[2] > height + 0.1
+    finally:
+        browser.close()
+
+
+def on_screen(camera, point) -> tuple[float, float]:
+    """Return the pixel of a world point."""
+    pose = np.concatenate([camera.position, np.roll(camera.wxyz, -1)])
+    x, y, z = rotation(pose).as_matrix().T @ (point - camera.position)
+    focal = camera.image_height / 2.0 / np.tan(camera.fov / 2.0)
+    return camera.image_width / 2.0 + focal * x / z, camera.image_height / 2.0 + focal * y / z
