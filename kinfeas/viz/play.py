@@ -504,10 +504,10 @@ def _footprint(robot: Robot) -> Array:
 
 
 def play(choice: Choice, folder: Path, host: str, port: int, ready: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C; `ready` gets its address as soon as it can be opened."""
+    """Serve the page until Ctrl-C; `ready` gets its address first."""
     with serving("kinfeas play", host, port) as server:
+        ready(f"http://{host}:{server.get_port()}")  # browsers load while the robot is drawn
         page = PlayPage(server, choice, folder)
-        ready(f"http://{host}:{server.get_port()}")
         try:
             page.start()
             page.run()
