@@ -133,12 +133,13 @@ def read_settings(  # noqa: PLR0913 - options of the command
     changes = [*options.assignments(given), *_duration(minutes, steps), *overrides]
     section = "train"
     if world != "analytic":
-        changes.insert(0, f"world.backend={world}")
+        section = "train_physics" if init is None else "finetune_physics"
         # MuJoCo steps a batch on all cores, and only a world in this process can be saved.
         if world == "mujoco" and processes is None:
             changes.insert(0, "processes=1")
-        section = "train_physics" if init is None else "finetune_physics"
     if config is None:
+        if world != "analytic":
+            changes.insert(0, f"world.backend={world}")
         name = options.read_robot(robot or options.DEFAULT_ROBOT).name
         settings = load_section(TrainConfig, section, name, changes)
     else:
