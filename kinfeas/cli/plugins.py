@@ -82,7 +82,9 @@ def info(
 def new(
     name: Annotated[str, typer.Argument(help="Name of the plugin, such as my_motion.")],
     out: Annotated[Path | None, typer.Option(help="Folder.  [default: ./kinfeas-NAME]")] = None,
-    kind: Annotated[Kind, typer.Option(help="Kind of plugin.")] = Kind.MOTION_GENERATOR,
+    kind: Annotated[
+        Kind, typer.Option(metavar="KIND", help=f"Kind of plugin: {', '.join(Kind)}.")
+    ] = Kind.MOTION_GENERATOR,
 ) -> None:
     """Create a plugin distribution with example, test and README.
 

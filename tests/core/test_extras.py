@@ -35,7 +35,8 @@ def test_other_import_errors_are_no_missing_extras():
 
 
 def test_plugins_name_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    for name in ["cyclonedds", *(one for one in sys.modules if one.startswith("cyclonedds."))]:
+        monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.delitem(sys.modules, "kinfeas.sim2real.ros.ros2", raising=False)
     with pytest.raises(KinfeasError, match=r"kinfeas\[ros2\]"):
         registry.build("kinfeas.backends", "ros2", {"robot": load_robot("pr2")})

@@ -1,5 +1,4 @@
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -100,9 +99,3 @@ def test_a_broken_file_is_an_error(tmp_path):
 def test_invalid_engines(text, named):
     with pytest.raises(KinfeasError, match=named):
         build_engine(text, 2)
-
-
-def test_an_engine_without_its_library(monkeypatch):
-    monkeypatch.setattr("kinfeas.jobs.job.resolve_name", partial(__import__, "no_such_library"))
-    with pytest.raises(KinfeasError):
-        build_engine("ray", 2)

@@ -60,12 +60,6 @@ def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, ki
     physics.restore()
 
 
-def test_a_missing_pybullet_is_an_error(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(KinfeasError, match=r"Python 3\.11"):
-        Physics(PhysicsConfig())
-
-
 @pytest.mark.parametrize("display", ["", ":77"])
 def test_a_window_without_a_screen_is_an_error(monkeypatch, display, capfd):
     monkeypatch.setattr(sys, "platform", "linux")
