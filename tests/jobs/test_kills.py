@@ -17,7 +17,7 @@ from tests.cli.test_sweep import SWEEP
 pytestmark = pytest.mark.slow
 
 KILLS = int(os.environ.get("KINFEAS_TEST_KILLS", "3"))
-"""Kills of each case; the more, the longer."""
+"""Kills of each case; the more, the longer. Cases of Ray take minutes: they need the variable."""
 
 COMMANDS = {
     "benchmark": (("benchmark", "--config", "case.yaml"), STUDY, "table.json"),
@@ -84,6 +84,8 @@ def whole(tmp_path_factory):
 def test_kills_change_nothing(whole, tmp_path, case, engine, victim):
     if engine == "ray":
         pytest.importorskip("ray")
+        if "KINFEAS_TEST_KILLS" not in os.environ:
+            pytest.skip("KINFEAS_TEST_KILLS is not set")
     rng = random.Random(f"{case} {engine} {victim}")
     more = ("--engine", engine, "--processes", "2")
     kills, before = 0, {}
@@ -98,8 +100,10 @@ def test_kills_change_nothing(whole, tmp_path, case, engine, victim):
             now = kept(tmp_path)
             assert now.items() >= before.items()
             before = now
-        if victim == "worker":
-            assert process.wait(timeout=900) == 0, (tmp_path / "log").read_text()[-3000:]
-        process.wait(timeout=60)
+        code = process.wait(timeout=900)
+        assert victim == "driver" or code == 0, (tmp_path / "log").read_text()[-3000:]
+        if code == 0:
+            break  # nothing is left to kill
+    assert kills > 0
     assert finish(case, tmp_path, *more) == whole[case]
     assert kept(tmp_path).items() >= before.items()
