@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from kinfeas.benchmark.speed import LearningCurve, learning_curve, levels
+from kinfeas.benchmark.learning_speed import LearningCurve, learning_curve, levels
 
 
 def main() -> None:

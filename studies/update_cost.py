@@ -17,7 +17,8 @@ from stable_baselines3 import SAC
 from kinfeas.benchmark.speed import one_core
 from kinfeas.config.recipes import load_section
 from kinfeas.training.config import TrainConfig
-from kinfeas.training.learner import FastSAC, make_learner, without_denormals
+from kinfeas.training.fast_sac import FastSAC
+from kinfeas.training.learner import make_learner, without_denormals
 from kinfeas.training.vec_env import WorldVecEnv
 from kinfeas.training.worlds import training_world
 

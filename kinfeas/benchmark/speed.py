@@ -1,30 +1,26 @@
 """Speed of inverse kinematics, environments, policies and training on this machine."""
 
-import csv
 import math
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.benchmark import peers
-from kinfeas.config.recipes import load_section
+from kinfeas.benchmark.learning_speed import learning_curve, levels, recipe_of
 from kinfeas.control import drive, observation
 from kinfeas.core import registry, spatial
 from kinfeas.core.policy import Policy
 from kinfeas.core.spatial import Array
 from kinfeas.envs.world import World, WorldConfig
-from kinfeas.evaluation.paper import LEARNED, paper_figures
-from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
@@ -33,9 +29,6 @@ from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.rate import peak_memory_mb
-
-if TYPE_CHECKING:
-    from kinfeas.training.config import TrainConfig
 
 BATCHES = {1: 1500, 128: 300, 1024: 100}
 """Robots side by side, and the timed steps."""
@@ -185,7 +178,7 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
     schedule = ["schedule.evaluations=1", "schedule.evaluation_episodes=1"]
     schedule += ["schedule.final_episodes=1", f"schedule.minutes={effort.train_minutes}"]
     with tempfile.TemporaryDirectory() as folder:
-        progress = train(_recipe(robot, schedule), Path(folder) / "run")
+        progress = train(recipe_of(robot, schedule), Path(folder) / "run")
     steps, seconds = progress.steps, progress.parts["step"]
     yield Figure("training", steps / progress.seconds, "steps/s", "train_steps_per_s")
     yield Figure("updates", progress.updates / progress.seconds, "updates/s", "updates_per_s")
@@ -195,71 +188,13 @@ def measure_training(robot: str, effort: Effort) -> Iterator[Figure]:
         yield Figure(f"CPU time of {part} a step", used / steps * 1e6, "us", f"{part}_cpu_us")
 
 
-@dataclass(frozen=True)
-class LearningCurve:
-    """Success in the evaluations of a training run.
-
-    Attributes:
-        seconds: Wall-clock time of training before each evaluation, evaluations not included.
-        success: Success of the policy, 0-1.
-    """
-
-    seconds: tuple[float, ...]
-    success: tuple[float, ...]
-
-    def time_to(self, level: float) -> float:
-        """Return the seconds until an evaluation has at least `level`; inf if none has."""
-        reached = (s for s, found in zip(self.seconds, self.success, strict=True) if found >= level)
-        return next(reached, math.inf)
-
-
-def learning_curve(
-    robot: str, minutes: float, seed: int = 0, every: float = 5.0, overrides: Sequence[str] = ()
-) -> LearningCurve:
-    """Return the learning curve of the robot's own recipe, evaluated after `every` seconds.
-
-    `overrides` are assignments such as `learner.batch_size=256`.
-    """
-    from kinfeas.training.train import train
-
-    evaluations = max(1, round(60.0 * minutes / every))
-    schedule = [f"schedule.minutes={minutes}", f"schedule.evaluations={evaluations}"]
-    schedule += ["schedule.final_episodes=1", "schedule.checkpoint_seconds=86400"]
-    config = _recipe(robot, [f"seed={seed}", *schedule, *overrides])
-    with tempfile.TemporaryDirectory() as folder:
-        train(config, Path(folder) / "run")
-        with (Path(folder) / "run" / "metrics.csv").open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.DictReader(file) if row["evaluation/success"]]
-    return LearningCurve(
-        tuple(float(row["seconds"]) for row in rows),
-        tuple(float(row["evaluation/success"]) for row in rows),
-    )
-
-
-def levels(robot: str, goals: int = 500) -> dict[str, float]:
-    """Return levels of success on the training task: shares of the ceiling, and the paper's."""
-    known = load_robot(robot)
-    task = registry.build("kinfeas.tasks", "ggr", {})
-    ceiling = measure_reachability(known, task, goals, seed=1).share.value
-    shares = {f"{share:.0%} of the ceiling": share * ceiling for share in (0.7, 0.8, 0.9)}
-    paper = paper_figures(known.name, "ggr").get(LEARNED)
-    return shares | ({} if paper is None else {"the paper's success": paper.success})
-
-
 def measure_levels(robot: str) -> Iterator[Figure]:
     """Yield the training time of the robot's own recipe to levels of success."""
-    curve = learning_curve(robot, minutes=_recipe(robot, []).schedule.minutes or 3.0)
+    curve = learning_curve(robot, minutes=recipe_of(robot, []).schedule.minutes or 3.0)
     for number, (text, level) in enumerate(levels(robot).items()):
         seconds = curve.time_to(level)
         value = seconds if math.isfinite(seconds) else None
         yield Figure(f"training to {text} ({level:.1%})", value, "s", f"seconds_to_level_{number}")
-
-
-def _recipe(robot: str, overrides: Sequence[str]) -> "TrainConfig":
-    from kinfeas.training.config import TrainConfig
-
-    name = load_robot(robot).name
-    return load_section(TrainConfig, "train", name, [f"robot={robot}", *overrides])
 
 
 def random_network(robot: Robot, width: int = 256) -> Network:

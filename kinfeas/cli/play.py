@@ -45,7 +45,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas play --robot pr2 --backend mujoco
     """
-    from kinfeas.viz.play import Choice
+    from kinfeas.sim2real.servo.simulation import Choice
     from kinfeas.viz.play import play as serve
 
     names = "time_scaling" if filters is None else filters

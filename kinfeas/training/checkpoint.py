@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import SAC
 
-from kinfeas.training.learner import Learner, Replay
+from kinfeas.training.fast_sac import Replay
+from kinfeas.training.learner import Learner
 from kinfeas.training.run import loading, read_state, write_state
 
 _TENSORS = "state.safetensors"

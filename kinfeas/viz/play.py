@@ -5,165 +5,31 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kinfeas.config import PluginSpec
-from kinfeas.config.recipes import load_section
 from kinfeas.control.execution import tool_pose
 from kinfeas.control.filters import GROUP as FILTERS
-from kinfeas.control.filters import build_filters
-from kinfeas.control.filters.rollout import RolloutPlanner
-from kinfeas.control.loop import Loop
 from kinfeas.core import registry, spatial
-from kinfeas.core.backend import build_backend
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
-from kinfeas.core.start import Start, stacked
 from kinfeas.io.demonstrations import Demonstration, write_demonstration
-from kinfeas.kinematics.ik import IkSolver
-from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.robot import Robot, joint_displacement
-from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.sim2real.deploy.config import ServoConfig
-from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
-from kinfeas.sim2real.servo.controller import ServoTask, TargetController
-from kinfeas.tasks.task import MotionSpec, build_subgoals
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.scene import read_scene
+from kinfeas.sim2real.servo.simulation import DT, NONE, Choice, Episode
 from kinfeas.viz.drawing import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
 from kinfeas.viz.viewer import FLOOR, DrawnRobot, draw_scene, rgb, serving
 
-DT = 0.02
-"""Control period, seconds."""
-
 _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
 _TRAIL = 500  # frames that paths and plots show
-_NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
-_UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
 _SECOND = "#e3d5c0", GOAL  # colours of the second robot
 _LOW = 0.5  # m, height of the parts that make the footprint of a base
-_NONE = "none"
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What the page shows.
-
-    Attributes:
-        robot: Robot by name or path.
-        policy: Policy by name or path.
-        second_policy: Policy of a second robot with the same target, or `none`.
-        generator: Motion generator; `servo` follows the handle, others start at its release.
-        filters: Names of the command filters, in order.
-        backend: Backend by name.
-        scene: Scene by name or path, or `none`.
-    """
-
-    robot: str
-    policy: str = "pretrained"
-    second_policy: str = _NONE
-    generator: str = "servo"
-    filters: tuple[str, ...] = ("time_scaling",)
-    backend: str = "analytic"
-    scene: str = "room"
-
-
-class Episode:
-    """A simulated robot whose EE follows targets, step by step.
-
-    Attributes:
-        loop: Loop of one robot.
-        controller: Takes the targets; its clock is the simulated time.
-        feasible: Whether IK found the last desired pose.
-        deviation: Distance of the EE from it, metres.
-        joint_speeds: Joint speeds of the last step as shares of their limits, shape (j,).
-    """
-
-    def __init__(self, choice: Choice, policy: str, robot: Robot, scene: Scene | None) -> None:
-        """Build the parts of a choice with one of its policies."""
-        config = load_section(ServoConfig, "servo", robot.name)
-        self.follows = choice.generator == "servo"
-        rules = replace(config.rules, max_jump=_UNLIMITED, max_turn=np.pi + 1e-3)
-        limits = {key: one for key, one in asdict(rules).items() if "velocity" in key}
-        if not self.follows:
-            rules = replace(rules, max_velocity=_UNLIMITED, max_angular_velocity=_UNLIMITED)
-        self._steps = 0
-        self.controller = TargetController(robot, rules, clock=lambda: self.seconds)
-        spec = MotionSpec(choice.generator, limits if self.follows else {})
-        self._task = ServoTask(self.controller, spec)
-        self._solver, self._policy = IkSolver(robot, config.ik), load_policy(policy, robot)
-        filters = [
-            RolloutPlannerThread.of(one) if isinstance(one, RolloutPlanner) else one
-            for one in build_filters([PluginSpec(name) for name in choice.filters])
-        ]
-        self._threads = [one for one in filters if isinstance(one, RolloutPlannerThread)]
-        self._backend = build_backend(choice.backend, config.backend, robot=robot, scene=scene)
-        self.loop = Loop(
-            self._solver, build_subgoals(self._task.subgoals), self._backend, DT, config,
-            (self.controller, *filters),
-        )  # fmt: skip
-        self.loop.set_policy(self._policy)
-        self.loop.target_stream = self.controller
-        self.restart()
-
-    @property
-    def seconds(self) -> float:
-        """Simulated time."""
-        return self._steps * DT
-
-    @property
-    def base_pose(self) -> Array:
-        """World pose of the base, shape (7,)."""
-        return self.loop.true_state[0][0]
-
-    @property
-    def ee_pose(self) -> Array:
-        """World pose of the EE, shape (7,)."""
-        return self.loop.true_state[1][0]
-
-    @property
-    def joint_positions(self) -> Array:
-        """Arm joints, shape (j,)."""
-        return self.loop.state.joint_positions[0]
-
-    def restart(self) -> None:
-        """Put the robot at the origin, with the arm at home."""
-        rng = np.random.default_rng(0)
-        start: Start = stacked([self._task.sample(self._solver, rng)])
-        self.loop.start(start, [rng])
-        self._goal = self.ee_pose
-        self.feasible, self.deviation = True, 0.0
-        self.joint_speeds = np.zeros(len(self._solver.robot.arm))
-
-    def step(self, target: Array, *, held: bool = False) -> None:
-        """Advance by `DT` toward a target (7,); other generators than `servo` wait while `held`."""
-        begins = not self.follows and not held and not np.array_equal(target, self._goal)
-        if self.follows or begins:
-            self._goal = target.copy()
-        metres, radians = spatial.distance(self.loop.desired[0], self._goal)
-        if metres > _NEAR[0] or radians > _NEAR[1]:  # otherwise the base comes to rest
-            self.controller.set_target(self._goal)
-        before = self.joint_positions.copy()
-        step = self.loop.step(self._policy.act(self.loop.policy_input))
-        if begins:
-            self.loop.sequence.begin_again(np.zeros(1, dtype=np.intp))
-        self._steps += 1
-        self.feasible, self.deviation = bool(step.feasible[0]), float(step.deviation[0])
-        robot = self._solver.robot
-        way = np.abs(joint_displacement(robot, before, self.joint_positions))
-        self.joint_speeds = way / DT / robot.max_joint_velocity
-
-    def close(self) -> None:
-        """End threads and simulations."""
-        for one in self._threads:
-            one.close()
-        self._backend.close()
 
 
 class _Trail:
@@ -368,10 +234,10 @@ class PlayPage:
         options = {
             "robot": registry.names("kinfeas.robots"),
             "policy": policies,
-            "second_policy": [_NONE, *policies],
+            "second_policy": [NONE, *policies],
             "generator": registry.names("kinfeas.motion_generators"),
             "backend": ["analytic", "pybullet", "mujoco"],
-            "scene": [_NONE, "room"],
+            "scene": [NONE, "room"],
         }
         inputs, boxes = {}, {}
         with gui.add_folder("Choice", expand_by_default=False):
@@ -398,9 +264,9 @@ class PlayPage:
         fresh: list[Episode] = []
         try:
             robot = load_robot(choice.robot)
-            scene = None if choice.scene == _NONE else read_scene(choice.scene)
+            scene = None if choice.scene == NONE else read_scene(choice.scene)
             for policy in (choice.policy, choice.second_policy):
-                if policy != _NONE:
+                if policy != NONE:
                     fresh.append(Episode(choice, policy, robot, scene))
         except (KinfeasError, ImportError) as error:
             for one in fresh:
@@ -438,7 +304,7 @@ class PlayPage:
         self._add_plots()
 
     def _draw_scene(self, name: str) -> list[Any]:
-        scene = None if name == _NONE else read_scene(name)
+        scene = None if name == NONE else read_scene(name)
         size = (10.0, 10.0) if scene is None else scene.size
         floor = self.server.scene.add_grid(
             "/floor", *size, cell_size=0.5, plane_color=FLOOR, plane_opacity=1

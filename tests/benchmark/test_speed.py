@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark import peers, speed
+from kinfeas.benchmark.learning_speed import LearningCurve
 from kinfeas.benchmark.peers import Peer, arm_urdf
 from kinfeas.benchmark.speed import (
     Effort,
     Figure,
-    LearningCurve,
     cold_targets,
     measure_speed,
     measure_training,

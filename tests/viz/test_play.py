@@ -6,8 +6,9 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance, rotation
 from kinfeas.io.demonstrations import read_demonstration
-from kinfeas.viz import play
-from kinfeas.viz.play import Choice, PlayPage
+from kinfeas.sim2real.servo import simulation
+from kinfeas.sim2real.servo.simulation import Choice
+from kinfeas.viz.play import PlayPage
 from tests.viz.browser import BINARY, Browser
 
 viewer = pytest.importorskip("kinfeas.viz.viewer")
@@ -73,7 +74,7 @@ def test_a_choice_that_cannot_be_built_leaves_the_episode(make_page, monkeypatch
     def fails(*_):
         raise KinfeasError("no such policy")
 
-    monkeypatch.setattr(play, "load_policy", fails)
+    monkeypatch.setattr(simulation, "load_policy", fails)
     page._build(Choice("pr2", policy="nothing"))
     assert page._episodes == [before]
     assert "no such policy" in page._status.content
