@@ -153,9 +153,11 @@ def open_study(folder: Path) -> optuna.Study:
         "asha": optuna.pruners.SuccessiveHalvingPruner(1, reduction_factor=3),
         "none": optuna.pruners.NopPruner(),
     }
+    # Of a relative path, Optuna never releases the lock of a process that was killed.
+    journal = JournalFileBackend(str((folder / "journal.log").resolve()))
     return optuna.create_study(
         study_name="sweep",
-        storage=JournalStorage(JournalFileBackend(str(folder / "journal.log"))),
+        storage=JournalStorage(journal),
         load_if_exists=True,
         direction="maximize",
         pruner=pruners[sweep.pruner],
