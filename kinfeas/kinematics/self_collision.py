@@ -54,6 +54,7 @@ class CollisionScratch(NamedTuple):
     rotation: Array
     position: Array
     simplex: Array
+    solid: Array
 
 
 def build_collision_model(robot: Robot) -> CollisionModel:
@@ -122,6 +123,7 @@ def make_collision_scratch(model):
         np.empty((shapes, 3, 3)),
         np.empty((shapes, 3)),
         np.empty((6, 3)),
+        np.empty((5, 3)),
     )
     for s in range(shapes):
         if model.body[s] < 0:
@@ -134,11 +136,8 @@ def make_collision_scratch(model):
 @kernel
 def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
     """Return whether the robot is in self-collision at the arm joints `q`, shape (v,)."""
-    _place_bodies(model.tree, q, scratch)
+    place_shapes(model, q, scratch)
     rot, pos, size = scratch.rotation, scratch.position, model.size
-    for s in range(len(model.body)):
-        if model.body[s] >= 0:
-            _place_shape(model, s, scratch)
     for p in range(len(model.pairs)):
         a, b = model.pairs[p, 0], model.pairs[p, 1]
         dx, dy, dz = pos[b, 0] - pos[a, 0], pos[b, 1] - pos[a, 1], pos[b, 2] - pos[a, 2]
@@ -157,6 +156,15 @@ def touches_itself(model: CollisionModel, q, scratch: CollisionScratch):
         ):  # fmt: skip
             return True
     return False
+
+
+@inlined
+def place_shapes(model, q, scratch):
+    """Write orientation and centre of the shapes that the arm moves, in the base frame."""
+    _place_bodies(model.tree, q, scratch)
+    for s in range(len(model.body)):
+        if model.body[s] >= 0:
+            _place_shape(model, s, scratch)
 
 
 @inlined

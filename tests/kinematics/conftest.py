@@ -1,16 +1,19 @@
-"""References that share no code with the kernels: Pinocchio, and draws within the limits."""
+"""References that share no code with the kernels, Pinocchio and FCL, and random draws."""
 
 import math
 from pathlib import Path
+from typing import Any
 
+import fcl
 import numpy as np
 import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, rotation
 from kinfeas.robots.loading import read_robot
 from kinfeas.robots.robot import Robot
+from kinfeas.robots.urdf import Shape
 
 
 class Pinocchio:
@@ -78,6 +81,49 @@ class Pinocchio:
             found[i, 0] = np.linalg.norm(position - ee_pose[i, :3])
             found[i, 1] = np.linalg.norm(Rotation.from_matrix(turn.T @ turns[i]).as_rotvec())
         return found
+
+
+class Primitives:
+    """FCL's primitives of a robot, placed by Pinocchio.
+
+    Attributes:
+        shapes: Link and shape of each of them.
+        objects: For FCL.
+        radius: Radii of bounding spheres, metres.
+    """
+
+    def __init__(self, robot: Robot, judge: Pinocchio) -> None:
+        self.judge = judge
+        self.shapes = [
+            (link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes
+        ]
+        kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
+        self.objects = [
+            fcl.CollisionObject(kinds[shape.kind](*shape.size)) for _, shape in self.shapes
+        ]
+        self.radius = np.array([_radius(shape) for _, shape in self.shapes])
+
+    def place(self, joint_positions: Array) -> Array:
+        """Move all primitives to the arm's joint positions, (v,); return their centres, (s, 3)."""
+        self.judge.place(joint_positions)
+        centres = np.empty((len(self.shapes), 3))
+        for i, (link, shape) in enumerate(self.shapes):
+            turn, position = self.judge.link(link)
+            centres[i] = position + turn @ shape.pose[:3]
+            placement = fcl.Transform(turn @ rotation(shape.pose).as_matrix(), centres[i])
+            self.objects[i].setTransform(placement)
+        return centres
+
+
+def _radius(shape: Shape) -> float:
+    x = np.array(shape.size)
+    sizes = {"box": x / 2.0, "cylinder": x / [1.0, 2.0] if len(x) == 2 else x, "sphere": x}
+    return float(np.linalg.norm(sizes[shape.kind]))
+
+
+def touch(one: Any, other: Any) -> bool:
+    """Return whether two of FCL's objects touch."""
+    return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
 
 @pytest.fixture(scope="session")

@@ -1,29 +1,20 @@
 from itertools import combinations
 
-import fcl
 import numpy as np
 
-from kinfeas.core.spatial import rotation
 from kinfeas.kinematics.self_collision import (
     build_collision_model,
     checked_links,
     self_collides,
 )
-from tests.kinematics.conftest import draw
+from tests.kinematics.conftest import Primitives, draw, touch
 
 
-class Solids:
-    """FCL's primitives of a robot, placed by Pinocchio, and the checked pairs."""
+class Pairs(Primitives):
+    """Primitives and their checked pairs."""
 
     def __init__(self, robot, judge):
-        self.judge = judge
-        self.shapes = [
-            (link.name, shape) for link in robot.urdf.links.values() for shape in link.shapes
-        ]
-        kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
-        self.solids = [
-            fcl.CollisionObject(kinds[shape.kind](*shape.size)) for _, shape in self.shapes
-        ]
+        super().__init__(robot, judge)
         checked = {frozenset(pair) for pair in checked_links(robot)}
         self.pairs = np.array(
             [
@@ -32,37 +23,20 @@ class Solids:
                 if frozenset(self.shapes[i][0] for i in pair) in checked
             ]
         )
-        self.radius = np.array([_radius(shape) for _, shape in self.shapes])
 
     def touch(self, joint_positions):
         """Return whether any pair touches; bounding spheres rule most of them out."""
-        self.judge.place(joint_positions)
-        centres = np.empty((len(self.shapes), 3))
-        for i, (link, shape) in enumerate(self.shapes):
-            turn, position = self.judge.link(link)
-            centres[i] = position + turn @ shape.pose[:3]
-            placement = fcl.Transform(turn @ rotation(shape.pose).as_matrix(), centres[i])
-            self.solids[i].setTransform(placement)
+        centres = self.place(joint_positions)
         a, b = self.pairs.T
         gaps = np.linalg.norm(centres[a] - centres[b], axis=1) - self.radius[a] - self.radius[b]
-        return any(self._collide(i, k) for i, k in self.pairs[gaps <= 0.0])
-
-    def _collide(self, i, k):
-        request, result = fcl.CollisionRequest(), fcl.CollisionResult()
-        return fcl.collide(self.solids[i], self.solids[k], request, result) > 0
-
-
-def _radius(shape):
-    x = np.array(shape.size)
-    sizes = {"box": x / 2.0, "cylinder": x / [1.0, 2.0] if len(x) == 2 else x, "sphere": x}
-    return np.linalg.norm(sizes[shape.kind])
+        return any(touch(self.objects[i], self.objects[k]) for i, k in self.pairs[gaps <= 0.0])
 
 
 def compare(robot, judge, count):
     """Return how many configurations are free, touching and needlessly rejected."""
-    joints, solids = draw(robot, count), Solids(robot, judge)
+    joints, pairs = draw(robot, count), Pairs(robot, judge)
     fast = self_collides(build_collision_model(robot), joints)
-    exact = np.array([solids.touch(positions) for positions in joints])
+    exact = np.array([pairs.touch(positions) for positions in joints])
     assert not np.any(exact & ~fast), "free, but FCL's primitives touch"
     return np.sum(~exact & ~fast), np.sum(exact & fast), np.sum(fast & ~exact)
 

@@ -1,0 +1,256 @@
+"""Robots among solids: collisions, distances, and range scans around the base."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, yaw
+from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than
+from kinfeas.kinematics.forward import flattened
+from kinfeas.kinematics.kernels import inlined, kernel, square
+from kinfeas.kinematics.self_collision import (
+    MARGIN,
+    CollisionModel,
+    CollisionScratch,
+    make_collision_scratch,
+    place_shapes,
+)
+
+Rows = tuple[Array, Array, NDArray[np.bool_]]
+"""Pose, size and cylinder of `Solids`, for kernels."""
+
+
+def in_base(solids: Solids, base_pose: Array) -> Solids:
+    """Return the solids as seen from bases on the floor, world poses of shape (n, 7)."""
+    heading = yaw(base_pose)[:, np.newaxis]
+    cosine, sine = np.cos(heading), np.sin(heading)
+    pose, velocity = np.empty_like(solids.pose), np.empty_like(solids.velocity)
+    x, y = solids.pose[:, :, 0] - base_pose[:, :1], solids.pose[:, :, 1] - base_pose[:, 1:2]
+    pose[:, :, 0], pose[:, :, 1] = cosine * x + sine * y, cosine * y - sine * x
+    pose[:, :, 2] = solids.pose[:, :, 2] - heading
+    x, y = solids.velocity[:, :, 0], solids.velocity[:, :, 1]
+    velocity[:, :, 0], velocity[:, :, 1] = cosine * x + sine * y, cosine * y - sine * x
+    return replace(solids, pose=pose, velocity=velocity)
+
+
+def rows_of(solids: Solids, n: int) -> Rows:
+    """Return the n rows of solids for kernels.
+
+    Raises:
+        KinfeasError: If there are not n rows.
+    """
+    if len(solids.pose) != n:
+        raise KinfeasError(f"solids must have {n} rows, not {len(solids.pose)}")
+    return (
+        np.ascontiguousarray(solids.pose),
+        np.ascontiguousarray(solids.size),
+        np.ascontiguousarray(solids.cylinder),
+    )
+
+
+def collides(
+    model: CollisionModel, joint_positions: Array, base_pose: Array, solids: Solids
+) -> NDArray[np.bool_]:
+    """Return whether shapes touch solids, to within `MARGIN`, shape (n, 2).
+
+    The first column is of the shapes that the arm does not move, the second of those that it moves.
+
+    Args:
+        model: Shapes of the robot.
+        joint_positions: Arm joints, shape (n, v), radians or metres.
+        base_pose: World poses of the bases, on the floor, shape (n, 7).
+        solids: In the world, n rows.
+    """
+    flat, _ = flattened(model.variables, joint_positions)
+    touching = np.empty((len(flat), 2), dtype=np.bool_)
+    _collides_batch(model, flat, *rows_of(in_base(solids, base_pose), len(flat)), touching)
+    return touching
+
+
+def scan(
+    solids: Solids,
+    base_pose: Array,
+    bands: Sequence[tuple[float, float]],
+    beams: int,
+    max_range: float,
+) -> Array:
+    """Return ranges around the bases in b bands of height, shape (n, b, beams), metres.
+
+    Beam i has the angle -pi + 2 pi i / `beams` to the base's heading and begins at the origin of
+    the base frame. Its range ends at the first solid of which a part is within the band, is 0
+    inside of one and `max_range` without one.
+
+    Args:
+        solids: In the world, n rows.
+        base_pose: World poses of the bases, on the floor, shape (n, 7).
+        bands: Lowest and highest z of each band, metres.
+        beams: Number of beams.
+        max_range: Longest range, metres.
+    """
+    angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
+    ranges = np.full((len(base_pose), len(bands), beams), float(max_range))
+    rows = rows_of(in_base(solids, base_pose), len(base_pose))
+    _scan_batch(*rows, np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles), ranges)
+    return ranges
+
+
+@kernel
+def _collides_batch(model, joint_positions, pose, size, cylinder, touching):
+    scratch = make_collision_scratch(model)
+    for i in range(len(joint_positions)):
+        place_shapes(model, joint_positions[i], scratch)
+        for moved in range(2):
+            touching[i, moved] = touches_solids(
+                model, moved == 1, pose[i], size[i], cylinder[i], scratch
+            )
+
+
+@kernel
+def touches_solids(model: CollisionModel, moved, pose, size, cylinder, scratch: CollisionScratch):
+    """Return whether a shape touches one of k solids in the base frame.
+
+    The shapes are those that the arm moves, or the others, where `place_shapes` has put them. Pose,
+    size and cylinder are a row of `Solids`.
+    """
+    low, high = np.inf, -np.inf
+    left, right, back, front = np.inf, -np.inf, np.inf, -np.inf
+    for s in range(len(model.body)):
+        if (model.body[s] >= 0) == moved:
+            x, y, z = scratch.position[s]
+            radius = model.radius[s] + MARGIN
+            back, front = min(back, x - radius), max(front, x + radius)
+            left, right = min(left, y - radius), max(right, y + radius)
+            low, high = min(low, z - radius), max(high, z + radius)
+    for k in range(len(pose)):
+        if is_empty(size[k]) or size[k, 2] > high or size[k, 3] < low:
+            continue
+        x, y = pose[k, 0], pose[k, 1]
+        dx, dy = max(back - x, x - front, 0.0), max(left - y, y - right, 0.0)
+        if dx * dx + dy * dy > squared_radius(size[k], cylinder[k]):
+            continue
+        kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+        for s in range(len(model.body)):
+            if (model.body[s] >= 0) == moved and _touches(model, s, kind, scratch):
+                return True
+    return False
+
+
+@inlined
+def _touches(model, s, kind, scratch):
+    """Return whether a shape touches the solid in the scratch memory."""
+    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
+    gap = squared_gap(scratch.position[s], kind, turn, centre, half)
+    if gap > square(model.radius[s] + MARGIN):
+        return False
+    return closer_than(
+        MARGIN,
+        model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
+        kind, half, turn, centre,
+        scratch.simplex,
+    )  # fmt: skip
+
+
+@inlined
+def is_empty(size):
+    """Return whether a place, a row of `Solids.size`, is empty."""
+    return not (size[0] > 0.0 and size[1] > 0.0)
+
+
+@inlined
+def squared_radius(size, cylinder):
+    """Return the squared radius of the circle around a solid, seen from above."""
+    return square(size[0]) if cylinder else square(size[0]) + square(size[1])
+
+
+@inlined
+def place_solid(pose, size, cylinder, out):
+    """Write orientation, centre and half extents of a solid, shape (5, 3); return its kind."""
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    out[0, 0], out[0, 1], out[0, 2] = cosine, -sine, 0.0
+    out[1, 0], out[1, 1], out[1, 2] = sine, cosine, 0.0
+    out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
+    out[3, 0], out[3, 1], out[3, 2] = pose[0], pose[1], 0.5 * (size[2] + size[3])
+    out[4, 0], out[4, 1], out[4, 2] = size[0], size[1], 0.5 * (size[3] - size[2])
+    return CYLINDER if cylinder else BOX
+
+
+@inlined
+def squared_gap(point, kind, turn, centre, half):
+    """Return the squared distance of a point, shape (3,), to an upright solid, 0 inside."""
+    dx, dy = point[0] - centre[0], point[1] - centre[1]
+    z = max(abs(point[2] - centre[2]) - half[2], 0.0)
+    if kind == CYLINDER:
+        return square(max(math.sqrt(dx * dx + dy * dy) - half[0], 0.0)) + square(z)
+    x = max(abs(turn[0, 0] * dx + turn[1, 0] * dy) - half[0], 0.0)
+    y = max(abs(turn[0, 1] * dx + turn[1, 1] * dy) - half[1], 0.0)
+    return square(x) + square(y) + square(z)
+
+
+@kernel
+def _scan_batch(pose, size, cylinder, bands, cosine, sine, ranges):
+    for i in range(len(pose)):
+        for k in range(pose.shape[1]):
+            if not is_empty(size[i, k]):
+                _scan(pose[i, k], size[i, k], cylinder[i, k], bands, cosine, sine, ranges[i])
+
+
+@inlined
+def _scan(pose, size, cylinder, bands, cosine, sine, ranges):
+    """Shorten the ranges of one row, shape (b, beams), that end at a solid."""
+    x, y = pose[0], pose[1]
+    squared, around = x * x + y * y, squared_radius(size, cylinder)
+    farthest, beams = 0.0, ranges.shape[1]
+    for b in range(len(bands)):
+        if size[2] < bands[b, 1] and size[3] > bands[b, 0]:
+            for j in range(beams):
+                farthest = max(farthest, ranges[b, j])
+    if squared >= square(farthest + math.sqrt(around)):
+        return
+    # The beams that pass through the circle around it; rounding may add one at each side.
+    first, last = 0, beams - 1
+    if squared > around:
+        middle, half = math.atan2(y, x) + np.pi, math.asin(math.sqrt(around / squared)) + 1e-9
+        per_beam = beams / (2.0 * np.pi)
+        first, last = math.ceil((middle - half) * per_beam), math.floor((middle + half) * per_beam)
+    turn_x, turn_y = math.cos(pose[2]), math.sin(pose[2])
+    u, v = turn_x * x + turn_y * y, turn_x * y - turn_y * x
+    for number in range(first, last + 1):
+        j = number % beams
+        if cylinder:
+            reached = _until_circle(x, y, around, cosine[j], sine[j])
+        else:
+            forward = turn_x * cosine[j] + turn_y * sine[j]
+            left = turn_x * sine[j] - turn_y * cosine[j]
+            reached = _until_rectangle(u, v, size, forward, left)
+        for b in range(len(bands)):
+            if size[2] < bands[b, 1] and size[3] > bands[b, 0]:
+                ranges[b, j] = min(ranges[b, j], reached)
+
+
+@inlined
+def _until_circle(x, y, squared_radius, cosine, sine):
+    """Return the length of a ray from the origin to a circle around (x, y); inf beside it."""
+    along, aside = x * cosine + y * sine, y * cosine - x * sine
+    if x * x + y * y <= squared_radius:
+        return 0.0
+    if along <= 0.0 or aside * aside > squared_radius:
+        return np.inf
+    return along - math.sqrt(squared_radius - aside * aside)
+
+
+@inlined
+def _until_rectangle(x, y, half, cosine, sine):
+    """Return the same for an upright rectangle around (x, y)."""
+    enter, leave = 0.0, np.inf
+    for centre, extent, slope in ((x, half[0], cosine), (y, half[1], sine)):
+        if abs(slope) > 1e-12:
+            near, far = (centre - extent) / slope, (centre + extent) / slope
+            enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
+        elif abs(centre) > extent:
+            return np.inf
+    return enter if enter <= leave else np.inf

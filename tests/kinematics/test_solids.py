@@ -1,0 +1,167 @@
+import fcl
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import planar_pose, rotation, yaw
+from kinfeas.kinematics.self_collision import MARGIN, build_collision_model
+from kinfeas.kinematics.solids import collides, in_base, scan
+from kinfeas.robots.loading import load_robot
+from tests.kinematics.conftest import Pinocchio, Primitives, draw, touch
+
+BANDS = [(0.0, 0.35), (0.35, 1.5)]
+
+
+def draw_solids(n, places, reach=2.5, seed=0):
+    """Return solids around the world's origin; a tenth of the places is empty."""
+    rng = np.random.default_rng(seed)
+    solids = Solids.empty(n, places)
+    solids.pose[:] = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi], (n, places, 3))
+    solids.cylinder[:] = rng.random((n, places)) < 0.4
+    half = rng.uniform(0.03, 0.5, (n, places, 2)) * (rng.random((n, places, 1)) < 0.9)
+    solids.size[..., 0] = half[..., 0]
+    solids.size[..., 1] = np.where(solids.cylinder, half[..., 0], half[..., 1])
+    solids.size[..., 2] = rng.uniform(-0.5, 1.0, (n, places)).clip(0.0)
+    solids.size[..., 3] = solids.size[..., 2] + rng.uniform(0.02, 1.0, (n, places))
+    return solids
+
+
+def draw_bases(n, seed=0):
+    x, y, heading = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, n)) * [[1.0], [1.0], [3.0]]
+    return planar_pose(x, y, heading)
+
+
+def fcl_solids(solids, row):
+    """Return the solids of a row for FCL."""
+    found = []
+    for (x, y, turn), size, cylinder in zip(
+        solids.pose[row], solids.size[row], solids.cylinder[row], strict=True
+    ):
+        if size[0] > 0.0:
+            high = size[3] - size[2]
+            shape = fcl.Cylinder(size[0], high) if cylinder else fcl.Box(*2.0 * size[:2], high)
+            matrix = Rotation.from_euler("z", turn).as_matrix()
+            placement = fcl.Transform(matrix, [x, y, (size[2] + size[3]) / 2.0])
+            found.append(fcl.CollisionObject(shape, placement))
+    return found
+
+
+class Among(Primitives):
+    """Primitives among solids."""
+
+    def __init__(self, robot, judge):
+        super().__init__(robot, judge)
+        body = build_collision_model(robot).body
+        self.groups = np.flatnonzero(body < 0), np.flatnonzero(body >= 0)
+
+    def touch(self, solids):
+        return [
+            any(touch(self.objects[i], one) for i in group for one in solids)
+            for group in self.groups
+        ]
+
+
+def compare(robot, judge, count, places=4):
+    """Return how many groups of shapes touch, and the share of those rejected needlessly."""
+    joints, bases = draw(robot, count), draw_bases(count)
+    solids, among = draw_solids(count, places), Among(robot, judge)
+    fast = collides(build_collision_model(robot), joints, bases, solids)
+    seen, exact = in_base(solids, bases), np.empty_like(fast)
+    for row, positions in enumerate(joints):
+        among.place(positions)
+        exact[row] = among.touch(fcl_solids(seen, row))
+    assert not np.any(exact & ~fast), "free, but FCL's primitives touch"
+    return exact.sum(axis=0), (fast & ~exact).sum() / exact.size
+
+
+def check(robot, judge, count):
+    touching, needless = compare(robot, judge, count)
+    assert np.all(touching > count / 20)
+    assert needless < 0.01  # the margin of 1 mm takes 0.3 %
+
+
+def test_free_configurations_are_free_for_fcl(robot, judge):
+    check(robot, judge, 700)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "count"), [("pr2", 20_000), ("tiago", 40_000), ("hsr", 40_000)])
+def test_many_free_configurations_are_free_for_fcl(name, count):
+    robot = load_robot(name)
+    check(robot, Pinocchio(robot), count)
+
+
+def test_world_and_base_see_the_same_scene():
+    solids, bases = draw_solids(20, 8), draw_bases(20)
+    solids.velocity[:] = np.random.default_rng(1).uniform(-0.2, 0.2, solids.velocity.shape)
+    solids.span[:] = 0.5
+    seconds = np.linspace(0.0, 9.0, 20)
+    there, back = in_base(solids, bases).at(seconds), in_base(solids.at(seconds), bases)
+    np.testing.assert_allclose(there.pose, back.pose, atol=1e-12)
+    turn = rotation(bases).as_matrix()[:, :2, :2]
+    world = np.einsum("nij,nkj->nki", turn, back.pose[:, :, :2]) + bases[:, np.newaxis, :2]
+    np.testing.assert_allclose(world, solids.at(seconds).pose[:, :, :2], atol=1e-12)
+
+
+def test_rows_without_solids_are_free(hsr):
+    model, joints = build_collision_model(hsr), draw(hsr, 3)
+    for places in (0, 5):
+        nothing = Solids.empty(3, places)
+        assert not collides(model, joints, draw_bases(3), nothing).any()
+        assert np.all(scan(nothing, draw_bases(3), BANDS, 8, 4.0) == 4.0)
+
+
+def inside(points, solids, row, low, high):
+    """Return which world points (m, 2) are within solids whose heights overlap the band."""
+    found = np.zeros(len(points), dtype=np.bool_)
+    for (x, y, turn), size, cylinder in zip(
+        solids.pose[row], solids.size[row], solids.cylinder[row], strict=True
+    ):
+        if size[0] > 0.0 and size[2] < high and size[3] > low:
+            own = (points - [x, y]) @ Rotation.from_euler("z", turn).as_matrix()[:2, :2]
+            within = np.hypot(*own.T) < size[0]
+            found |= within if cylinder else np.all(np.abs(own) < size[:2], axis=1)
+    return found
+
+
+def test_beams_end_at_the_first_solid():
+    n, beams, longest = 40, 48, 3.0
+    solids, bases = draw_solids(n, 8), draw_bases(n)
+    ranges = scan(solids, bases, BANDS, beams, longest)
+    assert ranges.shape == (n, 2, beams)
+    steps = np.linspace(0.0, longest, 1501)
+    for row, pose in enumerate(bases):
+        angles = yaw(pose) - np.pi + 2.0 * np.pi * np.arange(beams) / beams
+        ways = steps[:, np.newaxis] * np.stack([np.cos(angles), np.sin(angles)])[:, np.newaxis]
+        points = (pose[:2, np.newaxis, np.newaxis] + ways).reshape(2, -1).T
+        for band, (low, high) in enumerate(BANDS):
+            hit = inside(points, solids, row, low, high).reshape(len(steps), beams)
+            sampled = np.where(hit.any(axis=0), steps[hit.argmax(axis=0)], longest)
+            exact = ranges[row, band]
+            assert np.all(sampled >= exact - 1e-9)
+            # A sample may step over a corner: the middle of the way to it is inside, then.
+            entry = pose[:2] + (exact + 1e-6)[:, np.newaxis] * np.stack(
+                [np.cos(angles), np.sin(angles)], axis=1
+            )
+            assert np.all(inside(entry, solids, row, low, high) | (exact == longest))
+    assert np.any(ranges == 0.0)
+    assert 0.1 < np.mean(ranges == longest) < 0.9
+
+
+def test_beam_zero_points_backwards_and_bands_are_open_at_touching_solids():
+    solids = Solids.empty(1, 2)
+    solids.pose[0, :, :2] = [[-1.0, 0.0], [0.0, 1.0]]
+    solids.size[0] = [[0.2, 0.3, 0.0, 0.35], [0.2, 0.3, 0.35, 2.0]]
+    ranges = scan(solids, planar_pose(*np.zeros((3, 1))), BANDS, 4, 5.0)
+    np.testing.assert_allclose(ranges[0], [[0.8, 5.0, 5.0, 5.0], [5.0, 5.0, 5.0, 0.7]])
+
+
+def test_a_wall_within_the_margin_counts_as_touched(hsr):
+    model, joints = build_collision_model(hsr), draw(hsr, 2)
+    solids = Solids.empty(2, 1)
+    front = np.max(model.offset[0, 0] + model.size[0, 0])
+    solids.pose[:, 0, 0] = front + 0.1 + MARGIN + np.array([-1e-5, 1e-5])
+    solids.size[:, 0] = [0.1, 2.0, 0.0, 0.15]
+    found = collides(model, joints, planar_pose(*np.zeros((3, 2))), solids)
+    np.testing.assert_array_equal(found[:, 0], [True, False])
