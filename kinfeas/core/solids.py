@@ -6,8 +6,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.motion import Rows
 from kinfeas.core.spatial import Array
+
+MOST_SOLIDS = 64
+"""Largest number of places of a row."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,11 @@ class Solids:
             span=np.zeros((n, places)),
         )
 
-    def of(self, rows: Rows) -> "Solids":
+    def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""
         return Solids(*(getattr(self, one.name)[rows] for one in fields(self)))
 
-    def put(self, rows: Rows, other: "Solids") -> "Solids":
+    def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
         """Return these solids with other ones, of as many places, in some rows."""
         changed = {one.name: getattr(self, one.name).copy() for one in fields(self)}
         for name, values in changed.items():

@@ -1,10 +1,11 @@
 """Starts and random numbers of episodes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from kinfeas.core.solids import Solids, stacked_solids
 from kinfeas.core.spatial import Array
 
 
@@ -16,17 +17,27 @@ class Start:
         base_pose: World pose of the base, shape (n, 7).
         joint_positions: Arm joints, shape (n, j), radians or metres.
         target_poses: World target pose of each sub-goal, shape (n, sub-goals, 7).
+        solids: Solids around the robots, n rows, a single one for starts without leading axes; None
+            for none.
     """
 
     base_pose: Array
     joint_positions: Array
     target_poses: Array
+    solids: Solids | None = None
 
 
 def stacked(starts: Sequence[Start]) -> Start:
     """Return starts without leading axes as one with a leading axis."""
-    names = [one.name for one in fields(Start)]
-    return Start(**{name: np.stack([getattr(one, name) for one in starts]) for name in names})
+    solids = None
+    if any(one.solids is not None for one in starts):
+        solids = stacked_solids([one.solids or Solids.empty(1) for one in starts])
+    return Start(
+        np.stack([one.base_pose for one in starts]),
+        np.stack([one.joint_positions for one in starts]),
+        np.stack([one.target_poses for one in starts]),
+        solids,
+    )
 
 
 def episode_rng(seed: int, episode: int, stream: Sequence[int] = ()) -> np.random.Generator:

@@ -15,6 +15,7 @@ from kinfeas.core.backend import Grip
 from kinfeas.core.checks import are_unit, check_array
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.motion import MotionGenerator
+from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import Array, compose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -157,7 +158,21 @@ def sample_start(
         check_array(value, shape, f"{subject}: sampled {name}")
         if name != "joint_positions" and not are_unit(value):
             raise KinfeasError(f"{subject}: sampled {name} has no unit quaternion")
+    if start.solids is not None:
+        _check_solids(start.solids, f"{subject}: sampled solids")
     return start
+
+
+def _check_solids(solids: Solids, what: str) -> None:
+    places = np.shape(solids.pose)[1]
+    if places > MOST_SOLIDS:
+        raise KinfeasError(f"{what}: {places} places; at most {MOST_SOLIDS} are allowed")
+    for name, shape in (("pose", (3,)), ("size", (4,)), ("velocity", (2,)), ("span", ())):
+        check_array(getattr(solids, name), (1, places, *shape), f"{what}.{name}")
+    if solids.cylinder.shape != (1, places):
+        raise KinfeasError(f"{what}.cylinder has shape {solids.cylinder.shape}, not {(1, places)}")
+    if np.any(solids.size[..., :2] < 0.0) or np.any(solids.size[..., 3] < solids.size[..., 2]):
+        raise KinfeasError(f"{what}.size has a negative extent")
 
 
 def build_subgoals(subgoals: Sequence[Subgoal]) -> tuple[SubgoalMotion, ...]:

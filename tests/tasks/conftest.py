@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.core.start import Start
+from kinfeas.core.start import stacked
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 
@@ -19,7 +19,7 @@ def sample(hsr):
 
     def draw(task, n=300):
         episodes = [task.sample(hsr, np.random.default_rng((0, i))) for i in range(n)]
-        return Start(*(np.array([vars(one)[key] for one in episodes]) for key in vars(episodes[0])))
+        return stacked(episodes)
 
     return draw
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import IDENTITY, compose
-from kinfeas.core.start import Start
+from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
@@ -114,12 +115,21 @@ LONG = np.array([0, 0, 0, 0, 0, 0, 1.01])
         ("base_pose", IDENTITY.astype(str)), ("base_pose", LONG),
         ("joint_positions", np.zeros(2)), ("joint_positions", np.full(5, np.inf)),
         ("target_poses", np.tile(IDENTITY, (3, 1))), ("target_poses", np.zeros((1, 7))),
+        ("solids", Solids.empty(2)), ("solids", Solids.empty(1, MOST_SOLIDS + 1)),
+        ("solids", replace(Solids.empty(1, 2), size=np.full((1, 2, 4), -1.0))),
     ],
 )  # fmt: skip
 def test_malformed_episodes_raise(hsr, sound, key, value):
     assert sample_start(Given(sound), hsr, RNG) is sound
     with pytest.raises(KinfeasError, match=f"'given'.*{key}"):
         sample_start(Given(replace(sound, **{key: value})), hsr, RNG)
+
+
+def test_stacked_starts_join_their_solids(sound):
+    box = replace(Solids.empty(1, 1), size=np.array([[[0.5, 0.5, 0.0, 1.0]]]))
+    assert stacked([sound, sound]).solids is None
+    joined = stacked([sound, replace(sound, solids=box), replace(sound, solids=Solids.empty(1, 3))])
+    np.testing.assert_array_equal(joined.solids.size[:, :, 3], [[0, 0, 0], [1, 0, 0], [0, 0, 0]])
 
 
 def test_plugins_are_named_and_staged_tasks_know_their_row(hsr, sound):
