@@ -13,6 +13,7 @@ from typer.exceptions import TyperException
 from kinfeas import __version__
 from kinfeas.cli.benchmark import benchmark
 from kinfeas.cli.ceiling import ceiling
+from kinfeas.cli.dataset import dataset
 from kinfeas.cli.demo import demo
 from kinfeas.cli.deploy import deploy
 from kinfeas.cli.evaluate import evaluate
@@ -38,7 +39,7 @@ app = typer.Typer(
 )
 for _command in (
     demo, train, sweep, evaluate, benchmark, ceiling, speed, export, push, pull, deploy, servo,
-    play, simulate, view, fit,
+    play, simulate, view, fit, dataset,
 ):  # fmt: skip
     app.command()(_command)
 app.add_typer(plugins, name="plugins")

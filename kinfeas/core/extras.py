@@ -22,6 +22,7 @@ EXTRAS = {
     "wandb": ("wandb",),
     "mlflow": ("mlflow",),
     "hub": ("huggingface_hub",),
+    "lerobot": ("pyarrow",),
 }
 """Names under which the packages of each extra are imported."""
 

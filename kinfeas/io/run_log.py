@@ -146,6 +146,12 @@ class Recorder:
             self.path.unlink(missing_ok=True)
 
 
+def is_record(path: Path) -> bool:
+    """Return whether a file begins as a run log does."""
+    with path.open("rb") as file:
+        return file.read(len(_FORMAT) + 2) == f"# {_FORMAT}".encode()
+
+
 def read_record(path: Path) -> Record:
     """Return a run log without an incomplete last line; raise KinfeasError on invalid ones."""
     with reading(path):

@@ -2,6 +2,10 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
+
+from kinfeas.io.demonstrations import demonstration_files, read_demonstration
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "target_source.py"
 
 
@@ -18,3 +22,10 @@ def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
     lines = [line.split(",") for line in (tmp_path / "run.csv").read_text().splitlines()[1:]]
     column = lines[0].index("desired.y")
     assert lines[1][column] != lines[-1][column]
+    kinfeas("dataset", "run.csv", "--out", "shown", "--kind", "csv", code=0)
+    (shown,) = map(read_demonstration, demonstration_files(tmp_path / "shown"))
+    assert np.ptp(shown.ee_pose[:, 1]) > 1e-3
+    assert shown.has_base
+    kinfeas("dataset", "shown", "run.csv", "--out", "set", code=0)
+    about = json.loads((tmp_path / "set/meta/info.json").read_text())
+    assert about["total_episodes"] == 2

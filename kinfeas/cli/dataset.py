@@ -1,0 +1,77 @@
+"""`kinfeas dataset`: demonstrations and runs of servo as a LeRobot dataset, or as CSV files."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from kinfeas.cli.output import print_facts, status
+from kinfeas.core.extras import require
+
+if TYPE_CHECKING:
+    from kinfeas.io.demonstrations import Demonstration
+
+
+def dataset(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(help="Demonstrations, records of servo and deploy, or folders of them."),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
+    kind: Annotated[
+        Literal["lerobot", "csv"],
+        typer.Option(help="LeRobot dataset v3.0, or a CSV file for each motion, for kinfeas fit."),
+    ] = "lerobot",
+    task: Annotated[str, typer.Option(help="Instruction in words.")] = "Follow the motion.",
+    robot: Annotated[str | None, typer.Option(help="Type of the robot.")] = None,
+    fps: Annotated[int, typer.Option(min=1, max=1000, help="Frames per second.")] = 30,
+) -> None:
+    """Convert recorded motions for learning.
+
+    Poses are those of the tool tip and of the base. The object of a record is the tool tip's last
+    pose.
+
+    Example: kinfeas dataset demonstrations --out datasets/reach --task "Reach the shelf."
+    """
+    from kinfeas.core.errors import KinfeasError
+    from kinfeas.io.demonstrations import demonstration_files, write_demonstration
+    from kinfeas.io.lerobot import write_lerobot_dataset
+
+    if kind == "lerobot":
+        require("pyarrow")
+    if out.exists():
+        raise KinfeasError(f"{out}: exists")
+    with status("converting"):
+        files = [demonstration_files(one) if one.is_dir() else [one] for one in sources]
+        shown = [_read(file) for some in files for file in some]
+        if kind == "lerobot":
+            write_lerobot_dataset(shown, out, task, robot, fps)
+        else:
+            out.mkdir(parents=True)
+            for number, one in enumerate(shown, 1):
+                write_demonstration(one, out / f"{number:03}.csv")
+    seconds = sum(float(one.time[-1] - one.time[0]) for one in shown)
+    print_facts(f"{kind} in {out}", {"motions": len(shown), "seconds": seconds})
+
+
+def _read(path: Path) -> "Demonstration":
+    """Return a demonstration, or the tool tip's motion in a record."""
+    import numpy as np
+
+    from kinfeas.control.execution import tool_pose
+    from kinfeas.core import spatial
+    from kinfeas.io.demonstrations import Demonstration, read_demonstration
+    from kinfeas.io.files import reading
+    from kinfeas.io.run_log import is_record, read_record
+    from kinfeas.kinematics.forward import forward
+    from kinfeas.kinematics.ik import IkSolver
+    from kinfeas.robots.loading import load_robot
+
+    with reading(path):
+        if not is_record(path):
+            return read_demonstration(path)
+    run = read_record(path)
+    robot = load_robot(run.about.robot)
+    ee = spatial.compose(run.base_pose, forward(IkSolver(robot).chain, run.joint_positions))
+    tool = spatial.compose(ee, tool_pose(robot))
+    return Demonstration(run.time, tool, run.base_pose, np.repeat(tool[-1:], len(tool), axis=0))

@@ -1,0 +1,156 @@
+"""Demonstrations as a LeRobot dataset, format v3.0: Parquet files and JSON below `meta/`.
+
+Source of the format: `lerobot.datasets` of LeRobot 0.6, which this module does not need.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Slerp
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.spatial import Array, canonical, make_pose, rotation
+from kinfeas.io.demonstrations import Demonstration, columns
+from kinfeas.io.files import writing
+
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+
+
+def write_lerobot_dataset(
+    demonstrations: Sequence[Demonstration],
+    folder: Path,
+    task: str,
+    robot: str | None = None,
+    fps: int = 30,
+) -> None:
+    """Write a new folder with an episode for each demonstration, resampled to `fps` frames/s.
+
+    `observation.state` has the poses of the EE and of the base, if that was recorded in all of
+    them; `observation.environment_state` has the pose of the object; `action` is the pose of the
+    EE one frame later. Quaternions are xyzw with w >= 0. `task` is the instruction in words,
+    `robot` the type of the robot.
+
+    Raises:
+        KinfeasError: If there are no demonstrations, or the folder exists or cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    if not demonstrations:
+        raise KinfeasError("there must be at least one demonstration to write")
+    state = ["ee_pose", *(["base_pose"] if all(one.has_base for one in demonstrations) else [])]
+    features = {
+        "observation.state": [name for pose in state for name in columns(pose)],
+        "observation.environment_state": columns("object_pose"),
+        "action": columns("ee_pose"),
+    }
+    episodes = [_frames(one, state, fps) for one in demonstrations]
+    ends = np.cumsum([len(one["action"]) for one in episodes])
+    tables, rows = [], []
+    for number, (frames, end) in enumerate(zip(episodes, ends, strict=True)):
+        begin = end - len(frames["action"])
+        count = np.arange(end - begin)
+        frames |= {
+            "timestamp": (count / fps).astype(np.float32), "frame_index": count,
+            "episode_index": np.full_like(count, number), "index": begin + count,
+            "task_index": np.zeros_like(count),
+        }  # fmt: skip
+        tables.append(pa.table({name: _column(values) for name, values in frames.items()}))
+        statistics = {
+            f"stats/{name}/{key}": value
+            for name, values in frames.items()
+            for key, value in _statistics(values).items()
+        }
+        rows.append({
+            "episode_index": number, "tasks": [task], "length": end - begin,
+            "data/chunk_index": 0, "data/file_index": 0,
+            "dataset_from_index": begin, "dataset_to_index": end, **statistics,
+            "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
+        })  # fmt: skip
+    whole = {name: np.concatenate([one[name] for one in episodes]) for name in episodes[0]}
+    about = {
+        "codebase_version": "v3.0", "robot_type": robot, "fps": fps,
+        "total_episodes": len(episodes), "total_frames": int(ends[-1]), "total_tasks": 1,
+        "chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200,
+        "splits": {"train": f"0:{len(episodes)}"},
+        "data_path": f"data/{_FILE}", "video_path": None,
+        "features": {
+            name: {
+                "dtype": values.dtype.name,
+                "shape": [1] if values.ndim == 1 else [values.shape[1]],
+                "names": features.get(name),
+            }
+            for name, values in whole.items()
+        },
+    }  # fmt: skip
+    with writing(folder):
+        meta, first = folder / "meta", _FILE.format(chunk_index=0, file_index=0)
+        folder.mkdir(parents=True)
+        for path in (folder / "data" / first, meta / "episodes" / first):
+            path.parent.mkdir(parents=True)
+        with parquet.ParquetWriter(folder / "data" / first, tables[0].schema) as file:
+            for table in tables:
+                file.write_table(table)
+        parquet.write_table(pa.Table.from_pylist(rows), meta / "episodes" / first)
+        parquet.write_table(_tasks(task), meta / "tasks.parquet")
+        stats = {name: _statistics(values) for name, values in whole.items()}
+        for name, content in (("info", about), ("stats", stats)):
+            (meta / f"{name}.json").write_text(json.dumps(content, indent=4), encoding="utf-8")
+
+
+def _frames(shown: Demonstration, state: list[str], fps: int) -> dict[str, Any]:
+    """Return states, object poses and actions at even times, without the last moment."""
+    seconds = shown.time[-1] - shown.time[0]
+    times = shown.time[0] + np.arange(max(2, int(seconds * fps + 1e-6) + 1)) / fps
+    poses = {name: _at(times, shown.time, getattr(shown, name)) for name in (*state, "object_pose")}
+    return {
+        "observation.state": np.concatenate([poses[name][:-1] for name in state], axis=1),
+        "observation.environment_state": poses["object_pose"][:-1],
+        "action": poses["ee_pose"][1:],
+    }
+
+
+def _at(times: Array, known: Array, poses: Array) -> Any:
+    """Return poses (m, 7) at `times`, interpolated between those (t, 7) at known times."""
+    times = np.clip(times, known[0], known[-1])
+    position = np.stack([np.interp(times, known, one) for one in poses[:, :3].T], axis=1)
+    pose = make_pose(position, Slerp(known, rotation(poses))(times))
+    pose[:, 3:] = canonical(pose[:, 3:])
+    return pose.astype(np.float32)
+
+
+def _column(values: Any) -> Any:
+    import pyarrow as pa
+
+    if values.ndim == 1:
+        return pa.array(values)
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+def _statistics(values: Any) -> dict[str, Any]:
+    rows = values.reshape(len(values), -1).astype(np.float64)
+    found = {
+        "min": rows.min(axis=0), "max": rows.max(axis=0), "mean": rows.mean(axis=0),
+        "std": rows.std(axis=0), "count": np.array([len(rows)]),
+    }  # fmt: skip
+    found |= {key: np.quantile(rows, share, axis=0) for key, share in _QUANTILES.items()}
+    return {key: value.tolist() for key, value in found.items()}
+
+
+def _tasks(task: str) -> Any:
+    """Return the table of the tasks, whose index in pandas is the text."""
+    import pyarrow as pa
+
+    index = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"}
+    number = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64"}
+    described = {
+        "index_columns": ["task"], "column_indexes": [], "pandas_version": "2.0.0",
+        "columns": [{**number, "numpy_type": "int64", "metadata": None},
+                    {**index, "metadata": None}],
+    }  # fmt: skip
+    table = pa.table({"task_index": pa.array([0]), "task": pa.array([task])})
+    return table.replace_schema_metadata({"pandas": json.dumps(described)})
