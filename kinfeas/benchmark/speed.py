@@ -200,7 +200,7 @@ def measure_levels(robot: str) -> Iterator[Figure]:
 def random_network(robot: Robot, width: int = 256) -> Network:
     """Return an untrained network of two hidden layers for a robot."""
     rng = np.random.default_rng(0)
-    sizes = (observation.size(robot), width, width, drive.action_size(robot.base))
+    sizes = (observation.size(robot), width, width, drive.command_size(robot.base))
     return Network(
         scale=observation.scale(robot).astype(np.float32),
         weights=tuple(

@@ -7,7 +7,7 @@ from kinfeas.kinematics.ik import IkSolution, IkSolver
 from kinfeas.robots.robot import Base
 
 
-def action_size(base: Base) -> int:
+def command_size(base: Base) -> int:
     """Return the size of a base command: 3 (v_x, v_y, omega) or 2 (v, omega)."""
     return 3 if base.drive == "omnidirectional" else 2
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import KinematicStep, action_size
+from kinfeas.control.drive import KinematicStep, command_size
 from kinfeas.control.execution import (
     GRASP_METRES,
     RECONFIGURATION_SECONDS,
@@ -15,14 +15,22 @@ from kinfeas.control.execution import (
     SubgoalMotion,
 )
 from kinfeas.control.motion_sequence import MotionSequence
-from kinfeas.control.observation import HORIZON, OBSERVATION, Seen, observe
+from kinfeas.control.observation import (
+    ACTION,
+    HORIZON,
+    OBSERVATION,
+    Seen,
+    action_size,
+    observe,
+    split_action,
+)
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
-from kinfeas.core.motion import Rows
+from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
@@ -115,7 +123,8 @@ class Loop:
         self.next_desired: Array = np.empty((0, 7))
         self.velocity_constraints: Any = None
         self.solved: tuple[Array, Array, IkSolution] | None = None
-        self._terms = OBSERVATION
+        self.observation_terms, self.action_terms = OBSERVATION, ACTION
+        self.previous_command: Array = np.empty((0, self.command_size))
         self._motion_time = dt * execution.time_scale
         # Once, since protocols are checked by looking up each of their members.
         self._stochastic = backend if isinstance(backend, Stochastic) else None
@@ -126,10 +135,11 @@ class Loop:
         self.joint_command: Array = np.empty((0, len(self.robot.arm)))
 
     def set_policy(self, policy: Policy) -> None:
-        """Use a policy: its observation terms, and its `reset` at each start if it has one."""
+        """Use a policy: its terms, and its `reset` at each start if it has one."""
         self.policy = policy
         self._recurrent = policy if isinstance(policy, RecurrentPolicy) else None
-        self._terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
+        self.observation_terms = tuple(getattr(policy, "observation_terms", OBSERVATION))
+        self.action_terms = tuple(getattr(policy, "action_terms", ACTION))
 
     def start(
         self, start: Start, rngs: Sequence[np.random.Generator], rows: Rows | None = None
@@ -156,10 +166,12 @@ class Loop:
         joints = state.joint_positions.copy()
         if rows is None:
             self.periods, self._waited = np.zeros((2, len(joints)), dtype=np.intp)
+            self.previous_command = np.zeros((len(joints), self.command_size))
         else:
             others = np.setdiff1d(np.arange(len(joints)), rows)
             joints[others] = self.joint_command[others]
             self.periods[rows] = self._waited[rows] = 0
+            self.previous_command = with_rows(self.previous_command, rows, np.array(0.0))
         self.joint_command = joints
         self.time_scale = self._full_scale = np.ones(len(joints))
         if self.target_stream is not None:
@@ -178,13 +190,17 @@ class Loop:
         at the desired pose, after the dwell time.
 
         Args:
-            action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+            action: Action terms in [-1, 1], shape (n, a).
         """
         sequence, before = self.sequence, self.joint_command
         self.paused = self._find_paused() if self._arm_settle_timeout else None
         self.time_scale = self._full_scale
-        self.next_desired = sequence.next_desired(self._next, self.paused)
-        command = self._filtered(action)
+        command, time_scale = split_action(action, self.action_terms)
+        if time_scale is None:
+            self.next_desired = sequence.next_desired(self._next, self.paused)
+        else:
+            self.slow_down(time_scale)
+        self.previous_command = command = self._filtered(command)
         sequence.move(self._next, self.paused)
         twist, arm = self._solve(command)
         self.joint_command = arm.joint_positions
@@ -240,6 +256,7 @@ class Loop:
             "base_pose": self.state.base_pose,
             "joint_positions": self.state.joint_positions,
             "joint_command": self.joint_command,
+            "previous_command": self.previous_command,
             "periods": self.periods.copy(),
             "waited": self._waited.copy(),
             **self.sequence.snapshot(),
@@ -251,6 +268,7 @@ class Loop:
         self.sequence.restore(snapshot)
         self._measure(backend.restore(snapshot))
         self.joint_command = snapshot["joint_command"].copy()
+        self.previous_command = snapshot["previous_command"].copy()
         self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
         self.time_scale = self._full_scale = np.ones(len(self.joint_command))
         if self.target_stream is not None:
@@ -261,8 +279,13 @@ class Loop:
 
     @property
     def action_size(self) -> int:
+        """Count of numbers in the policy's action."""
+        return action_size(self.robot, self.action_terms)
+
+    @property
+    def command_size(self) -> int:
         """Count of numbers that command the base."""
-        return action_size(self.robot.base)
+        return command_size(self.robot.base)
 
     @property
     def desired(self) -> Array:
@@ -347,8 +370,9 @@ class Loop:
         self._next = self.sequence.plan(self._motion_time)
         self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
-        seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
-        self.observation = observe(seen, self._terms)
+        before = self.previous_command
+        seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints, before)
+        self.observation = observe(seen, self.observation_terms)
         if time_scale != 1.0:
             twist = spatial.twist_between(self.desired, self.planned, HORIZON)
             self.planned = spatial.integrate(self.desired, twist, HORIZON * time_scale)

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.drive import action_size
+from kinfeas.control.drive import command_size
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
 from kinfeas.core.spatial import IDENTITY, Array, integrate, relative, twist_between
@@ -31,16 +32,24 @@ class Seen:
             contains the tracking error.
         rotation: Rotation change over `HORIZON` seconds, shape (n, 4).
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
+        previous_command: Base command of the last period, shape (n, c), where a term needs it.
     """
 
     def __init__(
-        self, base_pose: Array, ee_in_base: Array, planned: Array, goal: Array, joints: Array
+        self,
+        base_pose: Array,
+        ee_in_base: Array,
+        planned: Array,
+        goal: Array,
+        joints: Array,
+        previous_command: Array | None = None,
     ) -> None:
         """Compute the relative poses.
 
         `base_pose`, `planned` (the EE's in `HORIZON` seconds) and `goal` are world poses, shape
         (n, 7); `ee_in_base` is achieved. Joints have shape (n, j).
         """
+        self.previous_command = previous_command
         self.ee, self.goal, self.joint_positions = ee_in_base, relative(goal, base_pose), joints
         catch_up = twist_between(ee_in_base, relative(planned, base_pose), HORIZON)
         self.velocity = catch_up[:, :3]
@@ -52,20 +61,20 @@ class ObservationTerm:
     """A named part of an observation.
 
     Attributes:
-        size: Count of numbers; 0 for one number for each arm joint.
+        size: Count of numbers, or a function that returns it for a robot.
         unit: Their unit.
         scale: Factors that bring each number to about unit range, shape (size,) or one for all.
         values: Computes them, shape (n, size).
     """
 
-    size: int
+    size: int | Callable[[Robot], int]
     unit: str
     scale: tuple[float, ...]
-    values: Callable[[Seen], Array]
+    values: Callable[[Seen], Any]
 
     def width(self, robot: Robot) -> int:
         """Return the count of numbers for a robot."""
-        return self.size or len(robot.arm)
+        return self.size if isinstance(self.size, int) else self.size(robot)
 
 
 # An EE at 0.1 m/s and 0.1 rad/s turns by a quaternion of about 0.005 in `HORIZON`.
@@ -78,15 +87,27 @@ TERMS = {
     ),
     "goal_position": ObservationTerm(3, "m", (0.5,), lambda seen: seen.goal[:, :3]),
     "goal_orientation": ObservationTerm(4, QUATERNION, (1.0,), lambda seen: seen.goal[:, 3:]),
-    "joint_positions": ObservationTerm(0, "rad or m", (0.5,), lambda seen: seen.joint_positions),
+    "joint_positions": ObservationTerm(
+        lambda robot: len(robot.arm), "rad or m", (0.5,), lambda seen: seen.joint_positions
+    ),
+    "previous_command": ObservationTerm(
+        lambda robot: command_size(robot.base), "", (1.0,), lambda seen: seen.previous_command
+    ),
 }
 """Observation terms by name; poses and velocities are in the current base frame."""
 
-OBSERVATION = tuple(TERMS)
-"""Terms of the shipped policies, in this order."""
+OBSERVATION = tuple(TERMS)[:7]
+"""Terms of policies by default, in this order."""
 
-ACTION = ("base_velocity",)
-"""Action terms: the base velocity in the base frame, as shares of its limits in [-1, 1]."""
+ACTIONS = ("base_velocity", "time_scale")
+"""Action terms, each number in [-1, 1]: the base velocity in the base frame, as shares of its
+limits, and the share of the planned EE motion that a step carries out, from `SLOWEST` to 1."""
+
+ACTION: tuple[str, ...] = ACTIONS[:1]
+"""Action terms of policies by default."""
+
+SLOWEST = 0.05
+"""Smallest time scale that a policy commands."""
 
 
 def observe(seen: Seen, terms: Sequence[str] = OBSERVATION) -> Array:
@@ -110,25 +131,40 @@ def scaled(observation: Array, factors: NDArray[np.float32]) -> NDArray[np.float
     return np.clip(observation.astype(np.float32) * factors, -CLIP, CLIP)
 
 
+def action_size(robot: Robot, terms: Sequence[str] = ACTION) -> int:
+    """Return the count of numbers in an action of a robot."""
+    return command_size(robot.base) + ("time_scale" in terms)
+
+
+def split_action(action: Array, terms: Sequence[str]) -> tuple[Array, Array | None]:
+    """Return base commands, shape (n, c), and time scales, shape (n,), if they are a term."""
+    if "time_scale" not in terms:
+        return action, None
+    return action[:, :-1], SLOWEST + (1.0 - SLOWEST) * (np.clip(action[:, -1], -1.0, 1.0) + 1.0) / 2
+
+
 def describe_observation(robot: Robot, terms: Sequence[str]) -> tuple[TermInfo, ...]:
     """Return the description of observation terms for a robot."""
     joints = tuple(joint.name for joint in robot.arm)
     return tuple(
         TermInfo(name, len(joints), "joint", TERMS[name].unit, joints)
         if name == "joint_positions"
-        else TermInfo(name, TERMS[name].size, robot.base.frame, TERMS[name].unit)
+        else TermInfo(name, TERMS[name].width(robot), robot.base.frame, TERMS[name].unit)
         for name in terms
     )
 
 
-def describe_action(robot: Robot) -> tuple[TermInfo, ...]:
-    """Return the description of the action terms for a robot."""
+def describe_action(robot: Robot, terms: Sequence[str] = ACTION) -> tuple[TermInfo, ...]:
+    """Return the description of action terms for a robot."""
     base = robot.base
-    linear = ("forward", "left")[: action_size(base) - 1]
+    linear = ("forward", "left")[: command_size(base) - 1]
     scale = (*(base.max_velocity for _ in linear), base.max_rotation)
     entries = (*linear, "turn")
     unit = "m/s, turn in rad/s"
-    return (TermInfo(ACTION[0], len(entries), base.frame, unit, entries, scale),)
+    velocity = TermInfo("base_velocity", len(entries), base.frame, unit, entries, scale)
+    slowest = f"share of the planned motion, {SLOWEST:g} at -1"
+    pace = TermInfo("time_scale", 1, robot.ee_frame, slowest, ("time_scale",), (1.0,))
+    return (velocity, pace) if "time_scale" in terms else (velocity,)
 
 
 def check_terms(found: Sequence[TermInfo], known: Sequence[str], key: str) -> tuple[str, ...]:

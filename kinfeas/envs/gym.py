@@ -163,8 +163,9 @@ def observation_space(world: World) -> "spaces.Box[np.float32]":
         "planned_velocity": _FARTHEST / HORIZON,
         "goal_position": _FARTHEST,
     }
-    poses = [name for name in OBSERVATION if name != "joint_positions"]
-    fields = np.concatenate([np.full(TERMS[name].size, bounds.get(name, 1.0)) for name in poses])
+    sizes = {name: TERMS[name].width(world.robot) for name in OBSERVATION}
+    del sizes["joint_positions"]
+    fields = np.concatenate([np.full(k, bounds.get(name, 1.0)) for name, k in sizes.items()])
     low, high = world.robot.finite_joint_limits
     beyond = 0.0 if world.config.backend == "analytic" else _BEYOND
     beyond += _NOISE if world.config.adapters else 0.0

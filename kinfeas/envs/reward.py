@@ -32,6 +32,7 @@ class RewardConfig:
         limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
         deviation_penalty: Cost of a step with the EE 5 cm or more from its desired position; less,
             with the square of the distance, where it is nearer.
+        slow_penalty: Factor on the squared share of the planned motion that a step leaves out.
     """
 
     failure: Literal["indicator", "graded"] = "graded"
@@ -40,6 +41,7 @@ class RewardConfig:
     limit_penalty: NotNegative = 0.02
     limit_margin: PositiveShare = 0.2
     deviation_penalty: NotNegative = 0.0
+    slow_penalty: NotNegative = 0.0
 
 
 def reward(
@@ -66,6 +68,8 @@ def reward(
         step.feasible, step.position_error, step.rotation_error, step.deviation, step.joint_jump,
         np.ascontiguousarray(action), np.ascontiguousarray(joint_positions), lower, upper, earned,
     )  # fmt: skip
+    if config.slow_penalty > 0.0:
+        earned -= config.slow_penalty * np.square(1.0 - step.time_scale)
     return earned
 
 

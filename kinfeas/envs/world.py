@@ -12,7 +12,6 @@ from kinfeas.config import PluginSpec, from_mapping
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.config.recipes import section
 from kinfeas.control.adapters import execution_of, wrap
-from kinfeas.control.drive import action_size
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.filters import build_filters
 from kinfeas.control.loop import Loop, Step
@@ -159,8 +158,8 @@ class World:
 
     @property
     def action_size(self) -> int:
-        """Length of a base command."""
-        return action_size(self.robot.base)
+        """Length of an action."""
+        return self.loop.action_size
 
     def rng(self, episode: int) -> np.random.Generator:
         """Return the random generator of an episode, at its beginning."""
@@ -198,7 +197,7 @@ class World:
         """Advance all n episodes by one control period.
 
         Args:
-            action: Base commands in [-1, 1], shape (n, 3) or (n, 2).
+            action: Action terms in [-1, 1], shape (n, a).
         """
         action, loop = np.clip(action, -1.0, 1.0), self.loop
         way = planned_way = None

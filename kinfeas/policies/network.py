@@ -1,7 +1,7 @@
 """Trained networks of base policies, evaluated without torch."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from kinfeas.control.drive import action_size
 from kinfeas.control.observation import (
     ACTION,
+    ACTIONS,
     OBSERVATION,
     TERMS,
+    action_size,
     check_terms,
     describe_action,
     describe_observation,
+    scale,
     scaled,
     size,
 )
@@ -31,6 +33,9 @@ from kinfeas.io.policy_metadata import Trained, policy_folder, read_trained, wri
 from kinfeas.robots.robot import Robot, fingerprint
 
 WEIGHTS = "policy.safetensors"
+
+_FULL = 2.0
+"""Bias of a new output, whose tangent is nearly 1."""
 
 # Exceptions of truncated or foreign files, and of types that NumPy lacks.
 _BROKEN = (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError)
@@ -47,15 +52,17 @@ class Network:
         weights: Weights of each layer, shape (inputs, outputs), float32.
         biases: Biases of each layer, shape (outputs,), float32.
         observation_terms: Names of its observation terms, in order.
+        action_terms: Names of its action terms, in order.
     """
 
     scale: NDArray[np.float32]
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
     observation_terms: tuple[str, ...] = OBSERVATION
+    action_terms: tuple[str, ...] = ACTION
 
     def act(self, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1], shape (n, actions)."""
+        """Return actions in [-1, 1], shape (n, actions)."""
         return self(policy_input.observation)
 
     def __call__(self, seen: Array) -> Array:
@@ -67,6 +74,30 @@ class Network:
             _layer(values, weight, bias, i < last, out)
             values = out
         return np.tanh(values).astype(np.float64)
+
+    def widened(self, robot: Robot, observation: Sequence[str], action: Sequence[str]) -> "Network":
+        """Return a network with more terms that have no effect yet: a new time scale is nearly 1.
+
+        Raises:
+            KinfeasError: If the first terms are not those of this network.
+        """
+        known = self.observation_terms, self.action_terms
+        begin = tuple(observation[: len(known[0])]), tuple(action[: len(known[1])])
+        if begin != known:
+            raise KinfeasError(f"the policy has the terms {known}, not {begin}")
+        rows = size(robot, observation) - len(self.scale)
+        columns = action_size(robot, action) - len(self.biases[-1])
+        first, *others = self.weights
+        weights = [np.pad(first, ((0, rows), (0, 0))), *others]
+        weights[-1] = np.pad(weights[-1], ((0, 0), (0, columns)))
+        biases = [*self.biases[:-1], np.pad(self.biases[-1], (0, columns), constant_values=_FULL)]
+        return Network(
+            scale(robot, observation).astype(np.float32),
+            tuple(weights),
+            tuple(biases),
+            tuple(observation),
+            tuple(action),
+        )
 
     def equals(self, other: "Network") -> bool:
         """Return whether both networks have equal weights and biases."""
@@ -89,7 +120,7 @@ def write_network(network: Network, folder: Path, robot: Robot, known: Mapping[s
         layers=len(network.weights),
         kinematics=fingerprint(robot),
         observation=describe_observation(robot, network.observation_terms),
-        action=describe_action(robot),
+        action=describe_action(robot, network.action_terms),
         **known,
     )
     write_trained(trained, folder)
@@ -114,7 +145,6 @@ def read_network(folder: Path, robot: Robot) -> Network:
     """
     place = policy_folder(folder)
     trained = read_trained(place)
-    check_terms(trained.action, ACTION, f"{place}: action")
     try:
         tensors = load_file(place / WEIGHTS)
         network = Network(
@@ -122,6 +152,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
             tuple(tensors[f"weight.{i}"] for i in range(trained.layers)),
             tuple(tensors[f"bias.{i}"] for i in range(trained.layers)),
             check_terms(trained.observation, tuple(TERMS), f"{place}: observation"),
+            check_terms(trained.action, ACTIONS, f"{place}: action"),
         )
     except _BROKEN as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
@@ -131,7 +162,10 @@ def read_network(folder: Path, robot: Robot) -> Network:
 
 
 def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) -> None:
-    wanted = (size(robot, network.observation_terms), action_size(robot.base))
+    wanted = (
+        size(robot, network.observation_terms),
+        action_size(robot, network.action_terms),
+    )
     found = (len(network.scale), len(network.biases[-1]))
     if trained.robot != robot.name or found != wanted:
         raise KinfeasError(

@@ -14,7 +14,7 @@ import numpy as np
 
 from kinfeas import config
 from kinfeas.control.observation import (
-    ACTION,
+    ACTIONS,
     HORIZON,
     TERMS,
     check_terms,
@@ -106,6 +106,7 @@ class OnnxPolicy:
     Attributes:
         metadata: Description of the policy.
         observation_terms: Names of its observation terms, in order.
+        action_terms: Names of its action terms, in order.
 
     Raises:
         KinfeasError: If `kinfeas export` did not write the bytes, they were changed, or the
@@ -123,13 +124,13 @@ class OnnxPolicy:
         self.observation_terms = check_terms(
             self.metadata.observation, tuple(TERMS), "its observation"
         )
-        check_terms(self.metadata.action, ACTION, "its action")
+        self.action_terms = check_terms(self.metadata.action, ACTIONS, "its action")
         self._actions = sum(term.size for term in self.metadata.action)
         self._check_sizes()
         self._check_golden_pairs()
 
     def act(self, policy_input: PolicyInput) -> Array:
-        """Return base commands in [-1, 1], shape (n, actions)."""
+        """Return actions in [-1, 1], shape (n, actions)."""
         return self(policy_input.observation)
 
     def __call__(self, observation: Array) -> Array:
@@ -161,7 +162,8 @@ class OnnxPolicy:
                 f"{wanted.kinematics[:15]!r} here, {found.kinematics[:15]!r} in the file"
             )
         observation = describe_observation(robot, self.observation_terms)
-        here = wanted, observation, describe_action(robot), HORIZON
+        action = describe_action(robot, self.action_terms)
+        here = wanted, observation, action, HORIZON
         if here != (found, metadata.observation, metadata.action, metadata.control.horizon):
             raise KinfeasError("its observation or action differs from this version's of kinfeas")
 

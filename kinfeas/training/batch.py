@@ -37,7 +37,8 @@ class Batch:
 
     def __post_init__(self) -> None:
         """Set the scale of the observations."""
-        self.scale = observation.scale(self.world.robot).astype(np.float32)
+        terms = self.world.loop.observation_terms
+        self.scale = observation.scale(self.world.robot, terms).astype(np.float32)
         self._saves_world = isinstance(self.world.backend, Resumable)
 
     def start(self) -> NDArray[np.float32]:

@@ -15,6 +15,7 @@ from kinfeas.config.quantities import (
     PositiveShare,
     Share,
 )
+from kinfeas.control.observation import ACTION, ACTIONS, OBSERVATION, TERMS
 from kinfeas.envs.world import WorldConfig
 
 
@@ -102,11 +103,13 @@ class TrainConfig:
         action_repeat: Control periods of an action while learning, for exploration over longer
             times and a longer horizon. In an evaluation and on a robot each period has its own
             action.
+        observation: Observation terms of the policy, in order.
+        action: Action terms of the policy.
         world: Control period, limits of an episode, adapters, reward and IK.
         trackers: Where the curves of a run are shown, beside `metrics.csv`; `wandb` and `mlflow`
             are extras.
         init: Policy to start from: a run, a checkpoint or `pretrained`; null for none. It sets
-            `learner.net_arch`.
+            `learner.net_arch`; terms that it lacks have no effect at first.
         learner: Algorithm and hyperparameters.
         schedule: Length, evaluations and checkpoints.
     """
@@ -118,6 +121,8 @@ class TrainConfig:
     num_envs: Annotated[int, Interval(ge=1, le=65_536)] = 256
     processes: Annotated[int, Interval(ge=1, le=MOST_PROCESSES)] = 1
     action_repeat: Annotated[int, Interval(ge=1, le=1000)] = 1
+    observation: tuple[str, ...] = OBSERVATION
+    action: tuple[str, ...] = ACTION
     world: WorldConfig = field(default_factory=WorldConfig)
     trackers: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ("tensorboard",)
     init: str | None = None
@@ -125,8 +130,16 @@ class TrainConfig:
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
 
     def __post_init__(self) -> None:
-        """Check that each process has an environment."""
+        """Check that each process has an environment, and the names of the terms."""
         if self.processes > self.num_envs:
             raise ValueError(
                 f"'processes' must be at most 'num_envs', {self.num_envs}, not {self.processes}"
             )
+        for key, names, known in (
+            ("observation", self.observation, tuple(TERMS)),
+            ("action", self.action, ACTIONS),
+        ):
+            if not names or not set(names) <= set(known) or len(set(names)) < len(names):
+                raise ValueError(f"'{key}' must have some of {', '.join(known)}, each once")
+        if self.action[0] != ACTION[0]:
+            raise ValueError(f"'action' must begin with {ACTION[0]}")

@@ -127,13 +127,15 @@ def _diverged(learner: Learner) -> bool:
     return not bool(torch.isfinite(nn.utils.get_total_norm(weights)))
 
 
-def network_of(learner: Learner, scale: NDArray[np.float32]) -> Network:
+def network_of(learner: Learner, env: EpisodesVecEnv) -> Network:
     """Return the learner's deterministic actor as a network that runs without torch."""
     linear = _layers(learner)
     return Network(
-        scale,
+        env.scale,
         tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
         tuple(layer.bias.detach().numpy().copy() for layer in linear),
+        env.observation_terms,
+        env.action_terms,
     )
 
 
@@ -151,7 +153,7 @@ def save_policy(model: Learner, env: EpisodesVecEnv, folder: Path) -> None:
     others = {type(m).__name__ for m in model.actor.modules() if type(m).__module__ in _ACTIVATIONS}
     if not others <= {"ReLU", "Tanh"} or (isinstance(model, SAC) and "Tanh" in others):
         raise KinfeasError(f"the actor must have ReLU layers, not {', '.join(sorted(others))}")
-    write_network(network_of(model, env.scale), folder, env.robot, {"steps": model.num_timesteps})
+    write_network(network_of(model, env), folder, env.robot, {"steps": model.num_timesteps})
 
 
 def take_network(learner: Learner, network: Network, anchor: float = 0.0) -> None:

@@ -227,7 +227,7 @@ class _Run:
     def _evaluate(self, evaluator: PeriodicEvaluator, logs: Logs) -> None:
         """Evaluate the policy on fixed episodes; keep it as `best` if none was better."""
         self._losses()
-        network = network_of(self.learner, self.env.scale)
+        network = network_of(self.learner, self.env)
         if self.progress.best >= 0.0 and network.equals(read_network(self.out, self.env.robot)):
             # Still the best one: nothing has been learned since its evaluation.
             self.progress.evaluations = evaluations_due(self.config, self.progress)
@@ -295,7 +295,7 @@ class _Run:
         write_folder(self.out / "checkpoints" / name, fill)
 
     def _write_policy(self, folder: Path, about: dict[str, Any]) -> None:
-        network = network_of(self.learner, self.env.scale)
+        network = network_of(self.learner, self.env)
         write_network(network, folder, self.env.robot, about)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinfeas.control.drive import action_size
+from kinfeas.control.drive import command_size
 from kinfeas.control.targets import RULES, TargetInbox, TargetRules
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
@@ -138,7 +138,7 @@ class TargetController:
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return the command, or zero after the end of the stream."""
-        return command if self.live else np.zeros((1, action_size(self.robot.base)))
+        return command if self.live else np.zeros((1, command_size(self.robot.base)))
 
     def _put(
         self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import action_size, action_toward, base_twist
+from kinfeas.control.drive import action_toward, base_twist, command_size
 from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
 from kinfeas.robots.robot import Base
 
@@ -21,7 +21,7 @@ def random_bases(n, seed=0):
 
 
 def random_actions(base, n, seed=1):
-    return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, action_size(base)))
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, command_size(base)))
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_differential_steers_toward_what_lies_ahead_and_backs_up_to_what_lies_be
 def test_action_toward_stays_within_bounds_and_stands_still_for_nothing(base):
     velocity = np.random.default_rng(4).normal(size=(500, 2))
     action = action_toward(base, random_bases(500), velocity, DT)
-    assert action.shape == (500, action_size(base))
+    assert action.shape == (500, command_size(base))
     assert np.abs(action).max() <= 1.0
     for zero in (0.0, -0.0):
         rest = action_toward(base, random_bases(9), np.full((9, 2), zero), DT)

@@ -70,11 +70,11 @@ def make_loop(solver, n, backend=None, **options):
 
 
 def actions(loop, n, rng):
-    return rng.uniform(-1.0, 1.0, (n, loop.action_size))
+    return rng.uniform(-1.0, 1.0, (n, loop.command_size))
 
 
 def still(loop):
-    return np.zeros((len(loop.desired), loop.action_size))
+    return np.zeros((len(loop.desired), loop.command_size))
 
 
 def test_begins_at_the_ee_with_the_start_configuration(solver):
@@ -365,7 +365,7 @@ def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
     for period in range(10):
         backend.there = period == 7
         before = loop.desired
-        loop.step(np.ones((2, loop.action_size)))
+        loop.step(np.ones((2, loop.command_size)))
         moves.append(np.any(loop.desired != before, axis=1).tolist())
         assert np.any(backend.steps[-1][0] != 0.0, axis=1).tolist() == moves[-1]
     paused, free = [False, True], [True, True]

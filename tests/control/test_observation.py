@@ -3,8 +3,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinfeas.control.observation import (
+    ACTION,
+    ACTIONS,
     HORIZON,
     OBSERVATION,
+    SLOWEST,
     TERMS,
     Seen,
     check_terms,
@@ -13,6 +16,7 @@ from kinfeas.control.observation import (
     observe,
     scale,
     size,
+    split_action,
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
@@ -94,3 +98,11 @@ def test_scales_and_descriptions_have_the_size_of_observations(robot):
     assert action.scale == (robot.base.max_velocity,) * 2 + (robot.base.max_rotation,)
     with pytest.raises(KinfeasError, match=r"file: observation: unknown term 'lidar'"):
         check_terms([TermInfo("lidar", 3, "", "")], tuple(TERMS), "file: observation")
+
+
+def test_a_time_scale_is_the_last_number_of_an_action():
+    action = np.array([[0.5, -0.5, 1.0], [0.2, 0.1, -3.0]])
+    command, scale = split_action(action, ACTIONS)
+    np.testing.assert_array_equal(command, action[:, :2])
+    np.testing.assert_allclose(scale, [1.0, SLOWEST])
+    assert split_action(action, ACTION)[1] is None

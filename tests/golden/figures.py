@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.drive import action_size
+from kinfeas.control.drive import command_size
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter
 from kinfeas.core.backend import ObstacleDistances
 from kinfeas.envs.world import World, evaluation_world
@@ -56,7 +56,7 @@ def obstacle_filter(robot, count=300, obstacles=3):
     angles = rng.uniform(-np.pi, np.pi, (count, obstacles))
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=2)
     distances = rng.uniform(-0.02, 0.4, (count, obstacles))
-    commands = rng.uniform(-1.0, 1.0, (count, 4, action_size(base)))
+    commands = rng.uniform(-1.0, 1.0, (count, 4, command_size(base)))
 
     class Around:
         def obstacle_distances(self, within):

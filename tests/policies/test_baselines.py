@@ -4,7 +4,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
 from kinfeas.kinematics.forward import build_chain, forward, jacobian
@@ -123,7 +123,7 @@ def test_modulation_never_leaves_the_ring():
 
 def test_the_model_of_the_qp_agrees_with_our_kinematics(robot):
     pin = pytest.importorskip("pinocchio")
-    model, chain, carried = qp.build_model(robot), build_chain(robot), action_size(robot.base)
+    model, chain, carried = qp.build_model(robot), build_chain(robot), command_size(robot.base)
     data, frame = model.createData(), model.getFrameId("ee")
     for q in spread_configurations(robot, 20):
         full = np.concatenate([np.zeros(carried), q])

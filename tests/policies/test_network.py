@@ -4,7 +4,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from kinfeas.control.observation import CLIP
+from kinfeas.benchmark.speed import random_network
+from kinfeas.control.observation import ACTIONS, CLIP, OBSERVATION
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.policy_metadata import read_trained, write_trained
 from kinfeas.policies.network import Network, read_network, write_network
@@ -88,3 +89,14 @@ def test_terms_are_those_of_the_file(pr2, tmp_path):
         path.write_text(text.replace(name, "lidar"))
         with pytest.raises(KinfeasError, match=rf"{key}.*lidar"):
             read_network(tmp_path, pr2)
+
+
+def test_new_terms_of_a_widened_network_have_no_effect(hsr):
+    old = random_network(hsr, width=8)
+    wide = old.widened(hsr, (*OBSERVATION, "previous_command"), ACTIONS)
+    seen = np.random.default_rng(0).normal(size=(5, len(wide.scale)))
+    action = wide(seen)
+    np.testing.assert_array_equal(action[:, :-1], old(seen[:, : len(old.scale)]))
+    assert action[:, -1].min() > 0.9
+    with pytest.raises(KinfeasError):
+        old.widened(hsr, OBSERVATION[::-1], ACTIONS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from kinfeas.control.drive import action_size
+from kinfeas.control.drive import command_size
 from kinfeas.control.observation import HORIZON, size
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput
@@ -73,7 +73,7 @@ def test_metadata_describe_the_robot(robot, tmp_path):
     assert sum(term.size for term in found.observation) == size(robot)
     assert found.observation[-1].entries == tuple(joint.name for joint in robot.arm)
     (action,) = found.action
-    limits = [robot.base.max_velocity] * (action_size(robot.base) - 1) + [robot.base.max_rotation]
+    limits = [robot.base.max_velocity] * (command_size(robot.base) - 1) + [robot.base.max_rotation]
     assert list(action.scale) == limits
     assert (found.control.period, found.control.horizon) == (0.1, HORIZON)
     assert found.training["steps"] == 1000

@@ -49,7 +49,7 @@ def test_the_network_acts_as_the_actor_and_is_a_copy(config, env, net_arch, tmp_
             parameter.mul_(3.0)  # so that no action is near 0
     seen = observations(env)
     expected, _ = learner.predict(scaled(seen, env.scale), deterministic=True)
-    network = network_of(learner, env.scale)
+    network = network_of(learner, env)
     found = network(seen)
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found, expected, atol=1e-5)
@@ -93,11 +93,11 @@ def test_hyperparameters_reach_sb3(env, schedule, half, end):
 
 
 def test_a_learner_acts_as_the_network_that_it_takes(config, env):
-    network = network_of(make_learner(config, env, 0), env.scale)
+    network = network_of(make_learner(config, env, 0), env)
     learner = make_learner(config, env, 1)
     take_network(learner, network)
     seen = observations(env)
-    np.testing.assert_array_equal(network_of(learner, env.scale)(seen), network(seen))
+    np.testing.assert_array_equal(network_of(learner, env)(seen), network(seen))
     if config.algorithm == "td3":
         pairs = zip(learner.actor.parameters(), learner.actor_target.parameters(), strict=True)
         assert all(torch.equal(own, target) for own, target in pairs)

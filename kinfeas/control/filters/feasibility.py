@@ -26,7 +26,7 @@ class FeasibilityFilter:
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
         """Use the kinematics of a loop; arguments as in `CommandFilter`."""
         self._loop, self._robot = loop, loop.robot
-        self.candidates: Array = 2.0 * spread(_CANDIDATES, loop.action_size) - 1.0
+        self.candidates: Array = 2.0 * spread(_CANDIDATES, loop.command_size) - 1.0
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands where there are any; arguments as in `CommandFilter`."""

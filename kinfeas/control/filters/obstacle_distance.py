@@ -8,7 +8,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from kinfeas.control.adapters import chain
-from kinfeas.control.drive import action_size, carried_out
+from kinfeas.control.drive import carried_out, command_size
 from kinfeas.control.filters.half_spaces import project
 from kinfeas.core.backend import ObstacleDistances, SupportsObstacleDistances
 from kinfeas.core.errors import KinfeasError, plugin_note
@@ -124,7 +124,7 @@ class ObstacleFilter:
 
 def _full_velocity(base: Base) -> Array:
     """Return the velocities of a full command, shape (a,), m/s."""
-    translations = action_size(base) - 1
+    translations = command_size(base) - 1
     return np.array([*[base.max_velocity] * translations, base.max_rotation * _LEVER])
 
 

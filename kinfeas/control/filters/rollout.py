@@ -72,7 +72,7 @@ class RolloutPlanner:
         if loop is not self._loop:
             self._connect(loop)
         if len(loop.desired) != len(self.offset):
-            self.offset = np.zeros((len(loop.desired), loop.action_size))
+            self.offset = np.zeros((len(loop.desired), loop.command_size))
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return the commands with the offsets; arguments as in `CommandFilter`."""
@@ -87,7 +87,7 @@ class RolloutPlanner:
 
     def plan(self, now: State, due: Rows) -> Array:
         """Return the offsets of least cost for m rows, shape (m, a); the loop is not touched."""
-        best = np.zeros((len(due), self._loop.action_size))
+        best = np.zeros((len(due), self._loop.command_size))
         costs, fails = self._rollout(now, due, best[:, np.newaxis], np.full(len(due), np.inf))
         cost, stuck = costs[:, 0], fails[:, 0]
         # A row that fails now is helped by a nearby sample or, in most cases, by none.
@@ -119,8 +119,8 @@ class RolloutPlanner:
         self._twin.set_policy(self._policy)
         self._every = max(1, round(self.replan_interval / loop.dt))
         # Normally distributed and evenly spread; the first is zero, the policy alone.
-        self._samples = ndtri(spread(self.num_samples, loop.action_size)) * self.noise_std
-        self.offset = np.zeros((0, loop.action_size))
+        self._samples = ndtri(spread(self.num_samples, loop.command_size)) * self.noise_std
+        self.offset = np.zeros((0, loop.command_size))
 
     def _now(self) -> State:
         """Return a copy of the state in control periods of `HORIZON`."""
@@ -147,7 +147,8 @@ class RolloutPlanner:
         cost, over = np.zeros(m * k), np.zeros(m * k, dtype=np.bool_)
         stuck = over.copy()
         for period in range(round(self.horizon / HORIZON)):
-            action = self._policy.act(twin.policy_input) + added[going]
+            action = np.array(self._policy.act(twin.policy_input))
+            action[:, :size] += added[going]
             step = twin.step(np.clip(action, -1.0, 1.0))
             failure = 1.0 + step.position_error + step.rotation_error
             deviates = step.position_error > WITHIN

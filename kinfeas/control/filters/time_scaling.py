@@ -31,12 +31,13 @@ class TimeScalingFilter(FeasibilityFilter):
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands; arguments as in `CommandFilter`."""
         loop, command = self._loop, command.copy()
-        scale, left = np.ones(len(command)), np.arange(len(command))
+        planned, left = loop.time_scale, np.arange(len(command))
+        scale = planned.copy()
         if loop.paused is not None:
             left = left[~loop.paused]
         for share in _SHARES:
             if share < 1.0:
-                scale[left] = share
+                scale[left] = share * planned[left]
                 loop.slow_down(scale.copy())
             inputs = loop.state.base_pose[left], loop.next_desired[left], loop.joint_command[left]
             late = np.flatnonzero(~self._feasible(command[left, np.newaxis], *inputs)[:, 0])

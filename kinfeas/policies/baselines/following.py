@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinfeas.config.recipes import load_section
-from kinfeas.control.drive import action_size, action_toward
+from kinfeas.control.drive import action_toward, command_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array, wrap, yaw
@@ -59,7 +59,7 @@ class Stationary:
 
     def act(self, policy_input: PolicyInput) -> Array:
         """Return zero commands, shape (n, 3) or (n, 2)."""
-        return np.zeros((len(policy_input.base_pose), action_size(self.base)))
+        return np.zeros((len(policy_input.base_pose), command_size(self.base)))
 
 
 def stationary(robot: Robot) -> Stationary:

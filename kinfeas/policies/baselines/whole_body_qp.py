@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.control.drive import action_size
+from kinfeas.control.drive import command_size
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
@@ -48,7 +48,7 @@ class WholeBodyQp:
         """Return base commands in [-1, 1], shape (n, 3) or (n, 2)."""
         joints = policy_input.joint_positions
         targets = relative(policy_input.planned, policy_input.base_pose)
-        actions = np.empty((len(joints), action_size(self.robot.base)))
+        actions = np.empty((len(joints), command_size(self.robot.base)))
         for row, (target, q) in enumerate(zip(targets, joints, strict=True)):
             actions[row] = self._step(target, q)
         return actions
@@ -83,7 +83,7 @@ def build_model(robot: Robot) -> Any:
 
     model, chain = pin.Model(), build_chain(robot)
     base, tree = robot.base, chain.tree
-    carriers = [pin.JointModelPX(), pin.JointModelPY()][: action_size(base) - 1]
+    carriers = [pin.JointModelPX(), pin.JointModelPY()][: command_size(base) - 1]
     carriers.append(pin.JointModelRZ())
     speeds = [*[base.max_velocity] * (len(carriers) - 1), base.max_rotation]
     parent = 0
@@ -114,7 +114,7 @@ def _make_step(robot: Robot) -> Callable[[Array, Array], Array]:
     from pink.tasks import FrameTask, PostureTask
 
     model = build_model(robot)
-    data, carried = model.createData(), action_size(robot.base)
+    data, carried = model.createData(), command_size(robot.base)
     lower, upper, speeds = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
     bounded = np.flatnonzero(np.isfinite(upper))
     middle = (lower[bounded] + upper[bounded]) / 2.0

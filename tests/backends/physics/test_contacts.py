@@ -85,7 +85,7 @@ def test_the_obstacle_filter_stops_the_base_before_a_wall(world, begin, kept):
     ee = spatial.compose(state.base_pose, forward(solver.chain, state.joint_positions))
     start = Start(state.base_pose, state.joint_positions, ee[:, np.newaxis])
     loop.start(start, [np.random.default_rng(0)])
-    back, nearest = np.zeros((1, loop.action_size)), np.inf
+    back, nearest = np.zeros((1, loop.command_size)), np.inf
     back[:, 0] = -1.0
     for _ in range(300):
         loop.step(back)

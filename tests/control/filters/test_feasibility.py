@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kinfeas.config import PluginSpec
-from kinfeas.control.drive import KinematicStep, action_size, base_twist
+from kinfeas.control.drive import KinematicStep, base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
@@ -37,7 +37,7 @@ def loop(solver):
     return SimpleNamespace(
         robot=robot,
         dt=DT,
-        action_size=action_size(robot.base),
+        command_size=command_size(robot.base),
         kinematic_step=KinematicStep(solver, DT),
         state=RobotState(base_pose, joints),
         joint_command=joints,
@@ -50,7 +50,7 @@ def loop(solver):
 
 @pytest.fixture
 def command(loop):
-    return np.random.default_rng(1).uniform(-1.0, 1.0, (ROWS, loop.action_size))
+    return np.random.default_rng(1).uniform(-1.0, 1.0, (ROWS, loop.command_size))
 
 
 def filtered(loop, command):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.control.drive import action_size, base_twist
+from kinfeas.control.drive import base_twist, command_size
 from kinfeas.control.execution import SubgoalMotion
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.filters.obstacle_distance import ObstacleFilter
@@ -88,7 +88,7 @@ def test_no_base_comes_nearer_than_its_distance(robot):
     angle = rng.uniform(-np.pi, np.pi, 9)
     backend = Pillars(*(0.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)))
     loop = loop_among(robot, backend, n)
-    wish, nearest = rng.uniform(-1.0, 1.0, (n, loop.action_size)), np.full(n, np.inf)
+    wish, nearest = rng.uniform(-1.0, 1.0, (n, loop.command_size)), np.full(n, np.inf)
     for step in range(200):
         if step % 50 == 0:
             wish = np.sign(rng.uniform(-1.0, 1.0, wish.shape))
@@ -105,7 +105,7 @@ def test_far_from_obstacles_commands_stay_bit_identical(robot):
     loops = [loop_among(robot, backend, 8), loop_among(robot, plain, 8, [])]
     rng = np.random.default_rng(2)
     for _ in range(20):
-        action = rng.uniform(-2.0, 2.0, (8, loops[0].action_size))
+        action = rng.uniform(-2.0, 2.0, (8, loops[0].command_size))
         for loop in loops:
             loop.step(action)
     np.testing.assert_array_equal(backend.state.base_pose, plain.state.base_pose)
@@ -171,7 +171,7 @@ def test_held_commands_are_within_the_base_limits_and_do_not_depend_on_other_row
     base, joints = start_of(robot, 64)
     backend.reset(base, joints)
     limits = constraints(robot, backend, 64)
-    action = rng.uniform(-2.0, 2.0, (64, 1, action_size(robot.base)))
+    action = rng.uniform(-2.0, 2.0, (64, 1, command_size(robot.base)))
     held = limits.hold(action)
     speed = np.linalg.norm(base_twist(robot.base, base, held[:, 0], DT)[:, :2], axis=1)
     assert speed.max() <= robot.base.max_velocity * (1.0 + 1e-12)
