@@ -13,6 +13,7 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
 from kinfeas.core.checks import CheckedMotion
 from kinfeas.core.motion import Rows, State, merged, of_rows, with_rows
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
@@ -51,6 +52,7 @@ class MotionSequence:
         waiting: Control periods until it begins the next sub-goal, shape (n,): first those in which
             the motion settles, then those of its dwell. Below zero, periods until it
             begins the first one.
+        avoids_solids: Whether the generator of any sub-goal plans around solids.
     """
 
     def __init__(
@@ -77,6 +79,8 @@ class MotionSequence:
         self._tips, self._tool = bool(tips.any()), np.where(tips[:, np.newaxis], tool, nothing)
         self._ee_in_tool = spatial.relative(nothing, self._tool)
         self._demonstrated = any(one.demonstrated for one in self.generators)
+        self.avoids_solids = any(one.avoids_solids for one in self.generators)
+        self._solids: Solids | None = None
         self.desired: Array = np.empty((0, 7))
         self.subgoal = self.waiting = np.empty(0, dtype=np.intp)
         self._seeds = np.empty(0, dtype=np.uint64)
@@ -105,7 +109,7 @@ class MotionSequence:
         if rows is None:
             self._put(fresh)
             self._states = [{} for _ in self.generators]
-            rows = np.arange(len(rngs))
+            self._solids, rows = None, np.arange(len(rngs))
         else:
             pairs = zip(self._arrays(), fresh, strict=True)
             self._put(tuple(with_rows(old, rows, new) for old, new in pairs))
@@ -144,10 +148,39 @@ class MotionSequence:
         self._targets[np.arange(len(self.subgoal)), self.subgoal] = target_poses
         self._goal = None
 
+    def avoid(self, solids: Solids, rows: Rows | None = None) -> None:
+        """Plan the motions of rows around the solids as they stand now.
+
+        Motions that begin later, at other sub-goals, also avoid them; those of `start` do not.
+
+        Args:
+            solids: Solids around each of the n rows.
+            rows: Which motions are planned anew; all of them by default.
+        """
+        self._solids = solids
+        if self.avoids_solids:
+            self._replan(np.arange(len(self.subgoal)) if rows is None else rows)
+
+    def ahead(self, distances: Array) -> Array:
+        """Return the EE poses some metres ahead of the desired ones, shape (d,) -> (n, d, 7).
+
+        They lie on the path of the sub-goal and end at its goal. Generators that do not look ahead
+        move straight.
+        """
+        frame, targets = self._to_frame(self.desired), self._target
+        poses = np.empty((len(frame), len(distances), 7))
+        for number, generator, rows in self._groups(np.ones(len(frame), dtype=np.bool_)):
+            state = of_rows(self._states[number], rows)
+            poses[rows] = generator.ahead(state, frame[rows], targets[rows], distances)
+        if not self._tips:
+            return poses
+        return spatial.compose(poses, self._ee_in_tool[self.subgoal][:, np.newaxis])
+
     def begin_again(self, rows: Rows) -> None:
         """Start the motions of `rows` at their desired poses, as after a wait."""
         if rows.size:
             self._begin(rows)
+            self._replan(rows)
 
     def plan(self, dt: float | Array) -> Plan:
         """Return the next step of `dt` seconds, 0 for rest; generators are called, nothing moves.
@@ -219,7 +252,7 @@ class MotionSequence:
         self.waiting = left
         if goes_on.any():
             self.subgoal = self.subgoal + goes_on
-            self._begin(np.flatnonzero(goes_on))
+            self.begin_again(np.flatnonzero(goes_on))
         stops: NDArray[np.bool_] = moved & (left <= dwell)
         return stops
 
@@ -236,6 +269,7 @@ class MotionSequence:
         """Continue from a state that `snapshot` returned."""
         self._put(tuple(snapshot[key].copy() for key in _ROWS))
         self._states, self._goal = [{} for _ in self.generators], None
+        self._solids = None
         for name, values in snapshot.items():
             kind, _, rest = name.partition(".")
             if kind == _STATES:
@@ -266,6 +300,21 @@ class MotionSequence:
             rngs = [np.random.default_rng(key) for key in keys]
             state = generator.start(frame[group], targets[group], rngs)
             self._states[number] = merged(self._states[number], group, state, len(frame))
+        self._goal = None
+
+    def _replan(self, rows: Rows) -> None:
+        """Let the motions of `rows` avoid the solids, if there are any."""
+        if self._solids is None or not self.avoids_solids:
+            return
+        chosen = np.zeros(len(self.subgoal), dtype=np.bool_)
+        chosen[rows] = True
+        frame, targets = self._to_frame(self.desired), self._target
+        for number, generator, group in self._groups(chosen):
+            if generator.avoids_solids:
+                state = of_rows(self._states[number], group)
+                given = frame[group], targets[group], self._solids.of(group)
+                state = generator.replan(state, *given)
+                self._states[number] = merged(self._states[number], group, state, len(frame))
         self._goal = None
 
     @property

@@ -7,8 +7,9 @@ import numpy as np
 
 from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError, plugin_note
-from kinfeas.core.motion import Demonstrated, MotionGenerator, State
-from kinfeas.core.spatial import Array
+from kinfeas.core.motion import AvoidsSolids, Demonstrated, LooksAhead, MotionGenerator, State
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, distance, integrate, twist_between
 
 _UNIT_TOLERANCE = 1e-6
 
@@ -81,6 +82,7 @@ class CheckedMotion:
 
     Attributes:
         demonstrated: Whether the generator has demonstrated base poses.
+        avoids_solids: Whether it plans around solids.
 
     Raises:
         ConformanceError: From all methods, if a return value is invalid.
@@ -91,6 +93,8 @@ class CheckedMotion:
     ) -> None:
         self.generator = generator
         self.demonstrated = isinstance(generator, Demonstrated)
+        self.avoids_solids = isinstance(generator, AvoidsSolids)
+        self._ahead = generator.ahead if isinstance(generator, LooksAhead) else None
         self.subject = f"motion generator {name or type(generator).__name__}"
         self._every_step, self._unchecked = every_step, True
         self._layout: Layout | None = None
@@ -140,6 +144,31 @@ class CheckedMotion:
             pose = self.generator.base_pose(state, target_pose)
         self._check_array("base_pose", pose, (n, 7), finite=False)
         return pose
+
+    def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
+        """Return the state of motions that avoid solids; the same if the generator does not."""
+        if not isinstance(self.generator, AvoidsSolids):
+            return state
+        with plugin_note(self.subject):
+            state = self.generator.replan(state, ee_pose, target_pose, solids)
+        self._check_state("replan", state, len(ee_pose))
+        return state
+
+    def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
+        """Return the poses some metres ahead, (n, 7) and (d,) -> (n, d, 7), at most the goal.
+
+        They lie on the straight line to the goal if the generator does not look ahead.
+        """
+        if self._ahead is None:
+            goal = self.goal_pose(state, target_pose)
+            metres = np.maximum(distance(ee_pose, goal)[0], 1e-9)[:, np.newaxis]
+            way = twist_between(ee_pose, goal, 1.0)[:, np.newaxis]
+            return integrate(ee_pose[:, np.newaxis], way, np.minimum(distances / metres, 1.0))
+        with plugin_note(self.subject):
+            poses = self._ahead(state, ee_pose, target_pose, distances)
+        if self._unchecked or self._every_step:
+            self._check_array("ahead", poses, (len(ee_pose), len(distances), 7))
+        return poses
 
     def error(self, broken: str, rule: str = "form") -> ConformanceError:
         """Return an error whose subject is the generator."""

@@ -6,6 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 
 State = dict[str, Array]
@@ -60,6 +61,40 @@ class Demonstrated(Protocol):
         """Return the world poses of the base in the demonstration now, shape (n, 7).
 
         Rows without a demonstration are NaN.
+        """
+        ...
+
+
+@runtime_checkable
+class AvoidsSolids(Protocol):
+    """A motion generator that plans around solids."""
+
+    def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
+        """Return the state of n motions that avoid the solids as they stand now.
+
+        Called after `start` and, where solids move, about once a second.
+
+        Args:
+            state: State of n motions.
+            ee_pose: Current desired world pose, shape (n, 7).
+            target_pose: Current poses of the targets, shape (n, 7).
+            solids: Solids around each motion, n rows.
+        """
+        ...
+
+
+@runtime_checkable
+class LooksAhead(Protocol):
+    """A motion generator that knows the path of its motions."""
+
+    def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
+        """Return the poses that lie ahead on the motions, at most their ends, shape (n, d, 7).
+
+        Args:
+            state: State of n motions.
+            ee_pose: Current desired world pose, shape (n, 7).
+            target_pose: Current poses of the targets, shape (n, 7).
+            distances: Lengths of the way of the position from here, shape (d,), metres.
         """
         ...
 

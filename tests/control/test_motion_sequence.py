@@ -5,6 +5,7 @@ from kinfeas.control.execution import ExecutionConfig, SubgoalMotion, tool_pose
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import HORIZON
 from kinfeas.core import spatial
+from kinfeas.core.solids import Solids
 from kinfeas.plugins.linear import Linear
 
 
@@ -232,3 +233,46 @@ def test_paused_rows_stay(robot):
         sequence.advance(everyone(sequence))
         if subgoal == 1:
             follow(sequence, 3)
+
+
+class Wary(Wander):
+    """Remembers how many solids it was told of."""
+
+    def start(self, ee_pose, target_pose, rngs):
+        return {**super().start(ee_pose, target_pose, rngs), "told": np.zeros(len(rngs))}
+
+    def replan(self, state, ee_pose, target_pose, solids):
+        return {**state, "told": np.count_nonzero(solids.size[:, :, 3], axis=1).astype(float)}
+
+
+def test_motions_avoid_the_solids_of_their_row_now_and_at_later_subgoals(robot):
+    wary = SubgoalMotion(Wary())
+    sequence = begin(robot, 3, [SubgoalMotion(Linear()), wary, wary])
+    told = lambda: sequence.snapshot()["motion.1.told"].tolist()  # noqa: E731
+    solids = Solids.empty(3, 4)
+    for row in range(3):
+        solids.size[row, :row, 3] = 1.0
+    sequence.avoid(solids)
+    at_once = np.ones(3, dtype=bool)
+    sequence.advance(at_once)
+    assert told() == [0.0, 1.0, 2.0]
+    solids.size[:, :, 3] = 1.0
+    sequence.avoid(solids, np.array([1]))
+    assert told() == [0.0, 4.0, 2.0]
+    sequence.advance(np.array([True, False, False]))
+    assert told() == [4.0, 4.0, 2.0]
+    sequence.start(poses(1), poses(3, 1)[np.newaxis], rngs([0]))  # without solids
+    sequence.advance(at_once[:1])
+    assert told() == [0.0]
+
+
+def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot):
+    sequence = begin(robot)
+    follow(sequence, 20)
+    ahead = sequence.ahead(np.array([0.0, 0.1, 100.0]))
+    for pose, expected in ((ahead[:, 0], sequence.desired), (ahead[:, 2], sequence.goal)):
+        np.testing.assert_allclose(np.stack(spatial.distance(pose, expected)), 0.0, atol=1e-6)
+    tips = begin(robot, subgoals=[SubgoalMotion(Linear(), "tip")])
+    apart = spatial.compose(tips.ahead(np.array([0.1])), tool_pose(robot))[:, 0]
+    tip = spatial.compose(tips.desired, np.broadcast_to(tool_pose(robot), (6, 7)))
+    np.testing.assert_allclose(spatial.distance(apart, tip)[0], 0.1, atol=1e-9)
