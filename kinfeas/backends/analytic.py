@@ -6,16 +6,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import RobotState
+from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE, RobotState
+from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
+from kinfeas.kinematics.solids import scan
 
 
 class AnalyticBackend:
-    """n robots without dynamics: the base integrates its twist, the arm is where it is sent."""
+    """n robots without dynamics: the base integrates its twist, the arm is where it is sent.
+
+    Attributes:
+        solids: Solids of all n robots.
+    """
 
     def __init__(self) -> None:
         """Make an empty world; the first `reset` puts the robots into it."""
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
+        self.solids = MovingSolids()
+
+    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+        """Put solids around robots; arguments as in `SupportsSolids`."""
+        self.solids.place(solids, env_ids, len(self.state.base_pose))
+
+    def scan(self) -> Array:
+        """Return the ranges to solids around the bases, as in `SupportsScan`."""
+        base = self.state.base_pose
+        solids = self.solids.after() or Solids.empty(len(base))
+        return scan(solids, base, SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE)
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -34,15 +51,21 @@ class AnalyticBackend:
         self.state = RobotState(
             integrate(self.state.base_pose, base_twist, dt), np.array(joint_targets)
         )
+        self.solids.step(dt)
         return self.state
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return base poses and joint positions of all robots."""
-        return {"base_pose": self.state.base_pose, "joint_positions": self.state.joint_positions}
+        """Return base poses, joint positions and solids of all robots."""
+        return {
+            "base_pose": self.state.base_pose,
+            "joint_positions": self.state.joint_positions,
+            **self.solids.snapshot(),
+        }
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Take on a state that `snapshot` returned and return what it measures."""
         self.state = RobotState(snapshot["base_pose"].copy(), snapshot["joint_positions"].copy())
+        self.solids.restore(snapshot, len(self.state.base_pose))
         return self.state
 
     def close(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.control.adapters import chain
 from kinfeas.control.drive import KinematicStep, command_size
 from kinfeas.control.execution import (
     GRASP_METRES,
@@ -19,6 +20,7 @@ from kinfeas.control.observation import (
     ACTION,
     HORIZON,
     OBSERVATION,
+    SCAN_TERMS,
     Seen,
     action_size,
     observe,
@@ -26,16 +28,26 @@ from kinfeas.control.observation import (
 )
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
-from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
+from kinfeas.core.backend import (
+    Backend,
+    Resumable,
+    RobotState,
+    Stochastic,
+    SupportsGripper,
+    SupportsScan,
+    SupportsSolids,
+)
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.policy import CommandFilter, Policy, PolicyInput, RecurrentPolicy
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
+from kinfeas.kinematics.solids import collides
 from kinfeas.robots.robot import exceeds_joint_velocity, joint_displacement
 
 _TARGETS = "target_stream."
@@ -58,6 +70,7 @@ class Step:
         finished: Whether the end of the last sub-goal was reached, on this feasible step.
         joint_jump: Whether an arm joint was commanded to move faster than its limit.
         time_scale: Share of the planned motion that was carried out.
+        collision: Whether the base, then the arm, touches a solid, shape (n, 2); None without any.
     """
 
     feasible: NDArray[np.bool_]
@@ -70,6 +83,7 @@ class Step:
     finished: NDArray[np.bool_]
     joint_jump: NDArray[np.bool_]
     time_scale: Array
+    collision: NDArray[np.bool_] | None = None
 
 
 class Loop:
@@ -84,6 +98,7 @@ class Loop:
         next_desired: During a step: desired world pose of the EE at its end, shape (n, 7).
         paused: During a step: whether base and motion pause while the arm reconfigures, shape (n,);
             None if they never do.
+        solids: Solids as they will stand at the end of the period, or None without any.
         velocity_constraints: During a step: constraints that an obstacle filter has set, or None.
         solved: During a step: a command with its base twist and IK solution that a filter has
             computed, or None.
@@ -121,6 +136,7 @@ class Loop:
         self._full_scale: Array = np.empty(0)
         self.paused: NDArray[np.bool_] | None = None
         self.next_desired: Array = np.empty((0, 7))
+        self.solids: Solids | None = None
         self.velocity_constraints: Any = None
         self.solved: tuple[Array, Array, IkSolution] | None = None
         self.observation_terms, self.action_terms = OBSERVATION, ACTION
@@ -129,6 +145,9 @@ class Loop:
         # Once, since protocols are checked by looking up each of their members.
         self._stochastic = backend if isinstance(backend, Stochastic) else None
         self._gripper = backend if isinstance(backend, SupportsGripper) else None
+        self._scanner = backend if isinstance(backend, SupportsScan) else None
+        *_, innermost = chain(backend)
+        self._surrounded = innermost if isinstance(innermost, SupportsSolids) else None
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
@@ -158,6 +177,7 @@ class Loop:
             self._stochastic.seed(seeds, fresh)
         with plugin_note(self._backend_name):
             state = self.backend.reset(start.base_pose, start.joint_positions, rows)
+            self._place_solids(start.solids, fresh)
         self._check("reset", state, len(rngs) if rows is None else len(self.joint_command))
         self._unchecked = True
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
@@ -210,6 +230,7 @@ class Loop:
             self._check("step", state, len(twist))
             self._unchecked = False
         self._measure(state)
+        collision = self._collisions()
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         if self.target_stream is not None:
@@ -225,6 +246,7 @@ class Loop:
             finished=arrived & sequence.last,
             joint_jump=exceeds_joint_velocity(self.robot, before, arm.joint_positions, self.dt),
             time_scale=self.time_scale,
+            collision=collision,
         )
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
         self._grip(step.subgoal, stops | step.finished)
@@ -252,7 +274,9 @@ class Loop:
 
     def kinematic_state(self) -> dict[str, NDArray[Any]]:
         """Return the state without the backend's own: that of a loop in the analytic world."""
+        solids = {} if self._surrounded is None else self._surrounded.solids.snapshot()
         return {
+            **solids,
             "base_pose": self.state.base_pose,
             "joint_positions": self.state.joint_positions,
             "joint_command": self.joint_command,
@@ -321,6 +345,21 @@ class Loop:
             )
         return self.backend
 
+    def _place_solids(self, solids: Solids | None, rows: Rows) -> None:
+        if self._surrounded is not None:
+            self._surrounded.place_solids(solids, rows)
+        elif solids is not None:
+            raise KinfeasError(f"{self._backend_name} has no solids, which the task needs")
+
+    def _collisions(self) -> NDArray[np.bool_] | None:
+        """Return whether base and arm touch a solid, shape (n, 2); None without any."""
+        solids = None if self._surrounded is None else self._surrounded.solids.after()
+        if solids is None:
+            return None
+        true_state = self.state.true_state or self.state
+        joints, base = true_state.joint_positions, true_state.base_pose
+        return collides(self.solver.collision, joints, base, solids)
+
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
 
@@ -370,12 +409,23 @@ class Loop:
         self._next = self.sequence.plan(self._motion_time)
         self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
-        before = self.previous_command
-        seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints, before)
+        if self._surrounded is not None:
+            self.solids = self._surrounded.solids.after(self.dt)
+        seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
+        seen.previous_command, seen.ranges = self.previous_command, self._scan()
         self.observation = observe(seen, self.observation_terms)
         if time_scale != 1.0:
             twist = spatial.twist_between(self.desired, self.planned, HORIZON)
             self.planned = spatial.integrate(self.desired, twist, HORIZON * time_scale)
+
+    def _scan(self) -> Array | None:
+        """Return the ranges around the bases, if a term needs them."""
+        if SCAN_TERMS.isdisjoint(self.observation_terms):
+            return None
+        if self._scanner is None:
+            raise KinfeasError(f"{self._backend_name} has no scan, which the policy needs")
+        with plugin_note(self._backend_name):
+            return self._scanner.scan()
 
     def _find_paused(self) -> NDArray[np.bool_]:
         """Return which rows pause in this period, shape (n,), since their arms reconfigure.

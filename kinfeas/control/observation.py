@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.control.drive import command_size
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
 from kinfeas.core.spatial import IDENTITY, Array, integrate, relative, twist_between
@@ -18,6 +19,8 @@ HORIZON = 0.1
 
 CLIP = 3.0
 """Bound of a scaled number: an EE far from its path would dominate all others."""
+
+_CLOSENESS = f"1 - range / {SCAN_RANGE:g} m"
 
 QUATERNION = "quaternion xyzw, w >= 0"
 
@@ -33,7 +36,11 @@ class Seen:
         rotation: Rotation change over `HORIZON` seconds, shape (n, 4).
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
         previous_command: Base command of the last period, shape (n, c), where a term needs it.
+        ranges: Ranges of a scan, shape (n, 2, beams), metres, likewise.
     """
+
+    previous_command: Array | None = None
+    ranges: Array | None = None
 
     def __init__(
         self,
@@ -42,18 +49,22 @@ class Seen:
         planned: Array,
         goal: Array,
         joints: Array,
-        previous_command: Array | None = None,
     ) -> None:
         """Compute the relative poses.
 
         `base_pose`, `planned` (the EE's in `HORIZON` seconds) and `goal` are world poses, shape
         (n, 7); `ee_in_base` is achieved. Joints have shape (n, j).
         """
-        self.previous_command = previous_command
         self.ee, self.goal, self.joint_positions = ee_in_base, relative(goal, base_pose), joints
         catch_up = twist_between(ee_in_base, relative(planned, base_pose), HORIZON)
         self.velocity = catch_up[:, :3]
         self.rotation = integrate(IDENTITY, catch_up, HORIZON)[:, 3:]
+
+
+def _closeness(seen: Seen, band: int) -> Any:
+    """Return 1 at the base and 0 where nothing is in range, shape (n, beams)."""
+    assert seen.ranges is not None
+    return 1.0 - seen.ranges[:, band] / SCAN_RANGE
 
 
 @dataclass(frozen=True)
@@ -93,8 +104,13 @@ TERMS = {
     "previous_command": ObservationTerm(
         lambda robot: command_size(robot.base), "", (1.0,), lambda seen: seen.previous_command
     ),
+    "scan_low": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 0)),
+    "scan_high": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 1)),
 }
 """Observation terms by name; poses and velocities are in the current base frame."""
+
+SCAN_TERMS = {"scan_low", "scan_high"}
+"""Terms that need a scan."""
 
 OBSERVATION = tuple(TERMS)[:7]
 """Terms of policies by default, in this order."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array
 
 Grip = Literal["close", "open"]
@@ -135,6 +136,41 @@ class SupportsObstacleDistances(Protocol):
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return obstacles closer than `within` metres to the bases, without grasped objects."""
+        ...
+
+
+@runtime_checkable
+class SupportsSolids(Protocol):
+    """A simulated backend with solids around its robots.
+
+    Attributes:
+        solids: Solids of all n robots.
+    """
+
+    solids: MovingSolids
+
+    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+        """Put solids around the m robots `env_ids` after their reset; None for none."""
+        ...
+
+
+SCAN_BANDS = ((0.0, 0.35), (0.35, 1.5))
+"""Lowest and highest z of the bands of a scan, metres: the height of lasers, and that above."""
+
+SCAN_BEAMS, SCAN_RANGE = 64, 3.0
+"""Beams of a band, and their longest range in metres."""
+
+
+@runtime_checkable
+class SupportsScan(Protocol):
+    """A backend or adapter that measures ranges around the bases."""
+
+    def scan(self) -> Array:
+        """Return the ranges in `SCAN_BANDS`, shape (n, 2, `SCAN_BEAMS`), metres.
+
+        Beam i has the angle -pi + 2 pi i / `SCAN_BEAMS` to the base's heading. Ranges are at most
+        `SCAN_RANGE`.
+        """
         ...
 
 

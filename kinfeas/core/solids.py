@@ -1,7 +1,8 @@
 """Solids around robots: upright boxes and cylinders that stand or move to and fro."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from kinfeas.core.spatial import Array
 
 MOST_SOLIDS = 64
 """Largest number of places of a row."""
+
+_SOLIDS = "solids."
 
 
 @dataclass(frozen=True)
@@ -42,16 +45,25 @@ class Solids:
             span=np.zeros((n, places)),
         )
 
+    @property
+    def places(self) -> int:
+        """Count of the places of a row."""
+        return int(self.size.shape[1])
+
     def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""
         return Solids(*(getattr(self, one.name)[rows] for one in fields(self)))
 
     def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
-        """Return these solids with other ones, of as many places, in some rows."""
-        changed = {one.name: getattr(self, one.name).copy() for one in fields(self)}
-        for name, values in changed.items():
-            values[rows] = getattr(other, name)
-        return Solids(**changed)
+        """Return these solids with other ones in some rows."""
+        places = max(self.places, other.places)
+        changed = Solids.empty(len(self.size), places)
+        for one in fields(self):
+            values, given = getattr(changed, one.name), getattr(other, one.name)
+            values[:, : self.places] = getattr(self, one.name)
+            values[rows] = 0
+            values[rows, : other.places] = given
+        return changed
 
     def at(self, seconds: Array) -> "Solids":
         """Return the solids as they stand some seconds, shape (n,), after their start."""
@@ -65,6 +77,49 @@ class Solids:
         pose = self.pose.copy()
         pose[:, :, :2] += self.velocity * share[:, :, np.newaxis]
         return replace(self, pose=pose)
+
+
+class MovingSolids:
+    """Solids of n episodes, and the time since each began.
+
+    Attributes:
+        start: Solids at the start of the episodes; no places without any.
+        seconds: Time since then, shape (n,).
+    """
+
+    def __init__(self) -> None:
+        self.start, self.seconds = Solids.empty(0), np.zeros(0)
+
+    def place(self, solids: Solids | None, rows: NDArray[np.intp], n: int) -> None:
+        """Begin episodes with these solids, None for none, in some of n rows."""
+        if len(self.seconds) != n:
+            self.start, self.seconds = Solids.empty(n), np.zeros(n)
+        if solids is not None or self.start.places:
+            self.start = self.start.put(rows, solids or Solids.empty(len(rows)))
+        self.seconds = self.seconds.copy()
+        self.seconds[rows] = 0.0
+
+    def after(self, seconds: float = 0.0) -> Solids | None:
+        """Return the solids as they will stand in some seconds, or None without any."""
+        return self.start.at(self.seconds + seconds) if self.start.places else None
+
+    def step(self, dt: float) -> None:
+        """Let time pass."""
+        self.seconds = self.seconds + dt
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return the state as arrays by name."""
+        if not self.start.places:
+            return {}
+        arrays = {f"{_SOLIDS}{one.name}": getattr(self.start, one.name) for one in fields(Solids)}
+        return {**arrays, f"{_SOLIDS}seconds": self.seconds}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]], n: int) -> None:
+        """Continue from a state of n rows that `snapshot` returned."""
+        self.start, self.seconds = Solids.empty(n), np.zeros(n)
+        if f"{_SOLIDS}seconds" in snapshot:
+            self.start = Solids(*(snapshot[f"{_SOLIDS}{one.name}"] for one in fields(Solids)))
+            self.seconds = snapshot[f"{_SOLIDS}seconds"]
 
 
 def stacked_solids(solids: Sequence[Solids]) -> Solids:

@@ -189,7 +189,11 @@ class _Tally:
         # An episode that never began the last sub-goal did not end near its goal.
         self.final[episodes] = np.where(step.subgoal == self.last, step.goal_distance, np.inf)[rows]
         backend = self.world.backend
-        if isinstance(backend, SupportsContacts):
+        if step.collision is not None:
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+                self.base.add(episode, {0} if step.collision[row, 0] else set())
+                self.arm.add(episode, {0} if step.collision[row, 1] else set())
+        elif isinstance(backend, SupportsContacts):
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 contacts = backend.contacts(row)
                 self.base.add(episode, {body for _, body, _ in contacts.base})
@@ -205,7 +209,7 @@ class _Tally:
                     self.task_done[episode] = done
 
     def records(self) -> EpisodeRecords:
-        contacts = isinstance(self.world.backend, SupportsContacts)
+        contacts = isinstance(self.world.backend, SupportsContacts) or self.world.loop.solids
         stream = self.world.loop.target_stream is not None
         steps = np.maximum(self.steps, 1)
         return EpisodeRecords(

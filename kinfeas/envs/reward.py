@@ -32,6 +32,8 @@ class RewardConfig:
         limit_margin: Distance to the nearest joint limit, as a share of half the joint's range.
         deviation_penalty: Cost of a step with the EE 5 cm or more from its desired position; less,
             with the square of the distance, where it is nearer.
+        collision_penalty: Cost of a collision of the base with a solid, which ends the episode; of
+            the arm, a tenth of it.
         slow_penalty: Factor on the squared share of the planned motion that a step leaves out.
     """
 
@@ -41,6 +43,7 @@ class RewardConfig:
     limit_penalty: NotNegative = 0.02
     limit_margin: PositiveShare = 0.2
     deviation_penalty: NotNegative = 0.0
+    collision_penalty: NotNegative = 10.0
     slow_penalty: NotNegative = 0.0
 
 
@@ -68,6 +71,8 @@ def reward(
         step.feasible, step.position_error, step.rotation_error, step.deviation, step.joint_jump,
         np.ascontiguousarray(action), np.ascontiguousarray(joint_positions), lower, upper, earned,
     )  # fmt: skip
+    if step.collision is not None:
+        earned -= config.collision_penalty * (step.collision @ np.array([1.0, 0.1]))
     if config.slow_penalty > 0.0:
         earned -= config.slow_penalty * np.square(1.0 - step.time_scale)
     return earned

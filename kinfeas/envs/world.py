@@ -83,7 +83,8 @@ class Transition:
     Attributes:
         observation: Shape (n, d).
         reward: Reward of the step.
-        terminated: Whether the episode ended by success or by too many failures.
+        terminated: Whether the episode ended by success, by too many failures, or by a collision
+            of the base with a solid.
         truncated: Whether it ended by the time limit.
         reached: Whether the end of the last sub-goal was reached on a feasible step, or that of a
             stream of targets.
@@ -209,8 +210,11 @@ class World:
         self.steps[self.loop.sequence.subgoal != step.subgoal] = 0
         self.failures += ~step.feasible
         terminated = step.finished | (self.failures > self.config.max_failures)
-        truncated = (self.steps >= self._max_steps) & ~terminated
         reached = step.finished
+        if step.collision is not None:
+            terminated |= step.collision[:, 0]
+            reached = reached & ~step.collision[:, 0]
+        truncated = (self.steps >= self._max_steps) & ~terminated
         if planned_way is not None:
             way = np.linalg.norm((loop.true_state[1] - before)[:, :3], axis=1)
             reached = truncated

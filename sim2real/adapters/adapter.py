@@ -53,7 +53,8 @@ class Adapter(BackendWrapper):
     updates the memory with the measurement, and `modify_state` changes the measurement.
     `modify_state` may only depend on the state, the memory and the random numbers, and may be
     called twice. Rows must not depend on each other. The optional methods `grip`,
-    `obstacle_distances`, `read`, `stop`, `snapshot` and `restore` exist if the backend has them.
+    `obstacle_distances`, `scan`, `read`, `stop`, `snapshot` and `restore` exist if the backend has
+    them.
 
     Random numbers depend on the episode's seed, the step, the class and the number of adapters of
     the same class within: adding an adapter does not change the random numbers of the others.
@@ -97,7 +98,7 @@ class Adapter(BackendWrapper):
         self._values: dict[str, Array] = {}
         self._seeds = self._steps = np.empty(0, dtype=np.uint64)
         self._subject, self._unchecked = f"adapter {type(self).__name__}", True
-        for ability in ("grip", "obstacle_distances", "read", "stop"):
+        for ability in ("grip", "obstacle_distances", "scan", "read", "stop"):
             if hasattr(backend, ability):
                 setattr(self, ability, getattr(backend, ability))
         if isinstance(backend, Resumable):

@@ -25,6 +25,7 @@ from kinfeas.core.backend import (
     Stochastic,
     SupportsGripper,
     SupportsObstacleDistances,
+    SupportsScan,
 )
 from kinfeas.core.checks import check_array, check_state
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, plugin_note
@@ -102,12 +103,14 @@ class StateMonitor:
 
 
 class _Wrapper(BackendWrapper):
-    """A wrapper that passes on seeds, grips and obstacle distances."""
+    """A wrapper that passes on seeds, grips, obstacle distances and scans."""
 
     def __init__(self, backend: Backend) -> None:
         self.backend = backend
         if isinstance(backend, SupportsObstacleDistances):
             self.obstacle_distances = backend.obstacle_distances
+        if isinstance(backend, SupportsScan):
+            self.scan = backend.scan
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Seed a backend that draws random numbers."""
