@@ -18,6 +18,7 @@ from kinfeas.control.execution import (
 from kinfeas.control.motion_sequence import MotionSequence
 from kinfeas.control.observation import (
     ACTION,
+    AHEAD,
     HORIZON,
     OBSERVATION,
     SCAN_TERMS,
@@ -51,6 +52,9 @@ from kinfeas.kinematics.solids import collides
 from kinfeas.robots.robot import exceeds_joint_velocity, joint_displacement
 
 _TARGETS = "target_stream."
+
+_REPLAN_SECONDS = 1.0
+"""Control time between plans around moving solids."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +186,8 @@ class Loop:
         self._unchecked = True
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
+        if (solids := self._solids_after(0.0)) is not None:
+            self.sequence.avoid(solids, fresh)
         self._measure(state)
         joints = state.joint_positions.copy()
         if rows is None:
@@ -251,6 +257,7 @@ class Loop:
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
         self._grip(step.subgoal, stops | step.finished)
         self.periods += 1
+        self._replan()
         if self.target_stream is not None:
             self.sequence.aim(self.target_stream.targets(self))
             self.sequence.begin_again(np.flatnonzero(self.time_scale == 0.0))
@@ -351,10 +358,21 @@ class Loop:
         elif solids is not None:
             raise KinfeasError(f"{self._backend_name} has no solids, which the task needs")
 
+    def _replan(self) -> None:
+        """Plan motions around solids that have moved."""
+        if self.solids is not None and self.sequence.avoids_solids:
+            due = self.periods % round(_REPLAN_SECONDS / self.dt) == 0
+            moving = self.solids.velocity.any(axis=(1, 2))
+            if (rows := np.flatnonzero(due & moving)).size:
+                self.sequence.avoid(self.solids, rows)
+
+    def _solids_after(self, seconds: float) -> Solids | None:
+        """Return the solids as they will stand in some seconds, or None without any."""
+        return None if self._surrounded is None else self._surrounded.solids.after(seconds)
+
     def _collisions(self) -> NDArray[np.bool_] | None:
         """Return whether base and arm touch a solid, shape (n, 2); None without any."""
-        solids = None if self._surrounded is None else self._surrounded.solids.after()
-        if solids is None:
+        if (solids := self._solids_after(0.0)) is None:
             return None
         true_state = self.state.true_state or self.state
         joints, base = true_state.joint_positions, true_state.base_pose
@@ -409,10 +427,12 @@ class Loop:
         self._next = self.sequence.plan(self._motion_time)
         self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
-        if self._surrounded is not None:
-            self.solids = self._surrounded.solids.after(self.dt)
+        self.solids = self._solids_after(self.dt)
         seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
         seen.previous_command, seen.ranges = self.previous_command, self._scan()
+        if "planned_ahead" in self.observation_terms:
+            ahead = spatial.relative(self.sequence.ahead(AHEAD), base[:, np.newaxis])
+            seen.ahead = ahead[:, :, :3].reshape(len(base), -1)
         self.observation = observe(seen, self.observation_terms)
         if time_scale != 1.0:
             twist = spatial.twist_between(self.desired, self.planned, HORIZON)

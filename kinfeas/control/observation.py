@@ -20,6 +20,9 @@ HORIZON = 0.1
 CLIP = 3.0
 """Bound of a scaled number: an EE far from its path would dominate all others."""
 
+AHEAD = np.array([0.5, 1.0, 1.5])
+"""Distances along the planned motion at which an observation shows it, metres."""
+
 _CLOSENESS = f"1 - range / {SCAN_RANGE:g} m"
 
 QUATERNION = "quaternion xyzw, w >= 0"
@@ -36,10 +39,12 @@ class Seen:
         rotation: Rotation change over `HORIZON` seconds, shape (n, 4).
         joint_positions: Arm joints, continuous ones in (-pi, pi], shape (n, j).
         previous_command: Base command of the last period, shape (n, c), where a term needs it.
+        ahead: Positions `AHEAD` on the planned motion, shape (n, 3 d), metres, likewise.
         ranges: Ranges of a scan, shape (n, 2, beams), metres, likewise.
     """
 
     previous_command: Array | None = None
+    ahead: Array | None = None
     ranges: Array | None = None
 
     def __init__(
@@ -104,6 +109,7 @@ TERMS = {
     "previous_command": ObservationTerm(
         lambda robot: command_size(robot.base), "", (1.0,), lambda seen: seen.previous_command
     ),
+    "planned_ahead": ObservationTerm(3 * len(AHEAD), "m", (0.5,), lambda seen: seen.ahead),
     "scan_low": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 0)),
     "scan_high": ObservationTerm(SCAN_BEAMS, _CLOSENESS, (1.0,), lambda seen: _closeness(seen, 1)),
 }

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +9,10 @@ from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.config import PluginSpec
 from kinfeas.control import observation
 from kinfeas.core import registry
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import yaw
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
@@ -250,3 +253,67 @@ def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch):
     with pytest.raises(KinfeasError, match="real"):
         make(hsr, world=WorldConfig(backend="real"))
     assert RealRobot.closed
+
+
+@dataclass(frozen=True)
+class Walled:
+    """Random goals with a wall one metre ahead of the base."""
+
+    name: str = "walled"
+    subgoals: tuple = ggr().subgoals
+
+    def sample(self, solver, rng):
+        start = ggr().sample(solver, rng)
+        solids = Solids.empty(1, 1)
+        solids.pose[0, 0] = [*(1.0 * heading(start.base_pose)), yaw(start.base_pose)]
+        solids.size[0, 0] = [0.1, 3.0, 0.0, 0.3]
+        return replace(start, solids=solids)
+
+
+def heading(base):
+    return np.array([np.cos(yaw(base)), np.sin(yaw(base))])
+
+
+def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
+    world = make(hsr, Walled(), WorldConfig(max_failures=10**6))
+    world.start(range(4))
+    ahead = np.tile([1.0, 0.0, 0.0], (4, 1))
+    for _ in range(200):
+        before = world.loop.state.base_pose
+        transition = world.step(ahead)
+        if transition.terminated.any():
+            break
+    assert transition.terminated.all()
+    assert transition.step.collision[:, 0].all()
+    assert not transition.reached.any()
+    assert transition.reward.max() < -9.0
+    # The wall's near side is 0.9 m ahead, and HSR's base has a radius of about 0.22 m.
+    way = np.linalg.norm(before[:, :2], axis=1)
+    assert ((way > 0.5) & (way < 0.9)).all()
+
+
+def test_scans_see_the_solids_in_front(hsr):
+    world = make(hsr, Walled(), WorldConfig())
+    world.loop.observation_terms = ("scan_low", "scan_high")
+    seen = world.start(range(3))
+    low, high = seen[:, :SCAN_BEAMS], seen[:, SCAN_BEAMS:]
+    np.testing.assert_allclose(low[:, SCAN_BEAMS // 2], 1.0 - 0.9 / SCAN_RANGE, atol=1e-9)
+    assert (low[:, 0] == 0.0).all()
+    assert (high == 0.0).all()
+
+
+def test_a_world_with_solids_resumes_to_the_bit(hsr):
+    terms = ("ee_position", "scan_low", "previous_command")
+    worlds = [make(hsr, Walled(), WorldConfig()) for _ in range(2)]
+    for world in worlds:
+        world.loop.observation_terms = terms
+    rng = np.random.default_rng(0)
+    worlds[0].start(range(3))
+    for _ in range(5):
+        worlds[0].step(rng.uniform(-1.0, 1.0, (3, 3)))
+    worlds[1].restore({key: values.copy() for key, values in worlds[0].snapshot().items()})
+    for _ in range(5):
+        action = rng.uniform(-1.0, 1.0, (3, 3))
+        one, other = (world.step(action) for world in worlds)
+        np.testing.assert_array_equal(one.observation, other.observation)
+        np.testing.assert_array_equal(one.reward, other.reward)

@@ -1,0 +1,38 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinfeas.core.solids import MovingSolids, Solids
+
+
+def row(*places):
+    """Return one row of boxes at (x, y), each half a metre wide."""
+    solids = Solids.empty(1, len(places))
+    solids.pose[0, :, :2], solids.size[0] = places, [0.25, 0.25, 0.0, 1.0]
+    return solids
+
+
+@given(st.floats(0.0, 1000.0), st.floats(0.01, 2.0), st.floats(0.1, 5.0))
+def test_moving_solids_stay_on_their_span_and_keep_their_speed(seconds, speed, span):
+    solids = row((1.0, 2.0))
+    solids.velocity[0, 0], solids.span[0, 0] = [0.0, speed], span
+    at = [float(solids.at(np.array([t])).pose[0, 0, 1]) for t in (seconds, seconds + 1e-3)]
+    assert all(2.0 - 1e-9 <= y <= 2.0 + span + 1e-9 for y in at)
+    assert abs(at[1] - at[0]) <= speed * 1e-3 + 1e-9
+    period = solids.at(np.array([seconds + 2.0 * span / speed])).pose[0, 0, 1]
+    np.testing.assert_allclose(period, at[0], atol=1e-6)
+
+
+def test_rows_get_solids_and_times_of_their_own():
+    moving = MovingSolids()
+    moving.place(None, np.arange(3), 3)
+    assert moving.after() is None
+    moving.place(row((1.0, 0.0), (2.0, 0.0)), np.array([1]), 3)
+    moving.step(0.5)
+    moving.place(row((3.0, 0.0)), np.array([2]), 3)
+    np.testing.assert_array_equal(moving.seconds, [0.5, 0.5, 0.0])
+    np.testing.assert_array_equal(moving.after().pose[:, :, 0], [[0, 0], [1, 2], [3, 0]])
+    again = MovingSolids()
+    again.restore(moving.snapshot(), 3)
+    for name, values in again.snapshot().items():
+        np.testing.assert_array_equal(values, moving.snapshot()[name])
