@@ -78,6 +78,27 @@ class Solids:
         pose[:, :, :2] += self.velocity * share[:, :, np.newaxis]
         return replace(self, pose=pose)
 
+    def gaps(self, points: Array) -> tuple[Array, Array]:
+        """Return the horizontal and the vertical gaps from points to solids, shape (n, m, k).
+
+        A gap of 0 is a touch or an overlap; empty places are infinitely far. The length of both is
+        the distance.
+
+        Args:
+            points: Points of each row in the world, shape (n, m, 3), metres.
+        """
+        pose, size = self.pose[:, np.newaxis], self.size[:, np.newaxis]
+        cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+        x, y = (points[:, :, np.newaxis, i] - pose[..., i] for i in (0, 1))
+        along = np.abs(cosine * x + sine * y) - size[..., 0]
+        across = np.abs(cosine * y - sine * x) - size[..., 1]
+        box = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+        round_ = np.maximum(np.hypot(x, y) - size[..., 0], 0.0)
+        planar = np.where(self.cylinder[:, np.newaxis], round_, box)
+        z = points[:, :, np.newaxis, 2]
+        vertical = np.maximum(np.maximum(size[..., 2] - z, z - size[..., 3]), 0.0)
+        return np.where(size[..., 0] > 0.0, planar, np.inf), vertical
+
 
 class MovingSolids:
     """Solids of n episodes, and the time since each began.

@@ -1,0 +1,189 @@
+"""Goal reaching among random solids that stand or move."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas import config
+from kinfeas.config.quantities import Count, Distance, NotNegative, Share
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import MOST_SOLIDS, Solids
+from kinfeas.core.spatial import Array, compose, planar_pose
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides
+from kinfeas.tasks.ggr import GoalReaching
+from kinfeas.tasks.task import MotionSpec
+
+_ROUNDS = 200
+_SMALLEST = 0.2
+"""Smallest length and width of a solid, metres."""
+
+_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)
+"""Heights of solids, metres."""
+
+_REACH = (0.4, 0.9)
+"""Distances from the goal at which the base needs room, metres."""
+
+_MOMENTS = 16
+
+
+@dataclass(frozen=True)
+class ReachingAmongSolids(GoalReaching):
+    """Reach a random EE pose among boxes and cylinders on the floor.
+
+    Solids are placed on a square grid with Gaussian jitter and random yaw, around the middle
+    between start and goal. Those that would touch the robot at its start, or the goal, are left
+    out, and goals without room for the base are drawn again. The `places` nearest solids remain.
+
+    Attributes:
+        places: Largest number of solids.
+        extent: Side of the square of solids, metres.
+        spacing: Distance of the grid, metres.
+        jitter: Standard deviation from the grid, metres.
+        footprint: Largest length and width of a solid, metres; the smallest are 0.2 m.
+        walls: Share of solids as high as the robot; half of the others is as low as a step, the
+            other half as high as a table.
+        cylinders: Share of cylinders, whose diameter is the width.
+        speed: Smallest and largest speed of the solids, m/s.
+        span: Smallest and largest way after which moving solids turn back, metres.
+        start_clearance: Radius of free discs around the base and the EE at the start, metres.
+        goal_clearance: Radius of a sphere around the EE at the goal that stays free, metres.
+    """
+
+    name: str = "ggr_obstacles"
+    motion: MotionSpec = field(default_factory=lambda: MotionSpec("planned"))
+    distance: tuple[Distance, Distance] = (0.5, 8.0)
+    places: Count = MOST_SOLIDS
+    extent: Distance = 14.0
+    spacing: Distance = 1.75
+    jitter: NotNegative = 0.4375
+    footprint: tuple[Distance, Distance] = (1.5, 1.0)
+    walls: Share = 1.0 / 3.0
+    cylinders: Share = 0.2
+    speed: tuple[Distance, Distance] = (0.0, 0.0)
+    span: tuple[Distance, Distance] = (2.0, 3.0)
+    start_clearance: Distance = 0.7
+    goal_clearance: Distance = 0.25
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        super().__post_init__()
+        if self.places > MOST_SOLIDS or not 0.5 <= self.spacing <= self.extent <= 100.0:
+            raise ValueError(
+                f"'places' must be at most {MOST_SOLIDS}, 'spacing' at least 0.5 m and 'extent' "
+                "from 'spacing' to 100 m"
+            )
+        if min(self.footprint) < _SMALLEST:
+            raise ValueError(f"'footprint' must be at least {_SMALLEST} m")
+
+    def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
+        """Return one random episode with its solids."""
+        for _ in range(_ROUNDS):
+            start = super().sample(solver, rng)
+            solids = self._solids(solver, start, rng)
+            if _has_room(solver, start, solids):
+                return replace(start, solids=solids.of(np.zeros(1, dtype=np.intp)))
+        raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
+
+    def _heights(self, solver: IkSolver) -> tuple[float, float]:
+        known = solver.robot.goal_heights
+        return self.heights or known.get(self.name) or known["ggr"]
+
+    def _solids(self, solver: IkSolver, start: Start, rng: np.random.Generator) -> Solids:
+        """Return the solids of an episode at moments of their way, one a row; the start first."""
+        goal = start.target_poses[0]
+        drawn = self._draw(rng, goal[:2] / 2.0)
+        at_start = _touches_robot(solver, start, drawn)
+        ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
+        ends = np.stack([start.base_pose[:3], ee[:3], goal[:3]])
+        near = drawn.gaps(ends[np.newaxis, :2])[0][0].min(axis=0) < self.start_clearance
+        moments = _moments(drawn)
+        gaps = moments.gaps(np.broadcast_to(goal[:3], (len(moments.pose), 1, 3)))
+        at_goal = np.hypot(*gaps).min(axis=(0, 1)) < self.goal_clearance
+        detour = np.linalg.norm(drawn.pose[0, :, :2] - ends[::2, np.newaxis, :2], axis=2).sum(0)
+        taken = np.where(at_start | near | at_goal, np.inf, detour)
+        order = np.argsort(taken, kind="stable")[: self.places]
+        order = order[np.isfinite(taken[order])]
+        kept = Solids.empty(len(moments.pose), self.places)
+        for name in vars(kept):
+            getattr(kept, name)[:, : len(order)] = getattr(moments, name)[:, order]
+        return kept
+
+    def _draw(self, rng: np.random.Generator, centre: Array) -> Solids:
+        """Return one row of solids around a centre, shape (2,)."""
+        side = int(self.extent / self.spacing)
+        line = (np.arange(side) - (side - 1) / 2.0) * self.spacing
+        grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) + centre
+        k = len(grid)
+        half = rng.uniform(_SMALLEST, self.footprint, (k, 2)) / 2.0
+        cylinder = rng.random(k) < self.cylinders
+        half = np.where(cylinder[:, np.newaxis], half[:, 1:], half)
+        kind = rng.random(k)
+        low, table = rng.uniform(*_LOW, k), rng.uniform(*_TABLE, k)
+        height = np.where(kind < (1.0 + self.walls) / 2.0, low, table)
+        height = np.where(kind < self.walls, _WALL, height)
+        yaw, bearing = rng.uniform(-np.pi, np.pi, (2, k))
+        speed = rng.uniform(*self.speed, k)
+        xy = grid + rng.normal(0.0, self.jitter, (k, 2))
+        solids = Solids(
+            pose=np.column_stack([xy, yaw]),
+            size=np.column_stack([half, np.zeros(k), height]),
+            cylinder=cylinder,
+            velocity=speed[:, np.newaxis] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1),
+            span=rng.uniform(*self.span, k),
+        )
+        return Solids(**{name: values[np.newaxis] for name, values in vars(solids).items()})
+
+
+def _moments(solids: Solids) -> Solids:
+    """Return one row of solids at moments between the ends of their ways, one a row."""
+    speed = np.linalg.norm(solids.velocity, axis=2)
+    if not speed.any():
+        return solids
+    longest = np.max(solids.span / np.where(speed > 0.0, speed, np.inf))
+    return solids.of(np.zeros(_MOMENTS, dtype=np.intp)).at(np.linspace(0.0, longest, _MOMENTS))
+
+
+def _touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.bool_]:
+    """Return which of one row of k solids touch the robot at its start, shape (k,)."""
+    alone = Solids(**{name: np.swapaxes(values, 0, 1) for name, values in vars(solids).items()})
+    n = len(alone.pose)
+    joints, base = np.tile(start.joint_positions, (n, 1)), np.tile(start.base_pose, (n, 1))
+    touching: NDArray[np.bool_] = np.any(collides(solver.collision, joints, base, alone), axis=1)
+    return touching
+
+
+def _has_room(solver: IkSolver, start: Start, moments: Solids) -> bool:
+    """Return whether the base has a place near the goal that stays free, heading for the goal."""
+    turns = np.linspace(-np.pi, np.pi, 24, endpoint=False)
+    bearing, away = np.tile(turns, len(_REACH)), np.repeat(_REACH, len(turns))
+    goal = start.target_poses[0]
+    x, y = goal[0] - away * np.cos(bearing), goal[1] - away * np.sin(bearing)
+    base = planar_pose(x, y, bearing)
+    for row in range(len(moments.pose)):
+        joints = np.tile(start.joint_positions, (len(base), 1))
+        solids = moments.of(np.full(len(base), row, dtype=np.intp))
+        base = base[~collides(solver.collision, joints, base, solids)[:, 0]]
+    return len(base) > 0
+
+
+def ggr_obstacles(**parameters: object) -> ReachingAmongSolids:
+    """Goal reaching among up to 64 solids that stand."""
+    return _reaching("ggr_obstacles", {}, parameters)
+
+
+def ggr_dynamic(**parameters: object) -> ReachingAmongSolids:
+    """Goal reaching among 16 solids that move to and fro, none of them a wall."""
+    moving = {"places": 16, "walls": 0.0, "footprint": (0.8, 0.8), "speed": (0.1, 0.15)}
+    return _reaching("ggr_dynamic", moving, parameters)
+
+
+def _reaching(
+    name: str, defaults: Mapping[str, object], parameters: Mapping[str, object]
+) -> ReachingAmongSolids:
+    given = {"name": name, **defaults, **parameters}
+    return config.from_mapping(ReachingAmongSolids, given, name)

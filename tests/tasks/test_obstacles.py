@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import compose
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.solids import collides
+from kinfeas.tasks.obstacles import ggr_dynamic, ggr_obstacles
+
+TASKS = pytest.mark.parametrize("task", [ggr_obstacles(), ggr_dynamic()], ids=lambda one: one.name)
+
+
+def distances(solids, points):
+    return np.hypot(*solids.gaps(points[:, np.newaxis]))[:, 0]
+
+
+def test_gaps_are_those_of_the_nearest_of_many_points_of_the_solid():
+    rng = np.random.default_rng(0)
+    for cylinder in (False, True):
+        pose, half = rng.uniform(-1.0, 1.0, 3), rng.uniform(0.1, 1.0, 2)
+        half = np.full(2, half[0]) if cylinder else half
+        solids = Solids.empty(1, 2)
+        solids.pose[0, 0], solids.size[0, 0] = pose, [*half, 0.2, 0.9]
+        solids.cylinder[0, 0] = cylinder
+        edge = np.linspace(-1.0, 1.0, 201)
+        inside = np.stack(np.meshgrid(edge, edge), axis=-1).reshape(-1, 2)
+        inside = inside[np.hypot(*inside.T) <= 1.0] if cylinder else inside
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        inside = pose[:2] + (inside * half) @ np.array([[cosine, sine], [-sine, cosine]])
+        points = rng.uniform(-2.5, 2.5, (200, 3))
+        planar, vertical = solids.gaps(points[np.newaxis])
+        nearest = np.linalg.norm(points[:, np.newaxis, :2] - inside, axis=2).min(axis=1)
+        np.testing.assert_allclose(planar[0, :, 0], nearest, atol=0.01)
+        assert np.isinf(planar[0, :, 1]).all()
+        z = points[:, 2]
+        np.testing.assert_array_equal(vertical[0, :, 0], np.abs(z - np.clip(z, 0.2, 0.9)))
+
+
+@TASKS
+def test_starts_and_goals_are_free_of_solids(hsr, sample, task):
+    found = sample(task, 100)
+    solids, (low, high) = found.solids, hsr.robot.goal_heights["ggr"]
+    assert solids.pose.shape == (100, task.places, 3)
+    goal = found.target_poses[:, 0, :3]
+    assert np.all((goal[:, 2] >= low) & (goal[:, 2] <= high))
+    assert np.hypot(goal[:, 0], goal[:, 1]).max() > 6.0
+    assert not collides(hsr.collision, found.joint_positions, found.base_pose, solids).any()
+    ee = compose(found.base_pose, forward(hsr.chain, found.joint_positions))[:, :3]
+    for point in (found.base_pose[:, :3], ee):
+        assert solids.gaps(point[:, np.newaxis])[0].min() >= 0.7
+    for seconds in np.linspace(0.0, 60.0, 7):
+        gaps = distances(solids.at(np.full(100, seconds)), goal)
+        assert gaps.min() >= (0.25 if seconds == 0.0 else 0.1)  # seen at moments
+
+
+def test_standing_solids_fill_the_room_and_a_third_is_high(sample):
+    solids = sample(ggr_obstacles(), 50).solids
+    full, height = solids.size[:, :, 0] > 0.0, solids.size[:, :, 3]
+    assert full.sum(axis=1).min() > 50
+    assert 2.0 * solids.size[full].max(axis=0)[0] <= 1.5
+    for low, high, share in ((2.0, 2.0, 1 / 3), (0.05, 0.35, 1 / 3), (0.5, 0.9, 1 / 3)):
+        of_kind = (height[full] >= low) & (height[full] <= high)
+        assert abs(of_kind.mean() - share) < 0.05
+    assert 0.1 < solids.cylinder[full].mean() < 0.3
+    assert not solids.velocity.any()
+
+
+def test_moving_solids_are_sixteen_and_below_the_arm(sample):
+    solids = sample(ggr_dynamic(), 50).solids
+    speed = np.linalg.norm(solids.velocity, axis=2)
+    assert speed.shape == (50, 16)
+    assert 0.1 <= speed.min() <= speed.max() <= 0.15
+    assert solids.size[:, :, 3].max() <= 0.9
+
+
+def test_episodes_are_functions_of_their_seed(hsr, sample):
+    task = ggr_obstacles(places=10)
+    found, again = sample(task, 8), task.sample(hsr, np.random.default_rng((0, 7)))
+    for key, values in vars(again.solids).items():
+        np.testing.assert_array_equal(values[0], vars(found.solids)[key][7])
+
+
+@pytest.mark.parametrize("wrong", [{"places": 65}, {"spacing": 0.1}, {"footprint": [0.1, 1.0]}])
+def test_wrong_parameters_raise(wrong):
+    with pytest.raises(KinfeasError, match=next(iter(wrong))):
+        ggr_obstacles(**wrong)
