@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import Positive, Share
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.kinematics.descent import Descent
 from kinfeas.kinematics.forward import Chain, build_chain, forward
 from kinfeas.kinematics.search import Problem, library_features, solve_batch
 from kinfeas.kinematics.self_collision import CollisionModel, build_collision_model, self_collides
+from kinfeas.kinematics.solids import rows_of
 from kinfeas.robots.robot import Robot
 
 ROTATION_WEIGHT = 0.4
@@ -23,6 +25,8 @@ AIM = 0.2
 """Share of the tolerances at which a descent ends early."""
 
 POSE_DIMENSIONS = 6
+
+_NO_SOLIDS = rows_of(Solids.empty(1), 1)
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ class IkSolution:
         joint_positions: Solutions, or the seeds where there is none, shape (n, v).
         feasible: Whether a solution was found, shape (n,).
         position_error: Position error of the solution, or of the closest attempt without
-            self-collision, shape (n,), metres.
+            collision, shape (n,), metres.
         rotation_error: Rotation error of the same, shape (n,), radians.
     """
 
@@ -103,6 +107,7 @@ class IkSolver:
         max_joint_step: Array | None = None,
         *,
         allow_reconfiguration: bool = True,
+        solids: Solids | None = None,
     ) -> IkSolution:
         """Return the solutions nearest to `seed`.
 
@@ -118,6 +123,8 @@ class IkSolver:
             max_joint_step: Largest displacement of each joint in one control step, shape (v,);
                 solutions within it come first.
             allow_reconfiguration: Whether solutions beyond `max_joint_step` are allowed.
+            solids: n rows, in the base frame; shapes that the arm moves do not touch them in a
+                solution.
 
         Raises:
             KinfeasError: If an array has another shape, or `max_joint_step` is needed and missing.
@@ -141,7 +148,14 @@ class IkSolver:
         feasible = np.empty(len(targets), dtype=np.bool_)
         errors = np.empty((len(targets), 2))
         solve_batch(
-            self._problem, targets, within, allow_reconfiguration, solution, feasible, errors
+            self._problem,
+            targets,
+            within,
+            allow_reconfiguration,
+            _NO_SOLIDS if solids is None else rows_of(solids, len(targets)),
+            solution,
+            feasible,
+            errors,
         )
         return IkSolution(solution, feasible, errors[:, 0], errors[:, 1])
 

@@ -10,7 +10,13 @@ from kinfeas.core.spatial import Array
 from kinfeas.kinematics.descent import Descent, descend, make_scratch, measure, within
 from kinfeas.kinematics.forward import Chain, place_chain
 from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square, write_matrix
-from kinfeas.kinematics.self_collision import CollisionModel, make_collision_scratch, touches_itself
+from kinfeas.kinematics.self_collision import (
+    CollisionModel,
+    make_collision_scratch,
+    place_shapes,
+    touches_itself,
+)
+from kinfeas.kinematics.solids import touches_solids
 
 WARM_COST = 0.3**2
 """Squared error, m^2, up to which the search begins with descents from the seed."""
@@ -75,9 +81,18 @@ def library_features(position: Array, turn: Array, weight: float) -> NDArray[np.
 
 @kernel
 def solve_batch(
-    problem: Problem, targets, max_joint_step, allow_reconfiguration, solution, feasible, errors
+    problem: Problem,
+    targets,
+    max_joint_step,
+    allow_reconfiguration,
+    solids,
+    solution,
+    feasible,
+    errors,
 ):
     """Solve row by row; arguments as in `IkSolver.solve`, `max_joint_step` (0,) for none.
+
+    `solids` are `Rows`; those without places may have fewer rows.
 
     `solution`, shape (n, v), has the seeds and receives the solutions, `feasible` whether there is
     one, `errors`, shape (n, 2), its errors or those of the closest attempt, metres and radians.
@@ -91,9 +106,10 @@ def solve_batch(
     for i in range(len(solution)):
         write_matrix(targets[i], turn)
         target = turn, targets[i, :3]
+        around = solids, i
         if _solve_from_seed(
             problem, target, max_joint_step, allow_reconfiguration, near,
-            solution[i], errors[i], scratch, touching,
+            solution[i], errors[i], scratch, touching, around,
         ):  # fmt: skip
             feasible[i] = True
         elif not allow_reconfiguration or problem.restarts == 0 or _out_of_reach(problem, target):
@@ -101,7 +117,7 @@ def solve_batch(
         else:
             _rank_library(problem, target, scores, order)
             feasible[i] = _solve_from_library(
-                problem, target, solution[i], errors[i], order, scratch, touching
+                problem, target, solution[i], errors[i], order, scratch, touching, around
             )
         for j in range(solution.shape[1]):
             if feasible[i] and problem.continuous[j]:
@@ -110,7 +126,16 @@ def solve_batch(
 
 @inlined
 def _solve_from_seed(
-    problem, target, max_joint_step, allow_reconfiguration, near, solution, error, scratch, touching
+    problem,
+    target,
+    max_joint_step,
+    allow_reconfiguration,
+    near,
+    solution,
+    error,
+    scratch,
+    touching,
+    around,
 ):
     """Descend from the seed if it is near the target; return whether there is a solution.
 
@@ -142,11 +167,11 @@ def _solve_from_seed(
             _draw(problem, max_joint_step, q, scratch.pull)
         metres, radians = descend(problem.chain, bounds, target[0], target[1], q, scratch)
         if _close_enough(problem, metres, radians):
-            if _free(problem, q, touching):
+            if _free(problem, q, touching, around):
                 error[0], error[1] = metres, radians
                 copy_row(q, solution)
                 return True
-        elif _improves(problem, metres, radians, error, q, touching):
+        elif _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
         if attempt == DRAWN:
             _start(limits, solution, q)
@@ -154,7 +179,7 @@ def _solve_from_seed(
     if not _close_enough(problem, metres_here, radians_here):
         return False
     _start(limits, solution, q)
-    if not _free(problem, q, touching):
+    if not _free(problem, q, touching, around):
         return False
     error[0], error[1] = metres_here, radians_here
     copy_row(q, solution)
@@ -178,7 +203,7 @@ def _draw(problem, max_joint_step, q, pull):
 
 
 @inlined
-def _solve_from_library(problem, target, solution, error, order, scratch, touching):
+def _solve_from_library(problem, target, solution, error, order, scratch, touching, around):
     """Descend from library entries; keep the solution nearest to the seed."""
     q, seed = scratch.trial, solution.copy()
     closest = _cost(problem, error[0], error[1])
@@ -190,7 +215,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
         metres, radians = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
         closest = min(closest, _cost(problem, metres, radians))
         if _close_enough(problem, metres, radians):
-            if not _free(problem, q, touching):
+            if not _free(problem, q, touching, around):
                 continue
             found += 1
             seconds = _seconds_between(problem, seed, q)
@@ -200,7 +225,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
                 copy_row(q, solution)
             if found == problem.candidates:
                 break
-        elif found == 0 and _improves(problem, metres, radians, error, q, touching):
+        elif found == 0 and _improves(problem, metres, radians, error, q, touching, around):
             error[0], error[1] = metres, radians
     return found > 0
 
@@ -221,15 +246,27 @@ def _close_enough(problem, metres, radians):
 
 
 @inlined
-def _free(problem, q, touching):
-    return not (problem.check_collision and touches_itself(problem.collision, q, touching))
+def _free(problem, q, touching, around):
+    return not _collides(problem.collision, problem.check_collision, q, touching, *around)
+
+
+@kernel
+def _collides(collision, with_itself, q, touching, solids, row):
+    if with_itself and touches_itself(collision, q, touching):
+        return True
+    pose, size, cylinder = solids
+    if pose.shape[1] == 0:
+        return False
+    if not with_itself:
+        place_shapes(collision, q, touching)
+    return touches_solids(collision, True, pose[row], size[row], cylinder[row], touching)
 
 
 @inlined
-def _improves(problem, metres, radians, error, q, touching):
-    """Return whether an attempt is the closest so far and free of self-collision."""
+def _improves(problem, metres, radians, error, q, touching, around):
+    """Return whether an attempt is the closest so far and free of collisions."""
     closer = _cost(problem, metres, radians) < _cost(problem, error[0], error[1])
-    return closer and _free(problem, q, touching)
+    return closer and _free(problem, q, touching, around)
 
 
 @inlined

@@ -3,9 +3,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import planar_pose, rotation, yaw
-from kinfeas.kinematics.self_collision import MARGIN, build_collision_model
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkOptions, IkSolver
+from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
 from kinfeas.kinematics.solids import collides, in_base, scan
 from kinfeas.robots.loading import load_robot
 from tests.kinematics.conftest import Pinocchio, Primitives, draw, touch
@@ -165,3 +168,40 @@ def test_a_wall_within_the_margin_counts_as_touched(hsr):
     solids.size[:, 0] = [0.1, 2.0, 0.0, 0.15]
     found = collides(model, joints, planar_pose(*np.zeros((3, 2))), solids)
     np.testing.assert_array_equal(found[:, 0], [True, False])
+
+
+def test_ik_finds_solutions_beside_solids(robot):
+    solver = IkSolver(robot)
+    joints = draw(robot, 400)
+    joints = joints[~self_collides(solver.collision, joints)]
+    n, seeds = len(joints), np.random.default_rng(0).permutation(joints)
+    solids, targets = draw_solids(n, 6), forward(solver.chain, joints)
+
+    def touching(positions):
+        origin = planar_pose(*np.zeros((3, n)))
+        return collides(solver.collision, positions, origin, solids)[:, 1]
+
+    found, blind = solver.solve(targets, seeds, solids=solids), solver.solve(targets, seeds)
+    assert touching(blind.joint_positions).mean() > 0.05
+    assert not touching(found.joint_positions)[found.feasible].any()
+    assert not self_collides(solver.collision, found.joint_positions[found.feasible]).any()
+    assert found.feasible[~touching(joints)].mean() > 0.95
+    some = np.arange(5, 9)
+    part = solver.solve(targets[some], seeds[some], solids=solids.of(some))
+    np.testing.assert_array_equal(part.joint_positions, found.joint_positions[some])
+    for places in (0, 3):
+        nothing = solver.solve(targets, seeds, solids=Solids.empty(n, places))
+        np.testing.assert_array_equal(nothing.joint_positions, blind.joint_positions)
+    with pytest.raises(KinfeasError, match="solids"):
+        solver.solve(targets, seeds, solids=solids.of(some))
+
+
+def test_ik_without_self_collision_avoids_solids(hsr):
+    solver = IkSolver(hsr, IkOptions(self_collision=False))
+    joints, solids = draw(hsr, 100), draw_solids(100, 6)
+    found = solver.solve(forward(solver.chain, joints), joints, solids=solids)
+    hits = collides(
+        solver.collision, found.joint_positions, planar_pose(*np.zeros((3, 100))), solids
+    )
+    assert hits[:, 1].any()
+    assert not hits[found.feasible, 1].any()
