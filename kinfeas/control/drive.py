@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative, yaw
 from kinfeas.kinematics.ik import IkSolution, IkSolver
+from kinfeas.kinematics.solids import in_base
 from kinfeas.robots.robot import Base
 
 
@@ -114,6 +116,7 @@ class KinematicStep:
         base_pose: Array,
         desired: Array,
         joints: Array,
+        solids: Solids | None = None,
         *,
         allow_reconfiguration: bool = True,
     ) -> tuple[Array, IkSolution]:
@@ -124,12 +127,17 @@ class KinematicStep:
             base_pose: World pose of the base, shape (n, 7).
             desired: World pose of the EE at the end of the period, shape (n, 7).
             joints: Last commanded arm joints, shape (n, j), radians or metres.
+            solids: World solids at the end of the period, n rows, which the arms avoid.
             allow_reconfiguration: Whether IK also tries solutions out of reach in this period.
         """
         twist = base_twist(self.solver.robot.base, base_pose, action, self.dt)
-        target = relative(desired, integrate(base_pose, twist, self.dt))
+        reached = integrate(base_pose, twist, self.dt)
         return twist, self.solver.solve(
-            target, joints, self.max_joint_step, allow_reconfiguration=allow_reconfiguration
+            relative(desired, reached),
+            joints,
+            self.max_joint_step,
+            allow_reconfiguration=allow_reconfiguration,
+            solids=None if solids is None else in_base(solids, reached),
         )
 
 

@@ -410,7 +410,8 @@ class Loop:
         """Return base twists, shape (n, 6), and arm joints that reach the desired poses."""
         if self.solved is not None and np.array_equal(self.solved[0], command):
             return self.solved[1:]
-        return self.kinematic_step(command, self.state.base_pose, self.desired, self.joint_command)
+        inputs = self.state.base_pose, self.desired, self.joint_command, self.solids
+        return self.kinematic_step(command, *inputs)
 
     def _grip(self, subgoal: NDArray[np.intp], stops: NDArray[np.bool_]) -> None:
         """Command the grippers of rows whose sub-goals have just ended."""

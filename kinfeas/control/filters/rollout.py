@@ -40,7 +40,9 @@ State = dict[str, NDArray[np.generic]]
 
 @dataclass(eq=False)
 class RolloutPlanner:
-    """Rolls the policy out and changes commands if it predicts IK failures, jumps or deviations.
+    """Rolls the policy out and changes commands if it predicts failures, jumps or deviations.
+
+    Failures are those of IK and collisions of the base.
 
     Every `replan_interval` seconds it simulates the policy without dynamics and noise. If the
     rollout has a cost, it simulates the policy plus each of the same few constant offsets and
@@ -51,7 +53,7 @@ class RolloutPlanner:
         replan_interval: Seconds between plans.
         num_samples: Offsets that are simulated where the policy has a cost; the first is zero.
         noise_std: Standard deviation of the offsets, in units of the action.
-        jump_cost: Cost of a joint jump; an IK failure costs 1.
+        jump_cost: Cost of a joint jump; a failure costs 1.
         deviation_cost: Cost of a feasible step with more than 5 cm deviation.
         offset: Sum that is added to the commands now, shape (n, a).
     """
@@ -150,10 +152,13 @@ class RolloutPlanner:
             action = np.array(self._policy.act(twin.policy_input))
             action[:, :size] += added[going]
             step = twin.step(np.clip(action, -1.0, 1.0))
+            clean = step.feasible
+            if step.collision is not None:
+                clean = clean & ~step.collision[:, 0]
             failure = 1.0 + step.position_error + step.rotation_error
             deviates = step.position_error > WITHIN
             less = self.jump_cost * step.joint_jump + self.deviation_cost * deviates
-            price = np.where(step.feasible, less, failure)
+            price = np.where(clean, less, failure)
             cost[going] += np.where(over, 0.0, price * _DISCOUNT**period)
             if period == 0:
                 stuck = ~step.feasible

@@ -39,13 +39,12 @@ class TimeScalingFilter(FeasibilityFilter):
             if share < 1.0:
                 scale[left] = share * planned[left]
                 loop.slow_down(scale.copy())
-            inputs = loop.state.base_pose[left], loop.next_desired[left], loop.joint_command[left]
-            late = np.flatnonzero(~self._feasible(command[left, np.newaxis], *inputs)[:, 0])
-            left = left[self._replace(command, left, inputs, late)]
+            late = left[~self._feasible(command[left, np.newaxis], left)[:, 0]]
+            left = self._replace(command, late)
             if not left.size:
                 break
         command[left] = 0.0
-        inputs = loop.state.base_pose, loop.next_desired, loop.joint_command
+        inputs = self._inputs(np.arange(len(command)))
         loop.solved = command, *loop.kinematic_step(command, *inputs, allow_reconfiguration=False)
         return command
 

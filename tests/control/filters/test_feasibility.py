@@ -9,14 +9,17 @@ from kinfeas.control.drive import KinematicStep, base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
+from kinfeas.core.solids import Solids
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
 from kinfeas.tasks.loading import load_task
+from tests.kinematics.test_solids import draw_solids
 
 DT, ROWS = 0.5, 64
 
@@ -27,8 +30,8 @@ def solver():
     return IkSolver(load_robot("tiago"))
 
 
-@pytest.fixture
-def loop(solver):
+@pytest.fixture(params=[0, 6], ids=["empty floor", "solids"])
+def loop(solver, request):
     """Arms anywhere, EEs that are to rest, and the parts of a loop that the filter reads."""
     robot, rng = solver.robot, np.random.default_rng(0)
     lower, upper = robot.finite_joint_limits
@@ -41,6 +44,7 @@ def loop(solver):
         kinematic_step=KinematicStep(solver, DT),
         state=RobotState(base_pose, joints),
         joint_command=joints,
+        solids=draw_solids(ROWS, request.param, reach=4.0) if request.param else None,
         next_desired=spatial.compose(base_pose, forward(solver.chain, joints)),
         paused=None,
         velocity_constraints=None,
@@ -60,14 +64,20 @@ def filtered(loop, command):
 
 
 def feasible(loop, command, rows):
-    """Return whether IK without restarts finds an arm in time, shape (m,)."""
+    """Return whether IK without restarts finds an arm in time, and the base is free, shape (m,)."""
     solver = loop.kinematic_step.solver
     local = IkSolver(solver.robot, replace(solver.options, restarts=0))
     base, joints = loop.state.base_pose[rows], loop.joint_command[rows]
     twist = base_twist(solver.robot.base, base, command, DT)
-    target = spatial.relative(loop.next_desired[rows], spatial.integrate(base, twist, DT))
-    arm = local.solve(target, joints, solver.robot.max_joint_velocity * DT)
-    return arm.feasible & ~exceeds_joint_velocity(solver.robot, joints, arm.joint_positions, DT)
+    reached = spatial.integrate(base, twist, DT)
+    target = spatial.relative(loop.next_desired[rows], reached)
+    solids = (loop.solids or Solids.empty(ROWS)).of(rows)
+    limit = solver.robot.max_joint_velocity * DT
+    arm = local.solve(target, joints, limit, solids=in_base(solids, reached))
+    jumps = exceeds_joint_velocity(solver.robot, joints, arm.joint_positions, DT)
+    touches = collides(solver.collision, arm.joint_positions, reached, solids)
+    assert not np.any(touches[:, 1] & arm.feasible)
+    return arm.feasible & ~jumps & ~touches[:, 0]
 
 
 def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, command):
@@ -90,7 +100,7 @@ def test_its_ik_solution_is_that_of_the_solver(loop, command):
     solved, twist, arm = loop.solved
     np.testing.assert_array_equal(solved, found)
     wanted, alone = loop.kinematic_step(
-        found, loop.state.base_pose, loop.next_desired, loop.joint_command
+        found, loop.state.base_pose, loop.next_desired, loop.joint_command, loop.solids
     )
     np.testing.assert_array_equal(twist, wanted)
     np.testing.assert_array_equal(arm.feasible, alone.feasible)
