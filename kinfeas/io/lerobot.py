@@ -16,6 +16,15 @@ from kinfeas.core.spatial import Array, canonical, make_pose, rotation
 from kinfeas.io.demonstrations import Demonstration, columns
 from kinfeas.io.files import writing
 
+EE = tuple(f"{name}.pos" for name in columns("ee_pose"))
+"""Names of a pose of the EE in features; LeRobot's rollout needs these endings."""
+
+BASE = tuple(f"{name}.pos" for name in columns("base_pose"))
+"""Names of a pose of the base."""
+
+TWIST = tuple(f"ee_{axis}.vel" for axis in ("x", "y", "z", "wx", "wy", "wz"))
+"""Names of a twist of the EE."""
+
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
@@ -42,11 +51,12 @@ def write_lerobot_dataset(
 
     if not demonstrations:
         raise KinfeasError("there must be at least one demonstration to write")
-    state = ["ee_pose", *(["base_pose"] if all(one.has_base for one in demonstrations) else [])]
+    with_base = all(one.has_base for one in demonstrations)
+    state = ["ee_pose", "base_pose"] if with_base else ["ee_pose"]
     features = {
-        "observation.state": [name for pose in state for name in columns(pose)],
-        "observation.environment_state": columns("object_pose"),
-        "action": columns("ee_pose"),
+        "observation.state": [*EE, *BASE] if with_base else EE,
+        "observation.environment_state": [f"{name}.pos" for name in columns("object_pose")],
+        "action": EE,
     }
     episodes = [_frames(one, state, fps) for one in demonstrations]
     ends = np.cumsum([len(one["action"]) for one in episodes])

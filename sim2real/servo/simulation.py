@@ -60,6 +60,7 @@ class Episode:
 
     Attributes:
         loop: Loop of one robot.
+        backend: World of the robot.
         controller: Takes the targets; its clock is the simulated time.
         feasible: Whether IK found the last desired pose.
         deviation: Distance of the EE from it, metres.
@@ -84,9 +85,9 @@ class Episode:
             for one in build_filters([PluginSpec(name) for name in choice.filters])
         ]
         self._threads = [one for one in filters if isinstance(one, RolloutPlannerThread)]
-        self._backend = build_backend(choice.backend, config.backend, robot=robot, scene=scene)
+        self.backend = build_backend(choice.backend, config.backend, robot=robot, scene=scene)
         self.loop = Loop(
-            self._solver, build_subgoals(self._task.subgoals), self._backend, DT, config,
+            self._solver, build_subgoals(self._task.subgoals), self.backend, DT, config,
             (self.controller, *filters),
         )  # fmt: skip
         self.loop.set_policy(self._policy)
@@ -144,4 +145,4 @@ class Episode:
         """End threads and simulations."""
         for one in self._threads:
             one.close()
-        self._backend.close()
+        self.backend.close()

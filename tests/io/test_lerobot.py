@@ -80,7 +80,7 @@ def test_lerobot_reads_the_dataset(shown, folder, tmp_path):
     assert (read["episodes"], read["frames"]) == (3, len(table))
     assert (read["fps"], read["robot"]) == (25, "pr2")
     assert read["tasks"] == ["Open the door."] * 4
-    assert read["names"] == [f"ee_{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    assert read["names"] == [f"ee_{axis}.pos" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     np.testing.assert_array_equal(np.array(read["state"])[:, 1], state[:4])
     np.testing.assert_array_equal(np.array(read["action"])[:, 0], action[:4])
     np.testing.assert_allclose(read["last"], shown[-1].object_pose[-1], atol=1e-6)
