@@ -7,6 +7,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PACKAGES := kinfeas plugins scenes sim2real configs
 FRESH = build/$(notdir $(PYTHON))
 WORKERS ?= auto
 
@@ -27,13 +28,15 @@ test: $(STAMP) lint  ## Check style, types and layers, then run the fast tests
 test-slow: $(STAMP)  ## Run the tests that take longer
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m slow
 
-# In a copy of the tree, so that the wheel has no file of an earlier build.
+# In a copy of the tree, so that the wheel has no file of an earlier build; the tests import the
+# wheel, not the copy's packages.
 test-python:  ## Run the fast tests with the wheel in a fresh environment of PYTHON=python3.12
 	rm -rf $(FRESH) && mkdir -p $(FRESH)/source && $(PYTHON) -m venv $(FRESH)/venv
 	git ls-files -z -co --exclude-standard | xargs -0 cp --parents -t $(FRESH)/source
 	$(FRESH)/venv/bin/pip wheel -q --no-deps -w $(FRESH) $(FRESH)/source
 	$(FRESH)/venv/bin/pip install -q "$$(echo $(FRESH)/*.whl)[test]"
-	cd $(FRESH)/source && ../venv/bin/pytest -n $(WORKERS) --dist loadgroup -m "not slow"
+	cd $(FRESH)/source && rm -r $(PACKAGES) && \
+		../venv/bin/python -m pytest -n $(WORKERS) --dist loadgroup -m "not slow" --ignore tests/test_wheel.py
 
 docs: $(STAMP)  ## Build the documentation site: build/site/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --jobs auto docs build/site
@@ -47,7 +50,7 @@ lint: $(STAMP)  ## Check style, types and layers
 # On a copy in which every package lies below kinfeas, as installed.
 layers: $(STAMP)
 	@copy=$$(mktemp -d) && trap 'rm -rf "$$copy"' EXIT && cp -r kinfeas "$$copy" && \
-		cp -r plugins scenes sim2real configs "$$copy/kinfeas" && cd "$$copy" && \
+		cp -r $(filter-out kinfeas,$(PACKAGES)) "$$copy/kinfeas" && cd "$$copy" && \
 		"$(CURDIR)/$(BIN)/lint-imports" --config "$(CURDIR)/pyproject.toml" --no-cache --no-logo
 
 format: $(STAMP)  ## Format the code and mend what ruff can mend

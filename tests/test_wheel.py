@@ -7,13 +7,20 @@ import sys
 import tomllib
 import venv
 import zipfile
+from functools import partial
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("kinfeas", "plugins", "scenes", "sim2real", "configs")
 DATA = (".yaml", ".urdf", ".txt", ".json", ".safetensors", ".typed")
+
+MESH = """<robot name="mesh"><link name="base"><collision><geometry><mesh filename="a.stl"/>
+</geometry></collision></link></robot>"""
 
 LOAD_ALL = """
 import importlib.util, sys
@@ -37,13 +44,13 @@ for robot in ("pr2", "tiago", "hsr"):
 """
 
 
-def run(*command, cwd=None):
+def run(*command, cwd=None, code=0):
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     done = subprocess.run(
         command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
+    assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout if code == 0 else done.stderr
 
 
 def test_pyproject_lists_every_package():
@@ -57,17 +64,34 @@ def test_pyproject_lists_every_package():
     assert sorted(setup["packages"]) == sorted(present)
 
 
-@pytest.mark.slow
-def test_wheel(tmp_path):
-    source, home = tmp_path / "source", tmp_path / "home"
-    for folder in FOLDERS:  # a copy, so that no build folder appears in the tree
-        ignored = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(ROOT / folder, source / folder, ignore=ignored)
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    for name in FOLDERS:  # a copy, so that no build folder appears in the tree
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source / name)
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", tmp_path, source)
-    (wheel,) = tmp_path.glob("*.whl")
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", folder, source)
+    return next(folder.glob("*.whl"))
 
+
+@pytest.fixture
+def home(wheel, tmp_path):
+    """A fresh environment with the wheel alone."""
+    venv.create(tmp_path / "home", with_pip=False, symlinks=True)
+    python = tmp_path / "home" / "bin" / "python"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel)
+    return tmp_path / "home"
+
+
+def site(home):
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    return Path(run(home / "bin" / "python", "-c", code).strip())
+
+
+@pytest.mark.slow
+def test_wheel(wheel, home, tmp_path):
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert {name.split("/")[0] for name in names} == {"kinfeas"}
     for path in (path for folder in FOLDERS for path in (ROOT / folder).rglob("*")):
@@ -76,12 +100,63 @@ def test_wheel(tmp_path):
                 f"kinfeas/{path.relative_to(ROOT)}".replace("kinfeas/kinfeas", "kinfeas") in names
             )
 
-    venv.create(home, with_pip=False, symlinks=True)
-    python = home / "bin" / "python"
-    run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel)
     # A .pth file appends the dependencies of this environment, without its editable kinfeas.
-    site = run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
     borrowed = [path for path in sys.path if path.endswith("-packages")]
-    Path(site, "borrowed.pth").write_text("\n".join(borrowed))
-    run(python, "-c", LOAD_ALL, cwd=tmp_path)
+    (site(home) / "borrowed.pth").write_text("\n".join(borrowed))
+    run(home / "bin" / "python", "-c", LOAD_ALL, cwd=tmp_path)
     assert "train" in run(home / "bin" / "kinfeas", "--help", cwd=tmp_path)
+
+
+def required(name, found):
+    """Add a distribution and all that it requires, without extras, to `found`."""
+    name = canonicalize_name(name)
+    if name not in found:
+        found[name] = distribution(name)
+        for line in found[name].requires or ():
+            one = Requirement(line)
+            if one.marker is None or one.marker.evaluate({"extra": ""}):
+                required(one.name, found)
+    return found
+
+
+EVALUATE = "evaluate --policy follow_ee --robot hsr --episodes 1 --set world.max_seconds=0.5"
+DEPLOY = "deploy follow_ee --robot hsr --goal 0.9 0.1 0.8 --no-real-time --seconds 0.1"
+LACKING = {
+    "demo": "train,plots",
+    "train --robot hsr --steps 64": "train",
+    "speed --robot hsr": "train",
+    "fit --demonstrations . --out model.yaml": "train",
+    "sweep sweep/pr2": "train,plots,sweep",
+    "benchmark --policy pretrained": "plots",
+    f"{EVALUATE} --picture a.png": "plots",
+    f"{EVALUATE} --video a.mp4": "video",
+    f"{EVALUATE} --replay a.html": "view",
+    "play --robot hsr": "plots,view",
+    "view --picture a.png": "plots",
+    "export pretrained --robot hsr --out a.onnx": "export",
+    "push pretrained someone/policy": "hub",
+    "pull someone/policy --out out": "hub",
+    "evaluate --policy whole_body_qp --robot hsr --episodes 1": "qp",
+    f"{EVALUATE} --world pybullet": "pybullet",
+    f"{DEPLOY} --backend mujoco": "mujoco",
+    DEPLOY: "pybullet" if sys.version_info < (3, 12) else "mujoco",
+    f"{DEPLOY} --backend ros2": "ros2",
+    "simulate --robot hsr": "ros2",
+    "robot import mesh.urdf --out out": "meshes",
+}
+"""Commands, and the extras that an installation without extras lacks for them."""
+
+
+@pytest.mark.slow
+def test_base_installation_names_the_extra_that_a_command_lacks(home, tmp_path):
+    for name, one in required("kinfeas", {}).items():
+        for top in {path.parts[0] for path in one.files or () if name != "kinfeas"} - {".."}:
+            (site(home) / top).symlink_to(one.locate_file(top))
+    (tmp_path / "a.stl").touch()
+    (tmp_path / "mesh.urdf").write_text(MESH)
+    kinfeas = partial(run, home / "bin" / "kinfeas", cwd=tmp_path)
+    kinfeas(*EVALUATE.split())
+    kinfeas(*f"{DEPLOY} --backend analytic".split(), code=4)  # reached nothing in 0.1 s
+    for words, extras in LACKING.items():
+        (line,) = kinfeas(*words.split(), code=2).splitlines()
+        assert line.endswith(f"pip install 'kinfeas[{extras}]'"), line

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from kinfeas.cli import options
+from kinfeas.core.extras import require
 
 
 def play(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -45,6 +46,7 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas play --robot pr2 --backend mujoco
     """
+    require("matplotlib", "viser")
     from kinfeas.sim2real.servo.simulation import Choice
     from kinfeas.viz.play import play as serve
 

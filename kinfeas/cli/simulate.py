@@ -34,7 +34,8 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
         float, typer.Option(min=0.0, help="Seconds without a command after which the base stops.")
     ] = 0.25,
     world: Annotated[
-        str | None, typer.Option(help="pybullet or mujoco.  [default: the first installed]")
+        str | None,
+        typer.Option(help="pybullet or mujoco.  [default: pybullet if installed, else mujoco]"),
     ] = None,
     gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
     json: options.JsonPath = None,

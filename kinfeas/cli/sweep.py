@@ -39,10 +39,10 @@ def sweep(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas train --config runs/sweep/pr2/best.yaml --seed 1
     """
+    require("torch", "stable_baselines3", "matplotlib", "optuna")
     from kinfeas.jobs.job import run_jobs
     from kinfeas.jobs.sweep import BEST, importances, plan_trials, read_sweep, write_best
 
-    require("torch", "stable_baselines3", "matplotlib")
     chosen = read_sweep(config, overrides or ())
     runner = options.read_engine(engine, processes, address)
     folder = out or Path("runs/sweep") / Path(config).stem

@@ -1,5 +1,6 @@
 """Shipped configuration: sections of the robots' files, and recipes by name or path."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from importlib.util import find_spec
@@ -83,5 +84,6 @@ def _merged(data: Any, changes: Any) -> Any:
 
 
 def default_engine() -> str:
-    """Return the first of `ENGINES` that is installed."""
-    return next((one for one in ENGINES if find_spec(one)), ENGINES[0])
+    """Return the first of `ENGINES` that is installed, or else the first with wheels."""
+    installable = ENGINES[sys.version_info >= (3, 12)]
+    return next((one for one in ENGINES if find_spec(one)), installable)

@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinfeas.config.recipes import default_engine
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.policies import pretrained
 from kinfeas.robots.loading import load_robot
 from tests.cli.conftest import check_one_line
-from tests.cli.test_benchmark import PYBULLET, STUDY
+from tests.cli.test_benchmark import PHYSICS, STUDY
 from tests.importer.conftest import ARM
 from tests.plugins.conftest import door_demonstrations
 from tests.sim2real.policy_cases import write_run
 
+ENGINE = default_engine()
 SCOUT = Path(__file__).parents[2] / "examples" / "own_robot" / "scout.yaml"
 SCENE = "{name: office, size: [4, 4], objects: {desk: {urdf: %s}}}"
 
@@ -50,17 +52,17 @@ INPUT = {
         ("--minutes 0", "schedule.minutes"),
         ("--seed -1", "seed"),
         ("--init nowhere", "nowhere"),
-        ("--world pybullet --config train/default", "--world pybullet"),
+        (f"--world {ENGINE} --config train/default", f"--world {ENGINE}"),
         ("--config train_physics/default", "--world analytic"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --seed 1", "--resume"),
-        ("--resume nowhere --world pybullet", "--resume"),
+        (f"--resume nowhere --world {ENGINE}", "--resume"),
     ],
     "benchmark --out out --processes 1 --config study.yaml": [
         ("--config benchmark/none", "study"),
         ("--config benchmark/paper", "benchmark/paper"),
-        ("--config pybullet.yaml", "--world"),
-        ("--world pybullet", "--world"),
+        ("--config physics.yaml", "--world"),
+        (f"--world {ENGINE}", "--world"),
         ("--set episods=3", "'episodes'"),
         ("--policy follow_ee", "--policy"),
         ("--policy pretrained --runs runs", "--runs"),
@@ -94,7 +96,7 @@ INPUT = {
         ("--set guards.sped=1", "guards.sped"),
         ("--set head_start=1e300", "head_start"),
         ("--set task.orientation=so3", "--task"),
-        ("--backend pybullet --set 'backend.physics={gravity: -1}'", "gravity"),
+        (f"--backend {ENGINE} --set 'backend.physics={{gravity: -1}}'", "gravity"),
     ],
     "deploy --goal 0.9 0.1 0.8": [
         (f"{pretrained.find('tiago')} --robot pr2", "'tiago'"),
@@ -146,7 +148,7 @@ def files(tmp_path):
     """Good and broken files in the working folder; a function that returns all contents there."""
     texts = {
         "study.yaml": STUDY,
-        "pybullet.yaml": PYBULLET,
+        "physics.yaml": PHYSICS,
         "adapters.yaml": "adapters: [{name: base_noise, linear: [2, 1]}]",
         "office.yaml": SCENE % "table.urdf",
         "broken.yaml": SCENE % "tabel.urdf",
@@ -170,8 +172,6 @@ def files(tmp_path):
     [(f"{command} {more}", named) for command, rows in INPUT.items() for more, named in rows],
 )
 def test_bad_input_is_one_line_and_writes_nothing(kinfeas, files, line, named):
-    if "simulate" in line or "pybullet" in line:
-        pytest.importorskip("pybullet")
     before = files()
     done = kinfeas(*shlex.split(line))
     check_one_line(done, named)

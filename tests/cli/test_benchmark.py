@@ -3,6 +3,7 @@ import json
 import pytest
 
 from kinfeas.benchmark import evaluations
+from kinfeas.config.recipes import default_engine
 from kinfeas.core.errors import KinfeasError
 from tests.cli.conftest import TINY, check_one_line
 
@@ -17,12 +18,12 @@ seeds: [0, 1]
 episodes: 2
 settings: ["world.max_seconds=2.5"]
 """
-PYBULLET = """
+PHYSICS = f"""
 robots: [hsr]
 tasks: [ggr]
 policies: pretrained
-baselines: {follow_ee: [ggr]}
-backend: pybullet
+baselines: {{follow_ee: [ggr]}}
+backend: {default_engine()}
 settings: ["world.max_seconds=0.3"]
 """
 
@@ -31,7 +32,7 @@ settings: ["world.max_seconds=0.3"]
 def run(kinfeas, tmp_path):
     """Return a function that runs `kinfeas benchmark` with a small study."""
     (tmp_path / "study.yaml").write_text(STUDY)
-    (tmp_path / "pybullet.yaml").write_text(PYBULLET)
+    (tmp_path / "physics.yaml").write_text(PHYSICS)
 
     def benchmark(*arguments, **checks):
         config = () if "--config" in arguments else ("--config", "study.yaml")
@@ -65,12 +66,12 @@ def test_study_is_trained_evaluated_published_and_not_repeated(run, tmp_path, mo
 
 
 def test_physics_beside_the_analytic_world(run, tmp_path):
-    pytest.importorskip("pybullet")
-    words = ("--config", "pybullet.yaml", "--world", "pybullet", "--episodes", "2")
+    engine = default_engine()
+    words = ("--config", "physics.yaml", "--world", engine, "--episodes", "2")
     run(*words, "--json", "out.json", code=0)
     entries = json.loads((tmp_path / "out.json").read_text())
     worlds = [(one["policy"], one["world"]) for one in entries]
-    assert worlds == [("pretrained", "pybullet"), ("follow_ee", "pybullet")]
+    assert worlds == [("pretrained", engine), ("follow_ee", engine)]
     assert entries[0]["analytic_success"] is not None
 
 

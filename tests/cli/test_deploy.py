@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from kinfeas.config.recipes import ENGINES
 from kinfeas.io.run_log import REACHED, read_record
 from kinfeas.policies import pretrained
 from kinfeas.tasks.loading import load_task
@@ -40,9 +41,11 @@ def test_goal_is_reached_and_recorded(run, tmp_path):
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == REACHED
 
 
-def test_task_in_pybullet_is_recorded_with_its_furniture(run, tmp_path):
-    pytest.importorskip("pybullet")
-    _, record = run("follow_ee", *HSR, "--task", "pick_place", "--seconds", "0.1", code=4)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_task_with_physics_is_recorded_with_its_furniture(run, tmp_path, engine):
+    pytest.importorskip(engine)
+    words = ("--backend", engine, "--task", "pick_place", "--seconds", "0.1")
+    _, record = run("follow_ee", *HSR, *words, code=4)
     assert json.loads((tmp_path / "run.json").read_text())["task_done"] is False
     assert record.about.scene == "room"
     assert set(record.about.objects) == set(load_task("pick_place").scene.moves)

@@ -4,11 +4,12 @@ import pytest
 
 from kinfeas.benchmark import speed as speed_module
 from kinfeas.benchmark.speed import Figure
+from kinfeas.config.recipes import default_engine
 from kinfeas.robots.loading import load_robot
 
 EVALUATE = ("evaluate", "--policy", "follow_ee", "--robot", "hsr", "--episodes", "2")
 SHORT = (*EVALUATE, "--set", "world.max_seconds=0.5")
-PYBULLET = ("--world", "pybullet", "--episodes", "1", "--task", "drawer")
+ENGINE = default_engine()
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def test_robot_and_task_by_path(evaluate, tmp_path):
 
 
 def test_filters_replace_those_of_the_robot(evaluate):
-    words = ("--robot", "tiago", "--world", "pybullet", "--episodes", "1", "--no-objects")
+    words = ("--robot", "tiago", "--world", ENGINE, "--episodes", "1", "--no-objects")
     for given, names in (
         ((), ["feasibility"]),
         (("--filters", "none"), []),
@@ -53,9 +54,8 @@ def test_filters_replace_those_of_the_robot(evaluate):
 
 
 def test_options_of_physics(evaluate):
-    pytest.importorskip("pybullet")
-    words = ("--head-start", "0.2", "--time-scale", "0.5", "--no-objects")
-    figures = evaluate(*SHORT, *PYBULLET, *words)
+    words = ("--world", ENGINE, "--episodes", "1", "--task", "drawer", "--no-objects")
+    figures = evaluate(*SHORT, *words, "--head-start", "0.2", "--time-scale", "0.5")
     assert (figures["head_start"], figures["time_scale"]) == (0.2, 0.5)
     assert figures["task_success"] is None
     assert figures["base_collisions"] is not None
@@ -76,10 +76,9 @@ def test_adapters_of_a_file(evaluate, tmp_path):
     }
 
 
-@pytest.mark.parametrize("world", ["analytic", "pybullet"])
+@pytest.mark.parametrize("world", ["analytic", ENGINE])
 def test_episode_as_picture_film_and_page(kinfeas, tmp_path, world):
     pytest.importorskip("viser")
-    pytest.importorskip("pybullet")
     outputs = ("--video", "four.png", "--replay", "page.html", "--picture", "episode.png")
     outcome = kinfeas(*SHORT, "--world", world, *outputs, "--episode", "1", code=0)
     assert set(outcome.out.splitlines()[-3:]) == {"four.png", "page.html", "episode.png"}

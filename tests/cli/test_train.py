@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from kinfeas.cli.train import read_settings
+from kinfeas.config.recipes import default_engine
 from kinfeas.control.adapters import read_sim2real
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
@@ -104,5 +105,5 @@ def test_options_win_over_the_recipe_and_set_over_both():
     assert (settings.seed, settings.num_envs) == (8, 4)
     assert (settings.schedule.steps, settings.schedule.minutes) == (50, None)
     assert settings.learner.net_arch == (256, 256, 256)
-    physics = read_settings("pr2", world="pybullet")
-    assert (physics.world.backend, physics.world.time_scale) == ("pybullet", 0.5)
+    physics = read_settings("pr2", world=default_engine())
+    assert (physics.world.backend, physics.world.time_scale) == (default_engine(), 0.5)

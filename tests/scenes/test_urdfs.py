@@ -1,7 +1,6 @@
 """The shipped furniture moves freely, and PyBullet reads the same links and joints."""
 
 import numpy as np
-import pybullet
 import pytest
 
 from kinfeas.core.spatial import IDENTITY, distance
@@ -35,6 +34,7 @@ def test_doors_and_drawers_open_all_the_way_without_touching_their_body(name, jo
 
 @pytest.fixture(scope="module")
 def bullet():
+    pybullet = pytest.importorskip("pybullet")
     client = pybullet.connect(pybullet.DIRECT)
     yield client
     pybullet.disconnect(client)
@@ -42,6 +42,8 @@ def bullet():
 
 @pytest.mark.parametrize("path", URDFS, ids=lambda path: path.stem)
 def test_pybullet_reads_the_same_masses_joints_and_places(bullet, path):
+    import pybullet
+
     positions = {name: 0.2 for name in parse_urdf(path).joints if name in ("hinge", "slide")}
     one = loaded(path, **positions)
     body = pybullet.loadURDF(str(path), physicsClientId=bullet)

@@ -1,4 +1,3 @@
-import importlib.util
 import signal
 import time
 
@@ -13,12 +12,7 @@ from kinfeas.robots.loading import load_robot
 from tests.sim2real.doubles import wait
 from tests.sim2real.ros_processes import LIMIT, Ros1, Ros2, needs_ros1
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        importlib.util.find_spec("pybullet") is None, reason="PyBullet is not installed"
-    ),
-]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module", params=[pytest.param(Ros1, marks=needs_ros1), Ros2])

@@ -16,6 +16,7 @@ from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.drives import ArmSetpoints
 from kinfeas.backends.physics.kernels import base_path
 from kinfeas.backends.physics.obstacles import stack
+from kinfeas.backends.physics.robot import PLANAR_JOINTS
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
@@ -133,9 +134,9 @@ class MuJoCoBackend(PhysicsBackend):
     def joint_motion(self, row: int = 0) -> Motion:
         """Return the motion of all joints of a robot except those of its base."""
         qpos, qvel = self.sims.qpos[row], self.sims.qvel[row]
-        joints = self.model.joints
-        return {n: float(qpos[at]) for n, (at, _) in joints.items()}, {
-            n: float(qvel[at]) for n, (_, at) in joints.items()
+        joints = [one for one in self.model.joints.items() if one[0] not in PLANAR_JOINTS]
+        return {n: float(qpos[at]) for n, (at, _) in joints}, {
+            n: float(qvel[at]) for n, (_, at) in joints
         }
 
     def touched(self, row: int = 0) -> list[str]:

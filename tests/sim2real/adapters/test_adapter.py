@@ -1,3 +1,4 @@
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -181,9 +182,10 @@ def test_two_adapters_of_a_class_have_independent_random_numbers(rig):
 
 
 def test_adapters_have_the_optional_methods_of_their_backend(pr2):
-    able, bare = Mock(), object()
-    adapter, other = Adapter(able, pr2), Adapter(bare, pr2)
     passed_on = ("grip", "obstacle_distances", "read", "stop")
+    names = (*passed_on, "snapshot", "restore", "seed", "close")
+    able, bare = SimpleNamespace(**{name: Mock() for name in names}), object()
+    adapter, other = Adapter(able, pr2), Adapter(bare, pr2)
     for name in (*passed_on, "snapshot", "restore"):
         assert hasattr(adapter, name)
         assert not hasattr(other, name)

@@ -3,13 +3,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from kinfeas.config.recipes import ENGINES
 from kinfeas.core.start import episode_rng
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
-from kinfeas.tasks.loading import load_task
-
-pytest.importorskip("pybullet")
-
 from kinfeas.sim2real.simulator.simulation import (
     JointSetpoints,
     SimulatedRobot,
@@ -17,6 +14,7 @@ from kinfeas.sim2real.simulator.simulation import (
     simulate,
     spawn,
 )
+from kinfeas.tasks.loading import load_task
 
 TICK = 0.01
 
@@ -35,9 +33,10 @@ def test_setpoints_pass_the_points_in_order_and_hold_the_last():
     assert setpoints.at(13.0) == setpoints.at(99.0) == {"a": -1.0, "b": 0.0, "c": 7.0}
 
 
-@pytest.fixture(scope="module")
-def world():
-    backend, state = spawn(load_robot("hsr"))
+@pytest.fixture(scope="module", params=ENGINES)
+def world(request):
+    pytest.importorskip(request.param)
+    backend, state = spawn(load_robot("hsr"), engine=request.param)
     yield backend, state
     backend.close()
 
