@@ -66,7 +66,7 @@ class Solids:
         return changed
 
     def at(self, seconds: Array) -> "Solids":
-        """Return the solids as they stand some seconds, shape (n,), after their start."""
+        """Return the solids as they stand and move some seconds, shape (n,), after their start."""
         speed = np.linalg.norm(self.velocity, axis=2)
         if not speed.any():
             return self
@@ -76,7 +76,8 @@ class Solids:
         share = np.where(moves, np.minimum(way, 2.0 * span - way) / np.maximum(speed, 1e-12), 0.0)
         pose = self.pose.copy()
         pose[:, :, :2] += self.velocity * share[:, :, np.newaxis]
-        return replace(self, pose=pose)
+        back = (moves & (way > span))[:, :, np.newaxis]
+        return replace(self, pose=pose, velocity=np.where(back, -self.velocity, self.velocity))
 
     def gaps(self, points: Array) -> tuple[Array, Array]:
         """Return the horizontal and the vertical gaps from points to solids, shape (n, m, k).

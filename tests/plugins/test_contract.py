@@ -43,6 +43,7 @@ class Case:
 CASES = [
     Case("linear"),
     Case("minimum_jerk"),
+    Case("planned"),
     Case("imitation", model="imitation"),
     Case("gaussian_mixture", model="gaussian_mixture"),
     *(Case("waypoints", frame, file="waypoints") for frame in (*TARGET_FRAMES, "world")),
@@ -161,6 +162,7 @@ def test_frames_place_the_end(generator, case):
 NUMBERS = {
     "linear": ("gain", "min_velocity"),
     "minimum_jerk": ("min_duration",),
+    "planned": ("radius", "clearance", "ramp", "min_duration"),
     "imitation": ("gain", "position_scale", "rotation_scale"),
     "waypoints": ("gain", "ramp"),
     "replay": ("gain",),

@@ -1,0 +1,215 @@
+"""The `planned` motion among solids: clearance, smoothness, batches, plans that change."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+from scipy.spatial.transform import Rotation
+
+from kinfeas.core.solids import Solids, stacked_solids
+from kinfeas.core.spatial import distance, integrate
+from kinfeas.plugins.minimum_jerk import MinimumJerk
+from kinfeas.plugins.planned import Planned
+from tests.plugins.conftest import DT, random_poses, run, speeds
+
+RADIUS = 0.15
+
+
+def clearance(solids, row, points):
+    """Return the distances of points, shape (m, 3), to the nearest solid: to a clamped point."""
+    nearest = np.full(len(points), np.inf)
+    each = zip(solids.pose[row], solids.size[row], solids.cylinder[row], strict=True)
+    for (x, y, yaw), (a, b, low, high), cylinder in each:
+        if a == 0.0:
+            continue
+        local = Rotation.from_euler("z", yaw).inv().apply(points - [x, y, 0.0])
+        inside = np.clip(local, [-a, -b, low], [a, b, high])
+        if cylinder:
+            reach = np.maximum(np.linalg.norm(local[:, :2], axis=1, keepdims=True), 1e-9)
+            inside[:, :2] = local[:, :2] * np.minimum(a / reach, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(local - inside, axis=1))
+    return nearest
+
+
+def world(seed, places=40):
+    """Return solids, a start and a goal that are free of them, of one row."""
+    rng = np.random.default_rng(seed)
+    solids = Solids.empty(1, places)
+    solids.pose[0] = rng.uniform([-5.0, -5.0, -np.pi], [5.0, 5.0, np.pi], (places, 3))
+    solids.size[0, :, :2] = rng.uniform(0.1, 0.6, (places, 2))
+    solids.size[0, :, 3] = rng.choice([0.2, 0.7, 2.0], places)
+    solids.cylinder[0] = rng.random(places) < 0.3
+    solids.size[0, :, 1][solids.cylinder[0]] = solids.size[0, :, 0][solids.cylinder[0]]
+    poses = []
+    while len(poses) < 2:
+        pose = random_poses(1, int(rng.integers(2**31)))
+        pose[:, :3] = rng.uniform([-4.0, -4.0, 0.4], [4.0, 4.0, 1.2])
+        if clearance(solids, 0, pose[:, :3])[0] > 0.35:
+            poses.append(pose)
+    return solids, *poses
+
+
+def worlds(n):
+    solids, starts, goals = zip(*(world(seed) for seed in range(n)), strict=True)
+    return stacked_solids(solids), np.concatenate(starts), np.concatenate(goals)
+
+
+def connected(solids, row, start, goal):
+    """Return whether places with twice the sphere's room join start and goal at z = 1."""
+    line = np.arange(-7.0, 7.0, 0.1)
+    grid = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    free = clearance(solids, row, np.column_stack([grid, np.ones(len(grid))])) > 2.0 * RADIUS
+    areas = label(free.reshape(len(line), -1))[0]
+    ends = [tuple(((pose[:2] + 7.0) / 0.1 + 0.5).astype(int)) for pose in (start, goal)]
+    return areas[ends[0]] == areas[ends[1]] > 0
+
+
+def planned(solids, start, goal, **parameters):
+    generator = Planned(radius=RADIUS, **parameters)
+    return generator, generator.replan(
+        generator.start(start, goal, [None] * len(start)), start, goal, solids
+    )
+
+
+def follow(generator, state, ee, goal, seconds, on_step=lambda i, state, ee: state):
+    poses, twists = [ee], []
+    for i in range(round(seconds / DT)):
+        twist, state = generator.twist(state, ee, goal, np.full(len(ee), DT))
+        ee = integrate(ee, twist, DT)
+        poses.append(ee)
+        twists.append(twist)
+        state = on_step(i, state, ee)
+    return np.stack(poses), np.stack(twists)
+
+
+def test_paths_keep_clear_arrive_and_are_smooth():
+    solids, start, goal = worlds(40)
+    generator, state = planned(solids, start, goal)
+    poses, twists = follow(generator, state, start, goal, 250.0)
+    assert np.max(distance(poses[-1], goal)) < 1e-6
+    assert max(map(np.max, speeds(twists))) <= 0.1 * (1.0 + 1e-9)
+    around = 0
+    for row in range(40):
+        if connected(solids, row, start[row], goal[row]):
+            assert clearance(solids, row, poses[:, row, :3]).min() >= RADIUS
+            way = np.linalg.norm(np.diff(poses[:, row, :3], axis=0), axis=1).sum()
+            around += way > 1.01 * distance(start[row], goal[row])[0]
+    assert around > 10
+    linear, angular = speeds(np.diff(twists, axis=0, prepend=0.0) / DT)
+    assert max(linear.max(), angular.max()) < 0.15  # m/s^2, rad/s^2
+
+
+def test_plans_are_the_same_to_the_bit_alone_and_in_a_batch():
+    solids, start, goal = worlds(8)
+    generator, state = planned(solids, start, goal)
+    for row in range(8):
+        one = np.array([row])
+        _, alone = planned(solids.of(one), start[one], goal[one])
+        for key, values in alone.items():
+            np.testing.assert_array_equal(values[0], state[key][row], err_msg=key)
+        ahead = generator.ahead(alone, start[one], goal[one], np.array([0.5, 1.5]))
+        whole = generator.ahead(state, start, goal, np.array([0.5, 1.5]))
+        np.testing.assert_array_equal(ahead[0], whole[row])
+
+
+def across(high, half=3.0, at=1.5):
+    """Return a solid across the way from x = 0 to 3, and start and goal."""
+    solids = Solids.empty(1, 1)
+    solids.pose[0, 0, 0], solids.size[0, 0] = at, [0.05, half, 0.0, high]
+    start, goal = np.tile([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0], (2, 1, 1))
+    goal[0, 0] = 3.0
+    return solids, start, goal
+
+
+def test_without_solids_the_motion_is_that_of_minimum_jerk():
+    start, goal = random_poses(5, 0), random_poses(5, 1)
+    expected = run(MinimumJerk(), start, goal, 60.0)[0]
+    np.testing.assert_allclose(run(Planned(), start, goal, 60.0)[0], expected, atol=1e-9)
+
+
+def test_free_motions_are_straight_and_low_solids_are_passed_above():
+    points = planned(*across(0.1, at=50.0))[1]["points"][0]
+    np.testing.assert_allclose(points[:, 1:], np.tile([0.0, 0.5], (64, 1)), atol=1e-12)
+    points = planned(*across(0.6))[1]["points"][0]
+    assert points[:, 2].max() > 0.75
+    assert np.abs(points[:, 1]).max() < 0.1
+    points = planned(*across(2.0))[1]["points"][0]
+    assert np.abs(points[:, 1]).max() > 3.0
+
+
+def test_without_a_path_the_motion_is_straight():
+    _, start, goal = across(2.0)
+    walls = Solids.empty(1, 4)
+    walls.pose[0] = [[2.5, 0, 0], [3.5, 0, 0], [3, -0.5, np.pi / 2], [3, 0.5, np.pi / 2]]
+    walls.size[0] = [0.05, 0.6, 0.0, 2.0]
+    points = planned(walls, start, goal)[1]["points"][0]
+    np.testing.assert_allclose(points[:, 0], np.linspace(0.0, 3.0, 64), atol=1e-9)
+
+
+def test_ends_beside_a_solid_are_left_and_reached():
+    solids, start, goal = across(2.0, at=2.93)
+    goal[:, 0] = 3.03
+    generator, state = planned(solids, start, goal)
+    poses, _ = follow(generator, state, start, goal, 150.0)
+    assert np.max(distance(poses[-1], goal)) < 1e-6
+    near = clearance(solids, 0, poses[:, 0, :3]) < RADIUS
+    assert distance(poses[near], goal)[0].max() < 0.4
+
+
+def test_a_new_plan_begins_with_the_velocity_of_the_old_one():
+    solids, start, goal = across(2.0)
+    generator, state = planned(solids, start, goal)
+    other = across(2.0)[0]
+    other.pose[0, 0, 1] = -2.5  # the short way is on the other side now
+
+    def replanned(i, state, ee):
+        return generator.replan(state, ee, goal, other) if i == 60 else state
+
+    poses, twists = follow(generator, state, start, goal, 200.0, replanned)
+    assert poses[:, 0, 1].max() > 0.4
+    assert clearance(other, 0, poses[:, 0, :3]).min() > RADIUS
+    linear, _ = speeds(np.diff(twists, axis=0) / DT)
+    assert linear.max() < 0.25
+    assert np.max(distance(poses[-1], goal)) < 1e-6
+
+
+def test_plans_stay_while_they_are_free():
+    solids, start, goal = across(2.0)
+    generator, state = planned(solids, start, goal)
+    elsewhere = across(2.0, at=9.0)[0]
+    both = Solids(
+        *(np.concatenate(pair, axis=1) for pair in zip(*(
+            vars(one).values() for one in (solids, elsewhere)
+        ), strict=True))
+    )  # fmt: skip
+    again = generator.replan(state, start, goal, both)
+    assert all(np.array_equal(values, state[key]) for key, values in again.items())
+
+
+def test_poses_ahead_are_those_that_the_motion_comes_to():
+    solids, start, goal = across(2.0)
+    generator, state = planned(solids, start, goal)
+    poses, _ = follow(generator, state, start, goal, 150.0)
+    way = np.cumsum(np.linalg.norm(np.diff(poses[:, 0, :3], axis=0), axis=1))
+    for i in (0, 200, 400):
+        far = poses[0:1, 0]
+        twisted, ee = state, start
+        for _ in range(i):
+            twist, twisted = generator.twist(twisted, ee, goal, np.full(1, DT))
+            ee = integrate(ee, twist, DT)
+        far = generator.ahead(twisted, ee, goal, np.array([0.0, 0.7, 99.0]))[0]
+        later = np.searchsorted(way, way[i - 1] * (i > 0) + 0.7) + 1
+        for pose, expected in zip(far, (poses[i, 0], poses[later, 0], goal[0]), strict=True):
+            metres, radians = distance(pose, expected)
+            assert metres < 0.02
+            assert radians < 0.01
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.5])
+def test_plans_are_followed_at_any_rate(dt):
+    solids, start, goal = across(2.0)
+    generator, state = planned(solids, start, goal)
+    for _ in range(round(150.0 / dt)):
+        twist, state = generator.twist(state, start, goal, np.full(1, dt))
+        start = integrate(start, twist, dt)
+        assert clearance(solids, 0, start[:, :3])[0] > RADIUS
+    assert np.max(distance(start, goal)) < 1e-6
