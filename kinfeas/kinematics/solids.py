@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, yaw
-from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than
+from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
 from kinfeas.kinematics.forward import flattened
 from kinfeas.kinematics.kernels import inlined, kernel, square
 from kinfeas.kinematics.self_collision import (
@@ -70,6 +70,19 @@ def collides(
     touching = np.empty((len(flat), 2), dtype=np.bool_)
     _collides_batch(model, flat, *rows_of(in_base(solids, base_pose), len(flat)), touching)
     return touching
+
+
+def distances(
+    model: CollisionModel, joint_positions: Array, base_pose: Array, solids: Solids
+) -> Array:
+    """Return the distances to the nearest solids, shape (n, 2), metres.
+
+    They are 0 in contact and inf without solids; columns and arguments are those of `collides`.
+    """
+    flat, _ = flattened(model.variables, joint_positions)
+    found = np.empty((len(flat), 2))
+    _distances_batch(model, flat, *rows_of(in_base(solids, base_pose), len(flat)), found)
+    return found
 
 
 def scan(
@@ -140,12 +153,58 @@ def touches_solids(model: CollisionModel, moved, pose, size, cylinder, scratch: 
     return False
 
 
+@kernel
+def _distances_batch(model, joint_positions, pose, size, cylinder, out):
+    scratch = make_collision_scratch(model)
+    for i in range(len(joint_positions)):
+        place_shapes(model, joint_positions[i], scratch)
+        for moved in range(2):
+            # Centres of shapes are farther away than their surfaces.
+            nearest = _nearest_gap(model, moved == 1, pose[i], size[i], cylinder[i], scratch)
+            out[i, moved] = _distance(
+                model, moved == 1, nearest, pose[i], size[i], cylinder[i], scratch
+            )
+
+
+@inlined
+def _nearest_gap(model, moved, pose, size, cylinder, scratch):
+    """Return the distance of the shapes' centres to the nearest solid."""
+    nearest = np.inf
+    for k in range(len(pose)):
+        if not is_empty(size[k]):
+            kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+            for s in range(len(model.body)):
+                if (model.body[s] >= 0) == moved:
+                    nearest = min(nearest, _gap(s, kind, scratch))
+    return math.sqrt(nearest)
+
+
+@inlined
+def _distance(model, moved, nearest, pose, size, cylinder, scratch):
+    """Return the distance of the shapes to the nearest solid, at most `nearest`."""
+    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
+    for k in range(len(pose)):
+        if is_empty(size[k]):
+            continue
+        kind = place_solid(pose[k], size[k], cylinder[k], scratch.solid)
+        for s in range(len(model.body)):
+            if (model.body[s] >= 0) != moved:
+                continue
+            if _gap(s, kind, scratch) < square(nearest + model.radius[s]):
+                found = distance(
+                    model.kind[s], model.size[s], scratch.rotation[s], scratch.position[s],
+                    kind, half, turn, centre,
+                    scratch.simplex,
+                )  # fmt: skip
+                nearest = min(nearest, found)
+    return nearest
+
+
 @inlined
 def _touches(model, s, kind, scratch):
     """Return whether a shape touches the solid in the scratch memory."""
     turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
-    gap = squared_gap(scratch.position[s], kind, turn, centre, half)
-    if gap > square(model.radius[s] + MARGIN):
+    if _gap(s, kind, scratch) > square(model.radius[s] + MARGIN):
         return False
     return closer_than(
         MARGIN,
@@ -180,8 +239,10 @@ def place_solid(pose, size, cylinder, out):
 
 
 @inlined
-def squared_gap(point, kind, turn, centre, half):
-    """Return the squared distance of a point, shape (3,), to an upright solid, 0 inside."""
+def _gap(s, kind, scratch):
+    """Return the squared distance of a shape's centre to the solid in the scratch memory."""
+    turn, centre, half = scratch.solid[:3], scratch.solid[3], scratch.solid[4]
+    point = scratch.position[s]
     dx, dy = point[0] - centre[0], point[1] - centre[1]
     z = max(abs(point[2] - centre[2]) - half[2], 0.0)
     if kind == CYLINDER:

@@ -9,7 +9,7 @@ from kinfeas.core.spatial import planar_pose, rotation, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import MARGIN, build_collision_model, self_collides
-from kinfeas.kinematics.solids import collides, in_base, scan
+from kinfeas.kinematics.solids import collides, distances, in_base, scan
 from kinfeas.robots.loading import load_robot
 from tests.kinematics.conftest import Pinocchio, Primitives, draw, touch
 
@@ -58,9 +58,28 @@ class Among(Primitives):
         body = build_collision_model(robot).body
         self.groups = np.flatnonzero(body < 0), np.flatnonzero(body >= 0)
 
-    def touch(self, solids):
+    def touch(self, joint_positions, solids, row):
+        """Return whether each group of shapes touches; bounding spheres rule most pairs out."""
+        centres, objects = self.place(joint_positions), fcl_solids(solids, row)
+        middle = np.array([one.getTranslation() for one in objects]).reshape(-1, 3)
+        used = solids.size[row, solids.size[row, :, 0] > 0.0]
+        reach = np.linalg.norm([used[:, 0], used[:, 1], (used[:, 3] - used[:, 2]) / 2.0], axis=0)
+        near = np.linalg.norm(centres[:, np.newaxis] - middle, axis=2) <= (
+            self.radius[:, np.newaxis] + reach
+        )
         return [
-            any(touch(self.objects[i], one) for i in group for one in solids)
+            any(touch(self.objects[i], objects[k]) for i in group for k in np.flatnonzero(near[i]))
+            for group in self.groups
+        ]
+
+    def distances(self, joint_positions, solids, row):
+        self.place(joint_positions)
+        objects = fcl_solids(solids, row)
+        return [
+            min(
+                (fcl.distance(self.objects[i], one) for i in group for one in objects),
+                default=np.inf,
+            )
             for group in self.groups
         ]
 
@@ -70,10 +89,8 @@ def compare(robot, judge, count, places=4):
     joints, bases = draw(robot, count), draw_bases(count)
     solids, among = draw_solids(count, places), Among(robot, judge)
     fast = collides(build_collision_model(robot), joints, bases, solids)
-    seen, exact = in_base(solids, bases), np.empty_like(fast)
-    for row, positions in enumerate(joints):
-        among.place(positions)
-        exact[row] = among.touch(fcl_solids(seen, row))
+    seen = in_base(solids, bases)
+    exact = np.array([among.touch(positions, seen, row) for row, positions in enumerate(joints)])
     assert not np.any(exact & ~fast), "free, but FCL's primitives touch"
     return exact.sum(axis=0), (fast & ~exact).sum() / exact.size
 
@@ -205,3 +222,17 @@ def test_ik_without_self_collision_avoids_solids(hsr):
     )
     assert hits[:, 1].any()
     assert not hits[found.feasible, 1].any()
+
+
+def test_distances_are_those_of_fcl(robot, judge):
+    n = 60
+    joints, bases, solids = draw(robot, n), draw_bases(n), draw_solids(n, 3, reach=4.0)
+    model, among, seen = build_collision_model(robot), Among(robot, judge), in_base(solids, bases)
+    found = distances(model, joints, bases, solids)
+    exact = [among.distances(positions, seen, row) for row, positions in enumerate(joints)]
+    exact = np.array(exact).clip(0.0)  # FCL returns -1 in contact
+    np.testing.assert_allclose(found, exact, atol=2e-5)
+    assert np.any(found == 0.0) and np.any(found > 0.5)
+    touching = collides(model, joints, bases, solids)
+    np.testing.assert_array_equal(touching, found < MARGIN)
+    assert np.all(distances(model, joints, bases, Solids.empty(n, 2)) == np.inf)

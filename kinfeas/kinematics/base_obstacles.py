@@ -1,0 +1,141 @@
+"""Nearest points of solids to the base of a robot, for the obstacle filter."""
+
+import math
+
+import numpy as np
+
+from kinfeas.core.backend import ObstacleDistances
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array
+from kinfeas.kinematics.convex import CYLINDER, SPHERE
+from kinfeas.kinematics.kernels import copy_row, inlined, kernel
+from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
+from kinfeas.kinematics.solids import in_base, is_empty, rows_of
+
+_AS_NEAR = 0.1
+"""Distance beyond that of the nearest point of a solid within which others are reported, metres."""
+
+
+def base_obstacles(
+    model: CollisionModel, base_pose: Array, solids: Solids, within: float
+) -> ObstacleDistances:
+    """Return the solids nearer than `within` metres to the shapes that the arm does not move.
+
+    Tilted shapes count as the upright boxes around them. Of each solid, all pairs of a corner and
+    an opposite side are reported that are at most 0.1 m farther apart than its nearest point: with
+    one point of a side that is parallel to a wall, a base could rotate about it into the wall.
+
+    Args:
+        model: Shapes of the robot.
+        base_pose: World poses of the bases, on the floor, shape (n, 7).
+        solids: In the world, n rows.
+        within: Metres.
+    """
+    n, used = len(base_pose), 8
+    rows = rows_of(in_base(solids, base_pose), n)
+    prisms = _prisms(model)
+    while True:
+        found = np.zeros((n, used, 5))
+        found[:, :, 4] = np.inf
+        if (needed := _obstacles_batch(prisms, *rows, within, found)) <= used:
+            break
+        used = needed
+    return ObstacleDistances(found[:, :needed, :2], found[:, :needed, 2:4], found[:, :needed, 4])
+
+
+def _prisms(model: CollisionModel) -> Array:
+    """Return upright boxes around the shapes on the base, shape (s, 9), in the base frame.
+
+    Each has the cosine and sine of its yaw, x and y of its centre, its half extents, the radius by
+    which it is rounded, the lowest and the highest z. Upright cylinders are rounded points.
+    """
+    fixed = model.body < 0
+    half, turn, kind = model.size[fixed], model.rotation[fixed], model.kind[fixed]
+    high = np.where(kind == SPHERE, half[:, 0], (np.abs(turn[:, 2]) * half).sum(axis=1))
+    rounded = (kind == SPHERE) | ((kind == CYLINDER) & (np.abs(turn[:, 2, 2]) > 1.0 - 1e-9))
+    axes = turn[:, :2] * half[:, np.newaxis]
+    lengths = np.linalg.norm(axes, axis=1)
+    longest = lengths.argmax(axis=1)[:, np.newaxis]
+    along = np.take_along_axis(axes, longest[:, np.newaxis], axis=2)[:, :, 0]
+    along /= np.take_along_axis(lengths, longest, axis=1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    prisms = np.empty((len(half), 9))
+    prisms[:, :2], prisms[:, 2:4] = along, model.offset[fixed, :2]
+    for column, side in ((4, along), (5, across)):
+        extent = np.abs(np.einsum("si,sij->sj", side, axes)).sum(axis=1)
+        prisms[:, column] = np.where(rounded, 0.0, extent)
+    prisms[:, 6] = np.where(rounded, half[:, 0], 0.0)
+    prisms[:, 7], prisms[:, 8] = model.offset[fixed, 2] - high, model.offset[fixed, 2] + high
+    prisms[:, 7:] += [-MARGIN, MARGIN]
+    return prisms
+
+
+@kernel
+def _obstacles_batch(prisms, pose, size, cylinder, within, out):
+    """Write points, normals and distances, shape (n, p, 5); return the largest number of a row."""
+    most = 0
+    pairs = np.empty((8 * len(prisms), 5))
+    solid = np.zeros(9)
+    for i in range(len(pose)):
+        used = 0
+        for k in range(pose.shape[1]):
+            if is_empty(size[i, k]):
+                continue
+            _write_prism(pose[i, k], size[i, k], cylinder[i, k], solid)
+            count, nearest = 0, within
+            for s in range(len(prisms)):
+                if prisms[s, 7] < solid[8] and solid[7] < prisms[s, 8]:
+                    count = _pair_corners(prisms[s], solid, 1.0, pairs, count)
+                    count = _pair_corners(solid, prisms[s], -1.0, pairs, count)
+            for p in range(count):
+                nearest = min(nearest, pairs[p, 4])
+            for p in range(count):
+                if pairs[p, 4] < within and pairs[p, 4] <= nearest + _AS_NEAR:
+                    if used < out.shape[1]:
+                        copy_row(pairs[p], out[i, used])
+                    used += 1
+        most = max(most, used)
+    return most
+
+
+@inlined
+def _write_prism(pose, size, cylinder, out):
+    """Write a solid as in `_prisms`."""
+    out[0], out[1], out[2], out[3] = math.cos(pose[2]), math.sin(pose[2]), pose[0], pose[1]
+    out[4], out[5], out[6] = size[0], size[1], 0.0
+    if cylinder:
+        out[4], out[5], out[6] = 0.0, 0.0, size[0]
+    out[7], out[8] = size[2], size[3]
+
+
+@kernel
+def _pair_corners(one, other, sign, pairs, count):
+    """Add the corners of one prism with their nearest points of another; return the new count.
+
+    The sign is 1 if the first prism is the robot's, else -1.
+    """
+    corners = 4 if one[4] > 0.0 else 1
+    for corner in range(corners):
+        u = one[4] if corner % 2 == 0 else -one[4]
+        v = one[5] if corner < 2 else -one[5]
+        x, y = one[2] + one[0] * u - one[1] * v, one[3] + one[1] * u + one[0] * v
+        dx, dy = x - other[2], y - other[3]
+        u, v = other[0] * dx + other[1] * dy, other[0] * dy - other[1] * dx
+        beside_u, beside_v = abs(u) - other[4], abs(v) - other[5]
+        out_u, out_v = max(beside_u, 0.0), max(beside_v, 0.0)
+        gap = math.sqrt(out_u * out_u + out_v * out_v)
+        if gap > 0.0:
+            out_u, out_v = out_u / gap, out_v / gap
+        else:  # inside, nearest to one of the sides
+            gap = max(beside_u, beside_v)
+            out_u, out_v = (1.0, 0.0) if beside_u > beside_v else (0.0, 1.0)
+        out_u, out_v = math.copysign(out_u, u), math.copysign(out_v, v)
+        # The normal of the other prism, turned towards the obstacle.
+        normal_x = -sign * (other[0] * out_u - other[1] * out_v)
+        normal_y = -sign * (other[1] * out_u + other[0] * out_v)
+        way = one[6] if sign > 0.0 else other[6] - gap
+        pairs[count, 0], pairs[count, 1] = x + way * normal_x, y + way * normal_y
+        pairs[count, 2], pairs[count, 3] = normal_x, normal_y
+        pairs[count, 4] = gap - one[6] - other[6]
+        count += 1
+    return count
