@@ -1,10 +1,11 @@
-"""The `planned` motion: around solids, by the cheapest smooth path."""
+"""The `planned` motion around solids, and the `spline` motion along random curves."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from kinfeas.config.quantities import Metres, NotNegative, Positive
+from kinfeas.config.quantities import Count, Distance, Metres, NotNegative, Positive
 from kinfeas.core.motion import State
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
@@ -19,44 +20,23 @@ _MOMENT = 0.05
 """Seconds over which the velocity is measured when the path changes."""
 
 
-class Planned:
-    """Motion around solids, from rest to rest.
+class SmoothPath:
+    """Motion along a path of its own for each start, from rest to rest.
 
-    The path is the cheapest one of a sphere around the EE: A* on a grid of x, y and heights, with
-    shortcuts and rounded corners, as a cubic B-spline. A metre costs up to 17 times as much where
-    a solid is nearer than `clearance` to its side, since the base has to pass, too. The speed rises
-    and falls along quintic ramps. Without solids, or without any path, the motion is that of
-    `minimum_jerk`, straight to the target. Orientations follow the slerp, in step with the way.
-
-    A new plan begins with the velocity of the old one. It replaces a plan that comes too near to a
-    solid, or that has become expensive.
+    A path is a cubic B-spline. The speed rises and falls along quintic ramps. Orientations follow
+    the slerp, in step with the way. A path may change on the way; its beginning then has the twist
+    of the motion before.
 
     Args:
-        radius: Radius of the sphere around the EE that stays free of solids, metres.
-        clearance: Preferred horizontal distance of the EE from solids, metres.
-        min_height: Lowest z of the EE on a detour, metres, unless start or goal are lower.
-        max_height: Highest z on a detour, likewise.
-        foresight: Seconds for which moving solids take the room that they move into.
-        ramp: Seconds from rest to full speed, and from full speed to rest, around solids.
+        ramp: Seconds from rest to full speed, and from full speed to rest.
         min_duration: Shortest duration of a straight motion, seconds.
         max_velocity: Upper limit of the speed in m/s.
         max_angular_velocity: Upper limit of the angular speed in rad/s.
     """
 
-    def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
-        self,
-        *,
-        radius: Positive = 0.15,
-        clearance: Positive = 0.5,
-        min_height: Metres = 0.4,
-        max_height: Metres = 1.2,
-        foresight: NotNegative = 4.0,
-        ramp: Positive = 4.0,
-        min_duration: Positive = 1.0,
-        max_velocity: Positive = 0.1,
-        max_angular_velocity: Positive = 0.1,
+    def __init__(
+        self, ramp: float, min_duration: float, max_velocity: float, max_angular_velocity: float
     ) -> None:
-        self._limits = np.array([radius, clearance, min_height, max_height, foresight])
         self._ramp = ramp
         self._max_velocity, self._max_angular_velocity = max_velocity, max_angular_velocity
         self._straight = MinimumJerk(
@@ -101,29 +81,6 @@ class Planned:
         share = slowed(wanted, self._max_velocity, self._max_angular_velocity)
         passed = state["time"] + share * (time - state["time"])
         return wanted * share[:, np.newaxis], {**state, "time": passed}
-
-    def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
-        """Return the state of motions around the solids as they stand now."""
-        share = self._share(state, state["time"])
-        moved = distance(state["planned_target"], target_pose)[0]
-        new = (state["rate"] > 0.0) & (moved < _MOVED)
-        points = state["points"].copy()
-        places = tuple(
-            np.ascontiguousarray(one)
-            for one in (solids.pose, solids.size, solids.cylinder, solids.velocity)
-        )
-        here, end = (np.ascontiguousarray(pose[:, :3]) for pose in (ee_pose, target_pose))
-        replan_batch(new, share, here, end, places, self._limits, points)
-        soon = np.minimum(state["time"] + _MOMENT, state["duration"])
-        then = self._at(state, target_pose, soon)
-        velocity = twist_between(self._at(state, target_pose, state["time"]), then, _MOMENT)
-        velocity = np.where(state["time"][:, np.newaxis] > 0.0, velocity, 0.0)
-        begun = self._begin(state, ee_pose, target_pose, points, velocity)
-        chosen = {
-            key: np.where(new.reshape(-1, *[1] * (values.ndim - 1)), begun[key], values)
-            for key, values in state.items()
-        }
-        return chosen
 
     def ahead(self, state: State, ee_pose: Array, target_pose: Array, distances: Array) -> Array:
         """Return the poses that lie ahead on the paths, (n, 7) and (d,) -> (n, d, 7)."""
@@ -201,6 +158,114 @@ class Planned:
         moved = (target_pose - state["planned_target"])[:, :3]
         pose[:, :3] = position + share[:, np.newaxis] * moved
         return pose
+
+
+class Planned(SmoothPath):
+    """Motion around solids, from rest to rest.
+
+    The path is the cheapest one of a sphere around the EE: A* on a grid of x, y and heights, with
+    shortcuts and rounded corners. A metre costs up to 17 times as much where
+    a solid is nearer than `clearance` to its side, since the base has to pass, too. Without
+    solids the motion is that of `minimum_jerk`; without a path it is straight. A new plan replaces
+    one that comes too near to a solid, or that has become expensive.
+
+    Args:
+        radius: Radius of the sphere around the EE that stays free of solids, metres.
+        clearance: Preferred horizontal distance of the EE from solids, metres.
+        min_height: Lowest z of the EE on a detour, metres, unless start or goal are lower.
+        max_height: Highest z on a detour, likewise.
+        foresight: Seconds for which moving solids take the room that they move into.
+        ramp: Seconds from rest to full speed, and from full speed to rest, around solids.
+        min_duration: Shortest duration of a straight motion, seconds.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
+    """
+
+    def __init__(  # noqa: PLR0913 - keyword parameters of a YAML file
+        self,
+        *,
+        radius: Positive = 0.15,
+        clearance: Positive = 0.5,
+        min_height: Metres = 0.4,
+        max_height: Metres = 1.2,
+        foresight: NotNegative = 5.0,
+        ramp: Positive = 4.0,
+        min_duration: Positive = 1.0,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
+    ) -> None:
+        super().__init__(ramp, min_duration, max_velocity, max_angular_velocity)
+        self._limits = np.array([radius, clearance, min_height, max_height, foresight])
+
+    def replan(self, state: State, ee_pose: Array, target_pose: Array, solids: Solids) -> State:
+        """Return the state of motions around the solids as they stand now."""
+        share = self._share(state, state["time"])
+        moved = distance(state["planned_target"], target_pose)[0]
+        new = (state["rate"] > 0.0) & (moved < _MOVED)
+        points = state["points"].copy()
+        places = tuple(
+            np.ascontiguousarray(one)
+            for one in (solids.pose, solids.size, solids.cylinder, solids.velocity)
+        )
+        here, end = (np.ascontiguousarray(pose[:, :3]) for pose in (ee_pose, target_pose))
+        replan_batch(new, share, here, end, places, self._limits, points)
+        soon = np.minimum(state["time"] + _MOMENT, state["duration"])
+        then = self._at(state, target_pose, soon)
+        velocity = twist_between(self._at(state, target_pose, state["time"]), then, _MOMENT)
+        velocity = np.where(state["time"][:, np.newaxis] > 0.0, velocity, 0.0)
+        begun = self._begin(state, ee_pose, target_pose, points, velocity)
+        chosen = {
+            key: np.where(new.reshape(-1, *[1] * (values.ndim - 1)), begun[key], values)
+            for key, values in state.items()
+        }
+        return chosen
+
+
+class RandomSpline(SmoothPath):
+    """Motion along a smooth random curve to the target, from rest to rest.
+
+    Args:
+        bends: Number of points between start and target through which the curve passes.
+        spread: Largest distance of these points from the straight line along each horizontal axis,
+            metres; a third of it along the vertical.
+        ramp: Seconds from rest to full speed, and from full speed to rest.
+        max_velocity: Upper limit of the speed in m/s.
+        max_angular_velocity: Upper limit of the angular speed in rad/s.
+    """
+
+    def __init__(
+        self,
+        *,
+        bends: Count = 3,
+        spread: Distance = 0.5,
+        ramp: Positive = 4.0,
+        max_velocity: Positive = 0.1,
+        max_angular_velocity: Positive = 0.1,
+    ) -> None:
+        super().__init__(ramp, ramp, max_velocity, max_angular_velocity)
+        self._bends, self._spread = bends, np.array([spread, spread, spread / 3.0])
+
+    def start(
+        self, ee_pose: Array, target_pose: Array, rngs: Sequence[np.random.Generator]
+    ) -> State:
+        """Return motions along random curves, a state as that of `SmoothPath`."""
+        state = super().start(ee_pose, target_pose, rngs)
+        knots = np.linspace(0.0, 1.0, self._bends + 2)
+        points = np.empty_like(state["points"])
+        for row, rng in enumerate(rngs):
+            begin, end = ee_pose[row, :3], target_pose[row, :3]
+            bends = begin + knots[:, np.newaxis] * (end - begin)
+            bends[1:-1] += self._spread * rng.uniform(-1.0, 1.0, (self._bends, 3))
+            points[row] = _even(CubicSpline(knots, bends)(np.linspace(0.0, 1.0, 16 * POINTS)))
+        rest = np.zeros((len(rngs), 6))
+        return self._begin(state, ee_pose, target_pose, points, rest)
+
+
+def _even(curve: Array) -> Array:
+    """Return points at even steps along a finely sampled curve, shape (m, 3) -> (64, 3)."""
+    length = np.concatenate([[0.0], np.cumsum(norm(np.diff(curve, axis=0)))])
+    at = np.linspace(0.0, length[-1], POINTS)
+    return np.stack([np.interp(at, length, axis) for axis in curve.T], axis=1)
 
 
 def _ramped(u: Array) -> Array:

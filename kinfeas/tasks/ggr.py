@@ -14,6 +14,9 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.tasks.task import MotionSpec, Subgoal, random_arm
 
+_HEIGHTS_OF = {"ggr_obstacles": "ggr", "ggr_dynamic": "ggr", "spline": "ggr_restricted"}
+"""Tasks with the goal heights of another one, unless the robot has their own."""
+
 
 @dataclass(frozen=True)
 class GoalReaching:
@@ -74,12 +77,13 @@ class GoalReaching:
         if self.heights is not None:
             return self.heights
         known = solver.robot.goal_heights
-        if self.name not in known:
+        name = self.name if self.name in known else _HEIGHTS_OF.get(self.name, self.name)
+        if name not in known:
             raise KinfeasError(
                 f"robot {solver.robot.name!r} has no goal heights for task {self.name!r}; "
                 f"its YAML has them for: {', '.join(sorted(known)) or 'none'}"
             )
-        return known[self.name]
+        return known[name]
 
     def _orientation(self, rng: np.random.Generator) -> Rotation:
         if self.orientation == "so3":
@@ -96,3 +100,9 @@ def ggr_restricted(**parameters: object) -> GoalReaching:
     """Goal reaching with start and goal in the robot's restricted range of heights."""
     defaults = {"name": "ggr_restricted", "restrict_start": True}
     return config.from_mapping(GoalReaching, {**defaults, **parameters}, "ggr_restricted")
+
+
+def spline(**parameters: object) -> GoalReaching:
+    """Goal reaching at comfortable heights, along smooth random curves."""
+    defaults = {"name": "spline", "motion": {"generator": "spline"}, "restrict_start": True}
+    return config.from_mapping(GoalReaching, {**defaults, **parameters}, "spline")

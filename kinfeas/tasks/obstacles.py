@@ -89,10 +89,6 @@ class ReachingAmongSolids(GoalReaching):
                 return replace(start, solids=solids.of(np.zeros(1, dtype=np.intp)))
         raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
 
-    def _heights(self, solver: IkSolver) -> tuple[float, float]:
-        known = solver.robot.goal_heights
-        return self.heights or known.get(self.name) or known["ggr"]
-
     def _solids(self, solver: IkSolver, start: Start, rng: np.random.Generator) -> Solids:
         """Return the solids of an episode at moments of their way, one a row; the start first."""
         goal = start.target_poses[0]
@@ -178,8 +174,9 @@ def ggr_obstacles(**parameters: object) -> ReachingAmongSolids:
 
 def ggr_dynamic(**parameters: object) -> ReachingAmongSolids:
     """Goal reaching among 16 solids that move to and fro, none of them a wall."""
-    moving = {"places": 16, "walls": 0.0, "footprint": (0.8, 0.8), "speed": (0.1, 0.15)}
-    return _reaching("ggr_dynamic", moving, parameters)
+    moving = {"places": 16, "spacing": 2.8, "jitter": 0.7, "speed": (0.1, 0.15)}
+    lower = {"walls": 0.0, "footprint": (0.8, 0.8)}
+    return _reaching("ggr_dynamic", {**moving, **lower}, parameters)
 
 
 def _reaching(

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.solids import Solids, stacked_solids
 from kinfeas.core.spatial import distance, integrate
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.planned import Planned
+from kinfeas.plugins.planned import Planned, RandomSpline
+from kinfeas.testing import check_motion_generator
 from tests.plugins.conftest import DT, random_poses, run, speeds
 
 RADIUS = 0.15
@@ -213,3 +214,17 @@ def test_plans_are_followed_at_any_rate(dt):
         start = integrate(start, twist, dt)
         assert clearance(solids, 0, start[:, :3])[0] > RADIUS
     assert np.max(distance(start, goal)) < 1e-6
+
+
+def test_splines_are_random_smooth_and_within_their_spread():
+    generator = RandomSpline(spread=0.4)
+    check_motion_generator(generator)
+    start, goal = np.zeros((20, 7)), np.zeros((20, 7))
+    start[:, 6], goal[:, 6], goal[:, 0] = 1.0, 1.0, 3.0
+    state = generator.start(start, goal, [np.random.default_rng(i) for i in range(20)])
+    poses, twists = follow(generator, state, start, goal, 100.0)
+    assert np.max(distance(poses[-1], goal)) < 1e-6
+    middle = np.abs(poses[..., :3] - start[:, :3]).max(axis=0)[:, 1:]
+    assert np.all(middle.max(axis=0) < [0.8, 0.3])
+    assert middle[:, 0].std() > 0.05
+    assert speeds(np.diff(twists, axis=0, prepend=0.0) / DT)[0].max() < 0.25
