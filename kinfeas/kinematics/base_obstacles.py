@@ -84,11 +84,18 @@ def _obstacles_batch(prisms, pose, size, cylinder, within, out):
             _write_prism(pose[i, k], size[i, k], cylinder[i, k], solid)
             count, nearest = 0, within
             for s in range(len(prisms)):
-                if prisms[s, 7] < solid[8] and solid[7] < prisms[s, 8]:
-                    count = _pair_corners(prisms[s], solid, 1.0, pairs, count)
-                    count = _pair_corners(solid, prisms[s], -1.0, pairs, count)
-            for p in range(count):
-                nearest = min(nearest, pairs[p, 4])
+                one = prisms[s]
+                if one[7] >= solid[8] or solid[7] >= one[8]:
+                    continue
+                gap, _, _ = _outward(one[2], one[3], solid)
+                radius = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6] + solid[6]
+                if gap - radius > nearest + _AS_NEAR:
+                    continue
+                first = count
+                count = _pair_corners(one, solid, 1.0, pairs, count)
+                count = _pair_corners(solid, one, -1.0, pairs, count)
+                for p in range(first, count):
+                    nearest = min(nearest, pairs[p, 4])
             for p in range(count):
                 if pairs[p, 4] < within and pairs[p, 4] <= nearest + _AS_NEAR:
                     if used < out.shape[1]:
@@ -119,23 +126,31 @@ def _pair_corners(one, other, sign, pairs, count):
         u = one[4] if corner % 2 == 0 else -one[4]
         v = one[5] if corner < 2 else -one[5]
         x, y = one[2] + one[0] * u - one[1] * v, one[3] + one[1] * u + one[0] * v
-        dx, dy = x - other[2], y - other[3]
-        u, v = other[0] * dx + other[1] * dy, other[0] * dy - other[1] * dx
-        beside_u, beside_v = abs(u) - other[4], abs(v) - other[5]
-        out_u, out_v = max(beside_u, 0.0), max(beside_v, 0.0)
-        gap = math.sqrt(out_u * out_u + out_v * out_v)
-        if gap > 0.0:
-            out_u, out_v = out_u / gap, out_v / gap
-        else:  # inside, nearest to one of the sides
-            gap = max(beside_u, beside_v)
-            out_u, out_v = (1.0, 0.0) if beside_u > beside_v else (0.0, 1.0)
-        out_u, out_v = math.copysign(out_u, u), math.copysign(out_v, v)
-        # The normal of the other prism, turned towards the obstacle.
-        normal_x = -sign * (other[0] * out_u - other[1] * out_v)
-        normal_y = -sign * (other[1] * out_u + other[0] * out_v)
+        gap, normal_x, normal_y = _outward(x, y, other)
+        normal_x, normal_y = -sign * normal_x, -sign * normal_y
         way = one[6] if sign > 0.0 else other[6] - gap
         pairs[count, 0], pairs[count, 1] = x + way * normal_x, y + way * normal_y
         pairs[count, 2], pairs[count, 3] = normal_x, normal_y
         pairs[count, 4] = gap - one[6] - other[6]
         count += 1
     return count
+
+
+@inlined
+def _outward(x, y, prism):
+    """Return the distance of a point to a prism, negative inside, and the direction away from it.
+
+    Both are those without the rounding of the prism.
+    """
+    dx, dy = x - prism[2], y - prism[3]
+    u, v = prism[0] * dx + prism[1] * dy, prism[0] * dy - prism[1] * dx
+    beside_u, beside_v = abs(u) - prism[4], abs(v) - prism[5]
+    out_u, out_v = max(beside_u, 0.0), max(beside_v, 0.0)
+    gap = math.sqrt(out_u * out_u + out_v * out_v)
+    if gap > 0.0:
+        out_u, out_v = out_u / gap, out_v / gap
+    else:  # inside, nearest to one of the sides
+        gap = max(beside_u, beside_v)
+        out_u, out_v = (1.0, 0.0) if beside_u > beside_v else (0.0, 1.0)
+    out_u, out_v = math.copysign(out_u, u), math.copysign(out_v, v)
+    return gap, prism[0] * out_u - prism[1] * out_v, prism[1] * out_u + prism[0] * out_v
