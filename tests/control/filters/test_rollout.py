@@ -5,6 +5,8 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.filters.rollout import RolloutPlanner
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.metrics import WITHIN
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import yaw
 from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.loading import load_policy
@@ -122,3 +124,19 @@ def test_needs_a_policy_without_a_state():
     world.loop.set_policy(Recurrent(3))
     with pytest.raises(KinfeasError, match="rollout_planner"):
         world.start([0])
+
+
+def test_offsets_take_the_base_out_of_the_way_of_solids():
+    world = world_of("pr2")
+    planner = planner_of(world, Still(3), horizon=0.8, num_samples=8)
+    rows = np.arange(4)
+    free = ~planner.plan(world.loop.kinematic_state(), rows).any(axis=1)
+    assert free.any()
+    ahead, solids = yaw(world.loop.state.base_pose), Solids.empty(4, 1)
+    ahead = np.stack([np.cos(ahead), np.sin(ahead)], axis=1)
+    # Low, so that the arm is above it, and in contact after 0.3 s.
+    solids.pose[:, 0, :2] = world.loop.state.base_pose[:, :2] + (0.334 + 0.05 + 0.03) * ahead
+    solids.size[:, 0], solids.cylinder[:] = [0.05, 0.05, 0.0, 0.1], True
+    solids.velocity[:, 0], solids.span[:] = -0.1 * ahead, 1.0
+    world.backend.place_solids(solids, rows)
+    assert planner.plan(world.loop.kinematic_state(), rows)[free].any(axis=1).all()
