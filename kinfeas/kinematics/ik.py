@@ -1,6 +1,6 @@
 """Inverse kinematics: verified, within joint limits, deterministic."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 import numpy as np
@@ -57,12 +57,14 @@ class IkOptions:
     centering: Share = 1.0
 
     def thorough(self) -> "IkOptions":
-        """Return options with the same definition of a solution and the default search."""
-        return IkOptions(
-            self_collision=self.self_collision,
-            pose_tolerance=self.pose_tolerance,
-            position_tolerance=self.position_tolerance,
-            rotation_tolerance=self.rotation_tolerance,
+        """Return options with the same solutions that search at least as hard as the default."""
+        default = IkOptions()
+        return replace(
+            self,
+            library=max(self.library, default.library),
+            restarts=max(self.restarts, default.restarts),
+            candidates=max(self.candidates, default.candidates),
+            max_iterations=max(self.max_iterations, default.max_iterations),
         )
 
 
