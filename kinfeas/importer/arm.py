@@ -23,14 +23,11 @@ _NOTHING = 1e-6  # m
 _MAX_EFFORT = 1e4  # N or N m; larger limits stand for none
 
 
-def place(
-    urdf: Urdf, links: Iterable[str], frame: str, positions: Mapping[str, float]
-) -> list[Shape]:
+def place(urdf: Urdf, links: Iterable[str], frame: str, poses: Mapping[str, Array]) -> list[Shape]:
     """Return the shapes of some links with their poses in the link `frame`.
 
-    Positions are rad or m, by joint name; all other joints are as near to 0 as possible.
+    `poses` are those of all links, from `Urdf.link_poses`.
     """
-    poses = urdf.link_poses(positions)
     return [
         replace(shape, pose=relative(compose(poses[link], shape.pose), poses[frame]))
         for link in links
@@ -123,10 +120,13 @@ def _is_jaw(urdf: Urdf, joint: Joint) -> bool:
     away = _off_axis(urdf, joint)
     if not away.any():
         return False
-    direction = away / np.linalg.norm(away)
+    direction, poses = away / np.linalg.norm(away), urdf.link_poses({})
     sides = urdf.below(joint.name), urdf.rigid[joint.parent]
     jaw, beside = (
-        max((one.reach(direction) for one in place(urdf, sorted(side), joint.child, {})), default=0)
+        max(
+            (one.reach(direction) for one in place(urdf, sorted(side), joint.child, poses)),
+            default=0,
+        )
         for side in sides
     )
     return beside > _FIXED_JAW * jaw
@@ -137,7 +137,7 @@ def _off_axis(urdf: Urdf, joint: Joint) -> Array:
 
     It is in the frame of the child, and zero if the shapes are on the axis, as at a wrist.
     """
-    shapes = place(urdf, sorted(urdf.below(joint.name)), joint.child, {})
+    shapes = place(urdf, sorted(urdf.below(joint.name)), joint.child, urdf.link_poses({}))
     if not shapes:
         return np.zeros(3)
     middle = np.mean([shape.pose[:3] for shape in shapes], axis=0)
@@ -167,10 +167,10 @@ def read_hand(urdf: Urdf, arm: Arm) -> Hand:
     fingers = arm.fingers if len(arm.fingers) == 2 else ()
     closed, opened = _finger_positions(urdf, arm, fingers)
     links = urdf.rigid[arm.hand].union(*(urdf.below(finger.name) for finger in arm.fingers))
-    shapes = place(urdf, sorted(links), arm.hand, {})
-    poses = urdf.link_poses({})
+    poses, wide = urdf.link_poses({}), urdf.link_poses(opened)
+    shapes = place(urdf, sorted(links), arm.hand, poses)
     wrist = relative(poses[arm.joints[-1].child], poses[arm.hand])[:3]
-    at = np.array([_middle(urdf, arm, finger, opened) for finger in arm.fingers])
+    at = np.array([_middle(urdf, arm, finger, wide) for finger in arm.fingers])
     several = len(at) > 1
     front = at.mean(axis=0) if several else _farthest(shapes, wrist)
     x = _nearest_axis(front - wrist if several else _approach(urdf, arm, front - wrist))
@@ -197,7 +197,8 @@ def _finger_positions(
     high = {joint.name: min(joint.upper, math.pi) for joint in leaders}
 
     def gap(positions: dict[str, float]) -> float:
-        one, other = (_middle(urdf, arm, finger, positions) for finger in fingers)
+        poses = urdf.link_poses(positions)
+        one, other = (_middle(urdf, arm, finger, poses) for finger in fingers)
         return float(np.linalg.norm(one - other))
 
     return (low, high) if gap(low) <= gap(high) else (high, low)
@@ -215,9 +216,9 @@ def _gripper(
     return Gripper((first, second), shut.pop(), wide.pop(), effort)
 
 
-def _middle(urdf: Urdf, arm: Arm, finger: Joint, positions: dict[str, float]) -> Array:
+def _middle(urdf: Urdf, arm: Arm, finger: Joint, poses: Mapping[str, Array]) -> Array:
     """Return the mean position of a finger's shapes in the hand's frame, shape (3,)."""
-    shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, positions)
+    shapes = place(urdf, sorted(urdf.below(finger.name)), arm.hand, poses)
     middle: Array = np.mean([shape.pose[:3] for shape in shapes], axis=0)
     return middle
 
@@ -233,8 +234,8 @@ def _approach(urdf: Urdf, arm: Arm, reach: Array) -> Array:
         return reach
     poses = urdf.link_poses({})
     axis = rotation(relative(poses[last.child], poses[arm.hand])).apply(last.axis)
-    own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, {})
-    parent = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, {})
+    own = place(urdf, sorted(urdf.rigid[arm.hand]), arm.hand, poses)
+    parent = place(urdf, sorted(urdf.rigid[last.parent]), arm.hand, poses)
     ahead = sum(float(one.pose[:3] @ axis) / len(own) for one in own)
     ahead -= sum(float(one.pose[:3] @ axis) / len(parent) for one in parent)
     return axis if ahead >= 0.0 else -axis

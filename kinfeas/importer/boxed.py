@@ -169,7 +169,10 @@ def on_the_floor(text: str, arm: Arm, source: str) -> tuple[str, float]:
     urdf = urdf_of(robot)
     links = set(urdf.links) - urdf.below(arm.joints[0].name)
     down = np.array([0.0, 0.0, -1.0])
-    depth = max((one.reach(down) for one in place(urdf, sorted(links), urdf.root, {})), default=0.0)
+    depth = max(
+        (one.reach(down) for one in place(urdf, sorted(links), urdf.root, urdf.link_poses({}))),
+        default=0.0,
+    )
     if depth <= _PLAY:
         return text, 0.0
     height = round(depth, 3)

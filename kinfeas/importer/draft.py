@@ -70,6 +70,10 @@ class Draft:
     robot: Robot
 
 
+MOST_LINKS = 2000
+"""Links of a robot at most: all pairs of them are checked for contact."""
+
+
 def draft_robot(
     path: Path,
     name: str,
@@ -94,6 +98,8 @@ def draft_robot(
     """
     report, source = on_done or (lambda share: None), str(path)
     links = len(read_robot_element(path).children("link"))
+    if links > MOST_LINKS:
+        raise KinfeasError(f"{path}: {links} links; at most {MOST_LINKS} are supported")
     boxed = boxed_urdf(path, base, lambda _: report(_BOXING / links))
     arm = find_arm(_parsed(boxed, source), hand, source)
     text, lifted = on_the_floor(boxed, arm, source)
