@@ -37,8 +37,8 @@ def training_world(config: TrainConfig) -> World:
 def periodic_evaluator(config: TrainConfig, offset: int = EVALUATION_SEED) -> PeriodicEvaluator:
     """Return the evaluation of policies in the world of a run, without its adapters.
 
-    IK searches at least as hard as by default, and episodes end as in `evaluation_world`. Their seed is
-    that of training plus `offset`.
+    IK searches at least as hard as by default, and episodes end as in `evaluation_world`. Their
+    seed is that of training plus `offset`.
     """
     world = replace(
         config.world,
