@@ -21,13 +21,11 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.viz.drawing import (
     add_axes,
-    corners,
     draw_floor,
     draw_solids,
-    faces,
-    robot_solids,
     show_all,
 )
+from kinfeas.viz.shapes import corners, faces, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, png
 
 IMAGES = Path(__file__).parent / "images"

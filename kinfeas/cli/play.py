@@ -46,13 +46,18 @@ def play(  # noqa: PLR0913, PLR0917 - each option is an argument
 
     Example: kinfeas play --robot pr2 --backend mujoco
     """
-    require("matplotlib", "viser")
-    from kinfeas.sim2real.servo.simulation import Choice
-    from kinfeas.viz.play import play as serve
+    require("viser", "fcl")
+    from kinfeas.sim2real.servo.choice import Choice
+    from kinfeas.viz.server import serving
 
-    names = "time_scaling" if filters is None else filters
-    chosen = tuple(name.strip() for name in names.split(",") if name.strip() not in ("", "none"))
-    choice = Choice(
-        robot or options.robot_of(policy), policy, second_policy, generator, chosen, backend, scene
-    )
-    serve(choice, demonstrations, host, port, typer.echo)
+    with serving("kinfeas play", host, port) as server:
+        typer.echo(f"http://{host}:{server.get_port()}")  # browsers load while the rest is imported
+        from kinfeas.viz.play import play as run
+
+        names = "time_scaling" if filters is None else filters
+        given = (name.strip() for name in names.split(","))
+        choice = Choice(
+            robot or options.robot_of(policy), policy, second_policy, generator,
+            tuple(name for name in given if name not in ("", "none")), backend, scene,
+        )  # fmt: skip
+        run(server, choice, demonstrations)

@@ -26,7 +26,7 @@ from kinfeas.io.run_log import REACHED, Record
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene, read_scene
-from kinfeas.viz import drawing
+from kinfeas.viz import drawing, shapes
 from kinfeas.viz.film import SIZE, Film, result
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, INK, STYLE, failures_text
 
@@ -60,7 +60,7 @@ def episodes_figure(
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
             for one in furniture:
-                _draw_outline(top, drawing.corners(one), (0.86, 0.79, 0.69, 0.6), 1.8)
+                _draw_outline(top, shapes.corners(one), (0.86, 0.79, 0.69, 0.6), 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
         figure.legend(handles=_legend(), loc="outside lower center", ncols=columns, fontsize=10)
@@ -128,7 +128,7 @@ def watch(recording: Recording) -> Camera:
 
 
 def moment_image(
-    solids: Sequence[drawing.Solid], recording: Recording, camera: Camera, moment: int
+    solids: Sequence[shapes.Solid], recording: Recording, camera: Camera, moment: int
 ) -> NDArray[np.uint8]:
     """Return an image of solids at a moment and the paths until then, shape (360, 480, 3)."""
     heading, seen = camera
@@ -148,7 +148,7 @@ def moment_image(
 class SolidsFilm(Film):
     """An episode drawn as solids."""
 
-    def solids(self, moment: int) -> Sequence[drawing.Solid]:
+    def solids(self, moment: int) -> Sequence[shapes.Solid]:
         """Return what is visible at a moment."""
         raise NotImplementedError
 
@@ -164,30 +164,29 @@ class EpisodeFilm(SolidsFilm):
 
     robot: Robot
 
-    def solids(self, moment: int) -> list[drawing.Solid]:
+    def solids(self, moment: int) -> list[shapes.Solid]:
         """Return the robot at a moment."""
         return robot_at(self.robot, self.recording, moment)
 
 
 def robot_at(
     robot: Robot, recording: Recording, moment: int, colours: tuple[str, ...] = (BODY, ARM)
-) -> list[drawing.Solid]:
+) -> list[shapes.Solid]:
     """Return the solids of a robot at a moment of an episode; colours of body and arm."""
     pose, joints = recording.base_pose[moment], recording.joint_positions[moment]
-    return drawing.robot_solids(robot, pose, joints, colours)
+    return shapes.robot_solids(robot, pose, joints, colours)
 
 
-def _furniture_near(scene: Scene, recording: Recording) -> list[list[drawing.Solid]]:
+def _furniture_near(scene: Scene, recording: Recording) -> list[list[shapes.Solid]]:
     """Return the solids of each object near the paths."""
     paths = np.concatenate([recording.base_pose[:, :2], recording.ee_pose[:, :2]])
     low, high = paths.min(axis=0) - _NEAR, paths.max(axis=0) + _NEAR
-    near: dict[str, list[drawing.Solid]] = {
+    near: dict[str, list[shapes.Solid]] = {
         name: []
         for name, one in scene.objects.items()
-        if np.all((one.pose[:2] > low) & (one.pose[:2] < high))
-        and not drawing.surrounds(scene, one)
+        if np.all((one.pose[:2] > low) & (one.pose[:2] < high)) and not shapes.surrounds(scene, one)
     }
-    for name, solid in drawing.scene_solids(scene):
+    for name, solid in shapes.scene_solids(scene):
         if name in near:
             near[name].append(solid)
     return list(near.values())
@@ -203,13 +202,13 @@ def side_heading(recording: Recording) -> float:
 
 
 def _draw_side(
-    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[drawing.Solid]
+    axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[shapes.Solid]
 ) -> None:
     solids = list(furniture)
     for moment, *colours in _fading(recording):
         solids += robot_at(robot, recording, moment, tuple(colours))
     ends = recording.desired[:, :3], recording.goals[:, :3]
-    points = np.concatenate([drawing.corners(solids), *ends])
+    points = np.concatenate([shapes.corners(solids), *ends])
     floor = drawing.draw_floor(axes, points)
     drawing.draw_solids(axes, solids)
     _draw_paths(axes, recording)
@@ -221,7 +220,7 @@ def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
         solids = robot_at(robot, recording, moment, (body, arm))
         carried = [solid for solid in solids if solid.colour == body]
         if carried:
-            _draw_outline(axes, drawing.corners(carried), (*to_rgb(body), 0.55), 2.0)
+            _draw_outline(axes, shapes.corners(carried), (*to_rgb(body), 0.55), 2.0)
         reach = np.stack([recording.base_pose[moment, :2], recording.ee_pose[moment, :2]])
         axes.plot(*reach.T, color=arm, lw=3.0, zorder=5)
     _draw_paths(axes, recording)

@@ -10,7 +10,7 @@ from kinfeas.core.spatial import IDENTITY, Array, rotation
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz import drawing
+from kinfeas.viz import drawing, shapes
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
 _AXES = {"approach": "#d1483e", "finger to finger": "#3a9a52"}
@@ -21,14 +21,14 @@ _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
 
 def robot_figure(robot: Robot) -> Figure:
     """Return a picture of a robot at home from two sides, with the axes of its gripper."""
-    solids = drawing.robot_solids(robot, IDENTITY, robot.home["home"])
+    solids = shapes.robot_solids(robot, IDENTITY, robot.home["home"])
     tip, axes_of_gripper = _gripper_axes(robot)
     with rc_context(STYLE):
         figure = Figure(figsize=(9.0, 5.6), layout="constrained")
         grid = figure.add_gridspec(1, 2)
         for column, heading in enumerate(np.deg2rad([-35.0, 55.0])):
             axes = drawing.add_axes(figure, grid[column], heading, np.deg2rad(18.0))
-            points = drawing.corners(solids)
+            points = shapes.corners(solids)
             floor = drawing.draw_floor(axes, points)
             drawing.draw_solids(axes, solids)
             for colour, direction in zip(_AXES.values(), axes_of_gripper, strict=True):
@@ -45,7 +45,7 @@ def robot_figure(robot: Robot) -> Figure:
 
 def scene_figure(scene: Scene) -> Figure:
     """Return a picture of a scene with doors and drawers open, and the paths of their handles."""
-    shown = {name for name, one in scene.objects.items() if not drawing.surrounds(scene, one)}
+    shown = {name for name, one in scene.objects.items() if not shapes.surrounds(scene, one)}
     half = np.array([*scene.size, 0.0]) / 2.0
     opened, paths = scene, []
     for name, handle in scene.handles.items():
@@ -58,7 +58,7 @@ def scene_figure(scene: Scene) -> Figure:
         ]
         paths.append(np.stack([one.handle_pose(name)[:3] for one in states]))
         opened = opened.with_joints({handle.object: {joint.name: _OPEN * joint.upper}})
-    solids = [(name, solid) for name, solid in drawing.scene_solids(opened) if name in shown]
+    solids = [(name, solid) for name, solid in shapes.scene_solids(opened) if name in shown]
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.2))
         axes = drawing.add_axes(figure, (0.0, 0.0, 1.0, 0.95), np.deg2rad(28.0), np.deg2rad(38.0))
@@ -69,11 +69,11 @@ def scene_figure(scene: Scene) -> Figure:
         for name in scene.handles:
             axes.plot(*scene.handle_pose(name)[:3, np.newaxis], "o", color=EE, ms=5.0, zorder=8)
         for name in shown:
-            points = drawing.corners([solid for other, solid in solids if other == name])
+            points = shapes.corners([solid for other, solid in solids if other == name])
             place = (*points.mean(axis=0)[:2], points[:, 2].max() + 0.1)
             axes.text(*place, name, fontsize=9, color=INK, ha="center", zorder=9,
                       path_effects=_CASING)  # fmt: skip
-        points = drawing.corners([solid for _, solid in solids])
+        points = shapes.corners([solid for _, solid in solids])
         drawing.show_all(axes, points * [1.0, 1.0, 1.2], 1.4)
         axes.set_title(f"{scene.name}: {scene.size[0]:g} x {scene.size[1]:g} m, grid of 1 m")
     return figure

@@ -12,10 +12,11 @@ from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.drawing import link_poses, robot_parts, scene_solids
 from kinfeas.viz.film import result
+from kinfeas.viz.server import serving
+from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
-from kinfeas.viz.viewer import FLOOR, draw, draw_scene, place, rgb, serving
+from kinfeas.viz.viewer import draw, draw_floor, draw_scene, place, rgb
 
 if TYPE_CHECKING:
     from kinfeas.viz.physics_film import PhysicsFilm
@@ -37,9 +38,7 @@ def scene_html(scene: Scene) -> str:
     with serving(scene.name) as server:
         server.initial_camera.position = np.array([0.5, -0.8, 0.6]) * max(scene.size)
         server.initial_camera.look_at = np.zeros(3)
-        server.scene.add_grid(
-            "/floor", *scene.size, cell_size=1.0, plane_color=FLOOR, plane_opacity=1
-        )
+        draw_floor(server, scene.size, 1.0)
         drawn = draw_scene(server, scene)
         film = server.get_scene_serializer()
         for frame in range(_SCENE_FRAMES if joints else 0):
@@ -128,10 +127,7 @@ def _draw_paths(server: Any, recording: Recording) -> None:
     points = np.concatenate([*paths.values(), goals])
     low, high = points.min(axis=0), points.max(axis=0)
     middle, size = (low + high) / 2.0 * [1.0, 1.0, 0.0], high - low + 2.0 * _AROUND
-    server.scene.add_grid(
-        "/floor", size[0], size[1], cell_size=0.5, plane_color=FLOOR, plane_opacity=1,
-        position=middle,
-    )  # fmt: skip
+    draw_floor(server, size, 0.5, middle)
     for colour, path in paths.items():
         travelled = np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))
         _, kept = np.unique((travelled / _PIECE).astype(int), return_index=True)

@@ -14,8 +14,8 @@ from kinfeas.envs.world import World
 from kinfeas.evaluation.paper import TITLES
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.robots.urdf import Shape
-from kinfeas.viz.drawing import Solid
 from kinfeas.viz.episodes import SolidsFilm
+from kinfeas.viz.shapes import Solid
 
 _WALL = 4.0  # m; longer boxes hide the room
 

@@ -6,13 +6,11 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kinfeas.control.execution import tool_pose
-from kinfeas.control.filters import GROUP as FILTERS
 from kinfeas.core import registry, spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
@@ -20,10 +18,13 @@ from kinfeas.io.demonstrations import Demonstration, write_demonstration
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
-from kinfeas.sim2real.servo.simulation import DT, NONE, Choice, Episode
-from kinfeas.viz.drawing import corners, robot_solids
+from kinfeas.sim2real.servo.choice import DT, NONE, Choice
+from kinfeas.viz.shapes import corners, robot_solids
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL
-from kinfeas.viz.viewer import FLOOR, DrawnRobot, draw_scene, rgb, serving
+from kinfeas.viz.viewer import DrawnRobot, draw_floor, draw_scene, rgb
+
+if TYPE_CHECKING:
+    from kinfeas.sim2real.servo.simulation import Episode
 
 _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
@@ -61,7 +62,7 @@ class _Trail:
 class _Shown:
     """A robot in the page with its paths and footprint."""
 
-    def __init__(self, server: Any, name: str, robot: Robot, episode: Episode, second: bool):
+    def __init__(self, server: Any, name: str, robot: Robot, episode: "Episode", second: bool):
         colours = _SECOND if second else (BODY, ARM)
         self._episode, self.failures = episode, 0
         self._robot = DrawnRobot(server, f"{name}/robot", robot, colours)
@@ -212,6 +213,8 @@ class PlayPage:
         return Demonstration(time, ee, base, np.repeat(ee[-1:], len(ee), axis=0))
 
     def _sample(self) -> None:
+        from kinfeas.control.execution import tool_pose
+
         if self._samples is not None:
             episode = self._episodes[0]
             tool = spatial.compose(episode.ee_pose, tool_pose(self._robot))
@@ -246,7 +249,7 @@ class PlayPage:
                 names = list(dict.fromkeys([*known, value]))
                 label = key.replace("_", " ")
                 inputs[key] = gui.add_dropdown(label, names, initial_value=value)
-            for name in dict.fromkeys([*choice.filters, *registry.names(FILTERS)]):
+            for name in dict.fromkeys([*choice.filters, *registry.names("kinfeas.filters")]):
                 boxes[name] = gui.add_checkbox(name, name in choice.filters)
 
         def change() -> None:
@@ -259,6 +262,8 @@ class PlayPage:
 
     def _build(self, choice: Choice) -> None:
         """Replace the episodes; keep them if those of the choice cannot be built."""
+        from kinfeas.sim2real.servo.simulation import Episode  # after the first picture
+
         if self._episodes and choice == self.choice:
             return
         fresh: list[Episode] = []
@@ -306,9 +311,7 @@ class PlayPage:
     def _draw_scene(self, name: str) -> list[Any]:
         scene = None if name == NONE else read_scene(name)
         size = (10.0, 10.0) if scene is None else scene.size
-        floor = self.server.scene.add_grid(
-            "/floor", *size, cell_size=0.5, plane_color=FLOOR, plane_opacity=1
-        )
+        floor = draw_floor(self.server, size, 0.5)
         return [floor] if scene is None else [floor, *draw_scene(self.server, scene)]
 
     def _add_plots(self) -> None:
@@ -331,7 +334,7 @@ class PlayPage:
         ]
         return self.server.gui.add_uplot(
             (np.zeros(1), *np.zeros((len(lines), 1))), ({}, *series), title=title, aspect=2.0,
-            scales={"x": {"time": False}}, legend={"show": not hue},
+            scales={"x": {"time": False}}, legend={"show": not hue}, padding=(12, 8, 0, 0),
         )  # fmt: skip
 
     def _draw_plots(self) -> None:
@@ -369,13 +372,11 @@ def _footprint(robot: Robot) -> Array:
     return np.column_stack([outline, np.zeros(len(outline))])
 
 
-def play(choice: Choice, folder: Path, host: str, port: int, ready: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C; `ready` gets its address first."""
-    with serving("kinfeas play", host, port) as server:
-        ready(f"http://{host}:{server.get_port()}")  # browsers load while the robot is drawn
-        page = PlayPage(server, choice, folder)
-        try:
-            page.start()
-            page.run()
-        finally:
-            page.close()
+def play(server: Any, choice: Choice, folder: Path) -> None:
+    """Fill a page and run it until Ctrl-C."""
+    page = PlayPage(server, choice, folder)
+    try:
+        page.start()
+        page.run()
+    finally:
+        page.close()

@@ -1,10 +1,10 @@
 """Colours, the style of axes, and PNG files of figures."""
 
 import io
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib import rc_context
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BASE, EE, DESIRED, FAILURE, GOAL = "#1f5fa8", "#17906b", "#3a3f47", "#d62f3c", "#e69f00"
 """Colours of base, achieved EE, desired EE, IK failure and goal."""
@@ -40,8 +40,10 @@ def failures_text(count: int) -> str:
     return {0: "no failure", 1: "1 failure"}.get(count, f"{count} failures")
 
 
-def png(figure: Figure, dpi: int = 100) -> bytes:
+def png(figure: "Figure", dpi: int = 100) -> bytes:
     """Return a figure as a PNG file."""
+    from matplotlib import rc_context
+
     file = io.BytesIO()
     with rc_context(STYLE):
         figure.savefig(file, format="png", dpi=dpi)

@@ -1,38 +1,29 @@
 """Robots and scenes in viser, for pages of recordings and for live ones."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
-from io import StringIO
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
 
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
 from kinfeas.scenes.scene import Scene
-from kinfeas.viz.drawing import link_poses, robot_parts, scene_solids
+from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids
 from kinfeas.viz.style import ARM, BODY
 
-FLOOR = (245, 246, 248)
-"""Colour of the floor."""
-
+_FLOOR, _LINES = (245, 246, 248), (205, 210, 217)  # colours
 _STILL = 1e-4  # m, and of a quaternion
 
 
-@contextmanager
-def serving(title: str, host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
-    """Yield a viser server, by default at a free port."""
-    import viser
-
-    with redirect_stdout(StringIO()):  # viser prints a banner, `verbose` or not
-        server = viser.ViserServer(host, port, title, verbose=False)
-    try:
-        yield server
-    finally:
-        with redirect_stdout(StringIO()):
-            server.stop()
+def draw_floor(
+    server: Any, size: Sequence[float], cell: float, position: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Any:
+    """Draw a floor of a size (2,) with a grid; return its handle."""
+    return server.scene.add_grid(
+        "/floor", size[0], size[1], cell_size=cell, cell_color=_LINES, section_color=_LINES,
+        plane_color=_FLOOR, plane_opacity=1, position=position,
+    )  # fmt: skip
 
 
 def draw_scene(server: Any, scene: Scene) -> list[Any]:
@@ -62,9 +53,10 @@ def place(drawn: Any, pose: Array) -> None:
 
 
 def rgb(colour: str | tuple[float, ...]) -> tuple[int, ...]:
-    """Return a colour of matplotlib in the range of viser, 0 to 255."""
-    shares = to_rgb(colour) if isinstance(colour, str) else colour
-    return tuple(round(255.0 * share) for share in shares)
+    """Return a colour, `#rrggbb` or shares of 1, in the range of viser, 0 to 255."""
+    if isinstance(colour, str):
+        return tuple(bytes.fromhex(colour.removeprefix("#")))
+    return tuple(round(255.0 * share) for share in colour)
 
 
 class DrawnRobot:

@@ -3,15 +3,16 @@
 Sources have the entry points `kinfeas.target_sources`.
 """
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from kinfeas.sim2real.servo.controller import TargetController
+if TYPE_CHECKING:
+    from kinfeas.sim2real.servo.controller import TargetController
 
 
 class TargetSource(Protocol):
     """Sends targets to a controller, from a thread of its own."""
 
-    def start(self, controller: TargetController) -> None:
+    def start(self, controller: "TargetController") -> None:
         """Begin to send."""
         ...
 

@@ -1,6 +1,6 @@
 """A simulated robot that follows live targets step by step, for pages and programs."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -19,40 +19,12 @@ from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.scenes.scene import Scene
 from kinfeas.sim2real.deploy.config import ServoConfig
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
+from kinfeas.sim2real.servo.choice import DT, Choice
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import MotionSpec, build_subgoals
 
-DT = 0.02
-"""Control period, seconds."""
-
-NONE = "none"
-"""Choice of no second policy and of no scene."""
-
 _NEAR = (1e-3, 5e-3)  # m and rad from the handle within which the EE has arrived
 _UNLIMITED = 1e3  # m/s and rad/s, of targets that generators reach at their own speed
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What the page shows.
-
-    Attributes:
-        robot: Robot by name or path.
-        policy: Policy by name or path.
-        second_policy: Policy of a second robot with the same target, or `none`.
-        generator: Motion generator; `servo` follows the handle, others start at its release.
-        filters: Names of the command filters, in order.
-        backend: Backend by name.
-        scene: Scene by name or path, or `none`.
-    """
-
-    robot: str
-    policy: str = "pretrained"
-    second_policy: str = NONE
-    generator: str = "servo"
-    filters: tuple[str, ...] = ("time_scaling",)
-    backend: str = "analytic"
-    scene: str = "room"
 
 
 class Episode:

@@ -4,14 +4,12 @@ from matplotlib.figure import Figure
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.robots.urdf import Shape
 from kinfeas.viz.drawing import (
-    Solid,
     add_axes,
-    corners,
     draw_floor,
     draw_solids,
-    robot_solids,
     show_all,
 )
+from kinfeas.viz.shapes import Solid, corners, robot_solids
 from kinfeas.viz.style import ARM, BODY, png
 
 

@@ -7,17 +7,17 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import distance, rotation
 from kinfeas.io.demonstrations import read_demonstration
 from kinfeas.sim2real.servo import simulation
-from kinfeas.sim2real.servo.simulation import Choice
+from kinfeas.sim2real.servo.choice import Choice
 from kinfeas.viz.play import PlayPage
+from kinfeas.viz.server import serving
 from tests.viz.browser import BINARY, Browser
 
-viewer = pytest.importorskip("kinfeas.viz.viewer")
 pytest.importorskip("viser")
 
 
 @pytest.fixture
 def server():
-    with viewer.serving("kinfeas play") as server:
+    with serving("kinfeas play") as server:
         yield server
 
 
