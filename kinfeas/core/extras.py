@@ -6,7 +6,7 @@ from kinfeas.core.errors import KinfeasError
 
 EXTRAS = {
     "train": ("torch", "stable_baselines3", "gymnasium", "tensorboard", "sklearn", "threadpoolctl"),
-    "export": ("onnx",),
+    "export": ("onnx", "onnxruntime"),
     "pybullet": ("pybullet", "pybullet_utils"),
     "mujoco": ("mujoco",),
     "plots": ("matplotlib", "mpl_toolkits", "PIL", "fcl"),

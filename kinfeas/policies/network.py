@@ -156,7 +156,7 @@ def read_network(folder: Path, robot: Robot) -> Network:
         )
     except _BROKEN as error:
         raise KinfeasError(f"{place}: broken policy: {error}") from error
-    _check_network(network, place)
+    check_network(network, str(place))
     _check_robot(network, trained, robot, place)
     return network
 
@@ -179,16 +179,17 @@ def _check_robot(network: Network, trained: Trained, robot: Robot, place: Path) 
         )
 
 
-def _check_network(network: Network, place: Path) -> None:
+def check_network(network: Network, source: str) -> None:
+    """Raise KinfeasError, which names the source, unless the layers fit and are finite."""
     scale = network.scale
     if scale.ndim != 1 or scale.dtype != np.float32 or not np.isfinite(scale).all():
-        raise KinfeasError(f"{place}: broken policy: scale must be a row of finite float32")
+        raise KinfeasError(f"{source}: broken policy: scale must be a row of finite float32")
     width = len(scale)
     for weight, bias in zip(network.weights, network.biases, strict=True):
         fits = weight.ndim == 2 and weight.shape == (width, *bias.shape)
         finite = np.isfinite(weight).all() and np.isfinite(bias).all()
         if not (fits and finite and weight.dtype == bias.dtype == np.float32):
-            raise KinfeasError(f"{place}: broken policy: its layers do not fit or are not finite")
+            raise KinfeasError(f"{source}: broken policy: its layers do not fit or are not finite")
         width = len(bias)
 
 

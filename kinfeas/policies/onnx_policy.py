@@ -1,4 +1,4 @@
-"""Policies in one self-describing ONNX file, evaluated with onnxruntime.
+"""Policies in one self-describing ONNX file, which is read without ONNX libraries.
 
 Each field of `PolicyMetadata` is one metadata entry `kinfeas.FIELD` of the file, as JSON. The last
 entry, `kinfeas.digest`, is the SHA-256 hash of all bytes before it.
@@ -6,7 +6,9 @@ entry, `kinfeas.digest`, is the SHA-256 hash of all bytes before it.
 
 import hashlib
 import json
+from collections import defaultdict
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import numpy as np
 from kinfeas import config
 from kinfeas.control.observation import (
     ACTIONS,
+    CLIP,
     HORIZON,
     TERMS,
     check_terms,
@@ -25,6 +28,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import PolicyInput, TermInfo
 from kinfeas.core.spatial import Array
 from kinfeas.io.files import read_file
+from kinfeas.policies.network import Network, check_network
 from kinfeas.robots.robot import Robot, fingerprint
 
 SCHEMA, PREFIX = 1, "kinfeas."
@@ -96,9 +100,7 @@ class PolicyMetadata:
 
 
 class OnnxPolicy:
-    """A policy evaluated with onnxruntime in one thread.
-
-    Rows are evaluated one at a time, because onnxruntime rounds batches differently.
+    """A policy of a file; it acts as the trained one, to the bit.
 
     Args:
         content: Bytes of a file written by `kinfeas export`.
@@ -119,13 +121,13 @@ class OnnxPolicy:
             raise KinfeasError("truncated, or not written by `kinfeas export`")
         if entry != digest_entry(body):
             raise KinfeasError("changed after its export: the digest does not match")
-        self._content, self._session = content, _session(content)
-        self.metadata = _metadata(self._session.get_modelmeta().custom_metadata_map)
+        entries, self._network = _read_model(content)
+        check_network(self._network, "its graph")
+        self._content, self.metadata = content, _metadata(entries)
         self.observation_terms = check_terms(
             self.metadata.observation, tuple(TERMS), "its observation"
         )
         self.action_terms = check_terms(self.metadata.action, ACTIONS, "its action")
-        self._actions = sum(term.size for term in self.metadata.action)
         self._check_sizes()
         self._check_golden_pairs()
 
@@ -136,14 +138,11 @@ class OnnxPolicy:
     def __call__(self, observation: Array) -> Array:
         """Return the actions, shape (n, actions), for observations of shape (n, inputs).
 
-        Rows with a non-finite entry get NaN; clipping inside the graph would hide it.
+        Rows with a non-finite entry get NaN; clipping inside the network would hide it.
         """
-        values = np.ascontiguousarray(observation, dtype=np.float32)
-        finite = np.logical_and.reduce(np.isfinite(values), axis=1)
-        action = np.full((len(values), self._actions), np.nan)
-        for i in range(len(values)):
-            if finite[i]:
-                action[i] = self._session.run((OUTPUT,), {INPUT: values[i : i + 1]})[0]
+        action = self._network(observation)
+        finite = np.isfinite(observation.astype(np.float32)).all(axis=1)
+        action[~finite] = np.nan
         return action
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -168,13 +167,11 @@ class OnnxPolicy:
             raise KinfeasError("its observation or action differs from this version's of kinfeas")
 
     def _check_sizes(self) -> None:
-        ends = (*self._session.get_inputs(), *self._session.get_outputs())
-        found = [(end.name, end.type, end.shape) for end in ends]
-        inputs = sum(term.size for term in self.metadata.observation)
-        sizes = {INPUT: inputs, OUTPUT: self._actions}
-        wanted = [(name, "tensor(float)", [BATCH, size]) for name, size in sizes.items()]
+        found = len(self._network.scale), len(self._network.biases[-1])
+        metadata = self.metadata
+        wanted = tuple(sum(o.size for o in one) for one in (metadata.observation, metadata.action))
         if found != wanted:
-            raise KinfeasError(f"its graph has {found}, its metadata describe {wanted}")
+            raise KinfeasError(f"its graph has the sizes {found}, its metadata {wanted}")
 
     def _check_golden_pairs(self) -> None:
         golden = self.metadata.golden
@@ -210,24 +207,72 @@ def describe_robot(robot: Robot) -> RobotInfo:
     return RobotInfo(robot.name, fingerprint(robot), robot.ee_frame, base.frame, base.drive)
 
 
-def _session(content: bytes) -> Any:
-    import onnxruntime
-    from onnxruntime.capi import onnxruntime_pybind11_state as errors
+def graph_nodes(layers: int) -> list[tuple[str, list[str], str]]:
+    """Return operator, inputs and output of each node of a graph with so many layers."""
+    steps = [("Mul", ["scale"]), ("Clip", ["low", "high"])]
+    for i in range(layers):
+        steps += [("Gemm", [f"weight_{i}", f"bias_{i}"]), ("Relu", [])]
+    steps[-1] = ("Tanh", [])
+    values = [INPUT, *(f"value_{i}" for i in range(len(steps) - 1)), OUTPUT]
+    return [
+        (operator, [values[i], *constants], values[i + 1])
+        for i, (operator, constants) in enumerate(steps)
+    ]
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
+
+def _read_model(content: bytes) -> tuple[dict[str, str], Network]:
+    """Return metadata and network of a file; the numbers are those of the fields in onnx.proto."""
     try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except (errors.Fail, errors.InvalidGraph, errors.InvalidProtobuf, errors.NotImplemented) as e:
-        reason = " ".join(str(e).split())[:200]
-        raise KinfeasError(f"onnxruntime {onnxruntime.__version__}: {reason}") from e
+        model = _fields(content)
+        pairs = [_fields(entry) for entry in model[14]]
+        graph, tensors = _fields(model[7][0]), {}
+        for one in map(_fields, graph[5]):
+            numbers = np.frombuffer(one[9][0], "<f4").astype(np.float32)
+            tensors[one[8][0].decode()] = numbers.reshape(one[1])
+        layers = range((len(tensors) - 3) // 2)
+        known = [
+            {1: [name.encode() for name in inputs], 2: [output.encode()], 4: [operator.encode()]}
+            for operator, inputs, output in graph_nodes(len(layers))
+        ]
+        if [_fields(node) for node in graph[1]] != known:
+            raise KinfeasError("its graph is not that of a policy")
+        if (float(tensors["low"]), float(tensors["high"])) != (-CLIP, CLIP):
+            raise KinfeasError("its graph clips observations elsewhere")
+        weights, biases = (
+            tuple(tensors[f"{name}_{i}"] for i in layers) for name in ("weight", "bias")
+        )
+        network = Network(tensors["scale"], weights, biases)
+        return {one[1][0].decode(): one[2][0].decode() for one in pairs}, network
+    except (ValueError, LookupError, AttributeError, TypeError) as error:
+        raise KinfeasError(f"its graph cannot be read: {error}") from error
+
+
+def _fields(message: bytes) -> dict[int, list[Any]]:
+    """Return the values of a protocol buffer by field: integers, and bytes of anything else."""
+    stream, fields = BytesIO(message), defaultdict[int, list[Any]](list)
+
+    def integer() -> int:
+        value = shift = 0
+        while True:
+            (byte,) = stream.read(1)
+            value |= (byte & 127) << shift
+            if byte < 128:
+                return value
+            shift += 7
+
+    while stream.tell() < len(message):
+        field, kind = divmod(integer(), 8)
+        if kind not in (0, 2):
+            raise ValueError(f"field {field} is of kind {kind}")
+        value = integer()
+        fields[field].append(stream.read(value) if kind else value)
+    return fields
 
 
 def _metadata(entries: dict[str, str]) -> PolicyMetadata:
     if (schema := entries.pop(f"{PREFIX}schema", None)) != str(SCHEMA):
         raise KinfeasError(f"its schema is {schema}; this version reads schema {SCHEMA}")
-    del entries[f"{PREFIX}digest"]
+    entries.pop(f"{PREFIX}digest", None)
     try:
         data = {key.removeprefix(PREFIX): json.loads(value) for key, value in entries.items()}
     except ValueError as error:
