@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.core.solids import Solids, stacked_solids
 from kinfeas.core.spatial import Array
@@ -25,6 +26,12 @@ class Start:
     joint_positions: Array
     target_poses: Array
     solids: Solids | None = None
+
+    def of(self, rows: NDArray[np.intp]) -> "Start":
+        """Return some of n starts."""
+        solids = None if self.solids is None else self.solids.of(rows)
+        poses = self.base_pose[rows], self.joint_positions[rows], self.target_poses[rows]
+        return Start(*poses, solids)
 
 
 def stacked(starts: Sequence[Start]) -> Start:

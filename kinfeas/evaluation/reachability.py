@@ -50,14 +50,16 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
 ) -> Reachability:
     """Return for each episode whether some base pose reaches the goals of all sub-goals.
 
-    A robot with pose tolerance reaches a goal within the tolerance of success, others exactly. The
-    episodes are those of an evaluation. With `path`, some base poses must also reach all waypoints:
-    each its own, and base motions between them are not checked. `on_done` is called with the share
-    of all work, 0-1, that has just been done.
+    A robot with pose tolerance reaches a goal within the tolerance of success, others exactly.
+    Among solids, base and arm are free of those that stand, and a disc within the base can be
+    driven from the start to the base pose. The episodes are those of an evaluation. With `path`,
+    some base poses must also reach all waypoints: each its own, and base motions between them are
+    not checked. `on_done` is called with the share of all work, 0-1, that has just been done.
     """
     options = ik or IkOptions()
     solver = IkSolver(robot, at_goals(robot, options))
-    groups = [(solver, draw_goals(solver, task, episodes, seed), STAGES[-1])]
+    drawn = _starts(solver, task, episodes, seed)
+    groups = [(solver, subgoal_ends(solver, *drawn), STAGES[-1])]
     if path:
         solver = IkSolver(robot, options)
         waypoints = draw_waypoints(solver, task, episodes, seed)
@@ -75,8 +77,9 @@ def measure_reachability(  # noqa: PLR0913 - an evaluation and how to run it
             if stage > most or not still_open.any():
                 report(1.0)
             else:
-                some = poses[still_open]
-                found[still_open] = reachable(solver, some, (stage,), report, tried).reached
+                starts = drawn[1].of(np.nonzero(still_open)[0])
+                given = poses[still_open], (stage,), report, tried, starts
+                found[still_open] = reachable(solver, *given).reached
         all_reached = np.all([found.all(axis=1) for found in reached], axis=0)
         convergence.append(float(all_reached.mean()))
     return Reachability(all_reached, wilson(int(all_reached.sum()), episodes), tuple(convergence))

@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS, Share, wilson
 from kinfeas.core.spatial import Array, planar_pose, relative, rotation
+from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.free_space import connected, footprint
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkOptions, IkSolver, spread_configurations
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.solids import collides, in_base
 from kinfeas.robots.robot import Robot
 
 STAGES = (4, 16, 64, 256, 1024)
@@ -49,6 +52,7 @@ def reachable(
     stages: Sequence[int] = STAGES,
     on_done: Callable[[float], None] | None = None,
     tried: int = 0,
+    start: Start | None = None,
 ) -> Reachability:
     """Return which of `goals` the EE reaches from some base pose.
 
@@ -63,6 +67,8 @@ def reachable(
         stages: Ascending numbers of base poses; only open goals enter the next stage.
         on_done: Called with the share of all work, 0-1, that has just been done.
         tried: Number of base poses that were tried before.
+        start: Starts with the solids of each goal: then base and arm must be free of them, and the
+            base pose must be connected with the start for a disc within the base.
     """
     postures = _Postures(solver)
     reached = np.zeros(len(goals), dtype=np.bool_)
@@ -70,7 +76,8 @@ def reachable(
     for first, last in zip((tried, *stages), stages, strict=False):
         still_open = np.flatnonzero(~reached)
         for row in still_open:
-            reached[row] = postures.reach(goals[row], first, last)
+            among = None if start is None else start.of(np.array([row]))
+            reached[row] = postures.reach(goals[row], first, last, among)
             if on_done is not None:
                 on_done(1.0 / (len(still_open) * len(stages)))
         convergence.append(float(reached.mean()))
@@ -86,8 +93,9 @@ class _Postures:
         self.joints = joints[~self_collides(solver.collision, joints)]
         self.ee_pose = forward(solver.chain, self.joints)
         self.turns = rotation(self.ee_pose).as_matrix()
+        self.footprint = footprint(solver.collision)
 
-    def reach(self, goal: Array, first: int, last: int) -> bool:
+    def reach(self, goal: Array, first: int, last: int, start: Start | None = None) -> bool:
         """Return whether one of the proposals `first` to `last` reaches `goal`, shape (7,)."""
         heading, cost = self._face(goal)
         best = np.argsort(cost, kind="stable")[first:last]
@@ -96,8 +104,14 @@ class _Postures:
         x = goal[0] - (cosine * ee[:, 0] - sine * ee[:, 1])
         y = goal[1] - (sine * ee[:, 0] + cosine * ee[:, 1])
         base = planar_pose(x, y, heading)
+        joints, solids = self.joints[best], None
+        if start is not None and start.solids is not None:
+            solids = start.solids.of(np.zeros(len(base), dtype=np.intp))
+            free = ~collides(self.solver.collision, joints, base, solids)[:, 0]
+            free &= connected(start.solids, start.base_pose[0, :2], base[:, :2], self.footprint)
+            base, joints, solids = base[free], joints[free], in_base(solids.of(free), base[free])
         targets = relative(np.broadcast_to(goal, base.shape), base)
-        return bool(np.any(self.solver.solve(targets, self.joints[best]).feasible))
+        return bool(np.any(self.solver.solve(targets, joints, solids=solids).feasible))
 
     def _face(self, goal: Array) -> tuple[Array, Array]:
         """Return the best heading and its squared error for each configuration, shape (l,).
