@@ -21,8 +21,8 @@ def footprint(model: CollisionModel) -> tuple[float, float]:
     The disc is around the origin of the base frame, seen from above; its height is that of the
     lowest shape.
     """
-    fixed = np.flatnonzero(model.body < 0)
-    if not fixed.size:
+    fixed = np.flatnonzero(model.body < 0).tolist()
+    if not fixed:
         return 0.0, 0.0
     angle = 2.0 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
     around = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
@@ -32,7 +32,9 @@ def footprint(model: CollisionModel) -> tuple[float, float]:
     return max(float(reach.min()), 0.0), max(low, 0.0)
 
 
-def connected(solids: Solids, start: Array, places: Array, disc: tuple[float, float]) -> Array:
+def connected(
+    solids: Solids, start: Array, places: Array, disc: tuple[float, float]
+) -> NDArray[np.bool_]:
     """Return whether a disc can be driven from a start to places, shape (m,).
 
     The answer is optimistic by the width of a cell. Moving solids are left out.
@@ -43,7 +45,8 @@ def connected(solids: Solids, start: Array, places: Array, disc: tuple[float, fl
         places: Positions to reach, shape (m, 2), metres.
         disc: Its radius and height, metres.
     """
-    size = np.where(solids.velocity.any(axis=2)[..., np.newaxis], 0.0, solids.size)
+    moving = np.any(solids.velocity != 0.0, axis=2, keepdims=True)
+    size = np.where(moving, 0.0, solids.size)
     known = np.concatenate([solids.pose[0, size[0, :, 0] > 0.0, :2], start[np.newaxis], places])
     low, high = known.min(axis=0) - _MARGIN, known.max(axis=0) + _MARGIN
     x, y = (np.arange(low[i], high[i] + _CELL, _CELL) for i in (0, 1))

@@ -109,7 +109,9 @@ class _Postures:
             solids = start.solids.of(np.zeros(len(base), dtype=np.intp))
             free = ~collides(self.solver.collision, joints, base, solids)[:, 0]
             free &= connected(start.solids, start.base_pose[0, :2], base[:, :2], self.footprint)
-            base, joints, solids = base[free], joints[free], in_base(solids.of(free), base[free])
+            rows = np.flatnonzero(free)
+            base, joints = base[rows], joints[rows]
+            solids = in_base(solids.of(rows), base)
         targets = relative(np.broadcast_to(goal, base.shape), base)
         return bool(np.any(self.solver.solve(targets, joints, solids=solids).feasible))
 
