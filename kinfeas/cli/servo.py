@@ -30,8 +30,8 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     backend: Annotated[
         str | None,
         typer.Option(
-            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  [default: pybullet if "
-            "installed, else mujoco]",
+            help="analytic, pybullet, mujoco, ros2, ros1, or a plugin.  "
+            "[default: pybullet or, without it, mujoco]",
             autocompletion=options.names_of("backends"),
         ),
     ] = None,

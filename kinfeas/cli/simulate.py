@@ -35,7 +35,7 @@ def simulate(  # noqa: PLR0913, PLR0917 - each option is an argument
     ] = 0.25,
     world: Annotated[
         str | None,
-        typer.Option(help="pybullet or mujoco.  [default: pybullet if installed, else mujoco]"),
+        typer.Option(help="pybullet or mujoco.  [default: pybullet or, without it, mujoco]"),
     ] = None,
     gui: Annotated[bool, typer.Option("--gui", help="PyBullet: show a window.")] = False,
     json: options.JsonPath = None,
