@@ -62,6 +62,20 @@ print("listens", flush=True)
 while True:
     time.sleep(1.0)
 """
+_SEND = """
+import sys, time
+from kinfeas.sim2real.ros.bus import make_bus
+bus = make_bus(int(sys.argv[1]))
+bus.open("sender")
+kinds, topic = bus.messages, "/servo_node/delta_twist_cmds"
+publisher = bus.publisher(topic, kinds.TwistStamped)
+message = kinds.TwistStamped()
+message.header.frame_id, message.twist.linear.x = "odom", 0.1
+while True:
+    message.header.stamp = type(message.header.stamp).from_sec(time.time())
+    publisher.publish(message)
+    time.sleep(0.03)
+"""
 
 
 class Process:
@@ -132,8 +146,12 @@ class Bus:
         self._robot.wait_for("is ready")
         return self._robot
 
-    def deploy(self, *arguments: str) -> Process:
-        given = ["deploy", "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
+    def send(self) -> Process:
+        """Return a process that sends twists of an EE, as MoveIt Servo takes them."""
+        return self.run(_SEND, str(self.version))
+
+    def deploy(self, *arguments: str, command: str = "deploy") -> Process:
+        given = [command, "pretrained", "--robot", "pr2", "--backend", f"ros{self.version}"]
         settings = [f"guards.{key}={value}" for key, value in _BUSY.items()]
         settings += ["backend.timeout=120"]
         sets = [word for one in settings for word in ("--set", one)]

@@ -98,6 +98,26 @@ def test_the_base_is_commanded_to_zero_when_the_robot_falls_silent(bus, tmp_path
     assert "measurement" in read_record(tmp_path / "record.csv").event[-1]
 
 
+def test_servo_stops_within_0_3_s_after_the_last_twist(bus, tmp_path):
+    bus.robot()
+    source, record = f"ros{bus.version}", tmp_path / "record.csv"
+    words = ("--source", source, "--seconds", "600", "--record", str(record))
+    begin, servo, sender = time.monotonic(), bus.deploy(*words, command="servo"), bus.send()
+    bus.wait_for_motion(servo, begin)
+    ended = sender.kill()
+    delay = bus.seconds_to_zero(ended)
+    sent = bus.heard("command")[:, 0]
+    periods = np.diff(sent[(sent > ended - 0.5) & (sent < ended + delay + 0.5)])
+    assert delay <= 0.3 + max(0.0, periods.max() - 0.02)  # a busy machine sends late
+    servo.process.send_signal(signal.SIGINT)
+    servo.end()
+    run = read_record(record)
+    moved = np.linalg.norm(np.diff(run.desired[:, :3], axis=0), axis=1) / np.diff(run.time)
+    assert moved.max() > 0.05
+    assert moved[-1] < 1e-3
+    assert run.feasible.all()
+
+
 @of_ros1
 def test_the_base_is_commanded_to_zero_when_the_node_is_shut_down(bus, tmp_path):
     bus.robot()
