@@ -6,10 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE, RobotState
+from kinfeas.core.backend import (
+    SCAN_BANDS,
+    SCAN_BEAMS,
+    SCAN_RANGE,
+    ObstacleDistances,
+    RobotState,
+)
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
+from kinfeas.kinematics.base_obstacles import base_obstacles
+from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.solids import scan
+from kinfeas.robots.robot import Robot
 
 
 class AnalyticBackend:
@@ -19,8 +28,9 @@ class AnalyticBackend:
         solids: Solids of all n robots.
     """
 
-    def __init__(self) -> None:
-        """Make an empty world; the first `reset` puts the robots into it."""
+    def __init__(self, robot: Robot | None = None) -> None:
+        """Make an empty world; only with a robot does it measure distances to obstacles."""
+        self._shapes = None if robot is None else build_collision_model(robot)
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
         self.solids = MovingSolids()
 
@@ -33,6 +43,13 @@ class AnalyticBackend:
         base = self.state.base_pose
         solids = self.solids.after() or Solids.empty(len(base))
         return scan(solids, base, SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE)
+
+    def obstacle_distances(self, within: float) -> ObstacleDistances:
+        """Return the solids near the bases, as in `SupportsObstacleDistances`."""
+        assert self._shapes is not None
+        base = self.state.base_pose
+        solids = self.solids.after() or Solids.empty(len(base))
+        return base_obstacles(self._shapes, base, solids, within)
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
