@@ -54,12 +54,12 @@ def export_policy(policy: str, robot: str | None, out: Path) -> tuple["OnnxPolic
     """Write a policy as an ONNX file; return it and its largest deviation from the policy."""
     from kinfeas.policies import pretrained
 
-    if policy != pretrained.NAME and not Path(policy or "-").is_dir():
+    if not pretrained.is_shipped(policy) and not Path(policy or "-").is_dir():
         raise KinfeasError(f"POLICY must be a run, a checkpoint or pretrained, not {policy!r}")
     known = options.read_robot(robot or options.robot_of(policy))
     from kinfeas.sim2real.export import export as run
 
-    folder = pretrained.find(known.name) if policy == pretrained.NAME else Path(policy)
+    folder = pretrained.find(known.name, policy) if pretrained.is_shipped(policy) else Path(policy)
     return run(folder, known, out)
 
 

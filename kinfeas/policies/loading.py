@@ -30,8 +30,8 @@ def load_policy(name: str, robot: Robot) -> Policy:
     """Return a policy for a robot.
 
     Args:
-        name: Entry point in the group `kinfeas.policies`, such as `follow_ee`; `pretrained`;
-            `module:Class`, called with the keyword argument `robot` and also searched for in the
+        name: Entry point in the group `kinfeas.policies`, such as `follow_ee`; `pretrained` or
+            `pretrained/rooms`; `module:Class`, called with the keyword argument `robot` and also searched for in the
             working directory; folder of a training run or checkpoint; or exported ONNX file.
         robot: Robot that the policy is to command.
 
@@ -41,7 +41,8 @@ def load_policy(name: str, robot: Robot) -> Policy:
     if name in registry.names(GROUP):
         policy: Policy = registry.build(GROUP, name, {"robot": robot})
         return policy
-    path = pretrained.find(robot.name) if name == pretrained.NAME else Path(name)
+    shipped = pretrained.is_shipped(name)
+    path = pretrained.find(robot.name, name) if shipped else Path(name)
     if name and path.is_dir():
         return read_network(path, robot)
     if path.is_file():

@@ -186,15 +186,15 @@ def with_initial_policy(config: TrainConfig) -> TrainConfig:
     if config.init is None:
         return config
     net_arch = tuple(len(bias) for bias in initial_policy(config).biases[:-1])
-    init = config.init if config.init == pretrained.NAME else str(Path(config.init).absolute())
+    init = config.init if pretrained.is_shipped(config.init) else str(Path(config.init).absolute())
     return replace(config, init=init, learner=replace(config.learner, net_arch=net_arch))
 
 
 def initial_policy(config: TrainConfig, scale: NDArray[np.float32] | None = None) -> Network:
     """Return the policy that a run starts from, with observations of the same scale, if given."""
     init, robot = config.init, load_robot(config.robot)
-    if init == pretrained.NAME:
-        folder = pretrained.find(robot.name)
+    if init and pretrained.is_shipped(init):
+        folder = pretrained.find(robot.name, init)
     elif init and Path(init).is_dir():  # an empty path is the current folder
         folder = Path(init)
     else:

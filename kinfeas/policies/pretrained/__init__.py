@@ -1,4 +1,4 @@
-"""Trained policies that the package ships: a folder for each robot.
+"""Trained policies that the package ships: `pretrained` of each robot, and `pretrained/rooms`.
 
 Each has `policy.safetensors` and `policy.json`, with configuration, seed, figures and the command
 that made it. `kinfeas benchmark` writes such folders as `OUT/pretrained`.
@@ -9,7 +9,7 @@ from pathlib import Path
 from kinfeas.core.errors import KinfeasError
 
 NAME = "pretrained"
-"""Name of the shipped policy of a robot."""
+"""Name of the shipped policy of a robot; others have names below it."""
 
 _ROOT = Path(__file__).parent
 
@@ -19,8 +19,18 @@ def robots() -> list[str]:
     return sorted(path.parent.name for path in _ROOT.glob("*/policy.json"))
 
 
-def find(robot: str) -> Path:
-    """Return the folder of a robot's shipped policy."""
+def is_shipped(name: str) -> bool:
+    """Return whether a policy's name is that of a shipped one."""
+    return name.partition("/")[0] == NAME
+
+
+def find(robot: str, name: str = NAME) -> Path:
+    """Return the folder of a robot's shipped policy of this name."""
+    kind = name.removeprefix(NAME).removeprefix("/")
+    if kind and kind.isidentifier() and (_ROOT / robot / kind / "policy.json").is_file():
+        return _ROOT / robot / kind
+    if kind:
+        raise KinfeasError(f"no policy {name!r} for robot {robot!r}")
     if robot not in robots():
         raise KinfeasError(
             f"no pretrained policy for robot {robot!r}, only for: {', '.join(robots())}; "
