@@ -31,8 +31,9 @@ def load_policy(name: str, robot: Robot) -> Policy:
 
     Args:
         name: Entry point in the group `kinfeas.policies`, such as `follow_ee`; `pretrained` or
-            `pretrained/rooms`; `module:Class`, called with the keyword argument `robot` and also searched for in the
-            working directory; folder of a training run or checkpoint; or exported ONNX file.
+            `pretrained/rooms`; `module:Class`, called with the keyword argument `robot` and also
+            searched for in the working directory; folder of a training run or checkpoint; or
+            exported ONNX file.
         robot: Robot that the policy is to command.
 
     Raises:
