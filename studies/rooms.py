@@ -1,0 +1,75 @@
+"""Evaluate policies among solids and print a table: `python studies/rooms.py DIR`.
+
+Each evaluation is a JSON file in DIR, as `kinfeas evaluate --json` writes it; those that exist are
+not repeated. The last row is the upper bound, as `kinfeas ceiling --json` computes it.
+"""
+
+import argparse
+import json
+from itertools import product
+from pathlib import Path
+
+from kinfeas.core.metrics import wilson
+from kinfeas.evaluation.evaluate import evaluate, prepare
+from kinfeas.evaluation.reachability import measure_reachability
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+
+TASKS = ("ggr_obstacles", "ggr_dynamic")
+POLICIES = ("pretrained/rooms", "pretrained", "geometric_modulation", "follow_ee")
+FILTERS = ((), ("obstacle_distance",), ("obstacle_distance", "feasibility"))
+CEILING = "upper bound"
+
+
+def main() -> None:
+    """Run what is missing, then print what there is."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--robot", default="hsr")
+    parser.add_argument("--episodes", type=int, default=500)
+    parser.add_argument("--rooms", default="pretrained/rooms", help="policy that is trained here")
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    for policy, filters, task in product(POLICIES, FILTERS, TASKS):
+        path = given.folder / name(given.robot, task, policy, filters)
+        if not path.exists():
+            chosen = [f"world.filters={json.dumps(filters)}"]
+            source = given.rooms if policy == POLICIES[0] else policy
+            config, driver = prepare(
+                source, given.robot, task, episodes=given.episodes, overrides=chosen
+            )
+            path.write_text(json.dumps(evaluate(config, driver, policy), indent=2))
+    for task in TASKS:
+        path = given.folder / name(given.robot, task, CEILING, ())
+        if not path.exists():
+            robot, seed = load_robot(given.robot), 0
+            found = measure_reachability(robot, load_task(task), given.episodes, seed)
+            path.write_text(json.dumps({"success": found.share.value, "episodes": given.episodes}))
+    print(table(given.folder, given.robot))
+
+
+def name(robot: str, task: str, policy: str, filters: tuple[str, ...]) -> str:
+    """Return the file of an evaluation."""
+    return "-".join([robot, task, policy.replace("/", "_"), *filters]) + ".json"
+
+
+def table(folder: Path, robot: str) -> str:
+    """Return the Markdown table of a folder."""
+    lines = [f"| success, % | filters | {' | '.join(f'`{task}`' for task in TASKS)} |"]
+    lines.append("|---|---|---|---|")
+    for policy, filters in [*product(POLICIES, FILTERS), (CEILING, ())]:
+        files = [folder / name(robot, task, policy, filters) for task in TASKS]
+        cells = [cell(json.loads(one.read_text())) if one.exists() else "-" for one in files]
+        lines.append(f"| {policy} | {', '.join(filters)} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def cell(found: dict[str, float]) -> str:
+    """Return the success of an evaluation with its interval."""
+    episodes = int(found["episodes"])
+    share = wilson(round(found["success"] * episodes), episodes)
+    return f"{100 * share.value:.1f} ({100 * share.low:.1f} - {100 * share.high:.1f})"
+
+
+if __name__ == "__main__":
+    main()
