@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.control.adapters import chain
 from kinfeas.control.drive import KinematicStep, command_size
 from kinfeas.control.execution import (
     GRASP_METRES,
@@ -27,6 +26,7 @@ from kinfeas.control.observation import (
     observe,
     split_action,
 )
+from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import (
@@ -35,8 +35,6 @@ from kinfeas.core.backend import (
     RobotState,
     Stochastic,
     SupportsGripper,
-    SupportsScan,
-    SupportsSolids,
 )
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
@@ -48,7 +46,6 @@ from kinfeas.core.spatial import Array
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver
-from kinfeas.kinematics.solids import collides
 from kinfeas.robots.robot import exceeds_joint_velocity, joint_displacement
 
 _TARGETS = "target_stream."
@@ -94,6 +91,7 @@ class Loop:
     """n robots, each following its own EE motion.
 
     Attributes:
+        surroundings: Solids and scans, where the backend has them.
         policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
         target_stream: Targets that move; then no sub-goal ends. None for those of the start.
         joint_command: Last commanded arm joints, shape (n, j).
@@ -149,9 +147,7 @@ class Loop:
         # Once, since protocols are checked by looking up each of their members.
         self._stochastic = backend if isinstance(backend, Stochastic) else None
         self._gripper = backend if isinstance(backend, SupportsGripper) else None
-        self._scanner = backend if isinstance(backend, SupportsScan) else None
-        *_, innermost = chain(backend)
-        self._surrounded = innermost if isinstance(innermost, SupportsSolids) else None
+        self.surroundings = Surroundings(backend, solver.collision)
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
@@ -181,12 +177,12 @@ class Loop:
             self._stochastic.seed(seeds, fresh)
         with plugin_note(self._backend_name):
             state = self.backend.reset(start.base_pose, start.joint_positions, rows)
-            self._place_solids(start.solids, fresh)
+            self.surroundings.place(start.solids, fresh)
         self._check("reset", state, len(rngs) if rows is None else len(self.joint_command))
         self._unchecked = True
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
-        if (solids := self._solids_after(0.0)) is not None:
+        if (solids := self.surroundings.after(0.0)) is not None:
             self.sequence.avoid(solids, fresh)
         self._measure(state)
         joints = state.joint_positions.copy()
@@ -236,7 +232,7 @@ class Loop:
             self._check("step", state, len(twist))
             self._unchecked = False
         self._measure(state)
-        collision = self._collisions()
+        collision = self.surroundings.collisions(state)
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         if self.target_stream is not None:
@@ -281,9 +277,8 @@ class Loop:
 
     def kinematic_state(self) -> dict[str, NDArray[Any]]:
         """Return the state without the backend's own: that of a loop in the analytic world."""
-        solids = {} if self._surrounded is None else self._surrounded.solids.snapshot()
         return {
-            **solids,
+            **self.surroundings.snapshot(),
             "base_pose": self.state.base_pose,
             "joint_positions": self.state.joint_positions,
             "joint_command": self.joint_command,
@@ -352,12 +347,6 @@ class Loop:
             )
         return self.backend
 
-    def _place_solids(self, solids: Solids | None, rows: Rows) -> None:
-        if self._surrounded is not None:
-            self._surrounded.place_solids(solids, rows)
-        elif solids is not None:
-            raise KinfeasError(f"{self._backend_name} has no solids, which the task needs")
-
     def _replan(self) -> None:
         """Plan motions around solids that have moved."""
         if self.solids is not None and self.sequence.avoids_solids:
@@ -365,18 +354,6 @@ class Loop:
             moving = self.solids.velocity.any(axis=(1, 2))
             if (rows := np.flatnonzero(due & moving)).size:
                 self.sequence.avoid(self.solids, rows)
-
-    def _solids_after(self, seconds: float) -> Solids | None:
-        """Return the solids as they will stand in some seconds, or None without any."""
-        return None if self._surrounded is None else self._surrounded.solids.after(seconds)
-
-    def _collisions(self) -> NDArray[np.bool_] | None:
-        """Return whether base and arm touch a solid, shape (n, 2); None without any."""
-        if (solids := self._solids_after(0.0)) is None:
-            return None
-        true_state = self.state.true_state or self.state
-        joints, base = true_state.joint_positions, true_state.base_pose
-        return collides(self.solver.collision, joints, base, solids)
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
@@ -428,9 +405,11 @@ class Loop:
         self._next = self.sequence.plan(self._motion_time)
         self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
-        self.solids = self._solids_after(self.dt)
+        self.solids = self.surroundings.after(self.dt)
         seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
-        seen.previous_command, seen.ranges = self.previous_command, self._scan()
+        seen.previous_command = self.previous_command
+        if not SCAN_TERMS.isdisjoint(self.observation_terms):
+            seen.ranges = self.surroundings.scan()
         if "planned_ahead" in self.observation_terms:
             ahead = spatial.relative(self.sequence.ahead(AHEAD), base[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base), -1)
@@ -438,15 +417,6 @@ class Loop:
         if time_scale != 1.0:
             twist = spatial.twist_between(self.desired, self.planned, HORIZON)
             self.planned = spatial.integrate(self.desired, twist, HORIZON * time_scale)
-
-    def _scan(self) -> Array | None:
-        """Return the ranges around the bases, if a term needs them."""
-        if SCAN_TERMS.isdisjoint(self.observation_terms):
-            return None
-        if self._scanner is None:
-            raise KinfeasError(f"{self._backend_name} has no scan, which the policy needs")
-        with plugin_note(self._backend_name):
-            return self._scanner.scan()
 
     def _find_paused(self) -> NDArray[np.bool_]:
         """Return which rows pause in this period, shape (n,), since their arms reconfigure.
