@@ -24,6 +24,7 @@ tasks: [ggr]
 policies: pretrained
 baselines: {{follow_ee: [ggr]}}
 backend: {default_engine()}
+rows: [{{label: late, settings: [world.head_start=0.1]}}]
 settings: ["world.max_seconds=0.3"]
 """
 
@@ -70,9 +71,10 @@ def test_physics_beside_the_analytic_world(run, tmp_path):
     words = ("--config", "physics.yaml", "--world", engine, "--episodes", "2")
     run(*words, "--json", "out.json", code=0)
     entries = json.loads((tmp_path / "out.json").read_text())
-    worlds = [(one["policy"], one["world"]) for one in entries]
-    assert worlds == [("pretrained", engine), ("follow_ee", engine)]
-    assert entries[0]["analytic_success"] is not None
+    cells = [(one["policy"], one["row"], one["world"]) for one in entries]
+    rows = (("pretrained", ""), ("pretrained", "late"), ("follow_ee", ""))
+    assert cells == [(*row, engine) for row in rows]
+    assert None not in [one["analytic_success"] for one in entries]
 
 
 def test_unusable_baseline_is_an_error_before_training(run, monkeypatch):
