@@ -22,7 +22,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     policy: Annotated[
         str,
         typer.Argument(
-            help="ONNX file, run folder, pretrained, module:Class, or a plugin, such as follow_ee.",
+            help="ONNX file, run folder, module:Class, or a name.",
             autocompletion=options.complete_policy,
         ),
     ] = "pretrained",
@@ -59,9 +59,7 @@ def servo(  # noqa: PLR0913, PLR0917 - each option is an argument
     overrides: options.Overrides = None,
     json: options.JsonPath = None,
 ) -> None:
-    """Follow EE poses or twists that arrive while the robot runs; base and arm move.
-
-    The EE slows down or waits where the arm cannot follow, and stops when messages stop.
+    """Let base and arm follow EE poses or twists that arrive meanwhile.
 
     Settings: rules.KEY (limits of targets), source.KEY, generator.KEY, guards.KEY, ik.KEY,
     backend.KEY; see docs/teleoperation.md.

@@ -52,6 +52,7 @@ class TargetController:
         robot: Robot model.
         rules: Limits of targets.
         pose: World pose of the EE that is desired now, shape (7,), once `running`.
+        base_pose: World pose of the base, shape (7,), likewise.
         running: Whether the loop reads the messages.
     """
 
@@ -70,7 +71,7 @@ class TargetController:
         self._queue: deque[_Message] = deque(maxlen=_QUEUE)
         self._lock = threading.Lock()
         self._delay, self._heard = TransportDelay(), -math.inf
-        self._base = spatial.IDENTITY
+        self.base_pose = spatial.IDENTITY
 
     def set_target(self, pose: ArrayLike, stamp: float | None = None, frame: str = "") -> None:
         """Send the EE to a pose (7,), given in the world, base or EE frame by its name.
@@ -114,7 +115,7 @@ class TargetController:
             messages = list(self._queue)
             self._queue.clear()
         now = np.array([self._clock()])
-        self._base, self.pose, self.running = loop.state.base_pose[0], loop.desired[0], True
+        self.base_pose, self.pose, self.running = loop.state.base_pose[0], loop.desired[0], True
         for message in messages:
             self._read(message, now)
         seconds = loop.dt * loop.execution.time_scale
@@ -185,7 +186,7 @@ class TargetController:
     def _frame(self, name: str) -> Array | None:
         """Return the world pose of a frame; None if it is unknown."""
         name = name.lstrip("/") if isinstance(name, str) else "?"
-        known = {self.robot.base.frame: self._base, self.robot.ee_frame: self.pose}
+        known = {self.robot.base.frame: self.base_pose, self.robot.ee_frame: self.pose}
         return spatial.IDENTITY if name in WORLD else known.get(name)
 
     def _sent(self, message: _Message) -> Array:

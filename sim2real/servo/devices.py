@@ -1,4 +1,4 @@
-"""Targets from a keyboard and from a gamepad: twists in the base frame."""
+"""Targets from a keyboard and from a gamepad: twists along the axes of the base."""
 
 import os
 import select
@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, yaw
 from kinfeas.sim2real.servo.controller import TargetController
 
 _PERIOD = 0.03  # s between twists
@@ -27,7 +28,11 @@ _DEAD = 0.08  # share of an axis within which it counts as centred
 
 
 class _Device:
-    """Sends twists while there is input, from a thread."""
+    """Sends twists while there is input, from a thread.
+
+    Axes are those that the base has when the input begins: the base turns while it makes room for
+    the arm, and the EE would turn with it.
+    """
 
     def __init__(self, speed: float, angular_speed: float) -> None:
         self._scale = np.repeat([speed, angular_speed], 3)
@@ -36,16 +41,19 @@ class _Device:
 
     def start(self, controller: TargetController) -> None:
         """Open the device and begin to send."""
-        descriptor, frame = self._open(), controller.robot.base.frame
+        descriptor = self._open()
 
         def send() -> None:
+            heading, moves = 0.0, False
             try:
                 while not self._ends.is_set():
                     if select.select([descriptor], [], [], _PERIOD)[0]:
                         self._read(descriptor)
-                    shares = self._shares()
-                    if shares.any():
-                        controller.set_twist(shares * self._scale, frame=frame)
+                    twist, moved = self._shares() * self._scale, moves
+                    if moves := bool(twist.any()):
+                        heading = heading if moved else float(yaw(controller.base_pose))
+                        turn = Rotation.from_euler("z", heading)
+                        controller.set_twist(turn.apply(twist.reshape(2, 3)).ravel())
             except OSError as error:  # unplugged: the stream ends
                 sys.stderr.write(f"target source: {error}\n")
 
