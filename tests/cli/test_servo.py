@@ -3,6 +3,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from kinfeas.io.demonstrations import demonstration_files, read_demonstration
 
@@ -10,11 +11,12 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "target_source.py"
 
 
 def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
+    pytest.importorskip("mujoco")
     shutil.copy(EXAMPLE, tmp_path / "circles.py")
     relaxed = [f"guards.{name}=5" for name in ("max_age", "max_period", "max_clock_skew")]
     settings = [word for one in relaxed for word in ("--set", one)]
     kinfeas(
-        "servo", "--robot", "pr2", "--backend", "analytic", "--source", "circles:Circle",
+        "servo", "--robot", "pr2", "--backend", "mujoco", "--source", "circles:Circle",
         "--seconds", "2", "--record", "run.csv", "--json", "run.json", *settings, code=0,
     )  # fmt: skip
     found = json.loads((tmp_path / "run.json").read_text())

@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.robot import robot_state
-from kinfeas.backends.physics.stage import Stage, task_scene
+from kinfeas.backends.physics.stage import Stage, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
-from kinfeas.tasks.task import Task
+from kinfeas.tasks.task import StreamTask, Task
 
 _FLAT = 1e-6
 
@@ -57,7 +57,7 @@ class PhysicsBackend(ABC):
         """Return a task whose episodes also place its objects; call it before any other method."""
         if self._objects:
             self.scene = task_scene(task)
-        stage = Stage(task, self)
+        stage = StreamStage(task, task, self) if isinstance(task, StreamTask) else Stage(task, self)
         self.open()  # shows errors early
         return stage
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kinfeas.control.targets import TargetStream
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, rotation
 from kinfeas.core.start import Start
@@ -13,7 +14,7 @@ from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.tasks.chain import ChainTask, TaskScene
-from kinfeas.tasks.task import Subgoal, Task
+from kinfeas.tasks.task import StreamTask, Subgoal, Task
 
 if TYPE_CHECKING:
     from kinfeas.backends.physics.backend import PhysicsBackend
@@ -144,6 +145,24 @@ class Stage:
         moved = scene.with_poses(poses)
         moved.check_places(f"task {self.name!r}")
         return moved
+
+
+class StreamStage(Stage):
+    """A task whose targets move, in a physics backend."""
+
+    def __init__(self, task: Task, stream: StreamTask, backend: "PhysicsBackend") -> None:
+        """Connect a task, which is also `stream`, to a backend."""
+        super().__init__(task, backend)
+        self._stream = stream
+
+    @property
+    def seconds(self) -> float:
+        """Motion time of an episode."""
+        return self._stream.seconds
+
+    def target_stream(self, solver: IkSolver) -> TargetStream:
+        """Return the targets of the episodes of a loop."""
+        return self._stream.target_stream(solver)
 
 
 def task_scene(task: Task) -> Scene | None:
