@@ -6,18 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.backend import (
-    SCAN_BANDS,
-    SCAN_BEAMS,
-    SCAN_RANGE,
-    ObstacleDistances,
-    RobotState,
-)
+from kinfeas.core.backend import ObstacleDistances, RobotState
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.base_obstacles import base_obstacles
 from kinfeas.kinematics.self_collision import build_collision_model
-from kinfeas.kinematics.solids import scan
+from kinfeas.kinematics.solids import scan_now
 from kinfeas.robots.robot import Robot
 
 
@@ -40,9 +34,7 @@ class AnalyticBackend:
 
     def scan(self) -> Array:
         """Return the ranges to solids around the bases, as in `SupportsScan`."""
-        base = self.state.base_pose
-        solids = self.solids.after() or Solids.empty(len(base))
-        return scan(solids, base, SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE)
+        return scan_now(self.solids, self.state.base_pose)
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the solids near the bases, as in `SupportsObstacleDistances`."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import Array, planar_pose
 
 MOST_SOLIDS = 64
 """Largest number of places of a row."""
@@ -49,6 +49,19 @@ class Solids:
     def places(self) -> int:
         """Count of the places of a row."""
         return int(self.size.shape[1])
+
+    @property
+    def centre(self) -> Array:
+        """World poses of the centres, shape (n, k, 7), metres."""
+        centre = planar_pose(self.pose[..., 0], self.pose[..., 1], self.pose[..., 2])
+        centre[..., 2] = self.size[..., 2:].mean(axis=-1)
+        return centre
+
+    @property
+    def filled(self) -> NDArray[np.bool_]:
+        """Whether a place holds a solid, shape (n, k)."""
+        filled: NDArray[np.bool_] = np.all(self.size[..., :2] > 0.0, axis=-1)
+        return filled
 
     def of(self, rows: NDArray[np.intp]) -> "Solids":
         """Return the solids of some rows."""

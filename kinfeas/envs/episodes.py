@@ -189,15 +189,15 @@ class _Tally:
         # An episode that never began the last sub-goal did not end near its goal.
         self.final[episodes] = np.where(step.subgoal == self.last, step.goal_distance, np.inf)[rows]
         backend = self.world.backend
-        if step.collision is not None:
-            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
-                self.base.add(episode, {0} if step.collision[row, 0] else set())
-                self.arm.add(episode, {0} if step.collision[row, 1] else set())
-        elif isinstance(backend, SupportsContacts):
+        if isinstance(backend, SupportsContacts):
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 contacts = backend.contacts(row)
                 self.base.add(episode, {body for _, body, _ in contacts.base})
                 self.arm.add(episode, {body for _, body, _ in contacts.arm})
+        elif step.collision is not None:
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+                self.base.add(episode, {0} if step.collision[row, 0] else set())
+                self.arm.add(episode, {0} if step.collision[row, 1] else set())
         task = self.world.task
         if isinstance(task, ReportsTaskSuccess):
             loop = self.world.loop

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.solids import Solids
+from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, yaw
 from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
 from kinfeas.kinematics.forward import flattened
@@ -110,6 +111,12 @@ def scan(
     rows = rows_of(in_base(solids, base_pose), len(base_pose))
     _scan_batch(*rows, np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles), ranges)
     return ranges
+
+
+def scan_now(solids: MovingSolids, base_pose: Array) -> Array:
+    """Return the present ranges around bases, shape (n, 7), as in `SupportsScan`."""
+    present = solids.after() or Solids.empty(len(base_pose))
+    return scan(present, base_pose, SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE)
 
 
 @kernel

@@ -21,10 +21,16 @@ from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.control.execution import tool_pose
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, relative, yaw
 from kinfeas.scenes.scene import Scene
 
 _Rows = NDArray[np.intp]
+
+_FIELDS = (
+    "time", "qpos", "qvel", "act", "qacc_warmstart", "ctrl", "eq_active", "mocap_pos", "mocap_quat",
+)  # fmt: skip
+_AWAY = [0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]  # pose of empty places, quaternion w first
 
 
 class MuJoCoBackend(PhysicsBackend):
@@ -32,11 +38,12 @@ class MuJoCoBackend(PhysicsBackend):
 
     engine = "MuJoCo"
     _handled: tuple[str, str, bool] | None = None
+    _places = 0
 
     @cached_property
     def model(self) -> Model:
-        """Robot and room; the first use builds them."""
-        return Model(self.robot, self.scene, self.config, self._handled)
+        """Robot and room, with places for solids; the first use builds them."""
+        return Model(self.robot, self.scene, self.config, self._handled, self._places)
 
     @cached_property
     def sims(self) -> "Simulations":
@@ -56,12 +63,18 @@ class MuJoCoBackend(PhysicsBackend):
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state of all robots, their rooms and their motors."""
         n = len(self._positions)
-        return {key: values[:n].copy() for key, values in self.sims.state().items()}
+        own = {key: values[:n].copy() for key, values in self.sims.state().items()}
+        return {**own, **self.solids.snapshot()}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> RobotState:
         """Continue from a `snapshot` and return the measured state."""
         n = len(snapshot["physics_state"])
+        self.solids.restore(snapshot, n)
+        if more := snapshot["physics_objects"].shape[1] - self.model.engine.nmocap:
+            self._set_places(self._places + more)
         self._provide(n - 1)
+        if (present := self.solids.after()) is not None:
+            self.sims.place_solids(np.arange(n), present)
         for key, values in self.sims.state().items():
             values[:n] = snapshot[key]
         width = 3 + len(self.robot.arm)
@@ -73,8 +86,7 @@ class MuJoCoBackend(PhysicsBackend):
         if self.scene is None or self.robot.gripper is None:
             raise KinfeasError("grasping needs a scene and a robot with a gripper")
         self._handled = name, link, rigid
-        self.__dict__.pop("model", None)
-        self.close()
+        self._set_places(self._places)
 
     def grip(self, grip: Grip, env_ids: _Rows) -> None:
         """Start to close or open grippers; they grasp what both fingers touch."""
@@ -142,7 +154,8 @@ class MuJoCoBackend(PhysicsBackend):
     def touched(self, row: int = 0) -> list[str]:
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
         found = self._contacts(row)
-        names = [*self.model.objects, "the floor"]
+        solids = [f"solid {place}" for place in range(self._places)]
+        names = [*self.model.objects, *solids, "the floor"]
         return sorted({names[other] for _, other, _ in found.base | found.arm})
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
@@ -174,9 +187,24 @@ class MuJoCoBackend(PhysicsBackend):
         """Add simulations until there is one for a row."""
         if row >= (old := self.sims).n:
             self.sims = Simulations(self.model, self.config, max(row + 1, 2 * old.n))
-            before = old.state()
-            for key, values in self.sims.state().items():
-                values[: old.n] = before[key]
+            self.sims.adopt(old)
+
+    def _set_places(self, places: int) -> None:
+        """Build the model anew, with places for solids, and forget the simulations."""
+        self._places = places
+        for name in ("model", "sims", "_surroundings"):
+            self.__dict__.pop(name, None)
+
+    def _place_solids(self, rows: _Rows, solids: Solids) -> None:
+        if solids.places > self._places:
+            old = self.sims
+            self._set_places(solids.places)
+            self.sims = Simulations(self.model, self.config, old.n)
+            self.sims.adopt(old)
+        self.sims.place_solids(rows, solids.of(rows))
+
+    def _move_solids(self, solids: Solids) -> None:
+        self.sims.move_solids(np.arange(len(self._positions)), solids)
 
     def _reset(self, rows: _Rows, base_pose: Array, joint_positions: Array) -> None:
         self._provide(int(rows.max(initial=0)))
@@ -214,6 +242,7 @@ class Simulations:
         self._base = np.zeros((n, 3))  # commanded velocity; of a differential drive forward, 0, yaw
         self._qpos = np.tile(model.rest, (n, 1))
         self._mocap = np.zeros((n, engine.nmocap, 7))
+        self._mocap[:, engine.body_mocapid[model.solid_bodies]] = _AWAY
         if model.scene is not None:
             for row in range(n):
                 self.arrange(row, model.scene)
@@ -227,6 +256,8 @@ class Simulations:
         self._time_step = self.batch.expand("opt.timestep")
         self.qpos, self.qvel = self.batch.qpos, self.batch.qvel
         self._warning, self._active = self.batch.warning, self.batch.eq_active
+        shapes = model.shapes(Solids.empty(1)) if model.solid_bodies.size else ()
+        self._shapes = {name: self.batch.expand(name) for name in shapes}
 
     def state(self) -> dict[str, Any]:
         """Return the whole state by name, as arrays of n rows that can be changed."""
@@ -241,6 +272,30 @@ class Simulations:
             "physics_closing": self._closing,
             "physics_grasp": self._ends,
         }
+
+    def adopt(self, other: "Simulations") -> None:
+        """Continue from fewer simulations, or from a model with fewer places for solids."""
+        states = [one.state() | one._shapes for one in (self, other)]
+        for mine in states[0].keys() & states[1].keys() - {"physics_state"}:
+            _write(states[0][mine], states[1][mine])
+        for name in _FIELDS:
+            _write(getattr(self.batch, name), getattr(other.batch, name))
+
+    def place_solids(self, rows: _Rows, solids: Solids) -> None:
+        """Set the shapes and poses of the solids of m simulations, m rows."""
+        for name, values in self.model.shapes(solids).items():
+            at = self.model.solid_rows(name)[: solids.places]
+            self._shapes[name][np.ix_(rows, at)] = values
+        self.move_solids(rows, solids)
+
+    def move_solids(self, rows: _Rows, solids: Solids) -> None:
+        """Set the poses of the solids of m simulations, m rows."""
+        centre = solids.centre
+        pose = np.concatenate([centre[..., :3], np.roll(centre[..., 3:], 1, axis=-1)], axis=-1)
+        pose = np.where(solids.filled[..., np.newaxis], pose, _AWAY)
+        bodies = self.model.solid_bodies[: solids.places]
+        at = np.ix_(rows, self.model.engine.body_mocapid[bodies])
+        self.batch.mocap_pos[at], self.batch.mocap_quat[at] = pose[..., :3], pose[..., 3:]
 
     def arrange(self, row: int, scene: Scene) -> None:
         """Set the objects of a simulation as in a scene, from the next reset on."""
@@ -349,5 +404,13 @@ class Simulations:
     def data(self, row: int) -> Any:
         """Return MuJoCo's data of a simulation at its present positions, until the next call."""
         self.batch.get_data(row, self._scratch)
+        for name, values in self._shapes.items():
+            at = self.model.solid_rows(name)
+            getattr(self.model.engine, name)[at] = values[row, at]
         mujoco.mj_fwdPosition(self.model.engine, self._scratch)
         return self._scratch
+
+
+def _write(mine: Array, other: Array) -> None:
+    """Write an array into the beginning of one that has at least its size along each axis."""
+    mine[tuple(slice(size) for size in other.shape)] = other

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.physics.drives import ArmSetpoints, base_forces
@@ -16,6 +17,7 @@ from kinfeas.backends.physics.robot import (
     physics_urdf,
 )
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.objects import SceneObject
@@ -27,6 +29,7 @@ ROBOT, FLOOR = -2, -1
 LAG = 0.02
 """Seconds by which servos lag behind a moving setpoint; their natural frequency is 2 / LAG."""
 
+_UNUSED = (0.1, 0.1, 0.0, 0.2)  # size of an empty place
 _OWN = "/robot:"  # no object has a slash in its name
 # Bits of contype and conaffinity: fixed things do not collide with each other, the base not with
 # the floor, and the robot not with itself.
@@ -74,6 +77,7 @@ class Model:
         grasp: Index of the equality constraint of a grasp; None without one.
         grasped: Bodies of the hand and of the link that it can hold, with `grasp`.
         turns: Whether that link can turn in the hand.
+        solid_bodies: Bodies of solids, shape (places,); as owners they follow the objects.
     """
 
     def __init__(
@@ -82,8 +86,9 @@ class Model:
         scene: Scene | None,
         config: PhysicsConfig,
         grasped: tuple[str, str, bool] | None = None,
+        places: int = 0,
     ) -> None:
-        """Build the model; the poses of objects are those of a simulation.
+        """Build the model; poses of objects, and `places` for solids, are those of a simulation.
 
         `grasped` is the object and link that the gripper can hold, and whether it cannot turn.
         """
@@ -115,6 +120,7 @@ class Model:
         spec.attach(own, prefix=_OWN, frame=spec.worldbody.add_frame())
         for name, one in self.objects.items():
             spec.attach(_object_spec(one), prefix=f"{name}:", frame=spec.worldbody.add_frame())
+        solids = [_add_solid(spec, place) for place in range(places)]
         if grasped is not None:
             self._add_grasp(spec, *grasped)
         self.engine = engine = _compiled(spec, robot)
@@ -135,10 +141,11 @@ class Model:
         owners = {
             "world": FLOOR,
             _OWN[:-1]: ROBOT,
-            **{one: i for i, one in enumerate(self.objects)},
+            **{one: i for i, one in enumerate((*self.objects, *solids))},
         }
         self.owner = np.array([owners[name.partition(":")[0]] for name in names])
         self.on_arm = np.array([name.removeprefix(_OWN) in carried for name in names])
+        self.solid_bodies = np.array([engine.body(name).id for name in solids], dtype=np.intp)
         self.fingers = [[engine.body(_OWN + link).id for link in links] for links in fingers]
         self.grasp = int(engine.equality("grasp").id) if grasped else None
         if grasped is not None:
@@ -178,6 +185,30 @@ class Model:
                 qpos[at : at + 7] = pose
             for joint, position in one.joint_positions.items():
                 qpos[self.address(name, joint)] = position
+
+    def shapes(self, solids: Solids) -> dict[str, Array]:
+        """Return the fields of the model that hold the shapes of solids, (n, k, ...), by name."""
+        # MuJoCo would test shapes without a size against everything.
+        size = np.where(solids.filled[..., np.newaxis], solids.size, _UNUSED)
+        x, y, low, high = np.moveaxis(size, -1, 0)
+        round_, z = solids.cylinder, (high - low) / 2.0
+        box, none = np.stack([x, np.where(round_, x, y), z], axis=-1), np.zeros_like(x)
+        size = np.where(round_[..., np.newaxis], np.stack([x, z, none], axis=-1), box)
+        kinds = int(mujoco.mjtGeom.mjGEOM_CYLINDER), int(mujoco.mjtGeom.mjGEOM_BOX)
+        radius = np.hypot(np.where(round_, x, np.hypot(x, y)), z)
+        around = np.concatenate([np.zeros_like(box), box], axis=-1)
+        return {
+            "geom_type": np.where(round_, *kinds),
+            "geom_size": size,
+            "geom_rbound": radius,
+            "geom_aabb": around,
+            "bvh_aabb": around,
+        }
+
+    def solid_rows(self, name: str) -> NDArray[np.intp]:
+        """Return the rows of solids in a field of `shapes`, shape (k,)."""
+        rows = self.engine.body_bvhadr if name == "bvh_aabb" else self.engine.body_geomadr
+        return np.asarray(rows[self.solid_bodies], dtype=np.intp)
 
     def _tune(self, config: PhysicsConfig, arm: ArmSetpoints) -> None:
         """Set the motors' inertias, gains and limits.
@@ -286,6 +317,15 @@ def _object_spec(one: SceneObject) -> Any:
     else:
         root.add_freejoint(name="free")
     return spec
+
+
+def _add_solid(spec: Any, place: int) -> str:
+    """Add a body for a solid; its shape and its pose are those of a simulation."""
+    name = f"/solid{place}"
+    body = spec.worldbody.add_body(name=name, mocap=True)
+    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, friction=_FRICTION)
+    _collide([geom], _FIXED)
+    return name
 
 
 def _read(urdf: str, path: str) -> Any:

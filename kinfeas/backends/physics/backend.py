@@ -13,7 +13,9 @@ from kinfeas.backends.physics.stage import Stage, StreamStage, task_scene
 from kinfeas.backends.physics.visuals import LinkName
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances, RobotState
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import Array
+from kinfeas.core.solids import MovingSolids, Solids
+from kinfeas.core.spatial import Array, planar_pose
+from kinfeas.kinematics.solids import scan_now
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import Scene
 from kinfeas.tasks.task import StreamTask, Task
@@ -32,6 +34,7 @@ class PhysicsBackend(ABC):
         robot: Robot that is simulated.
         scene: Room and furniture; None for a floor only.
         config: Numbers of the physics.
+        solids: Solids of all n robots.
     """
 
     engine: ClassVar[str]
@@ -52,6 +55,7 @@ class PhysicsBackend(ABC):
         self.robot, self.scene, self.config = robot, scene, physics or PhysicsConfig()
         self._objects, self._gui = objects, gui
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
+        self.solids = MovingSolids()
 
     def stage(self, task: Task) -> Stage:
         """Return a task whose episodes also place its objects; call it before any other method."""
@@ -64,7 +68,7 @@ class PhysicsBackend(ABC):
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
     ) -> RobotState:
-        """Place robots and furniture at rest; shapes as in `Backend`.
+        """Place robots and furniture at rest, without solids; shapes as in `Backend`.
 
         Raises:
             KinfeasError: If a base is not level on the floor, a number is not finite, or the engine
@@ -78,7 +82,18 @@ class PhysicsBackend(ABC):
             self._positions = np.zeros((len(rows), 3 + len(self.robot.arm)))
             self._velocities = np.zeros_like(self._positions)
         self._reset(rows, base_pose, joint_positions)
+        self.solids.place(None, rows, len(self._positions))
         return self._measure(rows)
+
+    def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
+        """Put solids around robots; arguments as in `SupportsSolids`."""
+        self.solids.place(solids, env_ids, len(self._positions))
+        if (present := self.solids.after()) is not None:
+            self._place_solids(env_ids, present)
+
+    def scan(self) -> Array:
+        """Return the ranges to solids around the true bases, as in `SupportsScan`."""
+        return scan_now(self.solids, planar_pose(*self._positions[:, :3].T))
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
         """Drive bases, arms and grippers for `dt` seconds; shapes as in `Backend`.
@@ -88,6 +103,10 @@ class PhysicsBackend(ABC):
         """
         self._check(base_twist, joint_targets, len(self._positions))
         rows = np.arange(len(self._positions))
+        # Contacts at the end of the period are those where the solids stand then.
+        self.solids.step(dt)
+        if self.solids.start.velocity.any() and (present := self.solids.after()) is not None:
+            self._move_solids(present)
         self._step(rows, base_twist, joint_targets, dt)
         return self._measure(rows)
 
@@ -178,7 +197,16 @@ class PhysicsBackend(ABC):
         """Return the names of the objects that the robot touches; the floor is `the floor`."""
 
     @abstractmethod
-    def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None: ...
+    def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:
+        """Place robots and furniture of m rows, and take their solids away."""
+
+    @abstractmethod
+    def _place_solids(self, rows: NDArray[np.intp], solids: Solids) -> None:
+        """Put those of all n rows of solids into m rows that have been reset."""
+
+    @abstractmethod
+    def _move_solids(self, solids: Solids) -> None:
+        """Move the solids of all n rows."""
 
     @abstractmethod
     def _step(

@@ -14,6 +14,7 @@ from kinfeas.backends.pybullet.furniture import Furniture
 from kinfeas.backends.pybullet.simulation import Simulation
 from kinfeas.core.backend import Contacts, Grip, ObstacleDistances
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.scenes.scene import Scene
 
@@ -137,6 +138,7 @@ class PyBulletBackend(PhysicsBackend):
         found = sim.contacts()
         bodies = {body for _, body, _ in found.base | found.arm}
         things = {**(sim.furniture.bodies if sim.furniture else {}), "the floor": sim.physics.floor}
+        things |= {f"solid {place}": body for place, body in sim.solids.bodies.items()}
         return [name for name, body in things.items() if body in bodies]
 
     def _furniture(self, row: int) -> Furniture:
@@ -148,6 +150,14 @@ class PyBulletBackend(PhysicsBackend):
     def _reset(self, rows: NDArray[np.intp], base_pose: Array, joint_positions: Array) -> None:
         for row, pose, joints in zip(rows.tolist(), base_pose, joint_positions, strict=True):
             self.simulation(row).reset(pose, joints)
+
+    def _place_solids(self, rows: NDArray[np.intp], solids: Solids) -> None:
+        for row in rows.tolist():
+            self._sims[row].solids.place(solids.of(np.array([row])))
+
+    def _move_solids(self, solids: Solids) -> None:
+        for row in range(len(self._positions)):
+            self._sims[row].solids.move(solids.of(np.array([row])))
 
     def _step(
         self, rows: NDArray[np.intp], base_twist: Array, joint_targets: Array, dt: float

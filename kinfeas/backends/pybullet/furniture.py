@@ -1,8 +1,9 @@
-"""The objects of a scene as PyBullet bodies."""
+"""The objects of a scene, and solids, as PyBullet bodies."""
 
 import numpy as np
 
 from kinfeas.backends.pybullet.physics import Physics
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
@@ -75,3 +76,47 @@ class Furniture:
         points = self._physics.client.getContactPoints(bodyA=body, bodyB=other)
         # The contact normal points from the other object to this one.
         return any(point[8] <= _TOUCH and point[7][2] >= steepest for point in points)
+
+
+class SolidBodies:
+    """The solids of a robot, one row of `Solids`, as bodies that no force moves.
+
+    Attributes:
+        bodies: PyBullet's numbers by place.
+    """
+
+    def __init__(self, physics: Physics) -> None:
+        """Begin without solids."""
+        self._client = physics.client
+        self.bodies: dict[int, int] = {}
+
+    def place(self, solids: Solids) -> None:
+        """Put solids into the world in place of those there."""
+        self.clear()
+        client = self._client
+        (places,) = np.nonzero(solids.filled[0])
+        for place, pose in zip(places.tolist(), solids.centre[0, places].tolist(), strict=True):
+            x, y, low, high = solids.size[0, place].tolist()
+            if solids.cylinder[0, place]:
+                shape = client.createCollisionShape(
+                    client.GEOM_CYLINDER, radius=x, height=high - low
+                )
+            else:
+                half = [x, y, (high - low) / 2.0]
+                shape = client.createCollisionShape(client.GEOM_BOX, halfExtents=half)
+            self.bodies[place] = client.createMultiBody(0.0, shape, -1, pose[:3], pose[3:])
+
+    def move(self, solids: Solids) -> None:
+        """Move those that move to where they stand now."""
+        centre = solids.centre[0].tolist()
+        for place in np.flatnonzero(solids.velocity[0].any(axis=1)).tolist():
+            if place in self.bodies:
+                self._client.resetBasePositionAndOrientation(
+                    self.bodies[place], centre[place][:3], centre[place][3:]
+                )
+
+    def clear(self) -> None:
+        """Take all solids out of the world."""
+        for body in self.bodies.values():
+            self._client.removeBody(body)
+        self.bodies = {}

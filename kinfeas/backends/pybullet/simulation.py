@@ -3,7 +3,7 @@
 from kinfeas.backends.physics.config import PhysicsConfig
 from kinfeas.backends.pybullet.contacts import Surroundings, contacts
 from kinfeas.backends.pybullet.drives import ArmDrive, BaseDrive
-from kinfeas.backends.pybullet.furniture import Furniture
+from kinfeas.backends.pybullet.furniture import Furniture, SolidBodies
 from kinfeas.backends.pybullet.gripper import Grasp, GripperDrive
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.backends.pybullet.robot_body import RobotBody
@@ -21,6 +21,7 @@ class Simulation:
         physics: The PyBullet world.
         body: The robot in it.
         furniture: Objects of the scene; None without one.
+        solids: Solids around the robot.
         gripper: The robot's gripper; None if its YAML has none.
         grasp: Grasp of the gripper; None without one.
     """
@@ -36,6 +37,7 @@ class Simulation:
         """Build the world; arguments as in `PyBulletBackend`."""
         self.physics = Physics(physics or PhysicsConfig(), gui=gui)
         self.furniture = Furniture(self.physics, scene) if scene else None
+        self.solids = SolidBodies(self.physics)
         self.body = RobotBody(self.physics, robot)
         self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
         self._surroundings = Surroundings(self.body)
@@ -52,10 +54,14 @@ class Simulation:
         self._handled, self._rigid = self.furniture.link(name, link), rigid
 
     def reset(self, base_pose: Array, joint_positions: Array) -> None:
-        """Place robot and furniture at rest, equal to the bit: base pose (7,), arm joints (j,)."""
+        """Place robot and furniture at rest, equal to the bit: base pose (7,), arm joints (j,).
+
+        Solids are taken away.
+        """
         with self.physics.connected():
             if self.grasp is not None:
                 self.grasp.release()
+            self.solids.clear()  # the saved state is without them
             self.physics.restore()
             if self.furniture is not None:
                 self.furniture.place()
@@ -114,7 +120,8 @@ class Simulation:
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the obstacles nearer than `within` metres, except the grasped link."""
-        bodies = self.furniture.bodies.values() if self.furniture else ()
+        furniture = self.furniture.bodies.values() if self.furniture else ()
+        bodies = [*furniture, *self.solids.bodies.values()]
         with self.physics.connected():
             return self._surroundings.obstacle_distances(bodies, within, self._spared())
 

@@ -6,6 +6,7 @@ import pytest
 from kinfeas.backends.mujoco.backend import MuJoCoBackend
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from tests.backends.conftest import stay, twist
 
 DT = 0.02
@@ -65,6 +66,29 @@ def test_a_saved_state_continues_to_the_bit(begun, ticks):
     np.testing.assert_array_equal(
         fresh.reset(bases, home).base_pose, world.reset(bases, home).base_pose
     )
+
+
+def test_solids_are_saved_with_their_way(hsr, opened):
+    def place(world):
+        world.reset(spatial.planar_pose(*np.zeros((3, 2))), np.stack([hsr.home["home"]] * 2))
+        solids = Solids.empty(2, 2)
+        solids.pose[:, 1], solids.size[:, 1] = [0.0, 0.6, 0.3], [0.3, 0.2, 0.0, 0.5]
+        solids.cylinder[0, 1] = True
+        solids.velocity[:, 1], solids.span[:, 1] = [0.0, -0.1], 0.2
+        world.place_solids(solids, np.arange(2))
+
+    def move(world):
+        home = np.stack([hsr.home["home"]] * 2)
+        return [world.step(np.zeros((2, 6)), home, DT).base_pose for _ in range(60)]
+
+    world, fresh = opened(hsr), opened(hsr)
+    place(world)
+    move(world)
+    saved = world.snapshot()
+    expected = move(world)
+    assert np.abs(expected[-1] - expected[0]).max() > 0.01  # pushed
+    fresh.restore(saved)
+    np.testing.assert_array_equal(move(fresh), expected)
 
 
 def weigh(world, gravity):
