@@ -250,10 +250,10 @@ class Loop:
             time_scale=self.time_scale,
             collision=collision,
         )
+        self._replan()
         stops = sequence.advance(arrived, arrived & (goal_distance <= GRASP_METRES))
         self._grip(step.subgoal, stops | step.finished)
         self.periods += 1
-        self._replan()
         if self.target_stream is not None:
             self.sequence.aim(self.target_stream.targets(self))
             self.sequence.begin_again(np.flatnonzero(self.time_scale == 0.0))
@@ -293,6 +293,8 @@ class Loop:
         backend = self._resumable
         self.sequence.restore(snapshot)
         self._measure(backend.restore(snapshot))
+        if (solids := self.surroundings.after(0.0)) is not None:
+            self.sequence.avoid(solids, np.empty(0, dtype=np.intp))
         self.joint_command = snapshot["joint_command"].copy()
         self.previous_command = snapshot["previous_command"].copy()
         self.periods, self._waited = snapshot["periods"].copy(), snapshot["waited"].copy()
@@ -348,12 +350,12 @@ class Loop:
         return self.backend
 
     def _replan(self) -> None:
-        """Plan motions around solids that have moved."""
-        if self.solids is not None and self.sequence.avoids_solids:
-            due = self.periods % round(_REPLAN_SECONDS / self.dt) == 0
-            moving = self.solids.velocity.any(axis=(1, 2))
-            if (rows := np.flatnonzero(due & moving)).size:
-                self.sequence.avoid(self.solids, rows)
+        """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
+        solids = self.surroundings.after(0.0)
+        if solids is not None and self.sequence.avoids_solids:
+            due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
+            moving = np.any(solids.velocity != 0.0, axis=(1, 2))
+            self.sequence.avoid(solids, np.flatnonzero(due & moving & (self.periods > 0)))
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")
