@@ -131,7 +131,7 @@ LACKING = {
     f"{EVALUATE} --picture a.png": "plots",
     f"{EVALUATE} --video a.mp4": "video",
     f"{EVALUATE} --replay a.html": "view",
-    "play --robot hsr": "plots,view",
+    "play --robot hsr": "view,plots",
     "view --picture a.png": "plots",
     "export pretrained --robot hsr --out a.onnx": "export",
     "push pretrained someone/policy": "hub",
@@ -143,6 +143,7 @@ LACKING = {
     f"{DEPLOY} --backend ros2": "ros2",
     "simulate --robot hsr": "ros2",
     "robot import mesh.urdf --out out": "meshes",
+    "dataset . --out out": "lerobot",
 }
 """Commands, and the extras that an installation without extras lacks for them."""
 
