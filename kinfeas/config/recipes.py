@@ -58,7 +58,7 @@ def load_section(cls: type[T], name: str, robot: str, overrides: Sequence[str] =
 
 
 def load_recipe(cls: type[T], name: str, folder: str, overrides: Sequence[str] = ()) -> T:
-    """Return a recipe as an instance of the dataclass `cls`; `overrides` as in `from_mapping`.
+    """Return the recipe of a training as an instance of `cls`; `overrides` as in `from_mapping`.
 
     Names are those of `find_recipe`, or `train/pr2` for the section `train` of a robot.
 
@@ -67,7 +67,8 @@ def load_recipe(cls: type[T], name: str, folder: str, overrides: Sequence[str] =
     """
     kind, _, robot = name.partition("/")
     if kind in _read_robot("default") and name in recipes(kind):
-        return load_section(cls, kind, robot, overrides)
+        own = [] if robot == "default" else [f"robot={robot}"]
+        return load_section(cls, kind, robot, [*own, *overrides])
     return load(cls, find_recipe(name, folder), overrides)
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from kinfeas.config.recipes import load_recipe, load_section, recipes, section
@@ -29,7 +31,7 @@ def test_robot_file_changes_keys_of_the_default():
     tiago = load_section(TrainConfig, "train", "tiago")
     assert tiago.learner.net_arch == (256, 256, 256)
     assert tiago.world.ik.restarts == default["world"]["ik"]["restarts"]
-    assert load_recipe(TrainConfig, "train/tiago", "train") == tiago
+    assert load_recipe(TrainConfig, "train/tiago", "train") == replace(tiago, robot="tiago")
 
 
 @pytest.mark.parametrize("robot", ["no_such_robot", "../robots/pr2", "a/b"])
