@@ -197,15 +197,18 @@ def _show_episode(
                 physics_film = make_film(world, policy, number)
             _write_film(physics_film, video)
             write_drawing(lambda: physics_html(physics_film).encode(), replay)
-            _write_film(physics_film, picture)
-            return
-        with status(f"episode {number}"):
-            (recording,) = record_episodes(world, policy, 1, first=number)
+            recording = physics_film.recording
+            if recording.solids is None:
+                _write_film(physics_film, picture)
+                return
+        else:
+            with status(f"episode {number}"):
+                (recording,) = record_episodes(world, policy, 1, first=number)
+            film = EpisodeFilm(recording, f"{robot.name}, {chosen.task.name}", robot)
+            _write_film(film, video)
+            write_drawing(lambda: episode_html(recording, robot).encode(), replay)
     finally:
         world.close()
-    film = EpisodeFilm(recording, f"{robot.name}, {chosen.task.name}", robot)
-    _write_film(film, video)
-    write_drawing(lambda: episode_html(recording, robot).encode(), replay)
     write_drawing(lambda: png(episodes_figure(robot, [recording]), dpi=110), picture)
 
 

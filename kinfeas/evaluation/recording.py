@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinfeas.core import spatial
 from kinfeas.core.motion import Rows
 from kinfeas.core.policy import Policy
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.envs.episodes import Watch, run_episodes
 from kinfeas.envs.world import Transition, World
@@ -29,6 +30,7 @@ class Recording:
         reached: Whether the episode ended at the goal.
         dt: Seconds between moments.
         task_done: Whether the objects met the success condition; None without one.
+        solids: Solids at the start, one row; None without any.
     """
 
     episode: int
@@ -41,6 +43,7 @@ class Recording:
     reached: bool
     dt: float
     task_done: bool | None = None
+    solids: Solids | None = None
 
     @property
     def goal(self) -> Array:
@@ -51,6 +54,10 @@ class Recording:
     def times(self) -> Array:
         """Seconds since the start, shape (t,)."""
         return self.dt * np.arange(len(self.feasible), dtype=np.float64)
+
+    def solids_at(self, moment: int) -> Solids | None:
+        """Return the solids as they stand at a moment, one row; None without any."""
+        return None if self.solids is None else self.solids.at(self.times[[moment]])
 
 
 def record_episodes(
@@ -79,6 +86,7 @@ class _Kept:
         ee = spatial.compose(start.base_pose, forward(world.solver.chain, start.joint_positions))
         self.moments = [(start.base_pose, start.joint_positions, ee, ee, True)]
         self.goals: dict[int, Array] = {}
+        self.solids = start.solids
         self.reached = False
 
     def add(self, world: World, transition: Transition, row: int) -> None:
@@ -95,5 +103,5 @@ class _Kept:
         goals = np.array(list(self.goals.values()))
         return Recording(
             self.episode, base, joints, desired, ee, feasible, goals, self.reached, self.dt,
-            task_done,
+            task_done, self.solids,
         )  # fmt: skip

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
@@ -58,9 +58,9 @@ def draw_solids(axes: Axes3D, solids: Sequence[Solid]) -> None:
                 # mplot3d needs the same number of corners everywhere.
                 seen.append(np.pad(face, ((0, SIDES - len(face)), (0, 0)), mode="edge"))
                 brightness = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * normal @ _LIGHT)
-                colours.append(brightness * np.array(to_rgb(solid.colour)))
+                colours.append(np.array(to_rgba(solid.colour)) * [*[brightness] * 3, 1.0])
     if seen:
-        edges = [0.85 * colour for colour in colours]
+        edges = [colour * [0.85, 0.85, 0.85, 1.0] for colour in colours]
         axes.add_collection(
             Poly3DCollection(seen, facecolors=colours, edgecolors=edges, linewidths=0.25, zorder=3),
             autolim=False,

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib import patheffects, rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
+from matplotlib.patches import Patch, Polygon
 from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 from PIL import Image
@@ -34,6 +35,7 @@ _ELEVATION, _TURN = np.deg2rad(28.0), np.deg2rad(12.0)
 _PALEST = 0.62
 _NEAR = 1.0  # m, of furniture from the paths' bounds
 _AROUND, _HEIGHT = 0.7, 1.6  # m, of a film's view beyond the paths, and above the floor
+_FURNITURE = (0.86, 0.79, 0.69, 0.6)
 _CASING = [patheffects.withStroke(linewidth=3.4, foreground="white", alpha=0.85)]
 
 
@@ -60,10 +62,14 @@ def episodes_figure(
             side.set_title(title)
             top = figure.add_subplot(grid[1, column])
             for one in furniture:
-                _draw_outline(top, shapes.corners(one), (0.86, 0.79, 0.69, 0.6), 1.8)
+                _draw_outline(top, shapes.corners(one), _FURNITURE, 1.8)
             _draw_top(top, robot, recording)
         columns = {1: 3, 2: 4}.get(count, 7)
-        figure.legend(handles=_legend(), loc="outside lower center", ncols=columns, fontsize=10)
+        handles: list[Artist] = [*_legend()]
+        if any(one.solids is not None for one in recordings):
+            handles.append(Patch(color=shapes.LOW, label="solid"))
+            handles.append(Patch(color=shapes.HIGH, label=f"above {shapes.HIGHEST} m"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
 
@@ -130,8 +136,12 @@ def watch(recording: Recording) -> Camera:
 def moment_image(
     solids: Sequence[shapes.Solid], recording: Recording, camera: Camera, moment: int
 ) -> NDArray[np.uint8]:
-    """Return an image of solids at a moment and the paths until then, shape (360, 480, 3)."""
+    """Return an image of a moment and the paths until then, shape (360, 480, 3).
+
+    `solids` are robot and furniture; solids of the recording are drawn, too.
+    """
     heading, seen = camera
+    solids = [*solids, *_solids_near(recording, moment, _AROUND)]
     with rc_context(STYLE):
         figure = Figure(figsize=(SIZE[0] / 100, SIZE[1] / 100), dpi=100)
         canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
@@ -192,6 +202,21 @@ def _furniture_near(scene: Scene, recording: Recording) -> list[list[shapes.Soli
     return list(near.values())
 
 
+def _solids_near(recording: Recording, moment: int, within: float = _NEAR) -> list[shapes.Solid]:
+    """Return the solids that have a part near the paths."""
+    points = [recording.base_pose, recording.desired, recording.goals]
+    paths = np.concatenate([poses[:, :2] for poses in points])
+    low, high = paths.min(axis=0) - within, paths.max(axis=0) + within
+    return [
+        one
+        for one in shapes.solid_shapes(recording.solids_at(moment)).values()
+        if np.all(
+            np.abs(one.shape.pose[:2] - (low + high) / 2.0)
+            < (high - low) / 2.0 + np.ptp(shapes.corners([one])[:, :2], axis=0) / 2.0
+        )
+    ]
+
+
 def side_heading(recording: Recording) -> float:
     """Return the world heading to the right of a side view in which the arm is in front."""
     travel = recording.goal[:2] - recording.base_pose[0, :2]
@@ -204,7 +229,7 @@ def side_heading(recording: Recording) -> float:
 def _draw_side(
     axes: Axes3D, robot: Robot, recording: Recording, furniture: Sequence[shapes.Solid]
 ) -> None:
-    solids = list(furniture)
+    solids = [*furniture, *_solids_near(recording, -1, _AROUND)]
     for moment, *colours in _fading(recording):
         solids += robot_at(robot, recording, moment, tuple(colours))
     ends = recording.desired[:, :3], recording.goals[:, :3]
@@ -216,6 +241,10 @@ def _draw_side(
 
 
 def _draw_top(axes: Axes, robot: Robot, recording: Recording) -> None:
+    for moment, opacity in ((0, 0.2), (-1, 0.75)):  # pale where they began
+        for one in _solids_near(recording, moment):
+            colour = (*to_rgb(one.colour[:7]), opacity)
+            _draw_outline(axes, shapes.corners([one]), colour, 1.8)
     for moment, body, arm in _fading(recording):
         solids = robot_at(robot, recording, moment, (body, arm))
         carried = [solid for solid in solids if solid.colour == body]

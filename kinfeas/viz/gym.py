@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.backends.physics.backend import PhysicsBackend
+from kinfeas.core.backend import SupportsSolids
 from kinfeas.envs.gym import BaseMotionEnv, check_reset
 
 if TYPE_CHECKING:
@@ -39,14 +40,15 @@ class RenderedMotionEnv(BaseMotionEnv):
         from kinfeas.viz.physics_film import solids, visible
 
         loop = self.world.loop
-        state = loop.state
+        state, backend = loop.state, self.world.backend
+        present = backend.solids.after() if isinstance(backend, SupportsSolids) else None
+        around = present.of(np.array([0])) if present else None
         now = Recording(
             0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],
-            np.array([True]), loop.goal[:1], reached=False, dt=loop.dt,
+            np.array([True]), loop.goal[:1], reached=False, dt=loop.dt, solids=around,
         )  # fmt: skip
         if self._camera is None:  # it stays when the base moves
             self._camera = watch(now)
-        backend = self.world.backend
         if isinstance(backend, PhysicsBackend):
             shapes, links = visible(backend)
             seen = solids(shapes, links, backend.link_poses(0, links))

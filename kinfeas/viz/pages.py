@@ -1,12 +1,13 @@
 """HTML pages of scenes and episodes in 3-D, made by viser; they need no server."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
@@ -14,7 +15,7 @@ from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
 from kinfeas.viz.film import result
 from kinfeas.viz.server import serving
-from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids
+from kinfeas.viz.shapes import link_poses, robot_parts, scene_solids, solid_shapes
 from kinfeas.viz.style import ARM, BASE, BODY, DESIRED, EE, FAILURE, GOAL, failures_text
 from kinfeas.viz.viewer import draw, draw_floor, draw_scene, place, rgb
 
@@ -101,7 +102,9 @@ def _play(
     """Return the page of an episode whose shapes move with the poses of their keys."""
     _draw_paths(server, recording)
     frames: dict[Any, Any] = {}
-    for number, (key, shape, colour) in enumerate(shapes):
+    solids = solid_shapes(recording.solids)
+    around = [(key, replace(one.shape, pose=IDENTITY), one.colour) for key, one in solids.items()]
+    for number, (key, shape, colour) in enumerate([*shapes, *around]):
         if key not in frames:
             frames[key] = server.scene.add_frame(f"/bodies/{len(frames)}", show_axes=False)
         draw(server, f"{frames[key].name}/{number}", shape, colour)
@@ -110,7 +113,8 @@ def _play(
     label = server.scene.add_label("/result", text, position=position, visible=False)
     film, shown = server.get_scene_serializer(), moments(times).tolist()
     for moment, after in zip(shown, [*shown[1:], shown[-1]], strict=True):
-        now = poses(moment)
+        solids = solid_shapes(recording.solids_at(moment))
+        now = {**poses(moment), **{key: one.shape.pose for key, one in solids.items()}}
         for key, frame in frames.items():
             place(frame, now[key])
         label.visible = moment == shown[-1]

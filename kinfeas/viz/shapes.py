@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, compose, make_pose, rotation
 from kinfeas.robots.robot import Robot
 from kinfeas.robots.urdf import Shape
@@ -21,6 +22,9 @@ SIDES = 16
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 """Corners of the unit cube, shape (8, 3)."""
+
+LOW, HIGH, HIGHEST = "#d8c7a6", "#9fa9b580", 1.2
+"""Colours of solids: up to a height in metres, and higher ones."""
 
 _STICK = 0.03  # m, width of lines in place of links without shapes
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -37,7 +41,7 @@ class Part(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """A shape with its world pose and a colour."""
+    """A shape with its world pose and a colour, `#rrggbb` or with opacity `#rrggbbaa`."""
 
     shape: Shape
     colour: str
@@ -97,6 +101,22 @@ def scene_solids(scene: Scene) -> Iterator[tuple[str, Solid]]:
         for link, shape in one.shapes():
             moved = _LEAF if moving_joint(one.urdf, link) else body
             yield name, Solid(shape, _HANDLE if (name, link) in held else moved)
+
+
+def solid_shapes(solids: Solids | None) -> dict[int, Solid]:
+    """Return the solids of one row by place; high ones are translucent."""
+    if solids is None:
+        return {}
+    found = {}
+    for place in np.flatnonzero(solids.filled[0]).tolist():
+        x, y, low, high = solids.size[0, place].tolist()
+        height, centre = high - low, solids.centre[0, place]
+        if solids.cylinder[0, place]:
+            shape = Shape("cylinder", (x, height), centre)
+        else:
+            shape = Shape("box", (2.0 * x, 2.0 * y, height), centre)
+        found[place] = Solid(shape, HIGH if high > HIGHEST else LOW)
+    return found
 
 
 def surrounds(scene: Scene, one: SceneObject) -> bool:

@@ -36,7 +36,9 @@ def draw_scene(server: Any, scene: Scene) -> list[Any]:
 
 def draw(server: Any, name: str, shape: Shape, colour: str | tuple[float, ...]) -> Any:
     """Draw a shape; return its handle."""
-    how = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1), "color": rgb(colour)}
+    red, green, blue, *alpha = rgb(colour)
+    how: dict[str, Any] = {"position": shape.pose[:3], "wxyz": np.roll(shape.pose[3:], 1)}
+    how |= {"color": (red, green, blue), "opacity": alpha[0] / 255.0 if alpha else None}
     if shape.kind == "box":
         return server.scene.add_box(name, dimensions=shape.size, **how)
     if shape.kind == "cylinder":

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.io.run_log import REACHED, About, Record
 from kinfeas.viz.episodes import (
     EpisodeFilm,
@@ -12,6 +13,7 @@ from kinfeas.viz.episodes import (
     record_figure,
     scene_of,
 )
+from kinfeas.viz.shapes import corners, solid_shapes
 from kinfeas.viz.style import FAILURE, png
 
 
@@ -62,6 +64,23 @@ def test_a_film_shows_failures_in_red(hsr, recordings):
     assert film.picture(0).size == (480, 360)
     assert count(film) > 5
     assert count(fine) == 0
+
+
+def test_solids_are_drawn_where_they_stand(hsr, recordings):
+    solids = Solids.empty(1, 3)
+    solids.size[0, 1:] = [[0.2, 0.2, 0.0, 0.4], [0.3, 0.5, 0.0, 2.0]]
+    solids.pose[0, 1:, :2] = recordings[0].base_pose[0, :2] + [[0.5, 0.0], [-0.5, 0.0]]
+    solids.cylinder[0, 1], solids.velocity[0, 1], solids.span[0, 1] = True, [0.0, 0.01], 1.0
+    among = replace(recordings[0], solids=solids)
+    drawn = solid_shapes(among.solids_at(30))
+    assert {place: one.shape.kind for place, one in drawn.items()} == {1: "cylinder", 2: "box"}
+    np.testing.assert_array_equal(corners([drawn[2]])[:, 2].max(), 2.0)
+    moved = solids.centre[0, 1, :3] + [0.0, 0.01 * among.times[30], 0.0]
+    np.testing.assert_allclose(drawn[1].shape.pose[:3], moved, atol=1e-12)
+    bare, around = (episodes_figure(hsr, [one]).axes[1].patches for one in (recordings[0], among))
+    assert len(around) == len(bare) + 4  # where they began, and at the end
+    film = EpisodeFilm(among, "hsr", hsr)
+    assert film.picture(0) != replace(film, recording=recordings[0]).picture(0)
 
 
 def test_a_record_is_an_episode(hsr, record):
