@@ -233,17 +233,24 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
 
 
 def _drawn_scene(setup: "Setup") -> dict[str, Any]:
-    """Return scene and objects of the record; the episode is drawn in advance."""
+    """Return scene, objects and solids of the record; the episode is drawn in advance."""
     import numpy as np
 
+    from kinfeas.core.backend import SupportsSolids
     from kinfeas.sim2real.deploy.runtime import TaskWithObjects
 
-    if not isinstance(setup.task, TaskWithObjects):
-        return {}
-    setup.task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
-    scene, poses = setup.task.drawn()
-    objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
-    return {"scene": from_anywhere(scene), "objects": objects}
+    task = setup.task
+    drawn: dict[str, Any] = {}
+    if not isinstance(setup.backend, SupportsSolids):  # a robot
+        return drawn
+    start = task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
+    if start.solids is not None:
+        drawn["solids"] = tuple(map(tuple, start.solids.table.tolist()))
+    if isinstance(task, TaskWithObjects):
+        scene, poses = task.drawn()
+        objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}
+        drawn |= {"scene": from_anywhere(scene), "objects": objects}
+    return drawn
 
 
 def _record_path(about: "About") -> Path:

@@ -45,6 +45,22 @@ class Solids:
             span=np.zeros((n, places)),
         )
 
+    @staticmethod
+    def from_table(table: Array) -> "Solids":
+        """Return one row of solids from a `table`."""
+        ends = np.cumsum((3, 4, 1, 2))
+        pose, size, cylinder, velocity, span = np.split(table[np.newaxis], ends, axis=2)
+        return Solids(pose, size, cylinder[..., 0] > 0.0, velocity, span[..., 0])
+
+    @property
+    def table(self) -> Array:
+        """Solids of the first row without empty places, shape (k, 11), one a line.
+
+        A line has the values of pose, size, cylinder (0 or 1), velocity and span.
+        """
+        parts = (getattr(self, one.name)[0, self.filled[0]] for one in fields(self))
+        return np.column_stack([*parts])
+
     @property
     def places(self) -> int:
         """Count of the places of a row."""

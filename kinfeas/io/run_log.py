@@ -7,9 +7,10 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from io import StringIO
 from pathlib import Path
-from typing import TextIO
+from typing import Annotated, TextIO
 
 import numpy as np
+from annotated_types import Len
 from numpy.typing import NDArray
 
 from kinfeas import config
@@ -44,6 +45,7 @@ class About:
         started: Date and time of the start, with time zone.
         scene: Scene of the task by name or absolute path; empty for the floor alone.
         objects: World poses of the objects moved at the start of the episode, by name.
+        solids: Solids at the start, as in `Solids.table`.
     """
 
     robot: str
@@ -55,6 +57,7 @@ class About:
     started: str
     scene: str = ""
     objects: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    solids: tuple[Annotated[tuple[float, ...], Len(11, 11)], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull
 
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.evaluation.recording import Recording
 from kinfeas.io.run_log import REACHED, Record
@@ -68,7 +69,7 @@ def episodes_figure(
         handles: list[Artist] = [*_legend()]
         if any(one.solids is not None for one in recordings):
             handles.append(Patch(color=shapes.LOW, label="solid"))
-            handles.append(Patch(color=shapes.HIGH, label=f"above {shapes.HIGHEST} m"))
+            handles.append(Patch(color=shapes.HIGH, label="wall"))
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=10)
     return figure
 
@@ -90,11 +91,13 @@ def as_recording(record: Record, robot: Robot) -> Recording:
             f"{robot.name!r} {', '.join(joints)}"
         )
     ee = forward(build_chain(robot), record.joint_positions)
+    around = record.about.solids
+    solids = Solids.from_table(np.array(around)) if around else None
     last = [np.flatnonzero(record.subgoal == subgoal)[-1] for subgoal in np.unique(record.subgoal)]
     return Recording(
         0, record.base_pose, record.joint_positions, record.desired,
         spatial.compose(record.base_pose, ee), record.feasible, record.goal[last],
-        reached=record.event[-1].startswith(REACHED), dt=record.about.dt,
+        reached=record.event[-1].startswith(REACHED), dt=record.about.dt, solids=solids,
     )  # fmt: skip
 
 

@@ -90,6 +90,9 @@ def test_a_record_is_an_episode(hsr, record):
     assert episode.ee_pose.shape == (40, 7)
     assert not as_recording(record(event=""), hsr).reached
     assert as_recording(record(event=f"{REACHED}, task done"), hsr).reached
+    line = (0.5, 0.1, 0.3, 0.2, 0.2, 0.0, 0.4, 1.0, 0.1, 0.0, 2.0)
+    among = as_recording(replace(record(), about=replace(record().about, solids=(line,))), hsr)
+    assert among.solids.table.tolist() == [list(line)]
     other = replace(record(), about=replace(record().about, joints=("a", "b")))
     with pytest.raises(KinfeasError, match="joints a, b"):
         as_recording(other, hsr)
