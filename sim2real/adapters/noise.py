@@ -1,12 +1,15 @@
 """Noise on commands and measurements, and errors of localisation."""
 
 import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
 
-from kinfeas.core.backend import Backend, RobotState
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, Backend, RobotState, SupportsScan
 from kinfeas.core.spatial import Array, integrate
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.adapters.adapter import Adapter, Memory, Number, measured
+from kinfeas.sim2real.adapters.latency import filled, pushed
 
 
 class BaseNoise(Adapter):
@@ -135,6 +138,62 @@ class Localisation(Adapter):
         """Return the deviations of x, y and yaw, shape (n, 3)."""
         metres, radians = self.number(name), self.number(f"turn_{name}")
         return np.concatenate([metres, metres, radians], axis=1)
+
+
+class ScanNoise(Adapter):
+    """Gaussian noise on the ranges of scans, lost beams, and late scans.
+
+    Beams without a return stay so; lost ones read the longest range.
+
+    Args:
+        deviation: Standard deviation of a range, m.
+        lost: Share of lost beams, 0-1, drawn for each scan.
+        seconds: Delay, s, rounded to whole control periods.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        robot: Robot,
+        *,
+        deviation: Number = 0.02,
+        lost: Number = 0.01,
+        seconds: Number = 0.1,
+    ) -> None:
+        numbers = {"deviation": deviation, "lost": lost, "seconds": seconds}
+        super().__init__(backend, robot, numbers, Interval(ge=0.0, le=1.0))
+        if isinstance(backend, SupportsScan):
+            self._exact = backend.scan
+            self.scan = self._scan
+
+    def on_reset(self, state: RobotState) -> Memory:
+        """Return buffers without a scan: obstacles may be placed after the reset."""
+        n = len(state.base_pose)
+        slots = self.memory["scans"].shape[1] if self.memory else 1
+        scans = np.full((n, slots, 2, SCAN_BEAMS), np.nan)
+        return {"scans": scans, "delay": np.zeros(n, dtype=np.intp)}
+
+    def modify_command(self, twist: Array, targets: Array, dt: float) -> tuple[Array, Array]:
+        """Keep the scan of before the step; return the command."""
+        slots = round(self.ranges["seconds"].high / dt)
+        if slots and hasattr(self, "_exact"):
+            now, before = self._exact(), self.memory["scans"]
+            before = np.where(np.isnan(before), filled(now, before.shape[1]), before)
+            delay: NDArray[np.intp] = np.rint(self.number("seconds")[:, 0] / dt).astype(np.intp)
+            self.remember(scans=pushed(before, now, slots), delay=delay)
+        return twist, targets
+
+    def _scan(self) -> Array:
+        """Return the late ranges with noise, as in `SupportsScan`."""
+        scans, delay = self.memory["scans"], self.memory["delay"]
+        rows, slots = np.arange(len(delay)), scans.shape[1]
+        late = scans[rows, np.maximum(slots - delay, 0) % slots]
+        ranges: Array = np.where(delay[:, np.newaxis, np.newaxis] > 0, late, self._exact())
+        shape = ranges.shape
+        noise = self.normal(2 * SCAN_BEAMS) * self.number("deviation")
+        noisy = np.clip(ranges + noise.reshape(shape), 0.0, SCAN_RANGE)
+        lost = self.uniform(2 * SCAN_BEAMS) <= self.number("lost")
+        return np.where(lost.reshape(shape) | (ranges >= SCAN_RANGE), SCAN_RANGE, noisy)
 
 
 def displaced(pose: Array, by: Array) -> Array:

@@ -23,6 +23,7 @@ NOTHING = {
     "joint_noise": {"deviation": 0},
     "ee_noise": {"linear": 0, "angular": 0},
     "localisation": {"drift": 0, "turn_drift": 0, "jump": 0, "turn_jump": 0},
+    "scan_noise": {"deviation": 0, "lost": 0, "seconds": 0},
     "command_latency": {"seconds": 0},
     "sensor_latency": {"seconds": 0},
     "dropped_commands": {"share": 0},

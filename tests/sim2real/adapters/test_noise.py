@@ -1,10 +1,13 @@
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.spatial import yaw
 from kinfeas.kinematics.forward import build_chain, forward
-from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation
+from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation, ScanNoise
 
 STILL = {"drift": 0.0, "turn_drift": 0.0, "jump": 0.0, "turn_jump": 0.0, "rate": 0.0}
 
@@ -87,3 +90,41 @@ def test_commands_are_rotated_by_the_error(rig, drive):
     turned = np.angle(np.exp(1j * (wanted - heading - angle)))
     np.testing.assert_allclose(turned, 0.0, atol=1e-9)
     np.testing.assert_array_equal(lost.passed[..., 2:], twists[..., 2:])
+
+
+@pytest.fixture
+def scanned(rig):
+    """Return a function that reads late scans of ranges that grow by 0.1 m in each step."""
+
+    def made(n=1, **parameters):
+        one = rig(ScanNoise, n=n, **parameters)
+        ranges = [np.full((n, 2, SCAN_BEAMS), 1.0 + 0.1 * step) for step in range(12)]
+        for grown in ranges:
+            grown[:, 1, :5] = SCAN_RANGE
+        one.adapter._exact = Mock(side_effect=lambda: ranges[len(one.recorder.twists)])
+        read = [one.adapter.scan()]
+        for twist in np.zeros((10, 6)):
+            one.run([twist])
+            read.append(one.adapter.scan())
+            np.testing.assert_array_equal(one.adapter.scan(), read[-1])
+        return np.stack(read)
+
+    return made
+
+
+def test_scans_are_late_by_whole_periods(scanned):
+    late = scanned(n=2, deviation=0.0, lost=0.0, seconds=0.31)[:, :, 0, 0]
+    expected = 1.0 + 0.1 * np.maximum(np.arange(11) - 3, 0)
+    np.testing.assert_allclose(late, np.stack([expected, expected], 1))
+
+
+def test_noise_and_losses_of_scans_are_those_of_their_parameters(scanned):
+    noisy = scanned(n=50, deviation=0.03, lost=0.0, seconds=0.0)
+    expected = 1.0 + 0.1 * np.arange(11)[:, np.newaxis, np.newaxis]
+    error = noisy[:, :, 0] - expected
+    assert np.std(error) == pytest.approx(0.03, rel=0.03)
+    assert np.mean(error) == pytest.approx(0.0, abs=0.001)
+    np.testing.assert_array_equal(noisy[:, :, 1, :5], SCAN_RANGE)
+    lossy = scanned(n=50, deviation=0.0, lost=0.1, seconds=0.0)
+    assert np.mean(lossy[:, :, 0] == SCAN_RANGE) == pytest.approx(0.1, abs=0.01)
+    np.testing.assert_array_equal(scanned(n=3, deviation=0.03), scanned(n=5, deviation=0.03)[:, :3])
