@@ -175,6 +175,30 @@ class SupportsScan(Protocol):
 
 
 @dataclass(frozen=True)
+class MeasuredScan:
+    """A scan by the sensors of one robot.
+
+    Attributes:
+        ranges: As in `SupportsScan`, shape (1, 2, `SCAN_BEAMS`); blind beams are `SCAN_RANGE`.
+        blind: Whether no sensor covers a beam, shape (`SCAN_BEAMS`,).
+        age: Age of the oldest measurement in it, seconds.
+    """
+
+    ranges: Array
+    blind: NDArray[np.bool_]
+    age: float
+
+
+@runtime_checkable
+class SupportsMeasuredScan(SupportsScan, Protocol):
+    """A backend of one robot whose scan may be old or blind."""
+
+    def measured_scan(self) -> MeasuredScan:
+        """Return the newest scan."""
+        ...
+
+
+@dataclass(frozen=True)
 class Contacts:
     """Contacts of one robot with its surroundings.
 

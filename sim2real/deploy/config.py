@@ -19,6 +19,7 @@ class Guards:
         reach: Start only if a base pose is found from which the arm reaches the end of each
             sub-goal.
         max_age: Age of a measurement, and of the one behind a command, that stops the run, seconds.
+        max_scan_age: Age of a scan that stops the run of a policy that uses it, seconds.
         max_period: Length of a control period that stops it, seconds.
         max_clock_skew: Change of the system's clock, or stamp in the future, that stops it,
             seconds.
@@ -45,6 +46,7 @@ class Guards:
 
     reach: bool = True
     max_age: PositiveSeconds = 0.2
+    max_scan_age: PositiveSeconds = 0.5
     max_period: PositiveSeconds = 0.2
     max_clock_skew: PositiveSeconds = 0.1
     max_distance: Positive = 20.0
@@ -65,7 +67,8 @@ class Guards:
     def timeless(self) -> "Guards":
         """Return the guards without those of time, for worlds without a clock."""
         never = math.inf
-        return replace(self, max_age=never, max_period=never, max_clock_skew=never, watchdog=None)
+        ages = replace(self, max_age=never, max_scan_age=never)
+        return replace(ages, max_period=never, max_clock_skew=never, watchdog=None)
 
     def check_rate(self, dt: float) -> None:
         """Raise KinfeasError if control periods of `dt` seconds exceed a limit of time."""

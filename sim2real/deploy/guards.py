@@ -16,6 +16,7 @@ from kinfeas.control.adapters import wrap
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import spatial
 from kinfeas.core.backend import (
+    SCAN_BEAMS,
     ArmLimited,
     Backend,
     BackendWrapper,
@@ -24,6 +25,7 @@ from kinfeas.core.backend import (
     RobotState,
     Stochastic,
     SupportsGripper,
+    SupportsMeasuredScan,
     SupportsObstacleDistances,
     SupportsScan,
 )
@@ -33,7 +35,9 @@ from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.rate import Clock, Rate
+from kinfeas.sim2real.link.scans import beam
 
+_CREEP = 0.02  # m/s up to which the base may drive into a blind direction
 _UNIT = 1e-2  # deviation of a quaternion's norm from 1
 
 
@@ -110,12 +114,17 @@ class _Wrapper(BackendWrapper):
         if isinstance(backend, SupportsObstacleDistances):
             self.obstacle_distances = backend.obstacle_distances
         if isinstance(backend, SupportsScan):
-            self.scan = backend.scan
+            self.scan = self._scan
 
     def seed(self, seeds: NDArray[np.uint64], env_ids: NDArray[np.intp]) -> None:
         """Seed a backend that draws random numbers."""
         if isinstance(self.backend, Stochastic):
             self.backend.seed(seeds, env_ids)
+
+    def _scan(self) -> Array:
+        """Return the ranges that the backend measures, as in `SupportsScan`."""
+        assert isinstance(self.backend, SupportsScan)
+        return self.backend.scan()
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the grippers of a backend that has them."""
@@ -144,6 +153,7 @@ class SafetyFilter(_Wrapper):
         self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
         self.hold, self.stopped, self.steps = "", True, 0
+        self._blind = np.zeros(SCAN_BEAMS, dtype=np.bool_)
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -155,7 +165,7 @@ class SafetyFilter(_Wrapper):
         check_state(state, 1, len(self._robot.arm), f"backend {type(self.backend).__name__}: reset")
         self._state, self._measured = state, self._clock.monotonic()
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
-        self._velocity = np.zeros(3)
+        self._velocity, self._blind = np.zeros(3), np.zeros(SCAN_BEAMS, dtype=np.bool_)
         self.hold, self.stopped = "", False
         return state
 
@@ -177,6 +187,8 @@ class SafetyFilter(_Wrapper):
         check_array(twist, (1, 6), "the base command", error=Fault)
         check_array(targets, arm, "the arm command", error=Fault)
         self._check_age()
+        if np.hypot(*velocity[:2]) > _CREEP and self._blind[beam(np.arctan2(*velocity[1::-1]))]:
+            raise Fault("the scan is blind in the direction of the base command")
         self._velocity, self._dt = velocity, dt
         self.base_twist, self.joint_targets = twist, targets
         # A backend may write into its copies.
@@ -184,6 +196,17 @@ class SafetyFilter(_Wrapper):
         self._measured = self._clock.monotonic()
         self.steps += 1
         return self._state
+
+    def _scan(self) -> Array:
+        """Return the ranges that the backend measures; raise Fault if they are old or blind."""
+        if not isinstance(self.backend, SupportsMeasuredScan):
+            return super()._scan()
+        scan = self.backend.measured_scan()
+        _limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
+        if scan.blind.all():
+            raise Fault("the scan is blind in all directions")
+        self._blind = scan.blind
+        return scan.ranges
 
     def grip(self, grip: Grip, env_ids: NDArray[np.intp]) -> None:
         """Close or open the gripper; raise Fault after a stop."""
@@ -308,6 +331,13 @@ class Guarded(_Wrapper):
             if not passed:
                 self.stop()
         return state
+
+    def _scan(self) -> Array:
+        try:
+            return super()._scan()
+        except PLUGIN_ERRORS:
+            self.stop()
+            raise
 
     def count(self, *, feasible: bool) -> None:
         """Stop and raise Fault after too many periods in a row on hold or without IK solution."""

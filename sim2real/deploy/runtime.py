@@ -16,7 +16,8 @@ from kinfeas.config import PluginSpec
 from kinfeas.control.adapters import execution_of
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Loop, Step
-from kinfeas.core.backend import Backend, RealTimeBackend
+from kinfeas.control.observation import SCAN_TERMS
+from kinfeas.core.backend import Backend, RealTimeBackend, SupportsScan
 from kinfeas.core.checks import check_array
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError, plugin_note
 from kinfeas.core.policy import CommandFilter, Policy
@@ -209,6 +210,8 @@ class _Run:
         """Start the loop, with a real robot where it is."""
         setup, rng = self.setup, episode_rng(self.setup.seed, 0)
         start = begin(setup.task, setup.solver, rng, self.guarded.read())
+        if SCAN_TERMS & set(self.loop.observation_terms) and isinstance(self.guarded, SupportsScan):
+            self.guarded.scan()  # waits for the first one
         stream = self.loop.target_stream is not None  # its targets are not known yet
         if not stream and (warning := preflight(self.loop, start, rng, setup.guards)):
             sys.stderr.write(f"{warning}\n")

@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 from kinfeas.core.backend import Grip
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Readings:
 
     base: Callable[[BaseReading], None]
     joints: Callable[[JointReading], None]
+    scan: Callable[[LaserReading | CostmapReading], None] = lambda _: None
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,17 @@ class Link(Protocol):
 
 
 @runtime_checkable
+class ScanLink(Link, Protocol):
+    """A link that may pass on lasers and costmaps.
+
+    Attributes:
+        scan_sources: Source of each kind of reading that will come, such as `/scan`.
+    """
+
+    scan_sources: Mapping[type[LaserReading] | type[CostmapReading], str]
+
+
+@runtime_checkable
 class RobotLink(Protocol):
     """The robot's end of a transport, for simulated robots."""
 
@@ -145,6 +158,15 @@ class RobotLink(Protocol):
 
     def close(self) -> None:
         """Disconnect; it may be called twice."""
+        ...
+
+
+@runtime_checkable
+class ScanRobotLink(RobotLink, Protocol):
+    """A robot's end that sends scans, too."""
+
+    def report_scan(self, base: BaseReading, ranges: Array) -> None:
+        """Send the ranges in `SCAN_BANDS`, shape (2, `SCAN_BEAMS`), measured at a base pose."""
         ...
 
 

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from kinfeas.config.quantities import PositiveSeconds
 from kinfeas.control.drive import base_velocity
-from kinfeas.core.backend import Grip, RobotState
+from kinfeas.core.backend import Grip, MeasuredScan, RobotState
 from kinfeas.core.errors import PLUGIN_ERRORS, Fault, KinfeasError
 from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.rate import Clock, Rate
-from kinfeas.sim2real.link import Link
+from kinfeas.sim2real.link import Link, ScanLink
 from kinfeas.sim2real.link.measurements import DRIFT, Drift, Inbox
 
 _POLL = 0.02  # s between checks of the connection during `reset`
@@ -22,6 +22,8 @@ _CHECK = "is the robot on, its controllers running, and do the names in the topi
 
 class LinkBackend:
     """A robot that moves in real time: a `RealTimeBackend` with a gripper.
+
+    It is a `SupportsMeasuredScan` if its link is a `ScanLink`.
 
     Commands are sent as they are: `kinfeas.sim2real.deploy.guards` limits them and checks their
     age.
@@ -63,6 +65,9 @@ class LinkBackend:
         self._seconds, self._timeout = seconds, timeout
         self._joint_speed = robot.max_joint_velocity
         self._opened = False
+        if isinstance(link, ScanLink):
+            self._scan_sources = link.scan_sources
+            self.scan, self.measured_scan = self._scan, self._measured_scan
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None
@@ -73,7 +78,7 @@ class LinkBackend:
             KinfeasError: If a source or receiver is missing, or a joint outside the arm deviates
                 from the kinematic model.
         """
-        self._inbox.forget()
+        self._inbox.forget(scans=not self._opened)
         if not self._opened:
             self.link.open(self._inbox.readings())
             self._opened = True
@@ -141,6 +146,31 @@ class LinkBackend:
             finally:
                 self.link.close()
                 self._opened = False
+
+    def _scan(self) -> Array:
+        """Return the newest ranges, as in `SupportsScan`."""
+        return self._measured_scan().ranges
+
+    def _measured_scan(self) -> MeasuredScan:
+        """Return the newest scan; raise KinfeasError if none can come.
+
+        The first call waits for it: other policies do not need one.
+        """
+        if not self._scan_sources:
+            raise KinfeasError(
+                "the policy needs a scan: add 'scan' or 'costmap' to the topics file of the robot"
+            )
+        end = self._clock.monotonic() + self._timeout
+        while missing := self._scan_sources.keys() - self._inbox.scans():
+            self.link.check()
+            if self._clock.monotonic() > end:
+                named = " or ".join(sorted(self._scan_sources[kind] for kind in missing))
+                raise KinfeasError(
+                    f"no scan came from {named} within {self._timeout:g} s: is the sensor on, "
+                    "and do the names in the topics file fit?"
+                )
+            self._clock.sleep(_POLL)
+        return self._inbox.scan()
 
     def _hold(self) -> None:
         if not any(self._inbox.missing()):

@@ -12,10 +12,17 @@ import numpy as np
 from annotated_types import Interval
 
 from kinfeas.control.drive import world_twist
-from kinfeas.core.backend import RobotState
+from kinfeas.core.backend import MeasuredScan, RobotState
 from kinfeas.core.spatial import Array, planar_pose, wrap
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.link import BaseReading, JointReading, Readings
+from kinfeas.sim2real.link.scans import (
+    CostmapReading,
+    LaserReading,
+    combined,
+    costmap_ranges,
+    laser_ranges,
+)
 
 Drift = Annotated[float, Interval(ge=0.0, le=0.99)]
 """Fraction by which a robot's clock may be slow."""
@@ -83,16 +90,20 @@ class Inbox:
         self._changed = threading.Condition()
         self._base: tuple[BaseReading, float] | None = None
         self._joints: dict[str, tuple[float, float, float]] = {}  # position, velocity, sent
+        self._laser: tuple[LaserReading, float] | None = None
+        self._costmap: tuple[CostmapReading, float] | None = None
         self._delays: defaultdict[str, TransportDelay] = defaultdict(partial(TransportDelay, drift))
 
     def readings(self) -> Readings:
         """Return the callbacks for a transport."""
-        return Readings(self._take_base, self._take_joints)
+        return Readings(self._take_base, self._take_joints, self._take_scan)
 
-    def forget(self) -> None:
-        """Drop everything."""
+    def forget(self, *, scans: bool = True) -> None:
+        """Drop everything, or all except scans."""
         with self._changed:
-            self._base, self.fault = None, None
+            self._base = self.fault = None
+            if scans:
+                self._laser = self._costmap = None
             self._joints.clear()
             self._delays.clear()
 
@@ -134,6 +145,22 @@ class Inbox:
             age=np.array([self._now() - min(sent, joint_sent.min())]),
         )
 
+    def scans(self) -> set[type[LaserReading] | type[CostmapReading]]:
+        """Return the kinds of scans that have arrived."""
+        with self._changed:
+            return {type(one[0]) for one in (self._laser, self._costmap) if one is not None}
+
+    def scan(self) -> MeasuredScan:
+        """Return the newest scan; a base pose, and a laser or costmap, must have arrived."""
+        with self._changed:
+            assert self._base is not None
+            base, laser, costmap = self._base[0], self._laser, self._costmap
+        low = None if laser is None else laser_ranges(laser[0])
+        place = base.x, base.y, base.yaw
+        high = None if costmap is None else costmap_ranges(costmap[0], place)
+        oldest = min(one[1] for one in (laser, costmap) if one is not None)
+        return combined(low, high, self._now() - oldest)
+
     def _take_base(self, reading: BaseReading) -> None:
         now = self._now()
         with self._changed:
@@ -154,6 +181,15 @@ class Inbox:
                 elif name in self._names:
                     self._fail(f"the measured position of joint {name} is not finite")
             self._changed.notify_all()
+
+    def _take_scan(self, reading: LaserReading | CostmapReading) -> None:
+        now = self._now()
+        with self._changed:
+            if isinstance(reading, LaserReading):
+                if (sent := self._sent("the laser", reading.stamp, now)) is not None:
+                    self._laser = reading, sent
+            elif (sent := self._sent("the costmap", reading.stamp, now)) is not None:
+                self._costmap = reading, sent
 
     def _fail(self, reason: str) -> None:
         self.fault = self.fault or reason

@@ -9,19 +9,25 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kinfeas.config.quantities import PositiveSeconds
-from kinfeas.core.backend import Grip
+from kinfeas.core.backend import SCAN_RANGE, Grip
 from kinfeas.core.errors import Fault
-from kinfeas.core.spatial import Array
+from kinfeas.core.spatial import IDENTITY, Array
 from kinfeas.robots.robot import Robot
 from kinfeas.sim2real.deploy.watchdog import StopCall
 from kinfeas.sim2real.link import BaseReading, JointReading, Orders, Readings, RobotLink
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.measurements import DRIFT, Drift
+from kinfeas.sim2real.link.scans import CostmapReading, LaserReading, costmap_of
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros.bus import Publisher, RosBus, Version, make_bus
 from kinfeas.sim2real.ros.topics import Topics, read_topics
 
 _ODOM = "odom"
+_CELL = 0.05  # m, of costmaps of simulated robots
+
+
+FramePose = Callable[[str], Array | None]
+"""Returns the world pose of a frame, shape (7,), or None if it is not known."""
 
 
 class RosBackend(LinkBackend):
@@ -89,6 +95,7 @@ class RosLink:
     Attributes:
         base_source: Topic or transform of the base pose.
         joint_source: Topic of the joint positions.
+        scan_sources: Topics of laser and costmap, where the file names them.
     """
 
     def __init__(self, topics: Topics, bus: RosBus, drift: float = DRIFT) -> None:
@@ -96,6 +103,11 @@ class RosLink:
         tf = f"/tf ({base.world_frame} to {base.frame})"
         self.base_source = base.odometry if base.measured_by == "odometry" else tf
         self.joint_source = topics.joints.measured
+        self.scan_sources: dict[type[LaserReading] | type[CostmapReading], str] = {}
+        if topics.scan is not None:
+            self.scan_sources[LaserReading] = topics.scan.topic
+        if topics.costmap is not None:
+            self.scan_sources[CostmapReading] = topics.costmap.topic
         self._topics, self._bus, self._drift = topics, bus, drift
         self._publishers: dict[str, Publisher] = {}
         self._frame_fault: str | None = None
@@ -116,9 +128,10 @@ class RosLink:
         take_joints = _passing(ros_messages.from_joint_state, readings.joints)
         self._bus.subscribe(self.joint_source, messages.JointState, take_joints)
         if topics.base.measured_by == "odometry":
-            self._listen_to_odometry(readings)
+            pose_of = self._listen_to_odometry(readings)
         else:
-            self._listen_to_tf(readings)
+            pose_of = self._listen_to_tf(readings)
+        self._listen_to_scans(readings, pose_of)
 
     def waits_for(self) -> str | None:
         """Return the first topic without a subscriber, except the gripper's."""
@@ -159,10 +172,27 @@ class RosLink:
         self._bus.check_sending()
         self._publishers[topic].publish(message)
 
-    def _listen_to_odometry(self, readings: Readings) -> None:
-        frame = self._topics.base.frame.lstrip("/")
+    def _listen_to_scans(self, readings: Readings, pose_of: FramePose) -> None:
+        topics, messages = self._topics, self._bus.messages
+        if topics.scan is not None:
+            laser = partial(ros_messages.from_laser_scan, topics.scan, topics.base.frame)
+            take = _passing(laser, readings.scan)
+            self._bus.subscribe(topics.scan.topic, messages.LaserScan, take)
+        if (grid := topics.costmap) is not None:
+
+            def read(message: Any) -> CostmapReading | None:
+                frame = pose_of(message.header.frame_id)
+                return None if frame is None else ros_messages.from_costmap(grid, frame, message)
+
+            take = _passing(read, readings.scan)
+            self._bus.subscribe(grid.topic, messages.OccupancyGrid, take)
+
+    def _listen_to_odometry(self, readings: Readings) -> FramePose:
+        frame, world = self._topics.base.frame.lstrip("/"), ""
 
         def take(message: Any) -> None:
+            nonlocal world
+            world = message.header.frame_id.lstrip("/")
             theirs = message.child_frame_id.lstrip("/")
             if theirs not in ("", frame):
                 self._frame_fault = (
@@ -170,9 +200,17 @@ class RosLink:
                 )
             readings.base(ros_messages.from_odometry(message))
 
-        self._bus.subscribe(self.base_source, self._bus.messages.Odometry, take)
+        def pose_of(other: str) -> Array | None:
+            if world and other.lstrip("/") not in ("", world):
+                self._frame_fault = (
+                    f"the costmap is in frame {other}, but {self.base_source} in {world}"
+                )
+            return IDENTITY if world else None
 
-    def _listen_to_tf(self, readings: Readings) -> None:
+        self._bus.subscribe(self.base_source, self._bus.messages.Odometry, take)
+        return pose_of
+
+    def _listen_to_tf(self, readings: Readings) -> FramePose:
         base = self._topics.base
         tree = ros_messages.TfTree(base.world_frame, base.frame, self._drift)
         kind = self._bus.messages.TFMessage
@@ -184,10 +222,11 @@ class RosLink:
         # Each message has other transforms, so that none may be skipped.
         self._bus.subscribe("/tf", kind, _passing(read, readings.base), every=True)
         self._bus.subscribe("/tf_static", kind, partial(tree.take, static=True), every=True)
+        return tree.pose
 
 
 class RosRobotLink:
-    """The robot's end: reads commands, publishes odometry, joint states and TF."""
+    """The robot's end: reads commands, publishes odometry, joint states, TF and scans."""
 
     def __init__(self, topics: Topics, bus: RosBus) -> None:
         self._topics, self._bus = topics, bus
@@ -209,6 +248,10 @@ class RosRobotLink:
         self._odometry = bus.publisher(topics.base.odometry, messages.Odometry)
         self._joints = bus.publisher(topics.joints.measured, messages.JointState)
         self._tf = bus.publisher("/tf", messages.TFMessage)
+        if topics.scan is not None:
+            self._scan = bus.publisher(topics.scan.topic, messages.LaserScan)
+        if topics.costmap is not None:
+            self._costmap = bus.publisher(topics.costmap.topic, messages.OccupancyGrid)
 
     def check(self) -> None:
         """Raise Fault if the connection is broken."""
@@ -227,6 +270,20 @@ class RosRobotLink:
             self._transform(_ODOM, frame, base, stamp),
         ]
         self._tf.publish(message)
+
+    def report_scan(self, base: BaseReading, ranges: Array) -> None:
+        """Publish the low band as a laser in the base frame, the high one as a costmap."""
+        messages, topics = self._bus.messages, self._topics
+        stamp = messages.Time.from_sec(time.time() if base.stamp is None else base.stamp)
+        if topics.scan is not None:
+            scan = ros_messages.laser_scan(messages, ranges[0])
+            scan.header.stamp, scan.header.frame_id = stamp, topics.base.frame
+            self._scan.publish(scan)
+        if topics.costmap is not None:
+            costmap = costmap_of(ranges[1], (base.x, base.y, base.yaw), 2.0 * SCAN_RANGE, _CELL)
+            grid = ros_messages.occupancy_grid(messages, costmap)
+            grid.header.stamp, grid.header.frame_id = stamp, _ODOM
+            self._costmap.publish(grid)
 
     def close(self) -> None:
         """Release the topics; it may be called twice."""

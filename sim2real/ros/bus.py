@@ -34,6 +34,8 @@ class Messages:
     TransformStamped: Any
     Time: Any
     Duration: Any
+    LaserScan: Any
+    OccupancyGrid: Any
     Pr2GripperCommand: Any = None
 
 

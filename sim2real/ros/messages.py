@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from kinfeas.core.backend import Grip
-from kinfeas.core.spatial import IDENTITY, Array, compose
+from kinfeas.core.backend import SCAN_RANGE, Grip
+from kinfeas.core.spatial import IDENTITY, Array, compose, relative
 from kinfeas.sim2real.link import BaseReading, JointPath, JointReading
 from kinfeas.sim2real.link.measurements import DRIFT, TransportDelay
+from kinfeas.sim2real.link.scans import ANGLES, CostmapReading, LaserReading
 from kinfeas.sim2real.ros.bus import Messages
-from kinfeas.sim2real.ros.topics import GripperTopics
+from kinfeas.sim2real.ros.topics import CostmapTopic, GripperTopics, ScanTopic
 
 _DEEPEST = 32  # frames from the base to the world; more of them are a cycle
 
@@ -85,6 +86,59 @@ def from_joint_state(message: Any) -> JointReading | None:
     return JointReading(positions, velocities, message.header.stamp.to_sec() or None)
 
 
+def from_laser_scan(topic: ScanTopic, base_frame: str, message: Any) -> LaserReading:
+    """Return the measurement of a sensor_msgs/LaserScan."""
+    in_base = message.header.frame_id.lstrip("/") == base_frame.lstrip("/")
+    sign = -1.0 if topic.upside_down and not in_base else 1.0
+    return LaserReading(
+        np.array(message.ranges, dtype=float),
+        sign * message.angle_min,
+        sign * message.angle_increment,
+        message.range_min,
+        message.range_max,
+        (0.0, 0.0, 0.0) if in_base else (topic.x, topic.y, topic.yaw),
+        message.header.stamp.to_sec() or None,
+    )
+
+
+def laser_scan(messages: Messages, ranges: Array) -> Any:
+    """Return a sensor_msgs/LaserScan of the beams of a scan, shape (b,)."""
+    message = messages.LaserScan()
+    message.angle_min, message.angle_max = float(ANGLES[0]), float(ANGLES[-1])
+    message.angle_increment = float(ANGLES[1] - ANGLES[0])
+    message.range_max = SCAN_RANGE
+    message.ranges = np.where(ranges < SCAN_RANGE, ranges, np.inf).tolist()
+    return message
+
+
+def from_costmap(topic: CostmapTopic, frame: Array, message: Any) -> CostmapReading | None:
+    """Return the measurement of a nav_msgs/OccupancyGrid; None if it is invalid.
+
+    `frame` is the world pose of the frame of its header, shape (7,).
+    """
+    info = message.info
+    p, q = info.origin.position, info.origin.orientation
+    origin = planar(compose(frame, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
+    cells = np.array(message.data, dtype=np.int8)
+    shape, resolution = (info.height, info.width), float(info.resolution)
+    valid = np.isfinite([*origin, resolution]).all() and resolution > 0.0
+    if not valid or not cells.size or cells.size != math.prod(shape):
+        return None
+    stamp = message.header.stamp.to_sec() or None
+    return CostmapReading(cells.reshape(shape), resolution, origin, topic.occupied, stamp)
+
+
+def occupancy_grid(messages: Messages, costmap: CostmapReading) -> Any:
+    """Return a nav_msgs/OccupancyGrid of a costmap along the axes of its frame."""
+    message = messages.OccupancyGrid()
+    info, origin = message.info, message.info.origin
+    info.height, info.width = costmap.cells.shape
+    info.resolution, origin.orientation.w = costmap.resolution, 1.0
+    origin.position.x, origin.position.y = costmap.origin[:2]
+    message.data = costmap.cells.ravel().tolist()
+    return message
+
+
 def gripper_type(messages: Messages, gripper: GripperTopics) -> Any:
     """Return the message class of a gripper."""
     return messages.Pr2GripperCommand if gripper.kind == "pr2" else messages.JointTrajectory
@@ -151,13 +205,26 @@ class TfTree:
 
     def reading(self) -> BaseReading | None:
         """Return the base pose with the age of its oldest transform; None if one is missing."""
+        found = self._base_in(self._world)
+        if found is None:
+            return None
+        pose, oldest, stamp = found
+        return BaseReading(*planar(pose), stamp=stamp or None, age=max(0.0, self._now() - oldest))
+
+    def pose(self, frame: str) -> Array | None:
+        """Return the world pose of a frame above the base, shape (7,); None if one is missing."""
+        world, other = self._base_in(self._world), self._base_in(frame.lstrip("/"))
+        if world is None or other is None:
+            return None
+        return compose(world[0], relative(IDENTITY, other[0]))
+
+    def _base_in(self, world: str) -> tuple[Array, float, float | None] | None:
+        """Return the pose of the base in a frame, when its oldest transform was sent, and stamp."""
         edges, frame = dict(self._edges), self._base
         pose, oldest, stamp = IDENTITY, math.inf, None
         for _ in range(_DEEPEST):
-            if frame == self._world:
-                age = max(0.0, self._now() - oldest)
-                x, y, heading = planar(pose)
-                return BaseReading(x, y, heading, stamp=stamp or None, age=age)
+            if frame == world:
+                return pose, oldest, stamp
             if frame not in edges:
                 return None
             frame, above, when, sent = edges[frame]

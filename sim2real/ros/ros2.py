@@ -17,7 +17,7 @@ from typing import Any
 from cyclonedds.core import DDSException, Listener, Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float64, int32, sequence, uint32
+from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -169,6 +169,8 @@ def ros2_message_classes() -> Messages:
         TransformStamped=TransformStamped,
         Time=Time,
         Duration=Duration,
+        LaserScan=LaserScan,
+        OccupancyGrid=OccupancyGrid,
     )
 
 
@@ -196,6 +198,7 @@ def _to_sec(message: Any) -> float:
 
 _STRING, _INT, _UINT, _FLOAT = (str, str), (int32, int), (uint32, int), (float64, float)
 _STRINGS, _FLOATS = (sequence[str], list), (sequence[float64], list)
+_SINGLE, _SINGLES = (float32, float), (sequence[float32], list)
 _COVARIANCE = (array[float64, 36], lambda: [0.0] * 36)
 _SECONDS = {"from_sec": classmethod(_from_sec), "to_sec": _to_sec}
 
@@ -249,3 +252,27 @@ TransformStamped = _message(
     "geometry_msgs/TransformStamped", header=Header, child_frame_id=_STRING, transform=Transform
 )
 TFMessage = _message("tf2_msgs/TFMessage", transforms=(sequence[TransformStamped], list))
+LaserScan = _message(
+    "sensor_msgs/LaserScan",
+    header=Header,
+    angle_min=_SINGLE,
+    angle_max=_SINGLE,
+    angle_increment=_SINGLE,
+    time_increment=_SINGLE,
+    scan_time=_SINGLE,
+    range_min=_SINGLE,
+    range_max=_SINGLE,
+    ranges=_SINGLES,
+    intensities=_SINGLES,
+)
+MapMetaData = _message(
+    "nav_msgs/MapMetaData",
+    map_load_time=Time,
+    resolution=_SINGLE,
+    width=_UINT,
+    height=_UINT,
+    origin=Pose,
+)
+OccupancyGrid = _message(
+    "nav_msgs/OccupancyGrid", header=Header, info=MapMetaData, data=(sequence[int8], list)
+)

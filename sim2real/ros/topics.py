@@ -4,12 +4,15 @@ from collections import Counter
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Interval
 
 from kinfeas import config
 from kinfeas.config.quantities import Positive
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.robots.robot import Robot
+from kinfeas.sim2real.link.scans import OCCUPIED
 from kinfeas.sim2real.ros.bus import Version
 
 
@@ -86,12 +89,46 @@ class GripperTopics:
 
 
 @dataclass(frozen=True)
+class ScanTopic:
+    """Topic of a laser.
+
+    Attributes:
+        topic: Topic of sensor_msgs/LaserScan.
+        x: x of the laser in the base frame, metres; 0 for messages in the base frame.
+        y: The same of y.
+        yaw: Its heading, radians.
+        upside_down: Whether it hangs, so that its angles count clockwise.
+    """
+
+    topic: str
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    upside_down: bool = False
+
+
+@dataclass(frozen=True)
+class CostmapTopic:
+    """Topic of a costmap.
+
+    Attributes:
+        topic: Topic of nav_msgs/OccupancyGrid.
+        occupied: Lowest value of an obstacle. Costmaps with an inflation layer need 100.
+    """
+
+    topic: str
+    occupied: Annotated[int, Interval(ge=1, le=100)] = OCCUPIED
+
+
+@dataclass(frozen=True)
 class Topics:
-    """All names of a robot; the gripper is optional."""
+    """All names of a robot; the gripper and the sensors of scans are optional."""
 
     base: BaseTopics
     joints: JointTopics
     gripper: GripperTopics | None = None
+    scan: ScanTopic | None = None
+    costmap: CostmapTopic | None = None
 
 
 def read_topics(robot: Robot, version: Version, name: str | None = None) -> Topics:

@@ -11,7 +11,7 @@ from kinfeas.backends.physics.backend import PhysicsBackend
 from kinfeas.config.recipes import default_engine
 from kinfeas.control.drive import base_velocity, world_twist
 from kinfeas.core import registry
-from kinfeas.core.backend import Grip, RobotState, build_backend
+from kinfeas.core.backend import Grip, RobotState, SupportsScan, build_backend
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.core.spatial import Array, planar_pose, yaw
 from kinfeas.core.start import episode_rng
@@ -20,10 +20,19 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.robot import Robot
 from kinfeas.scenes.scene import read_scene
 from kinfeas.sim2real.deploy.rate import Clock, Rate
-from kinfeas.sim2real.link import BaseReading, Hosted, JointPath, JointReading, Orders, RobotLink
+from kinfeas.sim2real.link import (
+    BaseReading,
+    Hosted,
+    JointPath,
+    JointReading,
+    Orders,
+    RobotLink,
+    ScanRobotLink,
+)
 from kinfeas.tasks.task import Task
 
 _CATCH_UP = 10  # simulation steps in one period at most, if the machine is late
+_SCAN_RATE = 10.0  # Hz
 _LINGER = 2.0  # s that a robot continues without its bus
 
 
@@ -140,6 +149,10 @@ class SimulatedRobot:
         base = BaseReading(x, y, float(yaw(state.base_pose)[0]), velocity, stamp)
         return base, JointReading({**self._robot.fixed_joints, **joints}, velocities, stamp)
 
+    def scan(self) -> Array | None:
+        """Return the ranges around the robot, as in `ScanRobotLink`; None if it has no scan."""
+        return self._backend.scan()[0] if isinstance(self._backend, SupportsScan) else None
+
     def _drive(self, velocity: Array) -> None:
         with self._lock:
             self._velocity, self._commanded = velocity, self.clock.monotonic()
@@ -168,10 +181,17 @@ def simulate(
     dt, start = 1.0 / config.rate, clock.monotonic()
     rate, broken = Rate(dt, clock), None
     end = math.inf if config.seconds is None else start + config.seconds
+    periods, scan_periods = 0, max(1, round(config.rate / _SCAN_RATE))
     try:
         on_ready()
         while clock.monotonic() < end:
-            link.report(*robot.measure())
+            base, joints = robot.measure()
+            link.report(base, joints)
+            if periods % scan_periods == 0 and isinstance(link, ScanRobotLink):
+                ranges = robot.scan()
+                if ranges is not None:
+                    link.report_scan(base, ranges)
+            periods += 1
             late = round(rate.wait() * config.rate)
             for _ in range(min(max(late, 1), _CATCH_UP)):
                 robot.step(dt)

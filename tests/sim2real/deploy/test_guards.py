@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 from kinfeas.config import PluginSpec
 from kinfeas.control.drive import base_velocity
 from kinfeas.core import registry, spatial
-from kinfeas.core.backend import RobotState
+from kinfeas.core.backend import SCAN_BEAMS, MeasuredScan, RobotState, SupportsScan
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
+from kinfeas.sim2real.link.scans import ANGLES
 from tests.sim2real.doubles import Time
 
 DT = 0.02
@@ -429,3 +430,43 @@ def test_every_command_is_within_the_limits_or_zero(name, steps):
         before, joints_before = drive, joints[0]
     if guard.commands.stopped and backend.sent:
         assert not backend.sent[-1][0].any()
+
+
+class Scanning(RealTime):
+    """A robot with a scan that a test sets."""
+
+    def __init__(self, robot, time):
+        super().__init__(robot, time)
+        self.now = MeasuredScan(np.ones((1, 2, SCAN_BEAMS)), np.zeros(SCAN_BEAMS, dtype=bool), 0.0)
+
+    def measured_scan(self):
+        return self.now
+
+    def scan(self):
+        return self.now.ranges
+
+
+@pytest.mark.parametrize(("age", "blind"), [(0.6, False), (0.0, True), (np.inf, False)])
+def test_an_old_or_blind_scan_stops_the_robot_that_uses_it(age, blind):
+    guard, backend = guarded(kind=Scanning)
+    np.testing.assert_array_equal(guard.scan(), backend.now.ranges)
+    backend.now = replace(backend.now, age=age, blind=np.full(SCAN_BEAMS, blind))
+    guard.step(twist(0.01), arm(guard), DT)  # a policy without scans may go on
+    with pytest.raises(Fault, match="scan"):
+        guard.scan()
+    assert backend.stops
+
+
+@pytest.mark.parametrize("adapters", [(), (PluginSpec("scan_noise"),)])
+def test_the_base_does_not_drive_where_its_scan_is_blind(adapters):
+    guard, backend = guarded(kind=Scanning, adapters=adapters)
+    backend.now.blind[np.abs(ANGLES) > 0.5 * np.pi] = True
+    for command in (twist(0.03), twist(0.0, 0.03), twist(turn=0.05), twist(-0.01)):
+        guard.scan()
+        guard.step(command, arm(guard), DT)
+    guard.scan()
+    stops(guard, backend, "blind", twist(-0.03))
+
+
+def test_a_backend_without_a_scan_has_none():
+    assert not isinstance(guarded(kind=RealTime)[0], SupportsScan)

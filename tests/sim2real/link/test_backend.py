@@ -5,11 +5,19 @@ import pytest
 
 from kinfeas.control import drive
 from kinfeas.core import spatial
-from kinfeas.core.backend import ArmLimited, RealTimeBackend, SupportsGripper
+from kinfeas.core.backend import (
+    SCAN_BEAMS,
+    ArmLimited,
+    RealTimeBackend,
+    SupportsGripper,
+    SupportsMeasuredScan,
+    SupportsScan,
+)
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
+from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
 from tests.sim2real.doubles import MemoryLink, Time, connected, joints_at, present
 
 DT = 0.02
@@ -180,3 +188,37 @@ def test_grips_and_closes_once(ends):
     backend.close()
     backend.stop()
     assert (link.closed, len(link.driven)) == (1, 1)
+
+
+def scanning(time, **sources):
+    """Return a backend whose link has sources of scans, and the link."""
+    link = MemoryLink(present(PR2))
+    kinds = {"laser": LaserReading, "costmap": CostmapReading}
+    link.scan_sources = {kinds[name]: topic for name, topic in sources.items()}
+    backend = LinkBackend(PR2, link, clock=time.clock, timeout=1.0)
+    backend.reset(None, None)
+    return backend, link
+
+
+def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
+    assert not isinstance(ends[0], SupportsScan)
+    backend, link = scanning(time, laser="/scan", costmap="/costmap")
+    assert isinstance(backend, SupportsMeasuredScan)
+    link.readings.scan(LaserReading(np.full(SCAN_BEAMS, 2.0), -np.pi, 2.0 * np.pi / SCAN_BEAMS))
+    with pytest.raises(KinfeasError, match="/costmap"):
+        backend.scan()
+    time.passes(0.25)
+    cells = np.full((10, 10), 100, dtype=np.int8)
+    cells[1:-1, 1:-1] = 0
+    link.readings.scan(CostmapReading(cells, 0.1, (0.5, 1.5, 0.0)))  # the robot is at (1, 2)
+    scan = backend.measured_scan()
+    assert scan.age == pytest.approx(1.25, abs=0.1)
+    assert not scan.blind.any()
+    np.testing.assert_allclose(scan.ranges[0, 0], 2.0)
+    assert np.all((scan.ranges[0, 1] > 0.39) & (scan.ranges[0, 1] < 0.65))
+
+
+def test_a_policy_that_needs_a_scan_is_told_the_keys(time):
+    backend, _ = scanning(time)
+    with pytest.raises(KinfeasError, match=r"'scan'.*'costmap'"):
+        backend.scan()

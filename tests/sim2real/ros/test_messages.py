@@ -8,12 +8,14 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import spatial
+from kinfeas.core.backend import SCAN_BEAMS
 from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.link.scans import CostmapReading, laser_ranges
 from kinfeas.sim2real.ros import messages as ros_messages
 from kinfeas.sim2real.ros import ros2
 from kinfeas.sim2real.ros.ros1 import ros1_message_classes
 from kinfeas.sim2real.ros.ros2 import ros2_message_classes
-from kinfeas.sim2real.ros.topics import read_topics
+from kinfeas.sim2real.ros.topics import CostmapTopic, ScanTopic, read_topics
 from tests.sim2real.ros_processes import needs_ros1
 
 REFERENCE = get_typestore(Stores.ROS2_HUMBLE)
@@ -48,7 +50,7 @@ def filled(kind, rng):
         elif isinstance(value, int):
             new = int(rng.integers(2**31))
         elif isinstance(value, float):
-            new = float(rng.normal())
+            new = float(np.float32(rng.normal()))
         else:
             new = [_entry(one.name, rng) for _ in range(len(value) or 3)]
         setattr(message, one.name, new)
@@ -61,7 +63,9 @@ def _entry(name, rng):
     }  # fmt: skip
     if name in inner:
         return filled(inner[name], rng)
-    return f"joint{rng.integers(100)}" if name in ("name", "joint_names") else float(rng.normal())
+    if name in ("name", "joint_names"):
+        return f"joint{rng.integers(100)}"
+    return int(rng.integers(-1, 101)) if name == "data" else float(np.float32(rng.normal()))
 
 
 def plain(value):
@@ -145,6 +149,34 @@ def test_joint_states_may_lack_velocities_but_not_positions(messages):
     assert reading.stamp is None
 
 
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_lasers_are_read_from_their_mount(messages, upside_down):
+    ranges = np.linspace(0.5, 3.0, SCAN_BEAMS)
+    message = ros_messages.laser_scan(messages, ranges)
+    message.header.frame_id = "/base"
+    topic = ScanTopic("/scan", 0.2, 0.1, 0.5, upside_down)
+    reading = ros_messages.from_laser_scan(topic, "base", message)
+    np.testing.assert_allclose(laser_ranges(reading), ranges, atol=1e-6)
+    assert reading.stamp is None
+    message.header.frame_id = "laser"
+    message.header.stamp = messages.Time.from_sec(5.0)
+    mounted = ros_messages.from_laser_scan(topic, "base", message)
+    assert (mounted.mount, mounted.stamp) == ((0.2, 0.1, 0.5), 5.0)
+    assert (mounted.angle_increment < 0.0) == upside_down
+
+
+def test_costmaps_survive_a_round_trip_into_another_frame(messages):
+    cells = np.arange(-1, 5, dtype=np.int8).reshape(2, 3)
+    message = ros_messages.occupancy_grid(messages, CostmapReading(cells, 0.25, (1.0, 2.0, 0.0)))
+    frame = np.array(pose(3.0, 0.0, np.pi / 2))
+    reading = ros_messages.from_costmap(CostmapTopic("/map", 65), frame, message)
+    np.testing.assert_array_equal(reading.cells, cells)
+    assert (reading.resolution, reading.occupied) == (0.25, 65)
+    np.testing.assert_allclose(reading.origin, [1.0, 1.0, np.pi / 2])
+    message.info.width = 4
+    assert ros_messages.from_costmap(CostmapTopic("/map"), frame, message) is None
+
+
 def transforms(*edges):
     """Return a TFMessage of (parent, child, pose, stamp)."""
     made = []
@@ -174,6 +206,9 @@ def test_tf_composes_the_transforms_to_the_world(tree):
     np.testing.assert_allclose([reading.x, reading.y], expected[:2])
     assert reading.yaw == pytest.approx(float(spatial.yaw(expected)))
     assert (reading.stamp, reading.velocity) == (7.0, None)
+    np.testing.assert_allclose(tree.pose("odom"), map_odom, atol=1e-12)
+    np.testing.assert_allclose(tree.pose("/map"), spatial.IDENTITY, atol=1e-12)
+    assert tree.pose("camera") is None
 
 
 def test_tf_is_as_old_as_its_oldest_transform(tree, time):

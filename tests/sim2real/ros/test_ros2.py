@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from kinfeas.core import registry, spatial
+from kinfeas.core.backend import SCAN_BEAMS
 from kinfeas.core.errors import Fault, KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.watchdog import Watched
 from kinfeas.sim2real.link import BaseReading, Hosted, JointReading, Orders, Readings
+from kinfeas.sim2real.link.scans import LaserReading, costmap_ranges, laser_ranges
 from kinfeas.sim2real.ros import bus as ros_bus
 from kinfeas.sim2real.ros.backend import RosLink, RosRobotLink
 from kinfeas.sim2real.ros.bus import stop_base
@@ -27,6 +29,8 @@ joints:
   controllers:
   - {command: /lift/joint_trajectory, joints: [torso_lift_joint]}
   - {command: /arm/joint_trajectory, joints: [%s]}
+scan: {topic: /scan, x: 0.2}
+costmap: {topic: /local_costmap/costmap}
 gripper: {command: /gripper/joint_trajectory, kind: trajectory, joints: [finger], open: 0.04}
 """
 
@@ -50,7 +54,7 @@ def ends(request, tmp_path):
     topics = read_topics(robot, 2, str(path))
     ours, theirs = RosLink(topics, Ros2Bus()), RosRobotLink(topics, Ros2Bus())
     measured, ordered = {}, {}
-    ours.open(Readings(*(_into(measured, name) for name in ("base", "joints"))))
+    ours.open(Readings(*(_into(measured, name) for name in ("base", "joints", "scan"))))
     theirs.open(Orders(*(_into(ordered, name) for name in ("drive", "move", "grip"))))
     yield ours, theirs, measured, ordered
     for end in (ours, theirs):
@@ -106,6 +110,28 @@ def test_measurements_arrive(ends):
         np.testing.assert_array_equal(place.velocity, base.velocity)
     assert dict(seen.positions) == dict(joints.positions)
     assert dict(seen.velocities) == {"torso_lift_joint": 0.0, "arm_1_joint": 0.5}
+
+
+def test_scans_arrive_in_the_world_of_the_base(ends):
+    ours, theirs, measured, _ = ends
+    base = BaseReading(1.5, -2.0, 0.75, stamp=1e9 + 0.5)
+    ranges = np.full((2, SCAN_BEAMS), [[1.0], [2.0]])
+
+    def arrived():
+        theirs.report(base, JointReading({}))
+        theirs.report_scan(base, ranges)
+        ours.check()
+        time.sleep(0.02)
+        return {type(one) for one in measured.get("scan", [])} == ours.scan_sources.keys()
+
+    wait(arrived)
+    for one in measured["scan"]:
+        assert one.stamp == base.stamp
+        if isinstance(one, LaserReading):
+            np.testing.assert_allclose(laser_ranges(one), 1.0)
+        else:
+            found = costmap_ranges(one, (base.x, base.y, base.yaw))
+            np.testing.assert_allclose(found, 2.0, atol=0.05)
 
 
 def test_late_subscribers_get_static_transforms():

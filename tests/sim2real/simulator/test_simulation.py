@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.config.recipes import ENGINES
+from kinfeas.core.backend import SupportsScan
 from kinfeas.core.start import episode_rng
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
@@ -110,6 +111,8 @@ def test_runs_in_real_time(world, time):
     assert link.report.call_count == pytest.approx(25, abs=2)
     stamps = [call.args[0].stamp for call in link.report.call_args_list]
     assert stamps == sorted(stamps)
+    reported = 5 if isinstance(robot._backend, SupportsScan) else 0
+    assert link.report_scan.call_count == pytest.approx(reported, abs=1)
 
 
 def test_starts_as_an_episode_of_a_task():

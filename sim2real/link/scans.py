@@ -1,0 +1,160 @@
+"""Scans around a base from planar lasers and costmaps; beams as in `SupportsScan`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE, MeasuredScan
+from kinfeas.core.spatial import Array, wrap
+
+ANGLES = -np.pi + 2.0 * np.pi / SCAN_BEAMS * np.arange(SCAN_BEAMS)
+"""Angles of the beams to the heading, shape (b,)."""
+
+OCCUPIED, UNKNOWN = 100, -1
+"""Values of cells that are occupied for certain, and of those without a measurement."""
+
+
+@dataclass(frozen=True)
+class LaserReading:
+    """Ranges of a planar laser.
+
+    Attributes:
+        ranges: Metres, shape (m,); +inf is no return, -inf too near, NaN no measurement.
+        angle_min: Angle of the first ray to the laser's x axis, radians.
+        angle_increment: Angle from each ray to the next, radians.
+        range_min: Shortest valid range, metres.
+        range_max: Longest valid range, metres.
+        mount: x, y and yaw of the laser in the base frame, metres and radians.
+        stamp: As in `BaseReading`.
+    """
+
+    ranges: Array
+    angle_min: float
+    angle_increment: float
+    range_min: float = 0.0
+    range_max: float = np.inf
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stamp: float | None = None
+
+
+@dataclass(frozen=True)
+class CostmapReading:
+    """A grid of obstacles on the floor.
+
+    Attributes:
+        cells: 0 free to 100 occupied, -1 unknown, shape (rows along y, columns along x).
+        resolution: Edge of a cell, metres.
+        origin: x, y and yaw of the outer corner of the first cell in the world, metres and radians.
+        occupied: Lowest value of an obstacle.
+        stamp: As in `BaseReading`.
+    """
+
+    cells: NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float]
+    occupied: int = OCCUPIED
+    stamp: float | None = None
+
+
+def laser_ranges(laser: LaserReading) -> Array:
+    """Return the range of the nearest measured point in the sector of each beam, shape (b,).
+
+    It is `SCAN_RANGE` without a point, and NaN in sectors that no ray enters. A laser without any
+    valid reading is NaN everywhere.
+    """
+    ranges = laser.ranges.copy()
+    ranges[ranges == -np.inf] = laser.range_min
+    rays = np.arange(len(ranges), dtype=np.float64)
+    heading = laser.mount[2] + laser.angle_min + laser.angle_increment * rays
+    if not np.any(ranges >= laser.range_min):  # also if they are not numbers
+        return np.full(SCAN_BEAMS, np.nan)
+    nearest = np.full(SCAN_BEAMS, np.nan)
+    nearest[_sectors(laser, heading, np.full(len(ranges), SCAN_RANGE))[0]] = SCAN_RANGE
+    valid = (ranges >= laser.range_min) & (ranges < laser.range_max) & np.isfinite(ranges)
+    beams, distances = _sectors(laser, heading[valid], ranges[valid])
+    np.fmin.at(nearest, beams, np.minimum(distances, SCAN_RANGE))
+    return nearest
+
+
+def _sectors(laser: LaserReading, heading: Array, ranges: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return beams and distances from the base of points on rays of a laser."""
+    x = laser.mount[0] + ranges * np.cos(heading)
+    y = laser.mount[1] + ranges * np.sin(heading)
+    return beam(np.arctan2(y, x)), np.hypot(x, y)
+
+
+def beam(angle: Array) -> NDArray[np.intp]:
+    """Return the numbers of the beams nearest to angles to the heading, radians."""
+    number = np.rint((angle + np.pi) * (SCAN_BEAMS / (2.0 * np.pi)))
+    return number.astype(np.intp) % SCAN_BEAMS
+
+
+def costmap_ranges(costmap: CostmapReading, base: tuple[float, float, float]) -> Array:
+    """Return the ranges of beams to the first occupied cells, shape (b,).
+
+    They are `SCAN_RANGE` without such a cell, also beyond the map. Beams are NaN if most of their
+    way through the map, up to an obstacle, is unknown.
+
+    Args:
+        costmap: Grid in the world.
+        base: x, y and yaw of the base in the world, metres and radians.
+    """
+    x, y, yaw = base
+    ways = np.arange(0.0, SCAN_RANGE, 0.5 * costmap.resolution)
+    left, up, turn = costmap.origin
+    angles = (yaw - turn) + ANGLES[:, np.newaxis]
+    cosine, sine = np.cos(turn), np.sin(turn)
+    u = cosine * (x - left) + sine * (y - up) + ways * np.cos(angles)
+    v = cosine * (y - up) - sine * (x - left) + ways * np.sin(angles)
+    columns, rows = (np.floor(one / costmap.resolution).astype(np.intp) for one in (u, v))
+    height, width = costmap.cells.shape
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    values = np.where(
+        inside, costmap.cells[rows.clip(0, height - 1), columns.clip(0, width - 1)], 0
+    )
+    before = np.cumsum(values >= costmap.occupied, axis=1) == 0
+    reached = np.append(ways, SCAN_RANGE)[before.sum(axis=1)]
+    unknown, known = ((before & inside & (values < 0)), (before & inside & (values >= 0)))
+    blind = (unknown.sum(axis=1) > known.sum(axis=1)) | ~inside.any(axis=1)
+    return np.where(blind, np.nan, reached)
+
+
+def combined(low: Array | None, high: Array | None, age: float) -> MeasuredScan:
+    """Return the scan of the ranges of a laser and of a costmap, shape (b,), NaN where blind.
+
+    Where one of them is missing or blind, its band has the ranges of the other. If a laser measures
+    nothing at all, all beams are blind.
+    """
+    nothing = np.full(SCAN_BEAMS, np.nan)
+    first, second = (nothing if one is None else one for one in (low, high))
+    bands = np.stack([first, second])
+    bands = np.where(np.isnan(bands), bands[::-1], bands)
+    blind = np.isnan(bands[0])
+    if low is not None and np.isnan(low).all():
+        blind = np.ones_like(blind)
+    ranges = np.where(np.isnan(bands), SCAN_RANGE, bands)
+    return MeasuredScan(ranges[np.newaxis], blind, age)
+
+
+def costmap_of(
+    ranges: Array, base: tuple[float, float, float], edge: float, resolution: float
+) -> CostmapReading:
+    """Return a square costmap around a base with the first obstacle of each beam.
+
+    The cells of an obstacle are as deep as two of them and unknown behind.
+
+    Args:
+        ranges: Ranges of the beams, shape (b,), metres.
+        base: x, y and yaw of the base in the world, metres and radians.
+        edge: Edge of the map, metres, along the axes of the world.
+        resolution: Edge of a cell, metres.
+    """
+    x, y, yaw = base
+    count = round(edge / resolution)
+    left, up = (resolution * round((at - 0.5 * edge) / resolution) for at in (x, y))
+    centres = (np.arange(count) + 0.5) * resolution
+    dx, dy = left + centres - x, (up + centres - y)[:, np.newaxis]
+    behind = np.hypot(dx, dy) - ranges[beam(wrap(np.arctan2(dy, dx) - yaw))]
+    cells = np.where(behind > 2.0 * resolution, UNKNOWN, np.where(behind >= 0.0, OCCUPIED, 0))
+    return CostmapReading(cells.astype(np.int8), resolution, (left, up, 0.0))
