@@ -155,6 +155,9 @@ def costmap_of(
     left, up = (resolution * round((at - 0.5 * edge) / resolution) for at in (x, y))
     centres = (np.arange(count) + 0.5) * resolution
     dx, dy = left + centres - x, (up + centres - y)[:, np.newaxis]
-    behind = np.hypot(dx, dy) - ranges[beam(wrap(np.arctan2(dy, dx) - yaw))]
-    cells = np.where(behind > 2.0 * resolution, UNKNOWN, np.where(behind >= 0.0, OCCUPIED, 0))
+    ends = np.where(ranges < SCAN_RANGE, ranges, np.inf)
+    behind = np.hypot(dx, dy) - ends[beam(wrap(np.arctan2(dy, dx) - yaw))]
+    cells = np.where(
+        behind > 2.0 * resolution, UNKNOWN, np.where(behind >= -0.5 * resolution, OCCUPIED, 0)
+    )
     return CostmapReading(cells.astype(np.int8), resolution, (left, up, 0.0))

@@ -242,7 +242,9 @@ def spawn(
     if task is not None:
         start = backend.stage(task).sample(IkSolver(robot), rng or episode_rng(0, 0))
         base, joints = start.base_pose, start.joint_positions
-        return backend, backend.reset(base[np.newaxis], joints[np.newaxis])
+        state = backend.reset(base[np.newaxis], joints[np.newaxis])
+        backend.place_solids(start.solids, np.array([0]))
+        return backend, state
     state = backend.reset(planar_pose(*np.zeros((3, 1))), robot.home["home"][np.newaxis])
     if around is not None and (touched := backend.touched()):
         backend.close()

@@ -157,6 +157,8 @@ def test_the_costmap_of_a_scan_has_its_ranges(seed):
     around = np.array([np.roll(expected, shift) for shift in (-1, 0, 1)])
     assert np.all(found >= around.min(axis=0) - CELL)
     assert np.mean(np.abs(found - expected) < 1.5 * CELL) > 0.9
+    empty = costmap_of(np.full(SCAN_BEAMS, SCAN_RANGE), base, 2.0 * SCAN_RANGE, CELL)
+    np.testing.assert_array_equal(costmap_ranges(empty, base), SCAN_RANGE)
 
 
 def test_a_band_without_its_sensor_has_the_ranges_of_the_other():

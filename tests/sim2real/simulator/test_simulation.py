@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.config.recipes import ENGINES
-from kinfeas.core.backend import SupportsScan
+from kinfeas.core.backend import SCAN_RANGE, SupportsScan
 from kinfeas.core.start import episode_rng
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
@@ -124,3 +124,10 @@ def test_starts_as_an_episode_of_a_task():
         places.append(state.base_pose[0, 0])
         backend.close()
     assert places[0] == places[1] != places[2]
+
+
+def test_solids_of_the_task_are_in_its_scan(time):
+    backend, state = spawn(load_robot("hsr"), load_task("ggr_obstacles", {}))
+    robot = SimulatedRobot(backend, state, SimulationConfig(), time.clock)
+    assert np.any(robot.scan() < SCAN_RANGE)
+    backend.close()
