@@ -89,7 +89,8 @@ def begin(
     start = sample_start(task, solver, rng)
     if measured is not None:
         base, joints = measured.base_pose[0], measured.joint_positions[0]
-        start = replace(start, base_pose=base, joint_positions=joints)
+        # The solids of the task, if any, are around the robot already.
+        start = replace(start, base_pose=base, joint_positions=joints, solids=None)
         if isinstance(task, GoalTask):
             start = task.aimed(solver, start)
     return stacked([start])

@@ -8,6 +8,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
+from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec
 
 
@@ -39,3 +40,11 @@ def test_an_orientation_is_given_by_angles_or_a_quaternion():
 def test_invalid_goals_are_errors(position, turn):
     with pytest.raises(KinfeasError, match="goal"):
         make_goal_task(position, turn, MotionSpec())
+
+
+def test_a_real_robot_has_the_solids_of_the_task_around_it_already():
+    robot, task = load_robot("hsr"), load_task("ggr_obstacles", {})
+    real = RobotState(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
+    for measured in (None, real):
+        start = begin(task, IkSolver(robot), np.random.default_rng(0), measured)
+        assert (start.solids is None) == (measured is not None)
