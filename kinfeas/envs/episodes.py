@@ -192,7 +192,11 @@ class _Tally:
         if isinstance(backend, SupportsContacts):
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 contacts = backend.contacts(row)
-                self.base.add(episode, {body for _, body, _ in contacts.base})
+                base = {body for _, body, _ in contacts.base}
+                # Geometry, which ends the episode, sees a touch just before the engine does.
+                if not base and step.collision is not None and step.collision[row, 0]:
+                    base = {-1}
+                self.base.add(episode, base)
                 self.arm.add(episode, {body for _, body, _ in contacts.arm})
         elif step.collision is not None:
             for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
