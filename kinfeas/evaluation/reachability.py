@@ -96,7 +96,10 @@ def draw_waypoints(solver: IkSolver, task: Task, episodes: int, seed: int) -> Ar
     They are evenly spaced in time and end within the tolerance of the sub-goal, where the next one
     begins.
     """
-    sequence = begin_motions(solver, *_starts(solver, task, episodes, seed))
+    subgoals, starts, rngs = _starts(solver, task, episodes, seed)
+    sequence = begin_motions(solver, subgoals, starts, rngs)
+    if starts.solids is not None:
+        sequence.avoid(starts.solids)
     steps = list(_follow(sequence))
     desired, subgoal = (np.stack(each, 1) for each in zip(*steps, strict=True))
     chosen = [
