@@ -16,7 +16,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.loading import load_task
 
 TASKS = ("ggr_obstacles", "ggr_dynamic")
-POLICIES = ("pretrained/rooms", "pretrained", "geometric_modulation", "follow_ee")
+POLICIES = ("pretrained/rooms", "pretrained", "geometric_modulation")
 FILTERS = ((), ("obstacle_distance",), ("obstacle_distance", "feasibility"))
 CEILING = "upper bound"
 

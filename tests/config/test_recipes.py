@@ -12,6 +12,7 @@ from kinfeas.training.config import TrainConfig
 SCHEMAS = {
     "train": TrainConfig,
     "train_physics": TrainConfig,
+    "train_rooms": TrainConfig,
     "finetune_physics": TrainConfig,
     "analytic": EvalSettings,
     "pybullet": EvalSettings,
