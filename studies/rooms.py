@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--rooms", default="pretrained/rooms", help="policy that is trained here")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    for policy, filters, task in product(POLICIES, FILTERS, TASKS):
+    for task, policy, filters in product(TASKS, POLICIES, FILTERS):
         path = given.folder / name(given.robot, task, policy, filters)
         if not path.exists():
             chosen = [f"world.filters={json.dumps(filters)}"]

@@ -178,7 +178,7 @@ def test_a_root_above_the_floor_gets_one_on_it(changed, taken, name):
     urdf = parse_urdf(path)
     assert (urdf.root, lifted) == (name, 0.3)
     down = np.array([0.0, 0.0, -1.0])
-    lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, {}))
+    lowest = max(one.reach(down) for one in place(urdf, urdf.links, urdf.root, urdf.link_poses({})))
     assert lowest == pytest.approx(0.0, abs=1e-9)
 
 
