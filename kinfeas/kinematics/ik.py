@@ -65,6 +65,7 @@ class IkOptions:
             restarts=max(self.restarts, default.restarts),
             candidates=max(self.candidates, default.candidates),
             max_iterations=max(self.max_iterations, default.max_iterations),
+            centering=max(self.centering, default.centering),
         )
 
 
