@@ -50,7 +50,7 @@ def main() -> None:
 
 def name(robot: str, task: str, policy: str, filters: tuple[str, ...]) -> str:
     """Return the file of an evaluation."""
-    return "-".join([robot, task, policy.replace("/", "_"), *filters]) + ".json"
+    return "-".join([robot, task, policy.replace("/", "_").replace(" ", "_"), *filters]) + ".json"
 
 
 def table(folder: Path, robot: str) -> str:
