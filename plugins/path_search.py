@@ -1,22 +1,22 @@
-"""Shortest paths of a sphere among upright solids: A* on a grid, shortcuts, smoothing.
+"""Shortest paths of a sphere among upright solids: A* on a grid, and shortcuts.
 
 Kernels work on one motion at a time, so that no row depends on the others. Solids of a row are a
-table with one line each: x, y, cosine and sine of the yaw, half extents, lowest and highest z, the
-radius around it, and whether it is a cylinder.
+table of `path_clearance`.
 """
 
 import math
 
 import numpy as np
-from numba import njit
 
-from kinfeas.core import kernel_cache
-
-kernel_cache.settle()  # before the first kernel
-kernel = njit(cache=True, error_model="numpy", fastmath=False, nogil=True)
-
-POINTS = 64
-"""Control points of a path."""
+from kinfeas.plugins.path_clearance import (
+    cost_of_metre,
+    distances,
+    horizontal_gap,
+    kernel,
+    squared_way,
+    table_of,
+)
+from kinfeas.plugins.path_curve import POINTS, on_curve, smooth
 
 _CELL, _MOST_CELLS, _LEVEL = 0.2, 96, 0.3
 """Side of a cell in metres, largest number along an axis, and largest distance of levels."""
@@ -27,17 +27,9 @@ _BORDER = 3.0
 _MARGIN = 0.05
 """Further distance of corners, metres, which smoothing consumes."""
 
-_WINDOW = 0.35
-"""Length of the moving average that rounds corners, metres."""
-
-_PENALTY, _DEEPEST = 4.0, 2.0
-"""Costs of a way beside solids, as multiples of its length; see `_multiple`."""
-
 _HORIZON, _CALM, _GAIN = 3.0, 2.0, 0.9
 """A path is kept if its next metres are free, and cost less than twice their length or nearly as
 little as those of a new path."""
-
-_FAR = 1e9
 
 
 @kernel
@@ -56,7 +48,7 @@ def replan_batch(planned, share, start, goal, solids, limits, points):
     """
     pose, size, cylinder, velocity = solids
     for i in range(len(planned)):
-        table = _table(pose[i], size[i], cylinder[i], velocity[i] * limits[4])
+        table = table_of(pose[i], size[i], cylinder[i], velocity[i] * limits[4])
         free, calm, cost = False, False, np.inf
         if planned[i]:
             free, calm, cost = _rest_of(points[i], share[i], table, limits)
@@ -65,109 +57,7 @@ def replan_batch(planned, share, start, goal, solids, limits, points):
             path, new_cost = _path(start[i], goal[i], table, limits)
             planned[i] = not free or new_cost < _GAIN * cost
             if planned[i]:
-                _smooth(path, table, limits[0], points[i])
-
-
-@kernel
-def positions_at(points, share, out):
-    """Write the positions of n paths at shares in [0, 1] of their way, shape (n, 3).
-
-    A path is a uniform cubic B-spline from its first to its last control point.
-    """
-    for i in range(len(share)):
-        out[i] = _on(points[i], share[i] * (POINTS - 1))
-
-
-@kernel
-def shares_ahead(points, share, distances, out):
-    """Write the shares of paths that lie some metres ahead, (n,) and (d,) -> (n, d), at most 1."""
-    for i in range(len(share)):
-        t = share[i] * (POINTS - 1)
-        first = min(int(t), POINTS - 2)
-        for d in range(len(distances)):
-            left, k, done = distances[d], first, t - first
-            while k < POINTS - 1:
-                length = math.sqrt(_squared(_on(points[i], k), _on(points[i], k + 1)))
-                if left <= length * (1.0 - done):
-                    done += left / max(length, 1e-12)
-                    break
-                left -= length * (1.0 - done)
-                k, done = k + 1, 0.0
-            out[i, d] = min((k + min(done, 1.0)) / (POINTS - 1), 1.0)
-
-
-@kernel
-def _on(points, t):
-    """Return the position of a path at `t` control points from its beginning, shape (3,)."""
-    k = min(int(t), POINTS - 2)
-    u = t - k
-    b, c = points[k], points[k + 1]
-    a = points[k - 1] if k > 0 else 2.0 * b - c
-    d = points[k + 2] if k < POINTS - 2 else 2.0 * c - b
-    v = 1.0 - u
-    p, q = v * v * v, u * u * u
-    return (
-        p * a + (4.0 - 6.0 * u * u + 3.0 * q) * b + (4.0 - 6.0 * v * v + 3.0 * p) * c + q * d
-    ) / 6.0
-
-
-@kernel
-def _table(pose, size, cylinder, way):
-    """Return the table of the solids of a row, each with the room on its way, shape (k, 2)."""
-    table, count = np.empty((len(pose), 10)), 0
-    for k in range(len(pose)):
-        if size[k, 0] <= 0.0:
-            continue
-        a, b, x, y = size[k, 0], size[k, 1], 0.5 * way[k, 0], 0.5 * way[k, 1]
-        row = table[count]
-        row[0], row[1] = pose[k, 0] + x, pose[k, 1] + y
-        row[2], row[3] = math.cos(pose[k, 2]), math.sin(pose[k, 2])
-        if cylinder[k]:
-            a += math.sqrt(x * x + y * y)
-        else:
-            a, b = a + abs(row[2] * x + row[3] * y), b + abs(row[2] * y - row[3] * x)
-        row[4], row[5], row[6], row[7] = a, b, size[k, 2], size[k, 3]
-        row[8] = a if cylinder[k] else math.sqrt(a * a + b * b)
-        row[9] = 1.0 if cylinder[k] else 0.0
-        count += 1
-    return table[:count]
-
-
-@kernel
-def _gap(row, x, y):
-    """Return the horizontal distance from a point to a solid, negative inside."""
-    dx, dy = x - row[0], y - row[1]
-    if row[9] > 0.0:
-        return math.sqrt(dx * dx + dy * dy) - row[8]
-    along = abs(row[2] * dx + row[3] * dy) - row[4]
-    across = abs(row[2] * dy - row[3] * dx) - row[5]
-    if along > 0.0 and across > 0.0:
-        return math.sqrt(along * along + across * across)
-    return max(along, across)
-
-
-@kernel
-def _distances(table, x, y, z, limit):
-    """Return the distance to the nearest solid and the horizontal one, both at most `limit`."""
-    nearest, beside = limit, limit
-    for k in range(len(table)):
-        row = table[k]
-        dx, dy, reach = x - row[0], y - row[1], row[8] + limit
-        if dx * dx + dy * dy >= reach * reach:
-            continue
-        gap = _gap(row, x, y)
-        beside = min(beside, gap)
-        above = max(max(row[6] - z, z - row[7]), 0.0)
-        gap = max(gap, 0.0)
-        nearest = min(nearest, math.sqrt(gap * gap + above * above))
-    return nearest, beside
-
-
-@kernel
-def _multiple(beside, clearance):
-    """Return the cost of a metre at a horizontal distance: 1 from the preferred clearance on."""
-    depth = min(max((clearance - beside) / clearance, 0.0), _DEEPEST)
-    return 1.0 + _PENALTY * depth * depth
+                smooth(path, table, limits[0], points[i])
 
 
 @kernel
@@ -179,24 +69,18 @@ def _rest_of(points, share, table, limits):
     free, length, cost, near_cost, near = True, 0.0, 0.0, 0.0, 0.0
     k = int(share * (POINTS - 1)) + 1
     while k < POINTS:
-        step = math.sqrt(_squared(points[k - 1], points[k]))
+        step = math.sqrt(squared_way(points[k - 1], points[k]))
         for part in range(2):
-            at = _on(points, k - 0.5 + 0.5 * part)
-            nearest, beside = _distances(table, at[0], at[1], at[2], limits[1])
+            at = on_curve(points, k - 0.5 + 0.5 * part)
+            nearest, beside = distances(table, at[0], at[1], at[2], limits[1])
             if nearest < limits[0] and length < _HORIZON:
                 free = False
-            cost += 0.5 * step * _multiple(beside, limits[1])
+            cost += 0.5 * step * cost_of_metre(beside, limits[1])
         length += step
         if length < _HORIZON:
             near_cost, near = cost, length
         k += 1
     return free, near_cost <= _CALM * near, cost
-
-
-@kernel
-def _squared(a, b):
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return x * x + y * y + z * z
 
 
 @kernel
@@ -210,7 +94,7 @@ def _path(start, goal, table, limits):
     origin, cell, levels = _grid(start, goal, limits)
     shape = levels[3:].astype(np.int64)
     free, multiple = _fields(table, origin, cell, levels[2], shape, limits)
-    length = math.sqrt(_squared(start, goal))
+    length = math.sqrt(squared_way(start, goal))
     direct = _segment(start, goal, table, origin, cell, multiple, limits, np.inf)
     if direct <= length * 1.02 + 1e-9:
         return straight, direct
@@ -280,7 +164,7 @@ def _fields(table, origin, cell, level, shape, limits):
             last[i] = min(int((row[i] + reach - origin[i]) / cell) + 1, shape[i] - 1)
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
-                gap = _gap(row, origin[0] + i * cell, origin[1] + j * cell)
+                gap = horizontal_gap(row, origin[0] + i * cell, origin[1] + j * cell)
                 beside[i, j] = min(beside[i, j], gap)
                 if gap >= apart:
                     continue
@@ -292,7 +176,7 @@ def _fields(table, origin, cell, level, shape, limits):
                         free[i, j, h] = False
     for i in range(shape[0]):
         for j in range(shape[1]):
-            beside[i, j] = _multiple(beside[i, j], clearance)
+            beside[i, j] = cost_of_metre(beside[i, j], clearance)
     return free, beside
 
 
@@ -302,11 +186,11 @@ def _segment(a, b, table, origin, cell, multiple, limits, bound):
 
     With a negative bound, solids are ignored.
     """
-    length = math.sqrt(_squared(a, b))
+    length = math.sqrt(squared_way(a, b))
     pieces = max(int(length / (0.5 * cell)) + 1, 2)
     # Where a metre costs less than this, no solid is nearer than the radius.
     apart = limits[0] + _MARGIN
-    safe = _multiple(apart + cell, limits[1])
+    safe = cost_of_metre(apart + cell, limits[1])
     cost, step = 0.0, length / pieces
     for k in range(pieces + 1):
         share = k / pieces
@@ -321,7 +205,7 @@ def _segment(a, b, table, origin, cell, multiple, limits, bound):
             return np.inf
         if here > safe or safe <= 1.0:
             z = a[2] + share * (b[2] - a[2])
-            if _distances(table, x, y, z, apart)[0] < apart:
+            if distances(table, x, y, z, apart)[0] < apart:
                 return np.inf
     return cost
 
@@ -340,13 +224,13 @@ def _nearest_free(point, free, origin, cell, level, table, limits):
                     continue
                 to[0], to[1] = origin[0] + i * cell, origin[1] + j * cell
                 to[2] = origin[2] + h * level
-                far = math.sqrt(_squared(point, to))
+                far = math.sqrt(squared_way(point, to))
                 if far >= best:
                     continue
                 for k in range(1, 5):
                     at_share = point + 0.2 * k * (to - point)
                     if (
-                        _distances(table, at_share[0], at_share[1], at_share[2], limits[0])[0]
+                        distances(table, at_share[0], at_share[1], at_share[2], limits[0])[0]
                         < (limits[0])
                     ):
                         far += 1.0
@@ -463,7 +347,7 @@ def _shortcut(points, table, origin, cell, multiple, limits):
         before[j] = j - 1
         for i in range(j - 1):
             bound = best[j] - best[i]
-            if math.sqrt(_squared(points[i], points[j])) >= bound:
+            if math.sqrt(squared_way(points[i], points[j])) >= bound:
                 continue
             cost = _segment(points[i], points[j], table, origin, cell, multiple, limits, bound)
             if cost < bound:
@@ -476,60 +360,3 @@ def _shortcut(points, table, origin, cell, multiple, limits):
         corners[k] = points[j]
         j = before[j]
     return corners
-
-
-@kernel
-def _smooth(corners, table, radius, points):
-    """Write a path with rounded corners as control points at even steps, shape (64, 3).
-
-    Each point is the mean of the path around it, over a length that is halved until the radius
-    around the path is as free as around the corners.
-    """
-    count = len(corners)
-    length, integral = np.zeros(count), np.zeros((count, 3))
-    for i in range(1, count):
-        step = math.sqrt(_squared(corners[i - 1], corners[i]))
-        length[i] = length[i - 1] + step
-        integral[i] = integral[i - 1] + 0.5 * step * (corners[i - 1] + corners[i])
-    window, sharp, total = _WINDOW, np.empty((POINTS, 3)), length[-1]
-    for i in range(POINTS):
-        sharp[i] = _at(corners, length, integral, total * i / (POINTS - 1))[:3]
-    while True:
-        for i in range(POINTS):
-            s = total * i / (POINTS - 1)
-            half = 0.5 * min(window, 2.0 * min(s, total - s))
-            points[i] = sharp[i]
-            if half > 1e-6:
-                low = _at(corners, length, integral, s - half)[3:]
-                high = _at(corners, length, integral, s + half)[3:]
-                points[i] = (high - low) / (2.0 * half)
-        points[0], points[-1] = corners[0], corners[-1]
-        if window < 0.02 or not _worse(points, sharp, table, radius):
-            return
-        window *= 0.5
-
-
-@kernel
-def _at(corners, length, integral, s):
-    """Return the position after `s` metres of a path and its integral until there, shape (6,)."""
-    k = 1
-    while k < len(length) - 1 and length[k] < s:
-        k += 1
-    done = min(max(s - length[k - 1], 0.0), length[k] - length[k - 1])
-    share = done / max(length[k] - length[k - 1], 1e-12)
-    both = np.empty(6)
-    for i in range(3):
-        both[i] = corners[k - 1, i] + share * (corners[k, i] - corners[k - 1, i])
-        both[3 + i] = integral[k - 1, i] + 0.5 * done * (corners[k - 1, i] + both[i])
-    return both
-
-
-@kernel
-def _worse(points, sharp, table, radius):
-    """Return whether a path comes nearer than the radius where the other one does not."""
-    for i in range(2 * POINTS - 1):
-        a, b = _on(points, 0.5 * i), _on(sharp, 0.5 * i)
-        near = _distances(table, a[0], a[1], a[2], radius)[0] < radius
-        if near and _distances(table, b[0], b[1], b[2], radius)[0] >= radius:
-            return True
-    return False
