@@ -66,7 +66,9 @@ def load_recipe(cls: type[T], name: str, folder: str, overrides: Sequence[str] =
         KinfeasError: If there is no such recipe, or it is invalid.
     """
     kind, _, robot = name.partition("/")
-    if kind in _read_robot("default") and name in recipes(kind):
+    if kind in _read_robot("default"):
+        folder = kind
+    if folder == kind and name in recipes(kind):
         own = [] if robot == "default" else [f"robot={robot}"]
         return load_section(cls, kind, robot, [*own, *overrides])
     return load(cls, find_recipe(name, folder), overrides)

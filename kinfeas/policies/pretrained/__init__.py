@@ -30,7 +30,9 @@ def find(robot: str, name: str = NAME) -> Path:
     if kind and kind.isidentifier() and (_ROOT / robot / kind / "policy.json").is_file():
         return _ROOT / robot / kind
     if kind:
-        raise KinfeasError(f"no policy {name!r} for robot {robot!r}")
+        known = [f"{NAME}/{path.parent.name}" for path in (_ROOT / robot).glob("*/policy.json")]
+        names = ", ".join([NAME, *sorted(known)])
+        raise KinfeasError(f"no policy {name!r} for robot {robot!r}, only: {names}")
     if robot not in robots():
         raise KinfeasError(
             f"no pretrained policy for robot {robot!r}, only for: {', '.join(robots())}; "
