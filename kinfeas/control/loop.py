@@ -29,13 +29,7 @@ from kinfeas.control.observation import (
 from kinfeas.control.surroundings import Surroundings
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
-from kinfeas.core.backend import (
-    Backend,
-    Resumable,
-    RobotState,
-    Stochastic,
-    SupportsGripper,
-)
+from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
 from kinfeas.core.checks import check_state
 from kinfeas.core.errors import KinfeasError, plugin_note
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
@@ -354,8 +348,8 @@ class Loop:
         solids = self.surroundings.after(0.0)
         if solids is not None and self.sequence.avoids_solids:
             due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
-            moving = np.any(solids.velocity != 0.0, axis=(1, 2))
-            self.sequence.avoid(solids, np.flatnonzero(due & moving & (self.periods > 0)))
+            due &= self.surroundings.moving & (self.periods > 0)
+            self.sequence.avoid(solids, np.flatnonzero(due))
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
         check_state(state, n, len(self.robot.arm), f"{self._backend_name}: {method}")

@@ -48,12 +48,7 @@ class Seen:
     ranges: Array | None = None
 
     def __init__(
-        self,
-        base_pose: Array,
-        ee_in_base: Array,
-        planned: Array,
-        goal: Array,
-        joints: Array,
+        self, base_pose: Array, ee_in_base: Array, planned: Array, goal: Array, joints: Array
     ) -> None:
         """Compute the relative poses.
 

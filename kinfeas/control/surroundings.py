@@ -1,4 +1,4 @@
-"""What is around the robots of a loop: solids and scans, where the backend has them."""
+"""Surroundings of the robots of a loop: solids and scans, where the backend has them."""
 
 from typing import Any
 
@@ -36,6 +36,12 @@ class Surroundings:
     def after(self, seconds: float) -> Solids | None:
         """Return the solids as they will stand in some seconds, or None without any."""
         return None if self._backend is None else self._backend.solids.after(seconds)
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Which rows have solids that move, shape (n,); only where there are solids."""
+        assert self._backend is not None
+        return self._backend.solids.moving
 
     def collisions(self, state: RobotState) -> NDArray[np.bool_] | None:
         """Return whether base and arm touch a solid, shape (n, 2); None without any."""

@@ -136,10 +136,12 @@ class MovingSolids:
     Attributes:
         start: Solids at the start of the episodes; no places without any.
         seconds: Time since then, shape (n,).
+        moving: Which rows have solids that move, shape (n,).
     """
 
     def __init__(self) -> None:
         self.start, self.seconds = Solids.empty(0), np.zeros(0)
+        self.moving = np.zeros(0, dtype=np.bool_)
 
     def place(self, solids: Solids | None, rows: NDArray[np.intp], n: int) -> None:
         """Begin episodes with these solids, None for none, in some of n rows."""
@@ -149,10 +151,13 @@ class MovingSolids:
             self.start = self.start.put(rows, solids or Solids.empty(len(rows)))
         self.seconds = self.seconds.copy()
         self.seconds[rows] = 0.0
+        self._find_moving()
 
     def after(self, seconds: float = 0.0) -> Solids | None:
         """Return the solids as they will stand in some seconds, or None without any."""
-        return self.start.at(self.seconds + seconds) if self.start.places else None
+        if not self.start.places:
+            return None
+        return self.start.at(self.seconds + seconds) if self.moving.any() else self.start
 
     def step(self, dt: float) -> None:
         """Let time pass."""
@@ -171,6 +176,10 @@ class MovingSolids:
         if f"{_SOLIDS}seconds" in snapshot:
             self.start = Solids(*(snapshot[f"{_SOLIDS}{one.name}"] for one in fields(Solids)))
             self.seconds = snapshot[f"{_SOLIDS}seconds"]
+        self._find_moving()
+
+    def _find_moving(self) -> None:
+        self.moving = np.any(self.start.velocity != 0.0, axis=(1, 2))
 
 
 def stacked_solids(solids: Sequence[Solids]) -> Solids:

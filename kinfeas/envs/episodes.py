@@ -213,8 +213,9 @@ class _Tally:
                     self.task_done[episode] = done
 
     def records(self) -> EpisodeRecords:
-        contacts = isinstance(self.world.backend, SupportsContacts) or self.world.loop.solids
-        stream = self.world.loop.target_stream is not None
+        loop, backend = self.world.loop, self.world.backend
+        contacts = isinstance(backend, SupportsContacts) or loop.solids is not None
+        stream = loop.target_stream is not None
         steps = np.maximum(self.steps, 1)
         return EpisodeRecords(
             reached=self.reached,

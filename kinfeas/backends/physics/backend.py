@@ -105,7 +105,7 @@ class PhysicsBackend(ABC):
         rows = np.arange(len(self._positions))
         # Contacts at the end of the period are those where the solids stand then.
         self.solids.step(dt)
-        if self.solids.start.velocity.any() and (present := self.solids.after()) is not None:
+        if self.solids.moving.any() and (present := self.solids.after()) is not None:
             self._move_solids(present)
         self._step(rows, base_twist, joint_targets, dt)
         return self._measure(rows)
