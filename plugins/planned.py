@@ -165,10 +165,10 @@ class Planned(SmoothPath):
     """Motion around solids, from rest to rest.
 
     The path is the cheapest one of a sphere around the EE: A* on a grid of x, y and heights, with
-    shortcuts and rounded corners. A metre costs up to 17 times as much where
-    a solid is nearer than `clearance` to its side, since the base has to pass, too. Without
-    solids the motion is that of `minimum_jerk`; without a path it is straight. A new plan replaces
-    one that comes too near to a solid, or that has become expensive.
+    shortcuts and rounded corners. A metre costs up to 17 times as much where a solid is nearer than
+    `clearance` to its side, since the base has to pass, too. Without solids the motion is that of
+    `minimum_jerk`; without a path it is straight. A new plan replaces one that comes too near to a
+    solid, or that has become expensive.
 
     Args:
         radius: Radius of the sphere around the EE that stays free of solids, metres.

@@ -26,7 +26,7 @@ from kinfeas.control.observation import (
     observe,
     split_action,
 )
-from kinfeas.control.surroundings import Surroundings
+from kinfeas.control.obstacles import Obstacles
 from kinfeas.control.targets import TargetStream
 from kinfeas.core import spatial
 from kinfeas.core.backend import Backend, Resumable, RobotState, Stochastic, SupportsGripper
@@ -85,7 +85,7 @@ class Loop:
     """n robots, each following its own EE motion.
 
     Attributes:
-        surroundings: Solids and scans, where the backend has them.
+        obstacles: Solids and scans, where the backend has them.
         policy: Policy that commands the bases, or None while it learns. Set it by `set_policy`.
         target_stream: Targets that move; then no sub-goal ends. None for those of the start.
         joint_command: Last commanded arm joints, shape (n, j).
@@ -141,7 +141,7 @@ class Loop:
         # Once, since protocols are checked by looking up each of their members.
         self._stochastic = backend if isinstance(backend, Stochastic) else None
         self._gripper = backend if isinstance(backend, SupportsGripper) else None
-        self.surroundings = Surroundings(backend, solver.collision)
+        self.obstacles = Obstacles(backend, solver.collision)
         self._arm_settle_timeout = round(execution.arm_settle_timeout / dt)
         self._waited: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         self.periods: NDArray[np.intp] = np.empty(0, dtype=np.intp)
@@ -171,12 +171,12 @@ class Loop:
             self._stochastic.seed(seeds, fresh)
         with plugin_note(self._backend_name):
             state = self.backend.reset(start.base_pose, start.joint_positions, rows)
-            self.surroundings.place(start.solids, fresh)
+            self.obstacles.place(start.solids, fresh)
         self._check("reset", state, len(rngs) if rows is None else len(self.joint_command))
         self._unchecked = True
         ee = spatial.compose(start.base_pose, forward(self.solver.chain, start.joint_positions))
         self.sequence.start(ee, start.target_poses, rngs, rows)
-        if (solids := self.surroundings.after(0.0)) is not None:
+        if (solids := self.obstacles.after(0.0)) is not None:
             self.sequence.avoid(solids, fresh)
         self._measure(state)
         joints = state.joint_positions.copy()
@@ -226,7 +226,7 @@ class Loop:
             self._check("step", state, len(twist))
             self._unchecked = False
         self._measure(state)
-        collision = self.surroundings.collisions(state)
+        collision = self.obstacles.collisions(state)
         goal_distance, goal_angle = spatial.distance(self.ee_pose, sequence.goal)
         arrived = arm.feasible & (goal_distance <= GOAL_METRES) & (goal_angle <= GOAL_RADIANS)
         if self.target_stream is not None:
@@ -272,7 +272,7 @@ class Loop:
     def kinematic_state(self) -> dict[str, NDArray[Any]]:
         """Return the state without the backend's own: that of a loop in the analytic world."""
         return {
-            **self.surroundings.snapshot(),
+            **self.obstacles.snapshot(),
             "base_pose": self.state.base_pose,
             "joint_positions": self.state.joint_positions,
             "joint_command": self.joint_command,
@@ -287,7 +287,7 @@ class Loop:
         backend = self._resumable
         self.sequence.restore(snapshot)
         self._measure(backend.restore(snapshot))
-        if (solids := self.surroundings.after(0.0)) is not None:
+        if (solids := self.obstacles.after(0.0)) is not None:
             self.sequence.avoid(solids, np.empty(0, dtype=np.intp))
         self.joint_command = snapshot["joint_command"].copy()
         self.previous_command = snapshot["previous_command"].copy()
@@ -345,10 +345,10 @@ class Loop:
 
     def _replan(self) -> None:
         """Plan motions around solids that have moved; sub-goals that begin now avoid them, too."""
-        solids = self.surroundings.after(0.0)
+        solids = self.obstacles.after(0.0)
         if solids is not None and self.sequence.avoids_solids:
             due = self.periods % max(1, round(_REPLAN_SECONDS / self.dt)) == 0
-            due &= self.surroundings.moving & (self.periods > 0)
+            due &= self.obstacles.moving & (self.periods > 0)
             self.sequence.avoid(solids, np.flatnonzero(due))
 
     def _check(self, method: str, state: RobotState, n: int) -> None:
@@ -401,11 +401,11 @@ class Loop:
         self._next = self.sequence.plan(self._motion_time)
         self.planned, time_scale = self._next.preview, self.execution.time_scale
         base, joints = self.state.base_pose, self.state.joint_positions
-        self.solids = self.surroundings.after(self.dt)
+        self.solids = self.obstacles.after(self.dt)
         seen = Seen(base, self._ee_in_base, self.planned, self.goal, joints)
         seen.previous_command = self.previous_command
         if not SCAN_TERMS.isdisjoint(self.observation_terms):
-            seen.ranges = self.surroundings.scan()
+            seen.ranges = self.obstacles.scan()
         if "planned_ahead" in self.observation_terms:
             ahead = spatial.relative(self.sequence.ahead(AHEAD), base[:, np.newaxis])
             seen.ahead = ahead[:, :, :3].reshape(len(base), -1)

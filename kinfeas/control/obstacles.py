@@ -1,4 +1,4 @@
-"""Surroundings of the robots of a loop: solids and scans, where the backend has them."""
+"""Obstacles around the robots of a loop: solids and scans, where the backend has them."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from kinfeas.kinematics.self_collision import CollisionModel
 from kinfeas.kinematics.solids import collides
 
 
-class Surroundings:
+class Obstacles:
     """Solids of the innermost backend, and scans as its adapters change them."""
 
     def __init__(self, backend: Backend, shapes: CollisionModel) -> None:
