@@ -31,6 +31,11 @@ class TargetStream(Protocol):
         """Asked speed of the EE in the next period, shape (n,), m/s."""
         ...
 
+    @property
+    def live(self) -> NDArray[np.bool_]:
+        """Whether each target moves by a message that is not too old, shape (n,)."""
+        ...
+
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays by name."""
         ...

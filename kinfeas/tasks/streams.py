@@ -132,6 +132,11 @@ class SimulatedStream:
         return self.inbox.advance(now, loop.dt, seconds, loop.time_scale, loop.desired)
 
     @property
+    def live(self) -> NDArray[np.bool_]:
+        """Whether each target moves by a message that is not too old, shape (n,)."""
+        return self.inbox.live
+
+    @property
     def speed(self) -> Array:
         """Asked speed of the EE in the next period, shape (n,), m/s."""
         return self.asked.speed

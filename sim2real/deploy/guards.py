@@ -141,6 +141,7 @@ class SafetyFilter(_Wrapper):
         base_twist: Last world twist that was sent, shape (1, 6).
         joint_targets: Last joint targets that were sent, shape (1, j).
         hold: Reason why the arm held its position in the last step; empty otherwise.
+        brake: Whether the base stops at once, past the limits of acceleration.
         stopped: Whether nothing is sent, as before the first reset.
         steps: Number of commands sent.
     """
@@ -152,7 +153,7 @@ class SafetyFilter(_Wrapper):
         self._velocity, self._dt = np.zeros(3), 0.0
         self._state, self._measured = RobotState(np.empty((0, 7)), np.empty((0, 0))), np.nan
         self.base_twist, self.joint_targets = np.zeros((1, 6)), np.empty((1, 0))
-        self.hold, self.stopped, self.steps = "", True, 0
+        self.hold, self.brake, self.stopped, self.steps = "", False, True, 0
         self._blind = np.zeros(SCAN_BEAMS, dtype=np.bool_)
 
     def reset(
@@ -166,7 +167,7 @@ class SafetyFilter(_Wrapper):
         self._state, self._measured = state, self._clock.monotonic()
         self.base_twist, self.joint_targets = np.zeros((1, 6)), state.joint_positions.copy()
         self._velocity, self._blind = np.zeros(3), np.zeros(SCAN_BEAMS, dtype=np.bool_)
-        self.hold, self.stopped = "", False
+        self.hold, self.brake, self.stopped = "", False, False
         return state
 
     def step(self, base_twist: Array, joint_targets: Array, dt: float) -> RobotState:
@@ -181,6 +182,8 @@ class SafetyFilter(_Wrapper):
         base, pose = self._robot.base, self._state.base_pose
         wanted = base_velocity(base, pose, base_twist, dt)[0]
         velocity = limited_velocity(self._robot, self._guards, wanted, self._velocity, dt)
+        if self.brake:
+            velocity = np.zeros(3)
         twist = world_twist(base, pose, velocity[np.newaxis], dt)
         targets = self._arm_targets(joint_targets[0], dt)[np.newaxis]
         # The measurement is a part of both, and an adapter may hide it from the monitor.

@@ -268,6 +268,8 @@ class _Run:
             goal, action = loop.goal[0], setup.policy.act(loop.policy_input)
             # Before a filter can replace it.
             check_array(action, shape, "the policy's action", error=Fault)
+            if loop.target_stream is not None:
+                self.guarded.commands.brake = not loop.target_stream.live[0]
             step = loop.step(action)
             if not self.waits:
                 self.rate.tick()

@@ -94,9 +94,9 @@ class TargetController:
         self._put(poses, stamp, times, frame)
 
     @property
-    def live(self) -> bool:
-        """Whether the last message is not too old."""
-        return bool(self._inbox.live.all())
+    def live(self) -> NDArray[np.bool_]:
+        """Whether the last message is not too old, shape (1,)."""
+        return self._inbox.live
 
     @property
     def counts(self) -> dict[str, int]:
@@ -139,7 +139,7 @@ class TargetController:
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return the command, or zero after the end of the stream."""
-        return command if self.live else np.zeros((1, command_size(self.robot.base)))
+        return command if self.live[0] else np.zeros((1, command_size(self.robot.base)))
 
     def _put(
         self, values: ArrayLike, stamp: float | None, times: ArrayLike | None, frame: str

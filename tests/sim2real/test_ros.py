@@ -105,10 +105,7 @@ def test_servo_stops_within_0_3_s_after_the_last_twist(bus, tmp_path):
     begin, servo, sender = time.monotonic(), bus.deploy(*words, command="servo"), bus.send()
     bus.wait_for_motion(servo, begin)
     ended = sender.kill()
-    delay = bus.seconds_to_zero(ended)
-    sent = bus.heard("command")[:, 0]
-    periods = np.diff(sent[(sent > ended - 0.5) & (sent < ended + delay + 0.5)])
-    assert delay <= 0.3 + max(0.0, periods.max() - 0.02)  # a busy machine sends late
+    assert bus.seconds_to_zero(ended) <= 0.3
     servo.process.send_signal(signal.SIGINT)
     servo.end()
     run = read_record(record)

@@ -148,6 +148,16 @@ def test_velocity_and_acceleration_are_limited_by_guards_and_robot(limits):
     np.testing.assert_allclose(sent[:, 5], -np.minimum(steps * rotation, turn))
 
 
+def test_the_base_brakes_at_once_past_the_limits_of_acceleration():
+    guard, backend = guarded()
+    for _ in range(40):
+        guard.step(twist(0.3), arm(guard), DT)
+    guard.commands.brake = True
+    guard.step(twist(0.3), arm(guard), DT)
+    assert backend.sent[-2][0][0, 0] == pytest.approx(PR2.base.max_velocity)
+    assert not backend.sent[-1][0].any()
+
+
 def test_a_jump_of_the_arm_becomes_a_motion_at_its_speed():
     guard, backend = guarded(guards=Guards(joint_speed=0.5), kind=Following)
     np.testing.assert_allclose(backend.limit, 0.5 * PR2.max_joint_velocity)
