@@ -92,7 +92,7 @@ def test_kills_change_nothing(whole, tmp_path, case, engine, victim):
     while kills < KILLS:
         process = start(case, tmp_path, *more)
         while process.poll() is None and kills < KILLS:
-            time.sleep(rng.uniform(1.0, 20.0))
+            time.sleep(rng.uniform(1.0, 10.0))
             victims = workers(process.pid, engine) if victim == "worker" else [process.pid]
             if process.poll() is None and victims:
                 os.kill(rng.choice(victims), signal.SIGKILL)
