@@ -89,7 +89,7 @@ def robot_option(default: str = "") -> Any:
 
 def task_option(before: str = "", default: str = "") -> Any:
     """Return an option for a task, with texts before and after its help."""
-    tasks = "Task: ggr, ggr_restricted, pick_place, door, drawer, or a YAML file."
+    tasks = "Task: ggr, pick_place, door, drawer, another of `plugins list`, or a YAML file."
     return typer.Option(help=before + tasks + default, autocompletion=names_of("tasks"))
 
 

@@ -242,18 +242,18 @@ class SimulatedStream:
 
 
 def joystick(**parameters: object) -> Stream:
-    """Return the task of a person who leads the EE by a joystick."""
+    """A person leads the EE by a joystick."""
     return _stream("joystick", {}, parameters)
 
 
 def chunks(**parameters: object) -> Stream:
-    """Return the task of a model that sends poses ahead, which jump between its messages."""
+    """A model sends poses ahead, which jump between its messages."""
     defaults = {"rate": (0.8, 2.5), "delay": (0.1, 0.3), "loss": 0.1}
     return _stream("chunks", defaults, parameters)
 
 
 def carried(**parameters: object) -> Stream:
-    """Return the task of an object that is carried along a curve."""
+    """The EE follows an object that is carried along a curve."""
     return _stream("carried", {"speed": 0.2}, parameters)
 
 
