@@ -108,6 +108,8 @@ class ObstacleDistances:
             shape (n, k, 2).
         distance: Distance to the obstacle, shape (n, k), metres; negative in penetration, inf
             without an obstacle.
+        closing_speed: Speed at which the obstacle moves towards that point, shape (n, k), m/s;
+            negative if it moves away, None if it is not measured.
 
     Raises:
         ValueError: If a shape is wrong or a value is not a number.
@@ -116,10 +118,14 @@ class ObstacleDistances:
     closest_point: Array
     normal: Array
     distance: Array
+    closing_speed: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the values of outside backends."""
         shape = (*self.distance.shape, 2)
+        speed = self.closing_speed
+        if speed is not None and not (speed.shape == shape[:2] and np.isfinite(speed).all()):
+            raise ValueError("closing_speed must be finite and have the shape of distance")
         if len(shape) != 3 or self.closest_point.shape != shape or self.normal.shape != shape:
             raise ValueError(
                 "closest_point, normal and distance need the shapes (n, k, 2), (n, k, 2) and (n, k)"

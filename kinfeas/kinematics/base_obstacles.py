@@ -32,15 +32,17 @@ def base_obstacles(
         within: Metres.
     """
     n, used = len(base_pose), 8
-    rows = rows_of(in_base(solids, base_pose), n)
+    local = in_base(solids, base_pose)
+    rows, velocity = rows_of(local, n), np.ascontiguousarray(local.velocity)
     prisms = _prisms(model)
     while True:
-        found = np.zeros((n, used, 5))
+        found = np.zeros((n, used, 6))
         found[:, :, 4] = np.inf
-        if (needed := _obstacles_batch(prisms, *rows, within, found)) <= used:
+        if (needed := _obstacles_batch(prisms, *rows, velocity, within, found)) <= used:
             break
         used = needed
-    return ObstacleDistances(found[:, :needed, :2], found[:, :needed, 2:4], found[:, :needed, 4])
+    found = found[:, :needed]
+    return ObstacleDistances(found[..., :2], found[..., 2:4], found[..., 4], found[..., 5])
 
 
 def _prisms(model: CollisionModel) -> Array:
@@ -71,10 +73,13 @@ def _prisms(model: CollisionModel) -> Array:
 
 
 @kernel
-def _obstacles_batch(prisms, pose, size, cylinder, within, out):
-    """Write points, normals and distances, shape (n, p, 5); return the largest number of a row."""
+def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
+    """Write points, normals, distances and closing speeds, shape (n, p, 6).
+
+    Returns the largest number of a row.
+    """
     most = 0
-    pairs = np.empty((8 * len(prisms), 5))
+    pairs = np.empty((8 * len(prisms), 6))
     solid = np.zeros(9)
     for i in range(len(pose)):
         used = 0
@@ -100,6 +105,8 @@ def _obstacles_batch(prisms, pose, size, cylinder, within, out):
                 if pairs[p, 4] < within and pairs[p, 4] <= nearest + _AS_NEAR:
                     if used < out.shape[1]:
                         copy_row(pairs[p], out[i, used])
+                        away = velocity[i, k, 0] * pairs[p, 2] + velocity[i, k, 1] * pairs[p, 3]
+                        out[i, used, 5] = -away
                     used += 1
         most = max(most, used)
     return most

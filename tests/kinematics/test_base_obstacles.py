@@ -30,6 +30,22 @@ def test_base_obstacles_are_nearest_points(hsr):
     np.testing.assert_allclose(exact[free] - closer[free], 1e-4, atol=1e-6)
 
 
+def test_closing_speeds_are_those_at_which_distances_shrink(hsr):
+    model, n, dt = build_collision_model(hsr), 100, 1e-5
+    bases, solids = draw_bases(n), draw_solids(n, 1)
+    solids.size[:, :, 2:] = [0.0, 3.0]
+    solids.velocity[:], solids.span[:] = np.random.default_rng(0).normal(size=(n, 1, 2)), 9.0
+    near, later = (
+        base_obstacles(model, bases, solids.at(np.full(n, seconds)), 9.0) for seconds in (0.0, dt)
+    )
+    one, other = near.distance.min(axis=1), later.distance.min(axis=1)
+    first = near.distance.argmin(axis=1)[:, np.newaxis]
+    speed = np.take_along_axis(near.closing_speed, first, axis=1)[:, 0]
+    known = (one > 1e-3) & np.isfinite(one)
+    assert known.sum() > 50
+    np.testing.assert_allclose(speed[known], (one[known] - other[known]) / dt, atol=1e-3)
+
+
 def test_a_parallel_wall_has_the_corners_of_the_base(pr2):
     model, wall = build_collision_model(pr2), Solids.empty(1, 1)
     front = model.offset[0, 0] + model.size[0, 0]

@@ -7,15 +7,18 @@ from kinfeas.kinematics.kernels import inlined, kernel
 _PROJECTIONS = 1000
 """Rounds of projections at most; most constraints take fewer than ten."""
 
+_SHARES = (1.0, 0.5, 0.0)
+"""Shares of negative offsets that are tried, until there is a point in all half-spaces."""
+
 
 @kernel
 def project(points, normals, offsets, slack):
     """Move points (n, t, a) into the half-spaces of their row; return which were outside, (n, t).
 
-    The half-spaces are `normals @ point <= offsets`, shapes (n, k, a) and (n, k), offsets at least
-    0; `slack` is allowed, above 0. By projections on one half-space after the other (Hildreth, "A
-    quadratic programming procedure", 1957); where that does not converge, since many are nearly
-    parallel, points are scaled towards the origin, which is in all of them.
+    The half-spaces are `normals @ point <= offsets`, shapes (n, k, a) and (n, k); `slack` is
+    allowed, above 0. By projections on one half-space after the other (Hildreth, "A quadratic
+    programming procedure", 1957). Where that does not converge, negative offsets are raised up to
+    0; at last points are scaled towards the origin, which is in all half-spaces then.
     """
     n, t, _ = points.shape
     outside = np.zeros((n, t), dtype=np.bool_)
@@ -24,12 +27,26 @@ def project(points, normals, offsets, slack):
             point = points[row, one]
             if _excess(point, normals[row], offsets[row]) > slack:
                 outside[row, one] = True
-                pushes = np.zeros(offsets.shape[1])
-                for _ in range(_PROJECTIONS):
-                    if _push(point, normals[row], offsets[row], pushes) <= slack:
-                        break
-                _shrink(point, normals[row], offsets[row], slack)
+                _bring_inside(point, normals[row], offsets[row], slack)
     return outside
+
+
+@kernel
+def _bring_inside(point, normals, offsets, slack):
+    """Move a point (a,) into all half-spaces."""
+    start, lowest = point.copy(), min(offsets.min(), 0.0)
+    raised = offsets
+    for share in _SHARES:
+        point[:] = start
+        raised = np.maximum(offsets, share * lowest)
+        pushes = np.zeros(len(offsets))
+        for _ in range(_PROJECTIONS):
+            if _push(point, normals, raised, pushes) <= slack:
+                break
+        if lowest == 0.0 or _excess(point, normals, raised) <= slack:
+            break
+    if raised.min() >= 0.0:
+        _shrink(point, normals, raised, slack)
 
 
 @inlined

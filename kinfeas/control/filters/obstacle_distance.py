@@ -34,7 +34,8 @@ class VelocityConstraints:
     Attributes:
         full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `_LEVER`.
         normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
-        limit: Allowed approach velocities, shape (n, k), m/s, at least 0; inf without obstacle.
+        limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
+            the base must give way to an obstacle that moves.
     """
 
     full: Array
@@ -63,6 +64,8 @@ class VelocityConstraints:
 
 class ObstacleFilter:
     """Limits the velocity towards near obstacles, so that the base can brake in time.
+
+    The base gives way to obstacles that move towards it, where the backend measures their speed.
 
     A velocity damper (Faverjon and Tournassoud, "A local based approach for path planning of
     manipulators with a high number of degrees of freedom", 1987). The backend must measure
@@ -110,6 +113,8 @@ class ObstacleFilter:
             raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
         way = np.maximum(found.distance - self.min_distance, 0.0)
         limit = np.minimum(np.sqrt(self._braking * way), way / (2.0 * self._loop.dt))
+        if found.closing_speed is not None:  # receding ones may turn back
+            limit = limit - np.maximum(found.closing_speed, 0.0)
         normal = _approach(found, len(self._full))
         # The rotation limit is a constraint as well, so that a projection does not exceed it.
         turns = np.zeros((n, 2, len(self._full)))

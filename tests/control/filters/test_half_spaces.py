@@ -67,3 +67,16 @@ def test_no_row_depends_on_the_others():
         one = slice(row, row + 1)
         alone, _ = put(points[one], normals[one], offsets[one])
         np.testing.assert_array_equal(alone[0], together[row])
+
+
+def test_points_are_pushed_out_of_the_origin_s_place():
+    normals = np.array([[[1.0, 0.0], [0.0, 1.0]]])
+    moved, outside = put(np.array([[[0.5, 0.3], [-0.5, 0.2]]]), normals, np.array([[-0.2, 0.4]]))
+    np.testing.assert_array_equal(outside, [[True, False]])
+    np.testing.assert_allclose(moved[0], [[-0.2, 0.3], [-0.5, 0.2]], atol=1e-5)
+
+
+def test_half_spaces_without_a_common_point_are_widened():
+    normals = np.array([[[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]])
+    moved, _ = put(np.array([[[0.5, 0.7]]]), normals, np.array([[-0.2, -0.1, 0.3]]))
+    np.testing.assert_allclose(moved[0, 0], [0.0, 0.3], atol=1e-5)

@@ -152,6 +152,15 @@ def test_half_of_the_braking_and_half_of_the_way_suffice(robot, dt, limit):
     assert velocity == pytest.approx(expected)
 
 
+def test_a_base_gives_way_to_what_comes_nearer(robot):
+    ahead = np.array([[[1.0, 0.0], [0.0, 1.0]]])
+    coming = Fixed(
+        lambda: ObstacleDistances(0.3 * ahead, ahead, np.full((1, 2), KEPT), np.array([[0.1, -9]]))
+    )
+    held = constraints(robot, coming).hold(np.array([[[0.5, 0.5, 0.0]]]))[0, 0]
+    np.testing.assert_allclose(held * robot.base.max_velocity, [-0.1, 0.0, 0.0], atol=1e-5)
+
+
 def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
     point, ahead = np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]])
     corner = Fixed(lambda: ObstacleDistances(point, ahead, np.array([[KEPT]])))
