@@ -186,7 +186,7 @@ class Planned(SmoothPath):
         self,
         *,
         radius: Positive = 0.15,
-        clearance: Positive = 0.5,
+        clearance: Positive = 0.9,
         min_height: Metres = 0.4,
         max_height: Metres = 1.2,
         foresight: NotNegative = 5.0,
