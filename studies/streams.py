@@ -1,7 +1,7 @@
 """Evaluate policies on streams of targets and print a table: `python studies/streams.py DIR`.
 
 Each evaluation is a JSON file in DIR, as `kinfeas evaluate --json` writes it; those that exist are
-not repeated. `--policies` restricts the evaluations of this process.
+not repeated. `--robots` and `--policies` restrict the evaluations of this process.
 """
 
 import argparse
@@ -26,10 +26,11 @@ def main() -> None:
     """Run what is missing, then print what there is."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--robots", nargs="*", default=ROBOTS)
     parser.add_argument("--policies", nargs="*", default=[policy for policy, _ in ROWS])
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    for (policy, filters), robot, task in product(ROWS, ROBOTS, TASKS):
+    for (policy, filters), robot, task in product(ROWS, given.robots, TASKS):
         path = given.folder / f"{robot}-{task}-{policy}-{filters or 'none'}.json"
         if policy in given.policies and not path.exists():
             chosen = [f"world.filters={json.dumps([filters] if filters else [])}"]

@@ -52,7 +52,8 @@ class TargetRules:
     Attributes:
         timeout: Age of a message, or of the last pose of a chunk, from which on it is ignored. The
             EE comes to rest if no newer one arrives, seconds.
-        max_jump: Distance from the current target to a pose beyond which it is ignored, metres.
+        max_jump: Distance from the current target to a pose beyond which it is ignored, metres;
+            unless it is as near to the pose of the last message, which the EE may lag behind.
         max_turn: The same angle, radians.
         max_velocity: Limit of the target's velocity, m/s.
         max_angular_velocity: The same, rad/s.
@@ -95,6 +96,7 @@ class TargetInbox:
     _times: Array
     _poses: Array
     _poses_given: NDArray[np.bool_]
+    _asked: Array
     _sent: Array
     _until: Array
 
@@ -136,9 +138,10 @@ class TargetInbox:
         usable = np.where(valid[:, np.newaxis, np.newaxis], usable, spatial.IDENTITY)
         usable[:, :, 3:] /= np.linalg.norm(usable[:, :, 3:], axis=2, keepdims=True)
         aims = _interpolated(now, when, usable)
-        metres, radians = spatial.distance(self.target[rows], aims)
-        near = (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
-        known = (now <= self._until[rows]) & np.isfinite(sent)
+        recent = now <= self._until[rows]
+        near = self._near(self.target[rows], aims)
+        near |= recent & self._poses_given[rows] & self._near(self._asked[rows], aims)
+        known = recent & np.isfinite(sent)
         interval = np.subtract(sent, self._sent[rows], where=known, out=np.zeros(m))
         good = self._admitted(rows, now, sent, when[:, -1], valid, near)
         if k == 1:
@@ -149,7 +152,7 @@ class TargetInbox:
         self._times[chosen], self._poses[chosen] = np.inf, usable[good, -1:]
         self._times[chosen, : when.shape[1]] = when[good]
         self._poses[chosen, : when.shape[1]] = usable[good]
-        self._poses_given[chosen] = True
+        self._poses_given[chosen], self._asked[chosen] = True, aims[good]
 
     def reject(self, rows: Rows) -> None:
         """Count messages that are no poses or twists at all."""
@@ -206,7 +209,13 @@ class TargetInbox:
         self._twist = np.zeros((n, 6))
         self._times = np.full((n, self._size), np.inf)
         self._poses = np.repeat(target[:, np.newaxis], self._size, axis=1)
+        self._asked = target.copy()
         self.counts = np.zeros((n, len(RULES)), dtype=np.intp)
+
+    def _near(self, pose: Array, other: Array) -> NDArray[np.bool_]:
+        metres, radians = spatial.distance(pose, other)
+        near: NDArray[np.bool_] = (metres <= self.rules.max_jump) & (radians <= self.rules.max_turn)
+        return near
 
     def _admitted(
         self,

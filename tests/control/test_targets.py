@@ -95,6 +95,18 @@ def test_targets_wait_where_the_motion_waits():
     assert box.target[0, 0] == pytest.approx(0.1 * DT)
 
 
+def test_a_sender_is_followed_after_a_long_wait():
+    box = inbox()
+    for k in range(200):
+        send(box, k * DT, at(0.2 * k * DT))
+        advance(box, k * DT, scale=float(k > 180))
+    assert counted(box) == {"accepted": 200}
+    send(box, 4.0, at(2.0))
+    assert counted(box) == {"accepted": 200, "jump": 1}
+    ahead = box.target[0, 0]
+    assert advance(box, 4.0)[0, 0] == pytest.approx(ahead + 0.2 * DT)
+
+
 def test_targets_do_not_leave_the_heights_but_may_come_back():
     box = inbox(TargetRules(heights=(0.4, 1.0)))
     for twist, z in ((-0.1, 0.0), (0.1, 0.1 * DT)):
