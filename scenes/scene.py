@@ -29,7 +29,7 @@ from kinfeas.scenes.objects import (
 T = TypeVar("T")
 
 _FOLDER = Path(__file__).parent
-_SHIPPED = ("room",)
+_SHIPPED = ("room", "shelf", "doorway")
 
 
 @dataclass(frozen=True, eq=False)

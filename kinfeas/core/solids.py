@@ -83,6 +83,12 @@ class Solids:
         """Return the solids of some rows."""
         return Solids(*(getattr(self, one.name)[rows] for one in fields(self)))
 
+    def beyond(self, places: int) -> "Solids":
+        """Return the solids without the first places of each row."""
+        if not places:
+            return self
+        return Solids(*(getattr(self, one.name)[:, places:] for one in fields(self)))
+
     def put(self, rows: NDArray[np.intp], other: "Solids") -> "Solids":
         """Return these solids with other ones in some rows."""
         places = max(self.places, other.places)

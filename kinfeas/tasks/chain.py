@@ -2,7 +2,8 @@
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,9 +15,14 @@ from kinfeas import config
 from kinfeas.config import strict_yaml
 from kinfeas.config.quantities import Distance, Metres, Position, Radians
 from kinfeas.core.errors import KinfeasError, check_name, no_such
+from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides
+from kinfeas.scenes.scene import Scene, read_scene
+from kinfeas.scenes.solids import furniture_solids
+from kinfeas.tasks.clutter import all_reachable, with_clutter
 from kinfeas.tasks.task import Subgoal, random_arm
 
 Length = Metres | tuple[Metres, Metres]
@@ -24,6 +30,8 @@ Length = Metres | tuple[Metres, Metres]
 
 Angle = Radians | tuple[Radians, Radians]
 """Radians, or the ends of a range to draw from uniformly."""
+
+_ROUNDS = 200
 
 
 @dataclass(frozen=True)
@@ -120,12 +128,14 @@ class SuccessCondition:
         parent: Name of the object below it.
         joint: Its joint.
         threshold: Position beyond which the joint is open, rad or m; downwards if below 0.
+        reached: Whether the EE must have reached its last goal, too.
     """
 
     object: str
     parent: str | None = None
     joint: str | None = None
     threshold: float = 0.0
+    reached: bool = False
 
     def __post_init__(self) -> None:
         """Check that there is one condition."""
@@ -160,6 +170,8 @@ class ChainTask:
         places: Their targets, by name.
         start: Start of the base.
         scene: Objects, in worlds that have them.
+        clutter: Largest number of random solids on the floor. The furniture is solid then, too;
+            None for neither.
     """
 
     name: str
@@ -167,6 +179,7 @@ class ChainTask:
     places: dict[str, Place]
     start: BaseStart = field(default_factory=BaseStart)
     scene: TaskScene | None = None
+    clutter: Annotated[int, Interval(ge=0, le=MOST_SOLIDS)] | None = None
 
     def __post_init__(self) -> None:
         """Check the name, and the places of sub-goals and objects."""
@@ -190,18 +203,50 @@ class ChainTask:
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode, its arrays without a leading axis."""
-        places = {name: place.draw(rng) for name, place in self.places.items()}
-        targets = np.stack(
-            [_shifted(places[subgoal.place], subgoal.offset) for subgoal in self.subgoals]
-        )
-        return self.toward(targets, solver, rng)
+        for _ in range(_ROUNDS):
+            places = {name: place.draw(rng) for name, place in self.places.items()}
+            targets = np.stack(
+                [_shifted(places[subgoal.place], subgoal.offset) for subgoal in self.subgoals]
+            )
+            if self.clutter is None:
+                return self.toward(targets, solver, rng)
+            furniture = self.furniture(targets)
+            start = self.toward(targets, solver, rng, furniture)
+            solids = with_clutter(solver, start, furniture, self.clutter, rng)
+            if all_reachable(solver, start, solids):
+                return replace(start, solids=solids)
+        raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
 
-    def toward(self, targets: Array, solver: IkSolver, rng: np.random.Generator) -> Start:
-        """Return a random start of an episode with the targets, shape (sub-goals, 7)."""
-        x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
-        bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
-        heading = bearing + rng.uniform(-self.start.heading, self.start.heading)
-        return Start(planar_pose(x, y, heading), random_arm(solver, rng), targets)
+    def toward(
+        self,
+        targets: Array,
+        solver: IkSolver,
+        rng: np.random.Generator,
+        solids: Solids | None = None,
+    ) -> Start:
+        """Return a random start, free of solids, of an episode with targets, (sub-goals, 7)."""
+        for _ in range(_ROUNDS):
+            x, y = rng.uniform(-self.start.square / 2.0, self.start.square / 2.0, 2)
+            bearing = np.arctan2(targets[0, 1] - y, targets[0, 0] - x)
+            heading = bearing + rng.uniform(-self.start.heading, self.start.heading)
+            base, joints = planar_pose(x, y, heading), random_arm(solver, rng)
+            if solids is None:
+                return Start(base, joints, targets)
+            rows = joints[np.newaxis], base[np.newaxis], solids
+            if not collides(solver.collision, *rows).any():
+                return Start(base, joints, targets, solids)
+        raise KinfeasError(f"task {self.name!r}: the robot touches a solid in {_ROUNDS} starts")
+
+    def furniture(self, targets: Array) -> Solids:
+        """Return the furniture of the episode with the `targets`, shape (sub-goals, 7), as solids.
+
+        Objects that the gripper moves are left out.
+        """
+        if self.scene is None:
+            return Solids.empty(1)
+        grasped = self.scene.grasped_object
+        scene = _scene(self.scene.name).with_poses(self.object_poses(targets))
+        return furniture_solids(scene, (grasped.object, grasped.link) if grasped else None)
 
     def object_poses(self, targets: Array) -> dict[str, Array]:
         """Return the world poses, shape (7,), of the objects that an episode moves, by name.
@@ -224,9 +269,10 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     """Return the task of a YAML file with the fields of `ChainTask`.
 
     Files that it names are searched for beside it, then in the current folder. `changes` replace
-    its entries; a mapping changes its own keys only, and entries of a list by index.
+    its entries; a mapping changes its own keys only, and entries of a list by index. In the same
+    way the file changes the one that its key `extends` names.
     """
-    data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
+    data = _read(path)
     task = config.from_mapping(ChainTask, data, str(path))
     _check_places(task, task.places, str(path))
     if not changes:
@@ -237,6 +283,20 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     given = changes.get("places")
     _check_places(changed, given if isinstance(given, Mapping) else (), source)
     return changed
+
+
+def _read(path: Path) -> dict[str, object]:
+    data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
+    base = data.pop("extends", None)
+    if base is None:
+        return data
+    changed: dict[str, object] = _changed(_read(Path(str(base))), data, str(path))
+    return changed
+
+
+@lru_cache(maxsize=16)
+def _scene(name: str) -> Scene:
+    return read_scene(name)
 
 
 def pick_place(**parameters: object) -> ChainTask:
@@ -252,6 +312,31 @@ def door(**parameters: object) -> ChainTask:
 def drawer(**parameters: object) -> ChainTask:
     """Take the handle of a drawer and pull it open."""
     return _shipped("drawer", parameters)
+
+
+def pick_place_cluttered(**parameters: object) -> ChainTask:
+    """Fetch and put down an object among random solids and furniture."""
+    return _shipped("pick_place_cluttered", parameters)
+
+
+def door_cluttered(**parameters: object) -> ChainTask:
+    """Open the door of a cupboard among random solids and furniture."""
+    return _shipped("door_cluttered", parameters)
+
+
+def drawer_cluttered(**parameters: object) -> ChainTask:
+    """Open a drawer among random solids and furniture."""
+    return _shipped("drawer_cluttered", parameters)
+
+
+def shelf(**parameters: object) -> ChainTask:
+    """Fetch an object from a board of a shelf and put it down on the next one."""
+    return _shipped("shelf", parameters)
+
+
+def room_door(**parameters: object) -> ChainTask:
+    """Open the door of a room and pass through it."""
+    return _shipped("room_door", parameters)
 
 
 def _shipped(name: str, parameters: Mapping[str, object]) -> ChainTask:

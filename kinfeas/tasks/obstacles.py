@@ -1,33 +1,23 @@
 """Goal reaching among random solids that stand or move."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinfeas import config
 from kinfeas.config.quantities import Count, Distance, NotNegative, Share
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
-from kinfeas.core.spatial import Array, compose, planar_pose
+from kinfeas.core.spatial import compose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.solids import collides
+from kinfeas.tasks.clutter import SMALLEST, Clutter, free_places, touches_robot
 from kinfeas.tasks.ggr import GoalReaching
 from kinfeas.tasks.task import MotionSpec
 
 _ROUNDS = 200
-_SMALLEST = 0.2
-"""Smallest length and width of a solid, metres."""
-
-_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)
-"""Heights of solids, metres."""
-
-_REACH = (0.4, 0.9)
-"""Distances from the goal at which the base needs room, metres."""
-
 _MOMENTS = 16
 
 
@@ -77,23 +67,24 @@ class ReachingAmongSolids(GoalReaching):
                 f"'places' must be at most {MOST_SOLIDS}, 'spacing' at least 0.5 m and 'extent' "
                 "from 'spacing' to 100 m"
             )
-        if min(self.footprint) < _SMALLEST:
-            raise ValueError(f"'footprint' must be at least {_SMALLEST} m")
+        if min(self.footprint) < SMALLEST:
+            raise ValueError(f"'footprint' must be at least {SMALLEST} m")
 
     def sample(self, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return one random episode with its solids."""
         for _ in range(_ROUNDS):
             start = super().sample(solver, rng)
             solids = self._solids(solver, start, rng)
-            if _has_room(solver, start, solids):
+            if len(free_places(solver, start, start.target_poses[0], solids)):
                 return replace(start, solids=solids.of(np.zeros(1, dtype=np.intp)))
         raise KinfeasError(f"task {self.name!r}: {_ROUNDS} draws left no room for the base")
 
     def _solids(self, solver: IkSolver, start: Start, rng: np.random.Generator) -> Solids:
         """Return the solids of an episode at moments of their way, one a row; the start first."""
         goal = start.target_poses[0]
-        drawn = self._draw(rng, goal[:2] / 2.0)
-        at_start = _touches_robot(solver, start, drawn)
+        grid = Clutter(**{one.name: getattr(self, one.name) for one in fields(Clutter)})
+        drawn = grid.draw(rng, goal[:2] / 2.0)
+        at_start = touches_robot(solver, start, drawn)
         ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
         ends = np.stack([start.base_pose[:3], ee[:3], goal[:3]])
         near = drawn.gaps(ends[np.newaxis, :2])[0][0].min(axis=0) < self.start_clearance
@@ -109,31 +100,6 @@ class ReachingAmongSolids(GoalReaching):
             getattr(kept, name)[:, : len(order)] = getattr(moments, name)[:, order]
         return kept
 
-    def _draw(self, rng: np.random.Generator, centre: Array) -> Solids:
-        """Return one row of solids around a centre, shape (2,)."""
-        side = int(self.extent / self.spacing)
-        line = (np.arange(side) - (side - 1) / 2.0) * self.spacing
-        grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) + centre
-        k = len(grid)
-        half = rng.uniform(_SMALLEST, self.footprint, (k, 2)) / 2.0
-        cylinder = rng.random(k) < self.cylinders
-        half = np.where(cylinder[:, np.newaxis], half[:, 1:], half)
-        kind = rng.random(k)
-        low, table = rng.uniform(*_LOW, k), rng.uniform(*_TABLE, k)
-        height = np.where(kind < (1.0 + self.walls) / 2.0, low, table)
-        height = np.where(kind < self.walls, _WALL, height)
-        yaw, bearing = rng.uniform(-np.pi, np.pi, (2, k))
-        speed = rng.uniform(*self.speed, k)
-        xy = grid + rng.normal(0.0, self.jitter, (k, 2))
-        solids = Solids(
-            pose=np.column_stack([xy, yaw]),
-            size=np.column_stack([half, np.zeros(k), height]),
-            cylinder=cylinder,
-            velocity=speed[:, np.newaxis] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1),
-            span=rng.uniform(*self.span, k),
-        )
-        return Solids(**{name: values[np.newaxis] for name, values in vars(solids).items()})
-
 
 def _moments(solids: Solids) -> Solids:
     """Return one row of solids at moments between the ends of their ways, one a row."""
@@ -142,29 +108,6 @@ def _moments(solids: Solids) -> Solids:
         return solids
     longest = np.max(solids.span / np.where(speed > 0.0, speed, np.inf))
     return solids.of(np.zeros(_MOMENTS, dtype=np.intp)).at(np.linspace(0.0, longest, _MOMENTS))
-
-
-def _touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.bool_]:
-    """Return which of one row of k solids touch the robot at its start, shape (k,)."""
-    alone = Solids(**{name: np.swapaxes(values, 0, 1) for name, values in vars(solids).items()})
-    n = len(alone.pose)
-    joints, base = np.tile(start.joint_positions, (n, 1)), np.tile(start.base_pose, (n, 1))
-    touching: NDArray[np.bool_] = np.any(collides(solver.collision, joints, base, alone), axis=1)
-    return touching
-
-
-def _has_room(solver: IkSolver, start: Start, moments: Solids) -> bool:
-    """Return whether the base has a place near the goal that stays free, heading for the goal."""
-    turns = np.linspace(-np.pi, np.pi, 24, endpoint=False)
-    bearing, away = np.tile(turns, len(_REACH)), np.repeat(_REACH, len(turns))
-    goal = start.target_poses[0]
-    x, y = goal[0] - away * np.cos(bearing), goal[1] - away * np.sin(bearing)
-    base = planar_pose(x, y, bearing)
-    for row in range(len(moments.pose)):
-        joints = np.tile(start.joint_positions, (len(base), 1))
-        solids = moments.of(np.full(len(base), row, dtype=np.intp))
-        base = base[~collides(solver.collision, joints, base, solids)[:, 0]]
-    return len(base) > 0
 
 
 def ggr_obstacles(**parameters: object) -> ReachingAmongSolids:

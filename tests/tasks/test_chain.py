@@ -7,7 +7,9 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation, wrap, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.solids import collides
 from kinfeas.tasks.chain import door, drawer, pick_place, read_chain
+from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec
 
 FETCH = {
@@ -158,3 +160,41 @@ def test_objects_are_at_their_places(hsr):
         way = targets[3, :3] - poses["place_table"][:3]
         np.testing.assert_allclose(way[:2], [0.0, 0.275], atol=1e-9)
         assert poses["place_table"][2] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "places"),
+    [("pick_place_cluttered", 8), ("door_cluttered", 8), ("shelf", 0), ("room_door", 0)],
+)
+def test_episodes_in_clutter_start_free_with_furniture_and_solids(hsr, name, places):
+    task = load_task(name)
+    for seed in range(5):
+        start = task.sample(hsr, np.random.default_rng(seed))
+        furniture, solids = task.furniture(start.target_poses), start.solids
+        np.testing.assert_array_equal(solids.size[:, : furniture.places], furniture.size)
+        assert solids.places == furniture.places + places
+        rows = start.joint_positions[np.newaxis], start.base_pose[np.newaxis], solids
+        assert not collides(hsr.collision, *rows).any()
+        clutter = solids.beyond(furniture.places)
+        floor = start.target_poses * [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        if places:
+            assert clutter.filled.any()
+            assert clutter.gaps(floor[np.newaxis, :, :3])[0].min() >= 0.7
+            assert furniture.gaps(clutter.centre[..., :3] * [1.0, 1.0, 0.0])[0].min() > 0.1
+    again = task.sample(hsr, np.random.default_rng(4))
+    np.testing.assert_array_equal(again.solids.pose, start.solids.pose)
+
+
+def test_clutter_without_furniture_and_wrong_clutter(hsr):
+    free = load_task("door")
+    assert free.sample(hsr, np.random.default_rng(0)).solids is None
+    assert load_task("door", {"clutter": 0}).clutter == 0
+    with pytest.raises(KinfeasError, match="clutter"):
+        load_task("door", {"clutter": -1})
+
+
+def test_a_file_extends_another(write, tmp_path):
+    base = read_chain(write())
+    (tmp_path / "more.yaml").write_text("extends: task.yaml\nname: more\nstart: {square: 0.5}\n")
+    more = read_chain(tmp_path / "more.yaml")
+    assert more == replace(base, name="more", start=replace(base.start, square=0.5))

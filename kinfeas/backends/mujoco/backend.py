@@ -68,8 +68,8 @@ class MuJoCoBackend(PhysicsBackend):
         if more := snapshot["physics_objects"].shape[1] - self.model.engine.nmocap:
             self._set_places(self._places + more)
         self._provide(n - 1)
-        if (present := self.solids.after()) is not None:
-            self.sims.place_solids(np.arange(n), present)
+        if (bodies := self.solid_bodies()) is not None:
+            self.sims.place_solids(np.arange(n), bodies)
         for key, values in self.sims.state().items():
             values[:n] = snapshot[key]
         width = 3 + len(self.robot.arm)

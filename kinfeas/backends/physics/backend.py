@@ -35,6 +35,8 @@ class PhysicsBackend(ABC):
         scene: Room and furniture; None for a floor only.
         config: Numbers of the physics.
         solids: Solids of all n robots.
+        furniture: Number of their first places that hold the furniture of the scene, which is in
+            the engine already.
     """
 
     engine: ClassVar[str]
@@ -55,7 +57,7 @@ class PhysicsBackend(ABC):
         self.robot, self.scene, self.config = robot, scene, physics or PhysicsConfig()
         self._objects, self._gui = objects, gui
         self._positions = self._velocities = np.empty((0, 3 + len(robot.arm)))
-        self.solids = MovingSolids()
+        self.solids, self.furniture = MovingSolids(), 0
 
     def stage(self, task: Task) -> Stage:
         """Return a task whose episodes also place its objects; call it before any other method."""
@@ -88,8 +90,15 @@ class PhysicsBackend(ABC):
     def place_solids(self, solids: Solids | None, env_ids: NDArray[np.intp]) -> None:
         """Put solids around robots; arguments as in `SupportsSolids`."""
         self.solids.place(solids, env_ids, len(self._positions))
-        if (present := self.solids.after()) is not None:
-            self._place_solids(env_ids, present)
+        if (bodies := self.solid_bodies()) is not None:
+            self._place_solids(env_ids, bodies)
+
+    def solid_bodies(self) -> Solids | None:
+        """Return the solids that are no furniture as they stand now; None without any."""
+        present = self.solids.after()
+        if present is None or present.places <= self.furniture:
+            return None
+        return present.beyond(self.furniture)
 
     def scan(self) -> Array:
         """Return the ranges to solids around the true bases, as in `SupportsScan`."""
@@ -105,8 +114,8 @@ class PhysicsBackend(ABC):
         rows = np.arange(len(self._positions))
         # Contacts at the end of the period are those where the solids stand then.
         self.solids.step(dt)
-        if self.solids.moving.any() and (present := self.solids.after()) is not None:
-            self._move_solids(present)
+        if self.solids.moving.any() and (bodies := self.solid_bodies()) is not None:
+            self._move_solids(bodies)
         self._step(rows, base_twist, joint_targets, dt)
         return self._measure(rows)
 

@@ -68,6 +68,8 @@ class Stage:
         first, scene = self.task.sample(solver, rng), self.scene
         if scene is not None:
             scene = self._placed[row] = self._moved(scene, first)
+        if self._chain and self._known and first.solids is not None:
+            self.backend.furniture = self._chain.furniture(first.target_poses).places
         for number in range(_DRAWS):
             start = self._again(first, solver, rng) if number else first
             if self.backend.place(row, scene, start.base_pose, start.joint_positions):
@@ -103,7 +105,8 @@ class Stage:
         if not self.has_success_condition:
             return None if self._chain and self._chain.scene else reached
         self.settle(joint_positions, dt, row)
-        return self.done(row)
+        must_reach = self._known is not None and self._known.success.reached
+        return False if must_reach and not reached else self.done(row)
 
     def done(self, row: int = 0) -> bool | None:
         """Return whether the objects of a row meet the success condition; None without one."""
@@ -134,7 +137,7 @@ class Stage:
     def _again(self, first: Start, solver: IkSolver, rng: np.random.Generator) -> Start:
         """Return another start; of a task that moves objects, with the goals of `first`."""
         if self._chain:
-            return self._chain.toward(first.target_poses, solver, rng)
+            return self._chain.toward(first.target_poses, solver, rng, first.solids)
         return self.task.sample(solver, rng)
 
     def _moved(self, scene: Scene, start: Start) -> Scene:

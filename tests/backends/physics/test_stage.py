@@ -165,3 +165,33 @@ def test_grasping_needs_a_gripper(hsr):
         check_task("door", wanted, read_scene("room"), bare)
     shut = replace(wanted.success, threshold=0.0)
     check_task("door", replace(wanted, grasped_object=None, success=shut), read_scene("room"), bare)
+
+
+@pytest.mark.parametrize(("name", "bodies"), [("pick_place_cluttered", 8), ("shelf", 0)])
+def test_furniture_is_simulated_once(name, bodies, solver, engine):
+    stage = engine(solver.robot).stage(load_task(name))
+    backend = stage.backend
+    for seed in range(3):
+        start = begin(stage, solver, seed)
+        backend.place_solids(start.solids, np.array([0]))
+        simulated = backend.solid_bodies()
+        assert (simulated.places if simulated else 0) == bodies
+        assert backend.solids.after().places == start.solids.places
+        assert not backend.touched()
+        assert stage.done() is False
+    backend.close()
+    bare = engine(solver.robot, objects=False).stage(load_task(name)).backend
+    bare.reset(start.base_pose[np.newaxis], start.joint_positions[np.newaxis])
+    bare.place_solids(start.solids, np.array([0]))
+    assert bare.solid_bodies().places == start.solids.places
+    bare.close()
+
+
+def test_success_may_include_the_goal(solver, engine, monkeypatch):
+    stage = engine(solver.robot).stage(load_task("room_door"))
+    arrange(stage, solver, stage.scene.with_joints({"door": {"hinge": 1.2}}))
+    assert stage.done() is True
+    joints = np.array([solver.robot.home["home"]])
+    assert stage.task_done(0, joints, 0.02, reached=False) is False
+    assert stage.task_done(0, joints, 0.02, reached=True) is True
+    stage.backend.close()

@@ -1,0 +1,138 @@
+"""Random solids on the floor, and room for robots between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinfeas.config.quantities import Distance, NotNegative, Share
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import Array, compose, planar_pose
+from kinfeas.core.start import Start
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.free_space import connected, footprint
+from kinfeas.kinematics.ik import IkSolver
+from kinfeas.kinematics.solids import collides
+
+SMALLEST = 0.2
+"""Smallest length and width of a solid, metres."""
+
+_WALL, _LOW, _TABLE = 2.0, (0.05, 0.35), (0.5, 0.9)
+"""Heights of solids, metres."""
+
+_REACH = (0.4, 0.9)
+"""Distances from a goal at which the base needs room, metres."""
+
+_CLEARANCE = 0.7
+"""Radius of free discs around base and EE at the start, and around goals, metres."""
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """A grid of random solids; attributes as in `ReachingAmongSolids`."""
+
+    extent: Distance = 8.0
+    spacing: Distance = 1.25
+    jitter: NotNegative = 0.3
+    footprint: tuple[Distance, Distance] = (0.8, 0.6)
+    walls: Share = 1.0 / 3.0
+    cylinders: Share = 0.2
+    speed: tuple[Distance, Distance] = (0.0, 0.0)
+    span: tuple[Distance, Distance] = (2.0, 3.0)
+
+    def draw(self, rng: np.random.Generator, centre: Array) -> Solids:
+        """Return one row of solids around a centre, shape (2,)."""
+        side = int(self.extent / self.spacing)
+        line = (np.arange(side) - (side - 1) / 2.0) * self.spacing
+        grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) + centre
+        k = len(grid)
+        half = rng.uniform(SMALLEST, self.footprint, (k, 2)) / 2.0
+        cylinder = rng.random(k) < self.cylinders
+        half = np.where(cylinder[:, np.newaxis], half[:, 1:], half)
+        kind = rng.random(k)
+        low, table = rng.uniform(*_LOW, k), rng.uniform(*_TABLE, k)
+        height = np.where(kind < (1.0 + self.walls) / 2.0, low, table)
+        height = np.where(kind < self.walls, _WALL, height)
+        yaw, bearing = rng.uniform(-np.pi, np.pi, (2, k))
+        speed = rng.uniform(*self.speed, k)
+        xy = grid + rng.normal(0.0, self.jitter, (k, 2))
+        solids = Solids(
+            pose=np.column_stack([xy, yaw]),
+            size=np.column_stack([half, np.zeros(k), height]),
+            cylinder=cylinder,
+            velocity=speed[:, np.newaxis] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1),
+            span=rng.uniform(*self.span, k),
+        )
+        return Solids(**{name: values[np.newaxis] for name, values in vars(solids).items()})
+
+
+def with_clutter(
+    solver: IkSolver, start: Start, furniture: Solids, places: int, rng: np.random.Generator
+) -> Solids:
+    """Return one row of the furniture and of at most `places` random solids after it.
+
+    These leave start and goals free and do not touch the furniture; the nearest to the ways from
+    goal to goal are taken.
+    """
+    ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
+    goals = start.target_poses[:, :2]
+    way = np.vstack([start.base_pose[:2], goals])
+    drawn = Clutter().draw(rng, (way.min(axis=0) + way.max(axis=0)) / 2.0)
+    ends = np.vstack([way, ee[:2]])
+    ends = np.column_stack([ends, np.zeros(len(ends))])[np.newaxis]
+    near = drawn.gaps(ends)[0][0].min(axis=0) < _CLEARANCE
+    centres = drawn.centre[0, :, :2]
+    around = np.column_stack([centres, np.zeros(len(centres))])[np.newaxis]
+    gaps = furniture.gaps(around)[0][0].min(axis=1, initial=np.inf)
+    overlaps = gaps < np.linalg.norm(drawn.size[0, :, :2], axis=1)
+    away = np.linalg.norm(centres - way[:, np.newaxis], axis=2)
+    legs = np.linalg.norm(np.diff(way, axis=0), axis=1)[:, np.newaxis]
+    detour = (away[1:] + away[:-1] - legs).min(axis=0)
+    left_out = near | overlaps | touches_robot(solver, start, drawn)
+    order = np.argsort(np.where(left_out, np.inf, detour), kind="stable")
+    order = order[: min(places, int(np.sum(~left_out)))]
+    joined = Solids.empty(1, furniture.places + places)
+    for name, values in vars(joined).items():
+        values[:, : furniture.places] = getattr(furniture, name)
+        values[:, furniture.places : furniture.places + len(order)] = getattr(drawn, name)[:, order]
+    return joined
+
+
+def touches_robot(solver: IkSolver, start: Start, solids: Solids) -> NDArray[np.bool_]:
+    """Return which of one row of k solids touch the robot at its start, shape (k,)."""
+    alone = Solids(**{name: np.swapaxes(values, 0, 1) for name, values in vars(solids).items()})
+    n = len(alone.pose)
+    joints, base = np.tile(start.joint_positions, (n, 1)), np.tile(start.base_pose, (n, 1))
+    touching: NDArray[np.bool_] = np.any(collides(solver.collision, joints, base, alone), axis=1)
+    return touching
+
+
+def free_places(solver: IkSolver, start: Start, goal: Array, moments: Solids) -> Array:
+    """Return base poses near a goal, heading for it, that solids leave free, shape (m, 7).
+
+    Args:
+        solver: The robot's kinematics.
+        start: Start of the episode.
+        goal: World pose of the EE, shape (7,).
+        moments: The same solids at some moments, one a row.
+    """
+    turns = np.linspace(-np.pi, np.pi, 24, endpoint=False)
+    bearing, away = np.tile(turns, len(_REACH)), np.repeat(_REACH, len(turns))
+    x, y = goal[0] - away * np.cos(bearing), goal[1] - away * np.sin(bearing)
+    base = planar_pose(x, y, bearing)
+    for row in range(len(moments.pose)):
+        joints = np.tile(start.joint_positions, (len(base), 1))
+        solids = moments.of(np.full(len(base), row, dtype=np.intp))
+        base = base[~collides(solver.collision, joints, base, solids)[:, 0]]
+    return base
+
+
+def all_reachable(solver: IkSolver, start: Start, solids: Solids) -> bool:
+    """Return whether a disc within the base can be driven to a free place near each goal."""
+    places = [free_places(solver, start, goal, solids) for goal in start.target_poses]
+    if not all(len(one) for one in places):
+        return False
+    disc = footprint(solver.collision)
+    found = connected(solids, start.base_pose[:2], np.concatenate(places)[:, :2], disc)
+    parts = np.split(found, np.cumsum([len(one) for one in places])[:-1])
+    return all(part.any() for part in parts)
