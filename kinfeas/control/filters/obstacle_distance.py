@@ -35,7 +35,7 @@ class VelocityConstraints:
         full: Velocity of a full command in each direction, shape (a,), m/s; rotation at `_LEVER`.
         normal: Share of each velocity that approaches each of k obstacles, shape (n, k, a).
         limit: Allowed approach velocities, shape (n, k), m/s; inf without obstacle, negative where
-            the base must give way to an obstacle that moves.
+            the base must move away.
     """
 
     full: Array
@@ -65,7 +65,8 @@ class VelocityConstraints:
 class ObstacleFilter:
     """Limits the velocity towards near obstacles, so that the base can brake in time.
 
-    The base gives way to obstacles that move towards it, where the backend measures their speed.
+    Where the backend measures closing speeds, the base gives way to obstacles that move towards it,
+    and restores a distance that is too small.
 
     A velocity damper (Faverjon and Tournassoud, "A local based approach for path planning of
     manipulators with a high number of degrees of freedom", 1987). The backend must measure
@@ -113,8 +114,11 @@ class ObstacleFilter:
             raise KinfeasError(f"{name} must return ObstacleDistances of {n} robots")
         way = np.maximum(found.distance - self.min_distance, 0.0)
         limit = np.minimum(np.sqrt(self._braking * way), way / (2.0 * self._loop.dt))
-        if found.closing_speed is not None:  # receding ones may turn back
-            limit = limit - np.maximum(found.closing_speed, 0.0)
+        if found.closing_speed is not None:
+            # A turn leads a little off the straight way, so the base restores the distance.
+            near = np.minimum(found.distance - self.min_distance, 0.0) / (2.0 * self._loop.dt)
+            # Receding obstacles may turn back.
+            limit = limit + near - np.maximum(found.closing_speed, 0.0)
         normal = _approach(found, len(self._full))
         # The rotation limit is a constraint as well, so that a projection does not exceed it.
         turns = np.zeros((n, 2, len(self._full)))

@@ -161,6 +161,14 @@ def test_a_base_gives_way_to_what_comes_nearer(robot):
     np.testing.assert_allclose(held * robot.base.max_velocity, [-0.1, 0.0, 0.0], atol=1e-5)
 
 
+def test_a_distance_that_is_too_small_is_restored_where_speeds_are_known(robot):
+    ahead, near = np.array([[[1.0, 0.0]]]), np.array([[KEPT - 0.01]])
+    for speed, away in ((np.zeros((1, 1)), 0.01 / (2.0 * DT)), (None, 0.0)):
+        answer = ObstacleDistances(0.3 * ahead, ahead, near, speed)
+        held = constraints(robot, Fixed(lambda one=answer: one)).hold(np.ones((1, 1, 3)))[0, 0]
+        assert held[0] * robot.base.max_velocity == pytest.approx(-away, abs=1e-5)
+
+
 def test_a_base_that_cannot_turn_fast_enough_slows_down(robot):
     point, ahead = np.array([[[0.3, 0.05]]]), np.array([[[1.0, 0.0]]])
     corner = Fixed(lambda: ObstacleDistances(point, ahead, np.array([[KEPT]])))
