@@ -17,7 +17,12 @@ from kinfeas.tasks.loading import load_task
 
 TASKS = ("ggr_obstacles", "ggr_dynamic")
 POLICIES = ("pretrained/rooms", "pretrained", "geometric_modulation")
-FILTERS = ((), ("obstacle_distance",), ("obstacle_distance", "feasibility"))
+FILTERS = (
+    (),
+    ("obstacle_distance",),
+    ("obstacle_distance", "feasibility"),
+    ("rollout_planner", "obstacle_distance"),
+)
 CEILING = "upper bound"
 
 
