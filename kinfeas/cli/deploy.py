@@ -236,6 +236,7 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
     """Return scene, objects and solids of the record; the episode is drawn in advance."""
     import numpy as np
 
+    from kinfeas.backends.physics.backend import PhysicsBackend
     from kinfeas.core.backend import SupportsSolids
     from kinfeas.sim2real.deploy.runtime import TaskWithObjects
 
@@ -245,7 +246,10 @@ def _drawn_scene(setup: "Setup") -> dict[str, Any]:
         return drawn
     start = task.sample(setup.solver, np.random.default_rng((setup.seed, 0)))
     if start.solids is not None:
-        drawn["solids"] = tuple(map(tuple, start.solids.table.tolist()))
+        solids = start.solids
+        if isinstance(setup.backend, PhysicsBackend):  # furniture is drawn as a scene
+            solids = solids.beyond(setup.backend.furniture)
+        drawn["solids"] = tuple(map(tuple, solids.table.tolist()))
     if isinstance(task, TaskWithObjects):
         scene, poses = task.drawn()
         objects = {name: tuple(pose.tolist()) for name, pose in poses.items()}

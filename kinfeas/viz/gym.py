@@ -42,6 +42,8 @@ class RenderedMotionEnv(BaseMotionEnv):
         loop = self.world.loop
         state, backend = loop.state, self.world.backend
         present = backend.solids.after() if isinstance(backend, SupportsSolids) else None
+        if isinstance(backend, PhysicsBackend):  # furniture is visible already
+            present = backend.solid_bodies()
         around = present.of(np.array([0])) if present else None
         now = Recording(
             0, state.base_pose[:1], state.joint_positions[:1], loop.desired[:1], loop.ee_pose[:1],

@@ -52,6 +52,8 @@ def make_film(world: World, policy: Policy, episode: int) -> PhysicsFilm:
     )
     if not stage.has_success_condition:
         recording = replace(recording, task_done=None)
+    if recording.solids is not None:  # furniture is visible already
+        recording = replace(recording, solids=recording.solids.beyond(backend.furniture))
     title = f"{TITLES.get(world.robot.name, world.robot.name)}, {world.task.name}"
     return PhysicsFilm(recording, title, shapes, links, moments)
 
