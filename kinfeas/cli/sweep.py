@@ -95,16 +95,15 @@ def _table(results: Sequence["Result"]) -> "Table":
     """Return a table of trials, the best ones first."""
     from rich.table import Table
 
-    keys = list(dict.fromkeys(key for one in results for key in one["values"]))
     table = Table(
         title="score: mean of success and of EE deviation below 5 cm", title_justify="left"
     )
-    for name in ("trial", "state", "score", *(key.rpartition(".")[2] for key in keys)):
-        table.add_column(name, justify="left" if name == "state" else "right")
+    for name in ("trial", "state", "score", "values"):
+        table.add_column(name, justify="right" if name in ("trial", "score") else "left")
     for one in sorted(results, key=lambda one: -one.get("score", -1.0)):
         score = f"{one['score']:.3f}" if "score" in one else "-"
-        values = (_entry(one["values"].get(key, "-")) for key in keys)
-        table.add_row(str(one["number"]), one["state"], score, *values)
+        values = (f"{key.rpartition('.')[2]}={_entry(one['values'][key])}" for key in one["values"])
+        table.add_row(str(one["number"]), one["state"], score, " ".join(values))
     return table
 
 
