@@ -115,6 +115,7 @@ def search_figure(results: Sequence[Mapping[str, Any]], importances: Mapping[str
         numbers = [one["number"] for one in complete]
         history.step(numbers, best, where="post", color=EE, lw=1.6, zorder=1.5, label="best")
         history.set(xlabel="trial", title="score")
+        history.xaxis.get_major_locator().set_params(integer=True)
         history.legend(loc="lower right")
         names = sorted(importances, key=lambda key: importances[key])
         shares.barh(names, [importances[name] for name in names], color=BASE)
