@@ -30,6 +30,8 @@ _STEPS_PER_FRAME = 2
 _FRAMES_PER_PLOT = 6
 _TRAIL = 500  # frames that paths and plots show
 _SECOND = "#e3d5c0", GOAL  # colours of the second robot
+_NO_PLOTS = "<style>@media (max-width: 36em) {.uplot-container {display: none}}</style>"
+"""Hides plots where the controls lie below the picture, as on phones."""
 _LOW = 0.5  # m, height of the parts that make the footprint of a base
 
 
@@ -222,6 +224,7 @@ class PlayPage:
 
     def _add_controls(self) -> None:
         gui, choice = self.server.gui, self.choice
+        gui.add_html(_NO_PLOTS)
         self._status = gui.add_markdown("loading")
         pause = gui.add_button("Pause")
         reset = gui.add_button("Reset")
@@ -351,11 +354,11 @@ class PlayPage:
 
 
 def _make_room(client: Any) -> None:
-    """Move the view above the controls, which cover the lower part of a phone."""
+    """Move the view above the controls, which cover the lowest quarter of a phone."""
     if client.camera.aspect < 1.0:
         with client.atomic():
             client.camera.position = np.array([2.6, -2.9, 2.2])
-            client.camera.look_at = np.array([0.2, 0.0, -1.0])
+            client.camera.look_at = np.array([0.2, 0.0, -0.7])
 
 
 def _order(name: str) -> tuple[bool, bool, str]:
