@@ -14,7 +14,7 @@ from kinfeas.kinematics.solids import collides
 from kinfeas.robots.robot import exceeds_joint_velocity
 
 _CANDIDATES = 32
-_ROUNDS = ((0, 8), (8, _CANDIDATES))
+_ROUNDS = ((0, 8), (8, None))
 """Ranks, nearest first, of the candidates tried in each round, until one is feasible."""
 
 
