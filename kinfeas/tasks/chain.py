@@ -285,12 +285,15 @@ def read_chain(path: Path, changes: Mapping[str, object] | None = None) -> Chain
     return changed
 
 
-def _read(path: Path) -> dict[str, object]:
+def _read(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, object]:
+    if path.resolve() in extended_by:
+        raise KinfeasError(f"{path}: 'extends' leads back to this file")
     data = {key: _located(entry, path.parent) for key, entry in strict_yaml.read(path).items()}
     base = data.pop("extends", None)
     if base is None:
         return data
-    changed: dict[str, object] = _changed(_read(Path(str(base))), data, str(path))
+    below = _read(Path(str(base)), (*extended_by, path.resolve()))
+    changed: dict[str, object] = _changed(below, data, str(path))
     return changed
 
 

@@ -198,3 +198,10 @@ def test_a_file_extends_another(write, tmp_path):
     (tmp_path / "more.yaml").write_text("extends: task.yaml\nname: more\nstart: {square: 0.5}\n")
     more = read_chain(tmp_path / "more.yaml")
     assert more == replace(base, name="more", start=replace(base.start, square=0.5))
+
+
+def test_files_that_extend_each_other_are_refused(tmp_path):
+    for one, other in (("a", "b"), ("b", "a")):
+        (tmp_path / f"{one}.yaml").write_text(f"extends: {other}.yaml\nname: {one}\n")
+    with pytest.raises(KinfeasError, match="leads back"):
+        read_chain(tmp_path / "a.yaml")
