@@ -244,8 +244,11 @@ class ChainTask:
         """
         if self.scene is None:
             return Solids.empty(1)
-        grasped = self.scene.grasped_object
-        scene = _scene(self.scene.name).with_poses(self.object_poses(targets))
+        return self.solids_of(_scene(self.scene.name).with_poses(self.object_poses(targets)))
+
+    def solids_of(self, scene: Scene) -> Solids:
+        """Return the furniture of a scene as one row of solids, without grasped links."""
+        grasped = self.scene.grasped_object if self.scene else None
         return furniture_solids(scene, (grasped.object, grasped.link) if grasped else None)
 
     def object_poses(self, targets: Array) -> dict[str, Array]:

@@ -44,6 +44,9 @@ class Stage:
         self._placed: dict[int, Scene] = {}
         self._chain = task if isinstance(task, ChainTask) else None
         self._known = self._chain.scene if self._chain and self.scene else None
+        backend.furniture = 0
+        if self._chain and self.scene and self._chain.clutter is not None:
+            backend.furniture = self._chain.solids_of(self.scene).places
         if self._known and self.scene:
             check_task(self.name, self._known, self.scene, backend.robot)
             if grasped := self._known.grasped_object:
@@ -68,8 +71,6 @@ class Stage:
         first, scene = self.task.sample(solver, rng), self.scene
         if scene is not None:
             scene = self._placed[row] = self._moved(scene, first)
-        if self._chain and self._known and first.solids is not None:
-            self.backend.furniture = self._chain.furniture(first.target_poses).places
         for number in range(_DRAWS):
             start = self._again(first, solver, rng) if number else first
             if self.backend.place(row, scene, start.base_pose, start.joint_positions):

@@ -1,6 +1,6 @@
 """The feasibility filter: base commands that the arm can follow."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,14 @@ class FeasibilityFilter:
     obstacle filters before this one.
     """
 
+    speeds: ClassVar[tuple[float, ...]] = (1.0,)
+    """Shares of the speed of the candidates, which are tried with each."""
+
     def reset(self, loop: Any, rows: NDArray[np.intp]) -> None:
         """Use the kinematics of a loop; arguments as in `CommandFilter`."""
         self._loop, self._robot = loop, loop.robot
-        self.candidates: Array = 2.0 * spread(_CANDIDATES, loop.command_size) - 1.0
+        fast = 2.0 * spread(_CANDIDATES, loop.command_size) - 1.0
+        self.candidates: Array = np.concatenate([speed * fast for speed in self.speeds])
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands where there are any; arguments as in `CommandFilter`."""

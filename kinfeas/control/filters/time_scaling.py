@@ -1,22 +1,16 @@
 """Time scaling: the EE slows down or waits where no base command lets the arm follow."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.config.quantities import NotNegative
 from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.core.motion import Rows
 from kinfeas.core.policy import PolicyInput
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import IkSolution
 
 _SHARES = (1.0, 0.5, 0.25, 0.0)
 """Time scales that are tried, until there is a feasible command."""
-
-_SPEEDS = (1.0, 0.3, 0.1)
-"""Shares of the candidates' speeds; near joint limits the arm only follows a slow base."""
 
 
 class TimeScalingFilter(FeasibilityFilter):
@@ -31,13 +25,11 @@ class TimeScalingFilter(FeasibilityFilter):
             where no candidate has a smaller one.
     """
 
+    # Near joint limits the arm only follows a slow base.
+    speeds = (1.0, 0.3, 0.1)
+
     def __init__(self, max_deviation: NotNegative = 0.01) -> None:
         self.max_deviation = max_deviation
-
-    def reset(self, loop: Any, rows: Rows) -> None:
-        """Use the kinematics of a loop; arguments as in `CommandFilter`."""
-        super().reset(loop, rows)
-        self.candidates = np.concatenate([speed * self.candidates for speed in _SPEEDS])
 
     def __call__(self, command: Array, policy_input: PolicyInput) -> Array:
         """Return feasible commands; arguments as in `CommandFilter`."""
