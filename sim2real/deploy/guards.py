@@ -35,75 +35,10 @@ from kinfeas.core.spatial import Array
 from kinfeas.robots.robot import Robot, joint_displacement
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.rate import Clock, Rate
+from kinfeas.sim2real.deploy.state_monitor import StateMonitor, check_limit
 from kinfeas.sim2real.link.scans import beam
 
 _CREEP = 0.02  # m/s up to which the base may drive into a blind direction
-_UNIT = 1e-2  # deviation of a quaternion's norm from 1
-
-
-class StateMonitor:
-    """Checks one measurement after the other, and the clocks they are dated by."""
-
-    def __init__(self, backend: Backend, robot: Robot, guards: Guards, clock: Clock) -> None:
-        self._source = f"backend {type(backend).__name__}"
-        self._robot, self._guards, self._clock = robot, guards, clock
-        self._needs_age = isinstance(backend, RealTimeBackend)
-        self._start: Array | None = None
-        self._last: Array = np.empty(7)
-        self._times = np.empty(2)
-
-    def begin(self, state: RobotState) -> None:
-        """Take a measurement as the start of a run; raise Fault if it exceeds a limit."""
-        self._start = None
-        self._times = np.array([self._clock.monotonic(), self._clock.wall()])
-        self.check(state)
-        self._start = self._last
-
-    def check(self, state: RobotState) -> None:
-        """Raise Fault if a measurement, or the time since the last one, exceeds a limit."""
-        elapsed = self._check_clocks()
-        check_state(state, 1, len(self._robot.arm), self._source)
-        if state.age is not None:
-            self._check_age(state.age)
-        elif self._needs_age:
-            raise Fault(f"{self._source}: a real robot must return the age of its state")
-        self._check_pose(state.base_pose[0], elapsed)
-        self._check_joints(state.joint_positions[0])
-        self._last = state.base_pose[0].copy()
-
-    def _check_clocks(self) -> float:
-        before, self._times = self._times, np.array([self._clock.monotonic(), self._clock.wall()])
-        elapsed, wall = (self._times - before).tolist()
-        _limit("the control period took {} s", elapsed, self._guards.max_period)
-        skew = abs(wall - elapsed)
-        _limit("the system's clock was set by {} s", skew, self._guards.max_clock_skew)
-        return float(elapsed)
-
-    def _check_age(self, age: Array) -> None:
-        _limit("the newest measurement is {} s old", age[0], self._guards.max_age)
-        _limit("a measurement is {} s in the future", -age[0], self._guards.max_clock_skew)
-
-    def _check_pose(self, pose: Array, elapsed: float) -> None:
-        guards, base = self._guards, self._robot.base
-        if abs(float(np.linalg.norm(pose[3:])) - 1.0) > _UNIT:
-            raise Fault("the orientation of the measured base_pose is not a unit quaternion")
-        tilt = 2.0 * float(np.hypot(pose[3], pose[4]))
-        _limit("the base leans by {} rad", tilt, guards.max_tilt)
-        if self._start is None:
-            return
-        away = float(np.hypot(*(pose - self._start)[:2]))
-        _limit("the base is {} m from its start", away, guards.max_distance)
-        metres, radians = map(float, spatial.distance(self._last, pose))
-        jump = "the measured base pose jumped by {} "
-        _limit(f"{jump}m", metres, guards.pose_jump + base.max_velocity * elapsed)
-        _limit(f"{jump}rad", radians, guards.heading_jump + base.max_rotation * elapsed)
-
-    def _check_joints(self, joints: Array) -> None:
-        lower, upper = self._robot.joint_limits
-        outside = np.maximum(lower - joints, joints - upper)
-        worst = int(np.argmax(outside))
-        name, most = self._robot.arm[worst].name, self._guards.joint_tolerance
-        _limit(f"joint {name} is measured {{}} beyond its limits", float(outside[worst]), most)
 
 
 class _Wrapper(BackendWrapper):
@@ -205,7 +140,7 @@ class SafetyFilter(_Wrapper):
         if not isinstance(self.backend, SupportsMeasuredScan):
             return super()._scan()
         scan = self.backend.measured_scan()
-        _limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
+        check_limit("the newest scan is {} s old", scan.age, self._guards.max_scan_age)
         if scan.blind.all():
             raise Fault("the scan is blind in all directions")
         self._blind = scan.blind
@@ -238,7 +173,7 @@ class SafetyFilter(_Wrapper):
         """Check the age of the measurement from which the command was computed."""
         elapsed = self._clock.monotonic() - self._measured
         age = elapsed + (0.0 if self._state.age is None else float(self._state.age[0]))
-        _limit("the command is made of a measurement {} s old", age, self._guards.max_age)
+        check_limit("the command is made of a measurement {} s old", age, self._guards.max_age)
 
     def _arm_targets(self, targets: Array, dt: float) -> Array:
         """Return targets that the arm can reach within `dt`, or where it is to hold, shape (j,)."""
@@ -391,9 +326,3 @@ def _shortened(velocity: Array, linear: float, angular: float) -> Array:
     length = float(np.hypot(*velocity[:2]))
     scale = linear / length if length > linear else 1.0
     return np.array([*(velocity[:2] * scale), np.clip(velocity[2], -angular, angular)])
-
-
-def _limit(sentence: str, value: float, most: float) -> None:
-    """Raise Fault if a value is above a limit, or not a number."""
-    if not value <= most:
-        raise Fault(f"{sentence.format(f'{value:.4g}')}, at most {most:.3g} is allowed")
