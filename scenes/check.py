@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, Array, compose, make_pose, rotation
 from kinfeas.robots.elements import Element, read_xml
-from kinfeas.robots.urdf import SLACK, Shape, Urdf, read_moments
+from kinfeas.robots.urdf import Shape, Urdf
+from kinfeas.robots.urdf_file import SLACK, read_moments
 from kinfeas.scenes.objects import SceneObject, moving_joint
 
 _DOWN = np.array([0.0, 0.0, -1.0])

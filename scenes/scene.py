@@ -13,7 +13,8 @@ from kinfeas.config.quantities import Vector
 from kinfeas.core.errors import KinfeasError, no_such
 from kinfeas.core.spatial import Array, compose, make_pose
 from kinfeas.io.files import is_path, reading
-from kinfeas.robots.urdf import Urdf, parse_urdf
+from kinfeas.robots.urdf import Urdf
+from kinfeas.robots.urdf_file import parse_urdf
 from kinfeas.scenes.check import check, check_inertia, check_places
 from kinfeas.scenes.objects import (
     Handle,

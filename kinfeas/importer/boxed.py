@@ -22,7 +22,8 @@ from kinfeas.robots.elements import (
     read_xml,
     set_origin,
 )
-from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf, read_shape, urdf_of
+from kinfeas.robots.urdf import Joint, Shape, ShapeKind, Urdf
+from kinfeas.robots.urdf_file import read_shape, urdf_of
 
 FORMATS = (".stl", ".obj", ".dae", ".ply", ".glb", ".off")
 MAX_MESH_BYTES = 200_000_000

@@ -36,7 +36,8 @@ from kinfeas.robots.spec import (
     PoseTolerance,
     RobotSpec,
 )
-from kinfeas.robots.urdf import Joint, Urdf, urdf_of
+from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.robots.urdf_file import urdf_of
 
 _HARD = 0.2
 """Share of reachable goals below which no height is worth learning."""

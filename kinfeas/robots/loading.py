@@ -13,7 +13,8 @@ from kinfeas.core.spatial import Array
 from kinfeas.io.files import is_path
 from kinfeas.robots.robot import ArmJoint, Base, Robot
 from kinfeas.robots.spec import MAX_JOINT_VELOCITY, Gripper, RobotSpec
-from kinfeas.robots.urdf import Joint, Urdf, parse_urdf
+from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.robots.urdf_file import parse_urdf
 
 
 def load_robot(name_or_path: str) -> Robot:

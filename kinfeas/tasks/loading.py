@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinfeas.core import registry
 from kinfeas.io.files import is_path
-from kinfeas.tasks.chain import read_chain
+from kinfeas.tasks.chain_file import read_chain
 from kinfeas.tasks.task import Task
 
 

@@ -7,7 +7,7 @@ from kinfeas.envs.episodes import run_episodes
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.robots.loading import load_robot
-from kinfeas.tasks.chain import pick_place
+from kinfeas.tasks.chain_file import pick_place
 from kinfeas.tasks.ggr import ggr
 
 NOISY = WorldConfig(

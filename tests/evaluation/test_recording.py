@@ -8,7 +8,7 @@ from kinfeas.evaluation.reachability import A_SUBGOAL, draw_goals, draw_waypoint
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward
 from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.tasks.chain import pick_place
+from kinfeas.tasks.chain_file import pick_place
 from kinfeas.tasks.ggr import ggr
 
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)

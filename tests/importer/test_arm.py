@@ -6,7 +6,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf
 
 
 def fixed(joint, kind="prismatic"):

@@ -9,7 +9,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import rotation
 from kinfeas.importer.arm import find_arm, place
 from kinfeas.importer.boxed import MARGIN, boxed_urdf, fit_primitives, on_the_floor
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf
 
 trimesh = pytest.importorskip("trimesh")
 

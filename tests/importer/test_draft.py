@@ -17,7 +17,7 @@ from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.robots.loading import read_robot
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf
 from tests.importer.conftest import STUCK
 
 LIMITS = 'lower="-2" upper="2"'

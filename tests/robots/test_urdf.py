@@ -9,7 +9,7 @@ import pytest
 from kinfeas import robots
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.elements import Element, find_mesh
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf
 
 SHIPPED = {name: getattr(robots, name)().with_suffix(".urdf") for name in ("pr2", "tiago", "hsr")}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.spatial import IDENTITY, distance
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf
 from kinfeas.scenes import scene as scenes
 from kinfeas.scenes.check import Solids
 from kinfeas.scenes.objects import SceneObject, rest_positions

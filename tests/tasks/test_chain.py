@@ -8,7 +8,7 @@ from kinfeas.core.spatial import rotation, wrap, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
 from kinfeas.kinematics.solids import collides
-from kinfeas.tasks.chain import door, drawer, pick_place, read_chain
+from kinfeas.tasks.chain_file import door, drawer, pick_place, read_chain
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec
 

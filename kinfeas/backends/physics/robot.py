@@ -12,7 +12,8 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import Array, compose, planar_pose, rotation, wrap
 from kinfeas.robots.elements import Element, find_mesh, numbers_text, read_xml, set_origin
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import MOMENTS, SLACK, Joint, Urdf, read_moments
+from kinfeas.robots.urdf import Joint, Urdf
+from kinfeas.robots.urdf_file import MOMENTS, SLACK, read_moments
 
 PLANAR_JOINTS = ("planar_x_joint", "planar_y_joint", "planar_yaw_joint")
 """Joints of the base: along the world's x and y, then about z."""

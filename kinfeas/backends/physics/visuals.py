@@ -7,7 +7,8 @@ from typing import Any
 from kinfeas.backends.physics.robot import physics_urdf
 from kinfeas.robots.elements import Element, parse_xml, read_xml
 from kinfeas.robots.robot import Robot
-from kinfeas.robots.urdf import Shape, read_shape
+from kinfeas.robots.urdf import Shape
+from kinfeas.robots.urdf_file import read_shape
 from kinfeas.scenes.scene import Scene
 
 ROBOT = ""

@@ -28,7 +28,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.robots.elements import read_xml
 from kinfeas.robots.loading import load_robot
-from kinfeas.robots.urdf import parse_urdf
+from kinfeas.robots.urdf_file import parse_urdf
 from tests.backends.conftest import place, stay
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_robot"

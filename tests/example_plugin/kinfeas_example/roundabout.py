@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from kinfeas.tasks.chain import ChainTask, read_chain
+from kinfeas.tasks.chain import ChainTask
+from kinfeas.tasks.chain_file import read_chain
 
 
 def roundabout(**changes: object) -> ChainTask:

@@ -26,7 +26,7 @@ from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.deploy.watchdog import StopCall
-from kinfeas.tasks.chain import read_chain
+from kinfeas.tasks.chain_file import read_chain
 from kinfeas.tasks.task import MotionSpec
 
 DT = 0.02

@@ -1,0 +1,200 @@
+"""Reading of URDF files, with checks."""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import cast, get_args
+
+import numpy as np
+
+from kinfeas.config.quantities import FARTHEST
+from kinfeas.core.spatial import Array
+from kinfeas.robots.elements import Element, read_xml
+from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, descendants
+
+MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+"""Attributes of <inertia>, and their row and column."""
+
+SLACK = 1e-6
+"""Share of a principal moment that counts as rounding."""
+
+_MAX_MASS, _MAX_MOMENT = 1e5, 1e7  # kg and kg m^2
+
+
+def parse_urdf(path: Path) -> Urdf:
+    """Return the links and joints of a URDF file."""
+    return urdf_of(read_xml(path, "robot"))
+
+
+def urdf_of(robot: Element) -> Urdf:
+    """Return the links and joints of an element <robot>.
+
+    Raises:
+        KinfeasError: If they are no tree of supported joints, or a number is missing, not finite or
+            out of its range.
+    """
+    links = {name: _link(name, element) for name, element in _named(robot, "link")}
+    joints = {name: _joint(name, element) for name, element in _named(robot, "joint")}
+    urdf = Urdf(robot.text("name"), links, joints, _find_root(links, joints.values(), robot))
+    if lost := set(links).difference(descendants(urdf.on, urdf.root)):
+        raise robot.error(f"link {min(lost)!r} is on a closed loop of joints")
+    _check_mimics(joints, robot)
+    return urdf
+
+
+def _named(robot: Element, tag: str) -> Iterable[tuple[str, Element]]:
+    names = set()
+    for element in robot.children(tag):
+        name = element.text("name")
+        if name in names:
+            raise robot.error(f"{tag} {name!r}: there are two {tag}s of this name")
+        names.add(name)
+        yield name, Element(element.xml, f"{robot.where}: {tag} {name!r}")
+
+
+def _find_root(links: Mapping[str, Link], joints: Iterable[Joint], robot: Element) -> str:
+    children = set()
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise robot.error(f"joint {joint.name!r}: there is no link {link!r}")
+        if joint.child in children:
+            raise robot.error(f"joint {joint.name!r}: link {joint.child!r} has another parent, too")
+        children.add(joint.child)
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        raise robot.error(f"must have one root link, not {', '.join(roots) or 'none'}")
+    return roots[0]
+
+
+def _check_mimics(joints: Mapping[str, Joint], robot: Element) -> None:
+    for name, joint in joints.items():
+        where, seen, mimic = f"joint {name!r}, <mimic>", {name}, joint.mimic
+        while mimic is not None:
+            if mimic.joint not in joints or not joints[mimic.joint].moves:
+                raise robot.error(f"{where}: there is no moving joint {mimic.joint!r}")
+            if mimic.joint in seen:
+                raise robot.error(f"{where}: the joint follows itself")
+            seen.add(mimic.joint)
+            mimic = joints[mimic.joint].mimic
+
+
+def _link(name: str, element: Element) -> Link:
+    # Physics engines read visual shapes from the same file: they are checked here.
+    _shapes(element.children("visual"))
+    collisions = element.children("collision")
+    shapes = tuple(_shapes(collisions))
+    return Link(name, _mass(element), shapes, len(shapes) < len(collisions))
+
+
+def _mass(link: Element) -> float:
+    inertial = link.child("inertial")
+    if inertial is None:
+        return 0.0
+    inertial.origin()
+    read_moments(inertial.need("inertia"))
+    return inertial.need("mass").number("value", limit=_MAX_MASS, minimum=0.0)
+
+
+def read_moments(inertia: Element) -> Array:
+    """Return the matrix of an <inertia>, shape (3, 3), kg m^2."""
+    moments = np.zeros((3, 3))
+    for name, (row, column) in MOMENTS.items():
+        default, minimum = (None, 0.0) if row == column else (0.0, -math.inf)
+        value = inertia.number(name, default, _MAX_MOMENT, minimum)
+        moments[row, column] = moments[column, row] = value
+    return moments
+
+
+def _shapes(elements: Iterable[Element]) -> list[Shape]:
+    return [shape for shape in map(read_shape, elements) if shape]
+
+
+def read_shape(element: Element) -> Shape | None:
+    """Return the primitive of a <visual> or <collision>, or None if it is a mesh."""
+    pose, geometry = element.origin(), element.need("geometry")
+    if box := geometry.child("box"):
+        return Shape("box", box.positive("size", 3), pose)
+    if cylinder := geometry.child("cylinder"):
+        size = (*cylinder.positive("radius"), *cylinder.positive("length"))
+        return Shape("cylinder", size, pose)
+    if sphere := geometry.child("sphere"):
+        return Shape("sphere", sphere.positive("radius"), pose)
+    if mesh := geometry.child("mesh"):
+        mesh.text("filename")
+        mesh.vector("scale", 3, (1.0, 1.0, 1.0))
+        return None
+    raise geometry.error("must hold a <box>, <cylinder>, <sphere> or <mesh>")
+
+
+def _joint(name: str, element: Element) -> Joint:
+    kind = element.text("type")
+    if kind not in get_args(JointKind):
+        raise element.error(f"type must be one of {', '.join(get_args(JointKind))}, not {kind!r}")
+    fixed = kind == "fixed"
+    lower, upper = (0.0, 0.0) if fixed else _limits(element, kind)
+    soft_lower, soft_upper = _soft_limits(element, kind, lower, upper)
+    limit, dynamics, mimic = map(element.child, ("limit", "dynamics", "mimic"))
+    velocity, effort, damping, friction = math.inf, math.inf, 0.0, 0.0
+    if limit is not None:
+        velocity = limit.number("velocity", 0.0, minimum=0.0)
+        effort = limit.number("effort", math.inf, minimum=0.0)
+    if dynamics is not None:
+        damping = dynamics.number("damping", 0.0, minimum=0.0)
+        friction = dynamics.number("friction", 0.0, minimum=0.0)
+    return Joint(
+        name=name,
+        kind=cast("JointKind", kind),
+        parent=element.need("parent").text("link"),
+        child=element.need("child").text("link"),
+        origin=element.origin(),
+        axis=(1.0, 0.0, 0.0) if fixed else _axis(element),  # exporters write 0 0 0 for fixed joints
+        lower=lower,
+        upper=upper,
+        soft_lower=soft_lower,
+        soft_upper=soft_upper,
+        velocity=0.0 if fixed else velocity,
+        effort=0.0 if fixed else effort,
+        damping=damping,
+        friction=friction,
+        mimic=None if fixed or mimic is None else _mimic(mimic),
+    )
+
+
+def _limits(joint: Element, kind: str) -> tuple[float, float]:
+    if kind == "continuous":
+        return -math.inf, math.inf
+    limit = joint.need("limit")
+    lower, upper = limit.number("lower", 0.0), limit.number("upper", 0.0)
+    if lower > upper:
+        raise limit.error(f"'lower' is {lower:g}, above 'upper', which is {upper:g}")
+    return lower, upper
+
+
+def _soft_limits(joint: Element, kind: str, lower: float, upper: float) -> tuple[float, float]:
+    safety = joint.child("safety_controller")
+    if safety is None or kind in ("fixed", "continuous"):
+        return lower, upper
+    soft = safety.number("soft_lower_limit", lower), safety.number("soft_upper_limit", upper)
+    if not lower <= soft[0] <= soft[1] <= upper:
+        raise safety.error(
+            f"soft limits {soft[0]:g} to {soft[1]:g} are not in {lower:g} to {upper:g}"
+        )
+    return soft
+
+
+def _axis(joint: Element) -> tuple[float, float, float]:
+    element, default = joint.child("axis"), (1.0, 0.0, 0.0)
+    if element is None:
+        return default
+    axis = np.array(element.vector("xyz", 3, default))
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        raise joint.error("the axis must not be zero")
+    x, y, z = (axis / length).tolist()
+    return x, y, z
+
+
+def _mimic(element: Element) -> Mimic:
+    numbers = element.number("multiplier", 1.0, FARTHEST), element.number("offset", 0.0, FARTHEST)
+    return Mimic(element.text("joint"), *numbers)
