@@ -29,7 +29,19 @@ _CLEARANCE = 0.7
 
 @dataclass(frozen=True)
 class Clutter:
-    """A grid of random solids; attributes as in `ReachingAmongSolids`."""
+    """Random solids on a square grid, with Gaussian jitter and random yaw.
+
+    Attributes:
+        extent: Side of the square of solids, metres.
+        spacing: Distance of the grid, metres.
+        jitter: Standard deviation from the grid, metres.
+        footprint: Largest length and width of a solid, metres; the smallest are 0.2 m.
+        walls: Share of solids as high as the robot; half of the others is as low as a step, the
+            other half as high as a table.
+        cylinders: Share of cylinders, whose diameter is the width.
+        speed: Smallest and largest speed of the solids, m/s.
+        span: Smallest and largest way after which moving solids turn back, metres.
+    """
 
     extent: Distance = 8.0
     spacing: Distance = 1.25
@@ -40,7 +52,7 @@ class Clutter:
     speed: tuple[Distance, Distance] = (0.0, 0.0)
     span: tuple[Distance, Distance] = (2.0, 3.0)
 
-    def draw(self, rng: np.random.Generator, centre: Array) -> Solids:
+    def draw_solids(self, rng: np.random.Generator, centre: Array) -> Solids:
         """Return one row of solids around a centre, shape (2,)."""
         side = int(self.extent / self.spacing)
         line = (np.arange(side) - (side - 1) / 2.0) * self.spacing
@@ -77,7 +89,7 @@ def with_clutter(
     ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
     goals = start.target_poses[:, :2]
     way = np.vstack([start.base_pose[:2], goals])
-    drawn = Clutter().draw(rng, (way.min(axis=0) + way.max(axis=0)) / 2.0)
+    drawn = Clutter().draw_solids(rng, (way.min(axis=0) + way.max(axis=0)) / 2.0)
     ends = np.vstack([way, ee[:2]])
     ends = np.column_stack([ends, np.zeros(len(ends))])[np.newaxis]
     near = drawn.gaps(ends)[0][0].min(axis=0) < _CLEARANCE

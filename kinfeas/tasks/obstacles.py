@@ -1,12 +1,12 @@
 """Goal reaching among random solids that stand or move."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from kinfeas import config
-from kinfeas.config.quantities import Count, Distance, NotNegative, Share
+from kinfeas.config.quantities import Count, Distance, NotNegative
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import compose
@@ -22,24 +22,15 @@ _MOMENTS = 16
 
 
 @dataclass(frozen=True)
-class ReachingAmongSolids(GoalReaching):
+class ReachingAmongSolids(GoalReaching, Clutter):
     """Reach a random EE pose among boxes and cylinders on the floor.
 
-    Solids are placed on a square grid with Gaussian jitter and random yaw, around the middle
-    between start and goal. Those that would touch the robot at its start, or the goal, are left
-    out, and goals without room for the base are drawn again. The `places` nearest solids remain.
+    The grid of solids is around the middle between start and goal. Those that would touch the robot
+    at its start, or the goal, are left out, and goals without room for the base are drawn again.
+    The `places` nearest solids remain. Other attributes are those of `Clutter`.
 
     Attributes:
         places: Largest number of solids.
-        extent: Side of the square of solids, metres.
-        spacing: Distance of the grid, metres.
-        jitter: Standard deviation from the grid, metres.
-        footprint: Largest length and width of a solid, metres; the smallest are 0.2 m.
-        walls: Share of solids as high as the robot; half of the others is as low as a step, the
-            other half as high as a table.
-        cylinders: Share of cylinders, whose diameter is the width.
-        speed: Smallest and largest speed of the solids, m/s.
-        span: Smallest and largest way after which moving solids turn back, metres.
         start_clearance: Radius of free discs around the base and the EE at the start, metres.
         goal_clearance: Radius of a sphere around the EE at the goal that stays free, metres.
     """
@@ -52,10 +43,6 @@ class ReachingAmongSolids(GoalReaching):
     spacing: Distance = 1.75
     jitter: NotNegative = 0.4375
     footprint: tuple[Distance, Distance] = (1.5, 1.0)
-    walls: Share = 1.0 / 3.0
-    cylinders: Share = 0.2
-    speed: tuple[Distance, Distance] = (0.0, 0.0)
-    span: tuple[Distance, Distance] = (2.0, 3.0)
     start_clearance: Distance = 0.7
     goal_clearance: Distance = 0.25
 
@@ -82,8 +69,7 @@ class ReachingAmongSolids(GoalReaching):
     def _solids(self, solver: IkSolver, start: Start, rng: np.random.Generator) -> Solids:
         """Return the solids of an episode at moments of their way, one a row; the start first."""
         goal = start.target_poses[0]
-        grid = Clutter(**{one.name: getattr(self, one.name) for one in fields(Clutter)})
-        drawn = grid.draw(rng, goal[:2] / 2.0)
+        drawn = self.draw_solids(rng, goal[:2] / 2.0)
         at_start = touches_robot(solver, start, drawn)
         ee = compose(start.base_pose, forward(solver.chain, start.joint_positions))
         ends = np.stack([start.base_pose[:3], ee[:3], goal[:3]])
