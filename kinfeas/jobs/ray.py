@@ -27,6 +27,8 @@ class Ray:
     def __call__(self, jobs: Sequence[Job]) -> Iterator[Job]:
         """Run jobs; Ray itself starts those of killed workers again."""
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        # Workers of a local cluster would give way to all other programs.
+        os.environ.setdefault("RAY_worker_niceness", "0")
         ray.init(
             self.address,
             num_cpus=self.processes if self.address == "local" else None,
