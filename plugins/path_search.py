@@ -1,22 +1,24 @@
 """Shortest paths of a sphere among upright solids: A* on a grid, and shortcuts.
 
 Kernels work on one motion at a time, so that no row depends on the others. Solids of a row are a
-table of `path_clearance`.
+table of `path_geometry`.
 """
 
 import math
 
 import numpy as np
 
-from kinfeas.plugins.path_clearance import (
+from kinfeas.plugins.path_geometry import (
+    POINTS,
     cost_of_metre,
     distances,
     horizontal_gap,
     kernel,
+    on_curve,
+    smooth,
     squared_way,
     table_of,
 )
-from kinfeas.plugins.path_curve import POINTS, on_curve, smooth
 
 _CELL, _MOST_CELLS, _LEVEL = 0.2, 96, 0.3
 """Side of a cell in metres, largest number along an axis, and largest distance of levels."""

@@ -11,7 +11,7 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, distance, integrate, twist_between
 from kinfeas.plugins.limits import norm, slowed
 from kinfeas.plugins.minimum_jerk import MinimumJerk
-from kinfeas.plugins.path_curve import POINTS, positions_at, shares_ahead
+from kinfeas.plugins.path_geometry import POINTS, positions_at, shares_ahead
 from kinfeas.plugins.path_search import replan_batch
 
 _MOVED = 0.05

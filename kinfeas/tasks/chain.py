@@ -1,6 +1,6 @@
 """Tasks from YAML: chains of sub-goals at places that are drawn anew for each episode."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated
@@ -16,6 +16,8 @@ from kinfeas.core.spatial import Array, compose, make_pose, planar_pose
 from kinfeas.core.start import Start
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides
+from kinfeas.robots.robot import Robot
+from kinfeas.scenes.objects import free_joints, moving_joint
 from kinfeas.scenes.scene import Scene, read_scene
 from kinfeas.scenes.solids import furniture_solids
 from kinfeas.tasks.clutter import all_reachable, with_clutter
@@ -276,3 +278,43 @@ def _draw(number: float | tuple[float, float], rng: np.random.Generator) -> floa
 def _shifted(place: Array, offset: Iterable[float], turn: float = 0.0) -> Array:
     """Return the pose `offset` away from `place` along its axes and turned about its z, (7,)."""
     return compose(place, make_pose(np.array([*offset]), Rotation.from_rotvec([0.0, 0.0, turn])))
+
+
+def check_task(name: str, wanted: TaskScene, scene: Scene, robot: Robot) -> None:
+    """Raise if objects, links, joints or the gripper of a task are missing or do not fit."""
+    where, objects = f"task {name!r}: 'scene", scene.objects
+
+    def need(key: str, word: str, names: Collection[str], what: str) -> None:
+        if word not in names:
+            raise KinfeasError(f"{where}.{key}': no {what} {word!r}{no_such(word, names)}")
+
+    for moved in wanted.moves:
+        need(f"moves.{moved}", moved, objects, "object")
+    if (grasped := wanted.grasped_object) is not None:
+        need("grasped_object.object", grasped.object, objects, "object")
+        one = objects[grasped.object]
+        need("grasped_object.link", grasped.link, one.urdf.links, "link")
+        if one.fixed and moving_joint(one.urdf, grasped.link) is None:
+            raise KinfeasError(
+                f"{where}.grasped_object': link {grasped.link!r} of the fixed object "
+                f"{grasped.object!r} is below no moving joint"
+            )
+        if robot.gripper is None:
+            raise KinfeasError(
+                f"task {name!r} grasps an object, and robot {robot.name!r} has no gripper: its "
+                "YAML lacks 'gripper'"
+            )
+    success = wanted.success
+    need("success.object", success.object, objects, "object")
+    if success.parent is not None:
+        others = [other for other in objects if other != success.object]
+        need("success.parent", success.parent, others, "other object")
+    if success.joint is not None:
+        joints = free_joints(objects[success.object].urdf)
+        need("success.joint", success.joint, joints, "moving joint")
+        low, high, at = joints[success.joint].lower, joints[success.joint].upper, success.threshold
+        if not (low < at if at < 0.0 else at < high):
+            raise KinfeasError(
+                f"{where}.success.threshold' must be between the limits of joint "
+                f"{success.joint!r}, {low:g} and {high:g}, not {at:g}"
+            )

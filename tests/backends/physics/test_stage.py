@@ -3,14 +3,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas.backends.physics.stage import check_task, task_scene
+from kinfeas.backends.physics.backend import task_scene
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.collision import SceneCollision, robot_touches
 from kinfeas.scenes.scene import read_scene
-from kinfeas.tasks.chain import ChainSubgoal, ChainTask, Place, SuccessCondition, TaskScene
+from kinfeas.tasks.chain import (
+    ChainSubgoal,
+    ChainTask,
+    Place,
+    SuccessCondition,
+    TaskScene,
+    check_task,
+)
 from kinfeas.tasks.loading import load_task
 from tests.backends.conftest import stay
 

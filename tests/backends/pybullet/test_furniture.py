@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinfeas.backends.physics.stage import Stage
+from kinfeas.backends.physics.backend import Stage
 from kinfeas.backends.pybullet.backend import PyBulletBackend
 from kinfeas.scenes.scene import read_scene
 from kinfeas.tasks.loading import load_task
