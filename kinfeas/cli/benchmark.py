@@ -168,8 +168,10 @@ def _run(kind: str, jobs: Sequence["Job"], engine: "Engine") -> list["Result"]:
     """Run jobs with a progress bar."""
     from kinfeas.jobs.job import run_jobs
 
-    missing = len({job.path for job in jobs if not job.path.exists()})
-    with progress(f"{missing} of {len(jobs)} {kind}", missing) as advance:
+    paths = {job.path for job in jobs}
+    missing = sum(not path.exists() for path in paths)
+    kept = f" ({len(paths) - missing} kept)" if missing < len(paths) else ""
+    with progress(f"{missing} {kind} to do{kept}", missing) as advance:
         return run_jobs(jobs, engine, lambda: advance(1.0))
 
 

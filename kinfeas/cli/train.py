@@ -231,6 +231,8 @@ def write_evaluation(folder: Path) -> dict[str, Any]:
 
 
 def _show(done: "Progress", folder: Path) -> None:
+    from kinfeas.io.policy_metadata import read_best
+
     best = write_evaluation(folder)
     rows = [
         ["steps", f"{done.steps:,}"],
@@ -245,4 +247,13 @@ def _show(done: "Progress", folder: Path) -> None:
     print_table(f"trained: {folder}", ["", "share (95 % interval) or figure"], rows)
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
     command += ["--world", best["world"]] if best["world"] != "analytic" else []
-    typer.echo(f"evaluate it: {shlex.join([*command, '--policy', str(folder)])}")
+    command += ["--policy", str(folder)]
+    settings = read_best(folder).config
+    changes = {f"task.{key}": value for key, value in settings["task_parameters"].items()}
+    filters = settings["world"]["filters"]
+    changes["world.filters"] = [
+        one if one["parameters"] else one["name"] for one in filters
+    ] or None
+    for change in options.assignments(changes):
+        command += ["--set", change]
+    typer.echo(f"evaluate it: {shlex.join(command)}")

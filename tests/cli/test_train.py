@@ -1,5 +1,6 @@
 import csv
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -31,8 +32,12 @@ def files(folder):
 
 
 def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas, tmp_path):
-    outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", code=0)
-    assert "kinfeas evaluate --robot hsr --task ggr --policy run" in outcome.out
+    filters = "world.filters=[feasibility]"
+    outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", "--set", filters, code=0)
+    (line,) = [line for line in outcome.out.splitlines() if "kinfeas evaluate" in line]
+    words = shlex.split(line.partition(": ")[2])
+    assert words[:-1] == "kinfeas evaluate --robot hsr --task ggr --policy run --set".split()
+    assert yaml.safe_load(words[-1].removeprefix("world.filters=")) == ["feasibility"]
     run = tmp_path / "run"
     metrics = json.loads((run / "evaluation.json").read_text())
     assert (metrics["episodes"], metrics["steps"]) == (2, 64)

@@ -32,7 +32,8 @@ def find(robot: str, name: str = NAME) -> Path:
     if kind:
         known = [f"{NAME}/{path.parent.name}" for path in (_ROOT / robot).glob("*/policy.json")]
         names = ", ".join([NAME, *sorted(known)])
-        raise KinfeasError(f"no policy {name!r} for robot {robot!r}, only: {names}")
+        here = f"; the folder is ./{name}" if Path(name).is_dir() else ""
+        raise KinfeasError(f"no policy {name!r} for robot {robot!r}, only: {names}{here}")
     if robot not in robots():
         raise KinfeasError(
             f"no pretrained policy for robot {robot!r}, only for: {', '.join(robots())}; "
