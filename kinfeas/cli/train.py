@@ -231,7 +231,7 @@ def write_evaluation(folder: Path) -> dict[str, Any]:
 
 
 def _show(done: "Progress", folder: Path) -> None:
-    from kinfeas.io.policy_metadata import read_best
+    from kinfeas.training import run as training_run
 
     best = write_evaluation(folder)
     rows = [
@@ -248,12 +248,10 @@ def _show(done: "Progress", folder: Path) -> None:
     command = ["kinfeas", "evaluate", "--robot", best["trained_with"], "--task", best["task"]]
     command += ["--world", best["world"]] if best["world"] != "analytic" else []
     command += ["--policy", str(folder)]
-    settings = read_best(folder).config
-    changes = {f"task.{key}": value for key, value in settings["task_parameters"].items()}
-    filters = settings["world"]["filters"]
-    changes["world.filters"] = [
-        one if one["parameters"] else one["name"] for one in filters
-    ] or None
+    settings = training_run.read_settings(folder)
+    changes = {f"task.{key}": value for key, value in settings.task_parameters.items()}
+    filters = [{"name": one.name, **one.parameters} for one in settings.world.filters]
+    changes["world.filters"] = filters or None
     for change in options.assignments(changes):
         command += ["--set", change]
     typer.echo(f"evaluate it: {shlex.join(command)}")

@@ -47,7 +47,7 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
         "run",
         "--set",
     ]
-    assert yaml.safe_load(words[-1].removeprefix("world.filters=")) == ["feasibility"]
+    assert yaml.safe_load(words[-1].removeprefix("world.filters=")) == [{"name": "feasibility"}]
     run = tmp_path / "run"
     metrics = json.loads((run / "evaluation.json").read_text())
     assert (metrics["episodes"], metrics["steps"]) == (2, 64)
