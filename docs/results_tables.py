@@ -12,7 +12,7 @@ import io
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -159,27 +159,24 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
     return page
 
 
-def fill_physics(page: str, record: Sequence[Entry]) -> str:
-    """Return the page of physics with the tables of a record."""
-    cells = plain(record)
-    rows = [
-        (
-            name.format(title),
-            {
-                task: cells[robot, task, *chosen]
-                for task in TASKS
-                if (robot, task, *chosen) in cells
-            },
-        )
-        for robot, title in ROBOTS.items()
-        for chosen, name in PHYSICS.items()
-    ]
-    physical = TASKS[2:]
-    lines = _physics_table("success, % (analytic; paper)", rows, TASKS, _with_paper)
-    lines += ["", *_physics_table("within 5 cm, % (paper)", rows, TASKS, _within), ""]
-    lines += _physics_table("task success, %; arm collisions", rows, physical, _physical)
-    place = re.compile(r"\| success, % \(analytic; paper\).*?(?=\n\nPR2 also uses)", re.DOTALL)
-    filled, count = place.subn(lambda _: "\n".join(lines), page, count=1)
+def fill_physics(page: str, pybullet: Sequence[Entry], mujoco: Sequence[Entry]) -> str:
+    """Return the page of physics with the tables of the records of both engines."""
+    engines = plain(pybullet), plain(mujoco)
+    lines: list[str] = []
+    for head, tasks, text in (
+        ("success, % (paper)", TASKS, _with_paper),
+        ("within 5 cm, % (paper)", TASKS, _within),
+        ("task success, % (arm contacts)", TASKS[2:], _physical),
+    ):
+        rows = []
+        for robot, title in ROBOTS.items():
+            for chosen, name in PHYSICS.items():
+                both = [[cells.get((robot, task, *chosen)) for cells in engines] for task in tasks]
+                if any(both[-1]):
+                    rows.append((name.format(title), [text(*pair) for pair in both]))
+        lines += [*_table(head, tasks, rows), ""]
+    place = re.compile(r"\| success, % \(paper\).*?\n\n(?=PR2 also uses)", re.DOTALL)
+    filled, count = place.subn(lambda _: "\n".join([*lines, ""]), page, count=1)
     return _found(filled, count, "physics.md: no table of success before 'PR2'")
 
 
@@ -191,19 +188,6 @@ def _table(head: str, columns: Sequence[str], rows: Sequence[tuple[str, list[str
         f"|{'---|' * (len(columns) + 1)}",
         *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows if any(cells)),
     ]
-
-
-def _physics_table(
-    head: str,
-    rows: Sequence[tuple[str, dict[str, Entry]]],
-    tasks: Sequence[str],
-    text: Callable[[Entry], str],
-) -> list[str]:
-    table = [
-        (name, ["" if task not in cells else text(cells[task]) for task in tasks])
-        for name, cells in rows
-    ]
-    return _table(head, tasks, table)
 
 
 def _variants(record: Sequence[Entry]) -> Iterator[tuple[str, list[str]]]:
@@ -230,20 +214,26 @@ def _jumps(cell: Entry | None) -> str:
     return "" if cell is None else f"{cell['joint_jumps_per_episode']:.2f}"
 
 
-def _with_paper(cell: Entry) -> str:
-    others = [f"{100 * cell['analytic_success']:.0f}"]
-    if cell["paper_success"] is not None:
-        others.append(f"{100 * cell['paper_success']:.1f}")
-    return f"**{100 * cell['success']:.0f}** ({'; '.join(others)})"
+def _with_paper(*engines: Entry | None) -> str:
+    return _pair(engines, "success") + _of_paper(engines[0], "paper_success")
 
 
-def _within(cell: Entry) -> str:
-    paper = cell["paper_within_5cm"]
-    return f"{100 * cell['within_5cm']:.0f}" + ("" if paper is None else f" ({100 * paper:.0f})")
+def _within(*engines: Entry | None) -> str:
+    return _pair(engines, "within_5cm") + _of_paper(engines[0], "paper_within_5cm")
 
 
-def _physical(cell: Entry) -> str:
-    return f"{100 * cell['task_success']:.0f}; {cell['arm_collisions']:.1f}"
+def _physical(*engines: Entry | None) -> str:
+    contacts = [cell["arm_collisions"] for cell in engines if cell]
+    return f"{_pair(engines, 'task_success')} ({', '.join(f'{one:.1f}' for one in contacts)})"
+
+
+def _pair(engines: Sequence[Entry | None], key: str) -> str:
+    """Return the percentages of the engines."""
+    return ", ".join(f"{100 * cell[key]:.0f}" for cell in engines if cell)
+
+
+def _of_paper(cell: Entry | None, key: str) -> str:
+    return "" if cell is None or cell[key] is None else f" ({100 * cell[key]:.0f})"
 
 
 def _fill(page: str, head: str, values: list[str]) -> str:
@@ -280,8 +270,12 @@ def _keep(picture: Image.Image, name: str) -> None:
 
 def main(studies: Sequence[Path]) -> None:
     """Merge studies into the record, and write it into the documentation."""
-    analytic, physics = FIGURES / "study.json", FIGURES / "physics.json"
-    records = {"analytic": _read(analytic), "pybullet": _read(physics)}
+    paths = {
+        "analytic": FIGURES / "study.json",
+        "pybullet": FIGURES / "physics.json",
+        "mujoco": FIGURES / "mujoco.json",
+    }
+    records = {world: _read(path) for world, path in paths.items()}
     for study in studies:
         found = _read(study / "table.json")
         world = found[0]["world"]
@@ -291,13 +285,14 @@ def main(studies: Sequence[Path]) -> None:
             for name in PICTURES:
                 if (study / f"{name}.png").exists():
                     _keep(Image.open(study / f"{name}.png"), name)
-    for path, record in zip((analytic, physics), records.values(), strict=True):
-        _write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    for world, path in paths.items():
+        _write(path, json.dumps(records[world], indent=1, allow_nan=False) + "\n")
+    study_record, pybullet, mujoco = (records[world] for world in paths)
     results, page = DOCS / "results.md", DOCS / "physics.md"
-    _write(results, fill_results(results.read_text(encoding="utf-8"), records["analytic"]))
-    _write(README, fill_readme(README.read_text(encoding="utf-8"), *records.values()))
-    _write(page, fill_physics(page.read_text(encoding="utf-8"), records["pybullet"]))
-    table = png(table_figure(shown(records["analytic"])), 110)
+    _write(results, fill_results(results.read_text(encoding="utf-8"), study_record))
+    _write(README, fill_readme(README.read_text(encoding="utf-8"), study_record, pybullet))
+    _write(page, fill_physics(page.read_text(encoding="utf-8"), pybullet, mujoco))
+    table = png(table_figure(shown(study_record)), 110)
     _keep(Image.open(io.BytesIO(table)), "benchmark")
 
 

@@ -26,6 +26,7 @@ from kinfeas.benchmark.evaluations import CEILING, Evaluation, compute, plan_eva
 from kinfeas.benchmark.markdown import table
 from kinfeas.benchmark.runs import Run, plan_runs
 from kinfeas.config.recipes import load_section
+from kinfeas.evaluation.paper import TITLES
 from kinfeas.jobs.training import finish
 from kinfeas.training.config import TrainConfig
 
@@ -116,14 +117,23 @@ def makespan(jobs: Iterable[float], cores: int) -> float:
     return max(free)
 
 
-def needs_table(costs: Costs) -> list[str]:
+def needs_table(costs: Costs, robots: Sequence[str]) -> list[str]:
     """Return the table of the needs of one job."""
-    rows = []
+    jobs: dict[str, dict[str, dict[str, Any]]] = {}
     for name, cost in costs.items():
-        size = 1_000_000 if cost["unit"] == "step" else 500
-        minutes = f"{cost['each'] * size / 60.0:.1f}"
-        rows.append([name, f"{size:,} {cost['unit']}s", minutes, f"{cost['memory']:,.0f}"])
-    return table(["robot, job", "size", "core minutes", "memory, MB"], rows, names=2)
+        robot, _, job = name.partition(", ")
+        if job != CEILING:
+            jobs.setdefault(job, {})[robot] = cost
+    rows = []
+    for job, of_robot in sorted(jobs.items(), key=lambda one: -len(one[1])):
+        minutes = []
+        for robot in robots:
+            cost = of_robot.get(robot)
+            size = 1_000_000 if job == "training" else 500
+            minutes.append(f"{cost['each'] * size / 60.0:.1f}" if cost else "")
+        memory = max(cost["memory"] for cost in of_robot.values())
+        rows.append([job, *minutes, f"{memory:,.0f}"])
+    return table(["job", *(TITLES[robot] for robot in robots), "memory, MB"], rows)
 
 
 def cluster_table(jobs: Sequence[Sequence[float]]) -> list[str]:
@@ -144,7 +154,6 @@ def growth_table(benchmark: BenchmarkConfig, costs: Costs) -> list[str]:
         "the study": benchmark,
         "one robot, PR2": replace(benchmark, robots=("pr2",)),
         "one task": replace(benchmark, tasks=benchmark.tasks[:1]),
-        "one training seed": replace(benchmark, seeds=benchmark.seeds[:1]),
         "ten training seeds": replace(benchmark, seeds=tuple(range(10))),
         "2,000 episodes": replace(benchmark, episodes=2000),
     }
@@ -161,7 +170,7 @@ def fill(page: str, costs: Costs) -> str:
     """Return the page with the tables of these costs."""
     benchmark = read_benchmark(STUDY)
     tables = {
-        "needs": needs_table({k: v for k, v in costs.items() if CEILING not in k}),
+        "needs": needs_table(costs, benchmark.robots),
         "growth": growth_table(benchmark, costs),
         "cluster": cluster_table(phases(benchmark, costs)),
     }

@@ -12,9 +12,10 @@ PHYSICS = (DOCS / "physics.md").read_text()
 RESULTS = (DOCS / "results.md").read_text()
 STUDY = json.loads((DOCS / "figures" / "study.json").read_text())
 IN_PYBULLET = json.loads((DOCS / "figures" / "physics.json").read_text())
+IN_MUJOCO = json.loads((DOCS / "figures" / "mujoco.json").read_text())
 
 
 def test_the_pages_hold_what_the_record_says():
     assert SCRIPT["fill_results"](RESULTS, STUDY) == RESULTS
     assert SCRIPT["fill_readme"](README, STUDY, IN_PYBULLET) == README
-    assert SCRIPT["fill_physics"](PHYSICS, IN_PYBULLET) == PHYSICS
+    assert SCRIPT["fill_physics"](PHYSICS, IN_PYBULLET, IN_MUJOCO) == PHYSICS
