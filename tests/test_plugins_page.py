@@ -5,7 +5,6 @@ import runpy
 import shlex
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -50,9 +49,3 @@ def test_the_page(packages):
     for name, thing in runpy.run_path("arc/test_arc.py").items():
         if name.startswith("test_"):
             thing()
-    command_filter = runpy.run_path("half_speed.py")["HalfSpeed"]()
-
-    class Seen:
-        ee_pose = np.array([[0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0] for height in (1.0, 1.5)])
-
-    np.testing.assert_array_equal(command_filter(np.ones((2, 3)), Seen()), [[1.0] * 3, [0.5] * 3])

@@ -21,7 +21,7 @@ DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 # Pages with Python blocks that need files; their tests are beside the code.
-BLOCKS_TESTED_ELSEWHERE = {"demonstrations.md", "deploy.md", "plugins.md", "sim2real.md"}
+BLOCKS_TESTED_ELSEWHERE = {"demonstrations.md", "plugins.md"}
 NOT_PLAIN = re.compile(
     r"\b(refus\w+|whoever|whomever|whatsoever|stray\w*|foresight|leeway|yields?|"
     r"is told of|wish\w*|speaks?)\b",
