@@ -138,31 +138,12 @@ def needs_table(costs: Costs, robots: Sequence[str]) -> list[str]:
 
 def cluster_table(jobs: Sequence[Sequence[float]]) -> list[str]:
     """Return the table of the time of the whole benchmark."""
-    alone = sum(map(sum, jobs))
-    rows = []
-    for cores in CORES:
-        parts = [makespan(one, cores) for one in jobs]
-        whole = sum(parts)
-        numbers = [f"{one / 3600.0:.2f}" for one in (*parts, whole)]
-        rows.append([str(cores), *numbers, f"{alone / whole:.1f}"])
-    return table(["cores", "trainings, h", "evaluations, h", "both, h", "times as fast"], rows)
-
-
-def growth_table(benchmark: BenchmarkConfig, costs: Costs) -> list[str]:
-    """Return the table of the core hours of larger and smaller benchmarks."""
-    cases = {
-        "the study": benchmark,
-        "one robot, PR2": replace(benchmark, robots=("pr2",)),
-        "one task": replace(benchmark, tasks=benchmark.tasks[:1]),
-        "ten training seeds": replace(benchmark, seeds=tuple(range(10))),
-        "2,000 episodes": replace(benchmark, episodes=2000),
-    }
-    rows = []
-    for name, case in cases.items():
-        trainings, evaluations = phases(case, costs)
-        hours = [f"{sum(part) / 3600.0:.1f}" for part in (trainings, evaluations)]
-        rows.append([name, str(len(trainings)), str(len(evaluations)), *hours])
-    heads = ["benchmark", "trainings", "evaluations", "core hours, trainings", "evaluations"]
+    heads = ["hours", *(f"{cores} core{'s' * (cores > 1)}" for cores in CORES)]
+    names = [f"{len(jobs[0])} trainings", f"{len(jobs[1])} evaluations"]
+    rows = [
+        [name, *(f"{makespan(one, cores) / 3600.0:.2f}" for cores in CORES)]
+        for name, one in zip(names, jobs, strict=True)
+    ]
     return table(heads, rows)
 
 
@@ -171,7 +152,6 @@ def fill(page: str, costs: Costs) -> str:
     benchmark = read_benchmark(STUDY)
     tables = {
         "needs": needs_table(costs, benchmark.robots),
-        "growth": growth_table(benchmark, costs),
         "cluster": cluster_table(phases(benchmark, costs)),
     }
     for name, lines in tables.items():

@@ -99,7 +99,7 @@ def _head(spec: RobotSpec, guesses: Guesses) -> list[str]:
     lifted = f"# A root on the floor was added to the URDF, {guesses.lifted:g} m below its own."
     return [
         f"# {spec.name}, drafted from its URDF. Check all guesses.",
-        "# docs/own_robot.md describes the keys.",
+        "# docs/reference/formats.md describes the keys.",
         f"name: {to_line(spec.name)}",
         *([lifted] if guesses.lifted else []),
         f"urdf: {to_line(str(spec.urdf))}  # its shapes are primitives",
