@@ -74,9 +74,9 @@ over training seeds is at most 1.2 points; intervals are in [study.json](../figu
 [physics.json](../figures/physics.json) and [mujoco.json](../figures/mujoco.json).
 """
 OF_ANALYTIC = """\
-500 episodes. In brackets: EE deviation below 5 cm throughout, and goal reached. *Ceiling*: reachable
-goals. The paper's `ggr_restricted` has harder starts, some in self-collision; "any start" includes
-them."""
+500 episodes. In brackets: EE deviation below 5 cm throughout, and goal reached. *Ceiling*:
+reachable goals. The paper's `ggr_restricted` has harder starts, some in self-collision; "any start"
+includes them."""
 OF_PHYSICS = """\
 PyBullet, then MuJoCo; with one number PyBullet. Arm contacts are per episode."""
 JUMPS = "Steps in which an arm joint would exceed its velocity limit."
@@ -125,9 +125,7 @@ def shown(record: Sequence[Entry]) -> list[Cell]:
     return sorted(once, key=lambda cell: not cell.learned)
 
 
-def tables_page(
-    record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequence[Entry]
-) -> str:
+def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequence[Entry]) -> str:
     """Return the page with all tables of the records of the three worlds."""
     lines = [HEAD, "## Analytic world", "", OF_ANALYTIC, ""]
     cells = plain(record)
