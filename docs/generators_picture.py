@@ -13,8 +13,8 @@ from kinfeas.core.spatial import Array, integrate, make_pose
 
 ROOT = Path(__file__).parents[1]
 MOTIONS = ROOT / "examples" / "motions"
-SHOWN = {"file": str(MOTIONS / "door_open.csv")}
-GENERATORS = {
+SHOWN: dict[str, object] = {"file": str(MOTIONS / "door_open.csv")}
+GENERATORS: dict[str, dict[str, object]] = {
     "linear": {},
     "minimum_jerk": {},
     "waypoints": {"file": str(MOTIONS / "put_down.yaml")},

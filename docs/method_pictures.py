@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -12,9 +13,10 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Polygon
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from kinfeas.control.observation import TERMS
+from kinfeas.control.observation import OBSERVATION, TERMS
 from kinfeas.core.metrics import GOAL_METRES, GOAL_RADIANS
 from kinfeas.core.spatial import Array, compose, make_pose, planar_pose, relative
+from kinfeas.evaluation.paper import TITLES
 from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.reachability import reachable
 from kinfeas.robots.loading import load_robot
@@ -33,8 +35,11 @@ ROBOTS = ("pr2", "tiago", "hsr")
 HEADINGS, CELLS, REACH = 24, 61, 1.2
 HEIGHTS, GOALS_A_HEIGHT = np.linspace(0.1, 1.7, 17), 80
 
+Side = Literal["left", "center", "right"]
+Level = Literal["bottom", "center", "top"]
 
-def box(axes: Axes, at: tuple[float, float], name: str, says: str, colour: str) -> None:
+
+def box(axes: Axes, at: tuple[float, float], name: str, text: str, colour: str) -> None:
     """Draw a part of the loop."""
     x, y = at
     axes.add_patch(
@@ -44,21 +49,26 @@ def box(axes: Axes, at: tuple[float, float], name: str, says: str, colour: str) 
         )
     )  # fmt: skip
     axes.text(x, y + 0.16, name, ha="center", va="center", weight="bold", fontsize=11, zorder=4)
-    axes.text(x, y - 0.19, says, ha="center", va="center", fontsize=8.5, color="#5a626d", zorder=4)
+    axes.text(x, y - 0.19, text, ha="center", va="center", fontsize=8.5, color="#5a626d", zorder=4)
 
 
 def arrow(axes: Axes, *way: tuple[float, float]) -> None:
     """Draw an arrow through corners."""
     for start, end in pairwise(way[:-1]):
         axes.plot(*zip(start, end, strict=True), color=INK, lw=1.5, solid_capstyle="round")
-    style = {"arrowstyle": "-|>", "mutation_scale": 14, "lw": 1.5, "color": INK}
-    axes.add_patch(FancyArrowPatch(way[-2], way[-1], shrinkA=0, shrinkB=0, **style))
+    axes.add_patch(
+        FancyArrowPatch(
+            way[-2], way[-1], shrinkA=0, shrinkB=0, arrowstyle="-|>", mutation_scale=14, lw=1.5,
+            color=INK,
+        )
+    )  # fmt: skip
 
 
-def note(axes: Axes, x: float, y: float, text: str, **more: str) -> None:
+def note(
+    axes: Axes, x: float, y: float, text: str, ha: Side = "center", va: Level = "bottom"
+) -> None:
     """Write the label of an arrow."""
-    where = {"ha": "center", "va": "bottom"} | more
-    axes.text(x, y, text, fontsize=9, color=INK, **where)
+    axes.text(x, y, text, fontsize=9, color=INK, ha=ha, va=va)
 
 
 def loop() -> Figure:
@@ -68,11 +78,11 @@ def loop() -> Figure:
     axes.set(xlim=(-1.5, 14.6), ylim=(-0.3, 4.4))
     axes.set_aspect("equal")
     axes.set_axis_off()
-    box(axes, (0.0, 3.2), "Task", "where to go", GOAL)
-    box(axes, (4.2, 3.2), "Motion generator", "how the hand goes", EE)
-    box(axes, (8.9, 3.2), "IK", "places the arm", ARM)
-    box(axes, (8.9, 0.4), "Policy", "moves the base", BASE)
-    box(axes, (13.1, 1.8), "Backend", "a world, or a robot", INK)
+    box(axes, (0.0, 3.2), "Task", "goals of the EE", GOAL)
+    box(axes, (4.2, 3.2), "Motion generator", "desired EE motion", EE)
+    box(axes, (8.9, 3.2), "IK", "solves for the arm", ARM)
+    box(axes, (8.9, 0.4), "Policy", "commands the base", BASE)
+    box(axes, (13.1, 1.8), "Backend", "simulation or robot", INK)
     arrow(axes, (1.4, 3.2), (2.8, 3.2))
     note(axes, 2.1, 3.28, "goal")
     arrow(axes, (5.6, 3.2), (7.5, 3.2))
@@ -84,28 +94,28 @@ def loop() -> Figure:
     arrow(axes, (10.3, 0.4), (13.1, 0.4), (13.1, 1.3))
     note(axes, 11.7, 0.48, "base velocity")
     arrow(axes, (8.4, 0.9), (8.4, 2.7))
-    note(axes, 8.25, 1.8, "where the base\nwill be", ha="right", va="center")
+    note(axes, 8.25, 1.8, "next base\npose", ha="right", va="center")
     arrow(axes, (11.7, 1.8), (9.6, 1.8), (9.6, 0.9))
     arrow(axes, (9.6, 1.8), (9.6, 2.7))
-    note(axes, 10.65, 1.88, "measured")
+    note(axes, 10.65, 1.88, "measured state")
     axes.text(
-        6.55, 4.2, "One step, 0.1 s in training", ha="center", va="center", fontsize=12,
+        6.55, 4.2, "One control period, 0.1 s in training", ha="center", va="center", fontsize=12,
         weight="bold",
     )  # fmt: skip
     return figure
 
 
-def stance(robot: Robot, hand: Array) -> tuple[Array, Array]:
-    """Return a base pose and arm joints with the EE at `hand`, in front of the base."""
+def stance(robot: Robot, ee: Array) -> tuple[Array, Array]:
+    """Return a base pose and arm joints with the EE at `ee`, in front of the base."""
     solver = IkSolver(robot)
     seed = robot.home["home"][np.newaxis]
     ways = [(x, y) for y in (0.15, 0.08, 0.0, -0.08) for x in np.linspace(0.75, 0.4, 15)]
     for ahead, aside in ways:
-        base = planar_pose(np.array(hand[0] - ahead), np.array(hand[1] + aside), np.array(0.0))
-        found = solver.solve(relative(hand, base)[np.newaxis], seed)
+        base = planar_pose(np.array(ee[0] - ahead), np.array(ee[1] + aside), np.array(0.0))
+        found = solver.solve(relative(ee, base)[np.newaxis], seed)
         if found.feasible[0]:
             return base, found.joint_positions[0]
-    raise ValueError(f"{robot.name} does not reach {hand}")
+    raise ValueError(f"{robot.name} does not reach {ee}")
 
 
 def outline(axes: Axes, robot: Robot, base: Array, joints: Array) -> None:
@@ -122,12 +132,12 @@ def outline(axes: Axes, robot: Robot, base: Array, joints: Array) -> None:
 def seen() -> Figure:
     """Return the picture of an observation."""
     robot = load_robot("pr2")
-    hand = make_pose(np.array([0.75, -0.15, 0.8]), Rotation.from_euler("z", 0.2))
-    base, joints = stance(robot, hand)
+    ee = make_pose(np.array([0.75, -0.15, 0.8]), Rotation.from_euler("z", 0.2))
+    base, joints = stance(robot, ee)
     figure = Figure(figsize=(9.6, 4.4), layout="constrained")
     top, row = figure.subplots(2, 1, height_ratios=(3.0, 1.0))
     outline(top, robot, base, joints)
-    origin, place, goal = base[:2], hand[:2], np.array([2.3, 0.75])
+    origin, place, goal = base[:2], ee[:2], np.array([2.3, 0.75])
     for turn, name in ((0.0, "x"), (np.pi / 2.0, "y")):
         tip = origin + 0.45 * np.array([np.cos(turn), np.sin(turn)])
         top.annotate("", tip, origin, arrowprops={"arrowstyle": "-|>", "color": BASE, "lw": 2})
@@ -151,10 +161,10 @@ def seen() -> Figure:
     top.set(xlim=(-1.2, 2.9), ylim=(-0.75, 1.0))
     top.set_axis_off()
     colours = (EE, EE, FAILURE, FAILURE, GOAL, GOAL, ARM)
-    names = ("EE\nposition", "EE\norientation", "velocity\nplanned", "turn planned\nwithin 0.1 s",
+    names = ("EE\nposition", "EE\norientation", "planned\nvelocity", "planned\nrotation",
              "goal\nposition", "goal\norientation", "arm joints")  # fmt: skip
-    sizes = [term.width(robot) for term in TERMS.values()]
-    first = 0
+    sizes = [TERMS[name].width(robot) for name in OBSERVATION]
+    first = 0.0
     for colour, name, count in zip(colours, names, sizes, strict=True):
         for cell in range(count):
             row.add_patch(Polygon(
@@ -169,14 +179,14 @@ def seen() -> Figure:
     return figure
 
 
-def stances(robot: Robot, hand: Array) -> Array:
+def stances(robot: Robot, ee: Array) -> Array:
     """Return the share of feasible headings for an EE pose by base position, shape (x, y)."""
     solver = IkSolver(robot)
     line = np.linspace(-REACH, REACH, CELLS)
     headings = np.linspace(-np.pi, np.pi, HEADINGS, endpoint=False)
     x, y, heading = (part.ravel() for part in np.meshgrid(line, line, headings, indexing="ij"))
-    base = planar_pose(x + hand[0], y + hand[1], heading)
-    targets = relative(np.broadcast_to(hand, base.shape), base)
+    base = planar_pose(x + ee[0], y + ee[1], heading)
+    targets = relative(np.broadcast_to(ee, base.shape), base)
     seed = np.tile(robot.home["home"], (len(base), 1))
     feasible = solver.solve(targets, seed).feasible
     return feasible.reshape(CELLS, CELLS, HEADINGS).mean(axis=2).T
@@ -187,10 +197,10 @@ def feasible() -> Figure:
     figure = Figure(figsize=(9.6, 5.6), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=(0.75, 1.0))
     below = [figure.add_subplot(grid[1, column]) for column in range(3)]
-    hand = make_pose(np.array([0.0, 0.0, 0.8]), Rotation.identity())
+    ee = make_pose(np.array([0.0, 0.0, 0.8]), Rotation.identity())
     for column, (name, plan) in enumerate(zip(ROBOTS, below, strict=True)):
         robot = load_robot(name)
-        pose = in_gripper_convention(robot, hand)
+        pose = in_gripper_convention(robot, ee)
         base, joints = stance(robot, pose)
         solids = robot_solids(robot, base, joints)
         side = add_axes(figure, grid[0, column], np.deg2rad(25.0), np.deg2rad(25.0))
@@ -198,7 +208,7 @@ def feasible() -> Figure:
         draw_solids(side, solids)
         side.plot(*pose[:3, np.newaxis], "o", color=GOAL, ms=8, mec="white", zorder=6)
         show_all(side, np.concatenate([corners(solids), floor]), 1.3)
-        side.set_title(name)
+        side.set_title(TITLES[name])
         edges = np.linspace(-REACH, REACH, CELLS + 1)
         shares = stances(robot, pose)
         mesh = plan.pcolormesh(
@@ -209,7 +219,7 @@ def feasible() -> Figure:
         plan.annotate("", (0.3, 0.0), (0.0, 0.0), zorder=5,
                       arrowprops={"arrowstyle": "-|>", "color": GOAL, "lw": 2})  # fmt: skip
         plan.set_aspect("equal")
-        plan.set(xlabel="base, x from the hand (m)", ylabel="y (m)" if name == "pr2" else "")
+        plan.set(xlabel="base x in the EE frame (m)", ylabel="base y (m)" if name == "pr2" else "")
     figure.colorbar(mesh, ax=below, label="share of headings\nwith an IK solution", shrink=0.9)
     return figure
 
@@ -242,27 +252,26 @@ def earned() -> Figure:
     cost, ceiling = figure.subplots(1, 2, width_ratios=(0.9, 1.1))
     missing = np.linspace(0.0, 0.2, 201)
     graded = np.minimum(1.0, 0.2 + 0.4 * (missing / 0.1) ** 2)
-    cost.plot(100 * missing, -graded, color=EE, lw=2.4, label="graded, the default")
-    cost.plot(
-        [0.0, 20.0], [-1.0, -1.0], "--", color=FAILURE, lw=2.0, label="indicator, the paper's"
-    )
+    cost.plot(100 * missing, -graded, color=EE, lw=2.4, label="graded (default)")
+    cost.plot([0.0, 20.0], [-1.0, -1.0], "--", color=FAILURE, lw=2.0, label="paper")
     cost.plot([0.0], [0.0], "o", color=INK, ms=7)
     cost.annotate("feasible", (0.0, 0.0), (8, -3), textcoords="offset points")
-    cost.set(xlabel="distance that IK could not close (cm)", ylabel="reward of a step",
+    cost.set(xlabel="remaining distance to the desired pose (cm)", ylabel="reward",
              ylim=(-1.12, 0.1))  # fmt: skip
-    cost.set_title("A failure costs")
+    cost.set_title("Reward of an IK failure")
     cost.legend(loc="lower left", bbox_to_anchor=(0.0, 0.12))
     for name, colour in zip(ROBOTS, (BASE, GOAL, EE), strict=True):
         robot = load_robot(name)
-        ceiling.plot(HEIGHTS, 100 * reached(robot), "o-", color=colour, ms=4, lw=2.0, label=name)
+        ceiling.plot(HEIGHTS, 100 * reached(robot), "o-", color=colour, ms=4, lw=2.0,
+                     label=TITLES[name])  # fmt: skip
         low, high = robot.goal_heights["ggr"]
         place = -6.0 - 5.0 * ROBOTS.index(name)
         ceiling.plot([low, high], [place, place], color=colour, lw=4, solid_capstyle="butt")
     ceiling.text(0.1, -24.5, "bars: goal heights of the task ggr", fontsize=8.5, color="#5a626d")
-    ceiling.set(xlabel="height of the goal (m)", ylabel="% reached from some base pose",
+    ceiling.set(xlabel="height of the goal (m)", ylabel="reachable goals, %",
                 ylim=(-26, 104))  # fmt: skip
     ceiling.set_yticks([0, 25, 50, 75, 100])
-    ceiling.set_title("No policy can do better than")
+    ceiling.set_title("Reachable goals by height")
     ceiling.legend(loc="center", bbox_to_anchor=(0.45, 0.5))
     return figure
 

@@ -33,6 +33,7 @@ def path(solver: IkSolver, start: Start) -> Array:
 def draw(axes: Axes, start: Start, poses: Array) -> None:
     """Draw solids and a path from above."""
     solids, grey = start.solids, mpl.colormaps["Greys"]
+    assert solids is not None
     corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
     for pose, size, round_ in zip(solids.pose[0], solids.size[0], solids.cylinder[0], strict=True):
         colour = grey(0.2 + 0.35 * size[3])

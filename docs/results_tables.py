@@ -151,8 +151,8 @@ def tables_page(record: Sequence[Entry], pybullet: Sequence[Entry], mujoco: Sequ
     ]
     lines += _table("robot, policy", TASKS, jumps)
     lines += ["", "## Physics worlds", "", OF_PHYSICS, ""]
-    for table in (WITHIN, ARM_CONTACTS):
-        lines += [*physics_table(*table, pybullet, mujoco), ""]
+    lines += [*physics_table(*WITHIN, pybullet, mujoco), ""]
+    lines += [*physics_table(*ARM_CONTACTS, pybullet, mujoco), ""]
     return "\n".join(lines)
 
 
@@ -160,16 +160,15 @@ def fill_readme(page: str, record: Sequence[Entry], physics: Sequence[Entry]) ->
     """Return the README with the rows of a record."""
     analytic, with_physics = plain(record), plain(physics)
     for robot, name in ROBOTS.items():
-        rows = {head.format(name): chosen for head, chosen in ROWS.items()}
+        rows = {head.format(name): (analytic, *chosen) for head, chosen in ROWS.items()}
         policy, row = FILTERS[robot]
-        rows[f"**{name}**, {row}"] = policy, row, "success"
-        for head, (*chosen, key) in rows.items():
-            values = [_share(analytic[robot, task, *chosen], key) for task in TASKS]
-            page = _fill(page, head, values)
-        chosen = IN_PYBULLET[robot]
-        best = PHYSICS[chosen].format(f"**{name}** in PyBullet")
-        for head, key in ((best, "success"), (f"{name} in PyBullet, paper", "paper_success")):
-            values = [_share(with_physics[robot, task, *chosen], key) for task in TASKS]
+        rows[f"**{name}**, {row}"] = analytic, policy, row, "success"
+        policy, row = IN_PYBULLET[robot]
+        best = PHYSICS[policy, row].format(f"**{name}** in PyBullet")
+        rows[best] = with_physics, policy, row, "success"
+        rows[f"{name} in PyBullet, paper"] = with_physics, policy, row, "paper_success"
+        for head, (cells, policy, row, key) in rows.items():
+            values = [_share(cells[robot, task, policy, row], key) for task in TASKS]
             page = _fill(page, head, values)
     return page
 

@@ -128,9 +128,9 @@ def needs_table(costs: Costs, robots: Sequence[str]) -> list[str]:
     for job, of_robot in sorted(jobs.items(), key=lambda one: -len(one[1])):
         minutes = []
         for robot in robots:
-            cost = of_robot.get(robot)
             size = 1_000_000 if job == "training" else 500
-            minutes.append(f"{cost['each'] * size / 60.0:.1f}" if cost else "")
+            each = of_robot[robot]["each"] if robot in of_robot else None
+            minutes.append("" if each is None else f"{each * size / 60.0:.1f}")
         memory = max(cost["memory"] for cost in of_robot.values())
         rows.append([job, *minutes, f"{memory:,.0f}"])
     return table(["job", *(TITLES[robot] for robot in robots), "memory, MB"], rows)
@@ -156,9 +156,8 @@ def fill(page: str, costs: Costs) -> str:
     }
     for name, lines in tables.items():
         place = re.compile(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", re.DOTALL)
-        text = "\n".join([*lines, ""])
-        page, count = place.subn(lambda _, text=text: text, page, count=1)
-        assert count == 1, name
+        assert place.search(page), name
+        page = place.sub("\n".join([*lines, ""]).replace("\\", r"\\"), page, count=1)
     return page
 
 

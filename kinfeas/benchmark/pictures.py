@@ -125,7 +125,7 @@ def _label_lowest(panels: Sequence[Axes]) -> None:
     shown = [axes for axes in panels if axes.xaxis.get_visible()]
     for axes in shown[:-1]:
         axes.tick_params(axis="x", labelbottom=False)
-    shown[-1].set_xlabel("% of episodes without a failure", fontsize=9)
+    shown[-1].set_xlabel("success, %", fontsize=9)
 
 
 def _table_legend(*, beside: bool) -> list[Line2D]:
@@ -162,7 +162,7 @@ def curves_figure(runs: Sequence[Run], levels: Mapping[str, Mapping[str, float]]
             axes.set_xlabel("environment steps (thousands)")
             axes.set_xlim(left=0.0)
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=9)
-        panels[0].set_ylabel("episodes without a failure")
+        panels[0].set_ylabel("success")
         panels[0].set_ylim(0.0, 1.02)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
     return figure

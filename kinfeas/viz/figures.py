@@ -13,7 +13,7 @@ from kinfeas.scenes.scene import Scene
 from kinfeas.viz import drawing, shapes
 from kinfeas.viz.style import ARM, BODY, EE, INK, STYLE
 
-_AXES = {"approach": "#d1483e", "finger to finger": "#3a9a52"}
+_AXES = {"approach": "#d1483e", "finger axis": "#3a9a52"}
 _LENGTH = 0.2  # m, of the axes
 _OPEN = 0.6  # share of a joint's range
 _CASING = [patheffects.withStroke(linewidth=3.0, foreground="white", alpha=0.9)]
@@ -36,8 +36,8 @@ def robot_figure(robot: Robot) -> Figure:
                 axes.plot(*ends.T, color=colour, lw=3.0, zorder=9)
                 axes.plot(*ends[1:].T, "o", color=colour, ms=6.0, zorder=9)
             drawing.show_all(axes, np.concatenate([points, floor]))
-        figure.suptitle(f"{robot.name} at its home, {len(robot.arm)} arm joints", fontsize=13)
-        handles = [Patch(color=ARM, label="arm and hand"), Patch(color=BODY, label="the rest")]
+        figure.suptitle(f"{robot.name} at home, {len(robot.arm)} arm joints", fontsize=13)
+        handles = [Patch(color=ARM, label="arm and EE"), Patch(color=BODY, label="base and body")]
         lines = [Line2D([], [], color=_AXES[name], lw=2.5, label=name) for name in _AXES]
         figure.legend(handles=[*handles, *lines], loc="outside lower center", ncols=4)
     return figure

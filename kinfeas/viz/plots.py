@@ -38,7 +38,7 @@ def learning_curve(metrics: Mapping[str, Array], levels: Mapping[str, float]) ->
             minutes[evaluated], metrics["evaluation/success"][evaluated], "o-", color=EE, lw=2.2,
             ms=7, mec="white", clip_on=False, zorder=4, label="evaluation: as deployed",
         )  # fmt: skip
-        axes.set(xlabel="training time (min)", ylabel="episodes without a failure")
+        axes.set(xlabel="training time (min)", ylabel="success")
         axes.set(xlim=(0.0, float(minutes[-1])), ylim=(0.0, 1.02))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         ordered = sorted(levels.items(), key=lambda item: item[1])
