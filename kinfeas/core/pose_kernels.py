@@ -100,5 +100,13 @@ def distance(a, b, metres, radians):
     radians[0] = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 
 
+@compiled(["void(f8, f8[:])"], "()->()")
+def wrap(angle, out):
+    """Angle in (-pi, pi]."""
+    turn = 2.0 * math.pi
+    # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
+    out[0] = math.pi - (math.pi - angle) % turn % turn
+
+
 TWIST = np.zeros(6)
 """Argument `like` of `twist_between`."""

@@ -93,9 +93,8 @@ def yaw(pose: Array) -> Array:
 
 def wrap(angle: Array) -> Array:
     """Return `angle` in radians, wrapped to (-pi, pi]."""
-    turn = 2.0 * np.pi
-    # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
-    return np.pi - np.mod(np.mod(np.pi - angle, turn), turn)
+    wrapped: Array = pose_kernels.wrap(angle)
+    return wrapped
 
 
 def _call(
