@@ -97,12 +97,12 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
         target_rotation: EE orientation in the base frame, shape (3, 3).
         target_position: EE position in the base frame, shape (3,), metres.
         q: First joint positions, within the limits; receives the last ones, shape (v,).
-        scratch: Memory of `make_scratch`.
+        scratch: Memory of `make_scratch`; its frames are those of `q`, before and after.
     """
     stalled, best = 0, np.inf
     metres, radians = np.inf, np.inf
     for iteration in range(options.max_iterations + 1):
-        metres, radians = measure(chain, target_rotation, target_position, q, scratch)
+        metres, radians = measure(target_rotation, target_position, scratch)
         if metres <= options.position_tolerance and radians <= options.rotation_tolerance:
             break
         cost = square(metres) + square(options.rotation_weight * radians)
@@ -116,6 +116,7 @@ def descend(chain: Chain, options: Descent, target_rotation, target_position, q,
         _step_within_limits(options, q, DAMPING_FLOOR + DAMPING_GAIN * cost, scratch)
         for j in range(len(q)):
             q[j] += scratch.step[j]
+        place_chain(chain, q, scratch.frames)
         scratch.pull[:] = 0.0
     scratch.pull[:] = 0.0
     return metres, radians
@@ -130,9 +131,8 @@ def _weigh(weight, scratch):
 
 
 @inlined
-def measure(chain, target_rotation, target_position, q, scratch):
-    """Write the error of `q`; return its norms, metres and radians."""
-    place_chain(chain, q, scratch.frames)
+def measure(target_rotation, target_position, scratch):
+    """Write the error of the EE in `scratch.frames`; return its norms, metres and radians."""
     squared = 0.0
     for i in range(3):
         scratch.error[i] = target_position[i] - scratch.frames.position[i]

@@ -152,7 +152,7 @@ def _solve_from_seed(
         for k in range(3):
             trace += target[0][i, k] * scratch.frames.rotation[i, k]
     cost += square(limits.rotation_weight) * (3.0 - trace)
-    error[0], error[1] = measure(problem.chain, target[0], target[1], q, scratch)
+    error[0], error[1] = measure(target[0], target[1], scratch)
     if cost > WARM_COST:
         return False
     metres_here, radians_here = error[0], error[1]
@@ -175,6 +175,7 @@ def _solve_from_seed(
             error[0], error[1] = metres, radians
         if attempt == DRAWN:
             _start(limits, solution, q)
+            place_chain(problem.chain, q, scratch.frames)
     # With a pose tolerance, the seed itself may be a solution that every descent has left.
     if not _close_enough(problem, metres_here, radians_here):
         return False
@@ -212,6 +213,7 @@ def _solve_from_library(problem, target, solution, error, order, scratch, touchi
         if attempt >= HOPEFUL and closest > HOPELESS_COST:
             break
         copy_row(problem.library[order[attempt]], q)
+        place_chain(problem.chain, q, scratch.frames)
         metres, radians = descend(problem.chain, problem.descent, target[0], target[1], q, scratch)
         closest = min(closest, _cost(problem, metres, radians))
         if _close_enough(problem, metres, radians):
