@@ -239,7 +239,7 @@ def _solve_damped(scratch, damping):
         if scratch.side[j] == 0:
             for i in range(6):
                 y[i] -= columns[j, i] * scratch.pull[j]
-                for k in range(6):
+                for k in range(i + 1):
                     low[i, k] += columns[j, i] * columns[j, k]
         else:
             for i in range(6):
