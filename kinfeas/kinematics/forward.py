@@ -226,25 +226,27 @@ def place_joints(tree: Tree, q, motion):
 
 @inlined
 def place_chain(chain: Chain, q, frames):
-    """Write axes, origins and EE pose of the chain at the variables `q`, shape (v,).
-
-    A row of a product of rotations depends only on the same row of the first factor: the chain is
-    evaluated once for each of three rows.
-    """
-    tree, motion = chain.tree, frames.motion
+    """Write axes, origins and EE pose of the chain at the variables `q`, shape (v,)."""
+    tree, motion, turn, place = chain.tree, frames.motion, frames.rotation, frames.position
     place_joints(tree, q, motion)
-    turn, offset = chain.ee_rotation, chain.ee_offset
     for r in range(3):
-        a, b, c = 1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0
-        place = 0.0
-        for i in range(len(tree.variable)):
-            place += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
+        for k in range(3):
+            turn[r, k] = 1.0 if r == k else 0.0
+        place[r] = 0.0
+    for i in range(len(tree.variable)):
+        for r in range(3):
+            a, b, c = turn[r, 0], turn[r, 1], turn[r, 2]
+            place[r] += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
             a, b, c = turn_row(a, b, c, tree.rotation[i], motion[i, 0], motion[i, 1])
-            place += c * motion[i, 2]
-            frames.axis[i, r], frames.origin[i, r] = c, place
-        frames.position[r] = place + a * offset[0] + b * offset[1] + c * offset[2]
-        a, b, c = turn_row(a, b, c, turn, 1.0, 0.0)
-        frames.rotation[r, 0], frames.rotation[r, 1], frames.rotation[r, 2] = a, b, c
+            place[r] += c * motion[i, 2]
+            turn[r, 0], turn[r, 1], turn[r, 2] = a, b, c
+            frames.axis[i, r], frames.origin[i, r] = c, place[r]
+    offset = chain.ee_offset
+    for r in range(3):
+        a, b, c = turn[r, 0], turn[r, 1], turn[r, 2]
+        place[r] += a * offset[0] + b * offset[1] + c * offset[2]
+        a, b, c = turn_row(a, b, c, chain.ee_rotation, 1.0, 0.0)
+        turn[r, 0], turn[r, 1], turn[r, 2] = a, b, c
 
 
 @inlined
