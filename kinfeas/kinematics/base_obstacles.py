@@ -15,6 +15,9 @@ from kinfeas.kinematics.solids import in_base, is_empty, rows_of
 _AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
 
+_PLACES = 48
+"""Places for the points of a row at first; a row with more needs a second pass."""
+
 
 def base_obstacles(
     model: CollisionModel, base_pose: Array, solids: Solids, within: float
@@ -31,7 +34,7 @@ def base_obstacles(
         solids: In the world, n rows.
         within: Metres.
     """
-    n, used = len(base_pose), 8
+    n, used = len(base_pose), _PLACES
     local = in_base(solids, base_pose)
     rows, velocity = rows_of(local, n), np.ascontiguousarray(local.velocity)
     prisms = _prisms(model)
