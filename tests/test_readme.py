@@ -11,8 +11,6 @@ from markdown_it import MarkdownIt
 
 from kinfeas.cli.main import app
 from kinfeas.core.errors import KinfeasError
-from kinfeas.robots.loading import load_robot
-from kinfeas.sim2real.ros.topics import read_topics
 from kinfeas.tasks.loading import load_task
 from kinfeas.testing import check_motion_generator
 
@@ -114,18 +112,8 @@ def test_python_runs(code, tmp_path, monkeypatch):
         check_motion_generator(names["Arc"]())
 
 
-def first_yaml(page, folder):
-    """Return the path of a file with the first YAML block of a page."""
-    path = folder / "page.yaml"
-    path.write_text(dict(reversed(blocks((DOCS / page).read_text())))["yaml"])
-    return str(path)
-
-
 def test_task_of_the_page_on_tasks(tmp_path):
-    task = load_task(first_yaml("tasks.md", tmp_path))
+    path = tmp_path / "page.yaml"
+    path.write_text(dict(reversed(blocks((DOCS / "tasks.md").read_text())))["yaml"])
+    task = load_task(str(path))
     assert [subgoal.dwell for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
-
-
-def test_topics_of_the_page_on_ros(tmp_path):
-    tiago = load_robot("tiago")
-    assert read_topics(tiago, 2, first_yaml("ros.md", tmp_path)) == read_topics(tiago, 2)
