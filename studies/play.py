@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tests.viz.browser import Browser
-from tests.viz.test_play import on_screen
+from studies.browser import Browser, on_screen
 
 FULL = 100  # colours of a picture with the robot
 

@@ -38,31 +38,26 @@ def in_the_foreground():
 
 @pytest.fixture(scope="session", params=["pr2", "tiago", "hsr"])
 def robot(request):
-    """Each shipped robot in turn."""
     return load_robot(request.param)
 
 
 @pytest.fixture(scope="session")
 def pr2():
-    """A robot with continuous joints."""
     return load_robot("pr2")
 
 
 @pytest.fixture(scope="session")
 def hsr():
-    """A robot with a pose tolerance."""
     return load_robot("hsr")
 
 
 @pytest.fixture(scope="session")
 def solver(robot):
-    """Its solver as the world uses it."""
     return IkSolver(robot)
 
 
 @pytest.fixture(scope="session")
 def exact_solver(robot):
-    """Its solver without pose tolerance."""
     return IkSolver(robot, IkOptions(pose_tolerance=False))
 
 

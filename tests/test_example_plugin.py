@@ -1,5 +1,3 @@
-"""A distribution of its own: found, checked, used and deployed; installed and uninstalled."""
-
 import json
 import shutil
 import subprocess

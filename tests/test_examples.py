@@ -1,5 +1,3 @@
-"""The scripts of examples/ run."""
-
 import runpy
 import sys
 from pathlib import Path
@@ -7,6 +5,12 @@ from pathlib import Path
 import pytest
 
 from kinfeas.core import registry
+from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import IkSolver, spread_configurations
+from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.robots.loading import load_robot
+from kinfeas.sim2real.ros.topics import read_topics
+from tests.builders import assert_near
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PRINTED = {
@@ -21,7 +25,7 @@ PRINTED = {
 }
 TESTED_ELSEWHERE = {
     "onnx_inference": "sim2real/test_export.py",
-    "target_source": "cli/test_servo.py",
+    "target_source": "cli/test_commands.py",
     "udp_backend": "sim2real/test_udp_example.py",
 }
 
@@ -42,3 +46,29 @@ def test_runs(name, monkeypatch, tmp_path, capsys):
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     assert printed in capsys.readouterr().out
     assert {path.name for path in tmp_path.iterdir()} <= {"shown"}
+
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "examples" / "own_robot"
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return IkSolver(load_robot(str(FOLDER / "scout.yaml")))
+
+
+def test_ik_inverts_forward_kinematics(solver):
+    spread = spread_configurations(solver.robot, 1000)
+    free = spread[~self_collides(solver.collision, spread)]
+    assert len(free) > 850
+    poses = forward(solver.chain, free)
+    solution = solver.solve(poses, free[::-1])
+    found = solution.feasible
+    assert found.mean() >= 0.995
+    reached = forward(solver.chain, solution.joint_positions[found])
+    assert_near(reached, poses[found], 1e-4, 1e-3)
+
+
+def test_topics_fit_the_robot(solver):
+    topics = read_topics(solver.robot, 2, str(FOLDER / "scout_topics.yaml"))
+    assert len(topics.joints.controllers) == 2

@@ -1,5 +1,3 @@
-"""The LeRobot robot of examples/ in LeRobot's own programs."""
-
 import json
 import os
 import subprocess
@@ -22,7 +20,6 @@ pytestmark = [
 
 @pytest.fixture
 def program(tmp_path):
-    """Return a function that runs a program of LeRobot in an empty folder."""
     environment = os.environ | {
         "HF_HUB_OFFLINE": "1",
         "HF_HOME": str(tmp_path / "home"),

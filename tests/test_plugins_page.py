@@ -1,5 +1,3 @@
-"""The commands and the code of docs/plugins.md, from top to end."""
-
 import re
 import runpy
 import shlex

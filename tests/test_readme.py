@@ -1,8 +1,11 @@
-"""Commands, links, code and numbers of the README and the documentation."""
-
 import contextlib
+import json
+import os
 import re
+import runpy
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +19,7 @@ from kinfeas.testing import check_motion_generator
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-README = (ROOT / "README.md").read_text()
+RECORDS = ("study", "physics", "mujoco")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 # Pages with Python blocks that need files; their tests are beside the code.
 BLOCKS_TESTED_ELSEWHERE = {"demonstrations.md", "plugins.md"}
@@ -41,7 +44,6 @@ def commands(text):
 
 
 def examples(command):
-    """Return the examples in the help of a command and of its subcommands."""
     own = re.findall(r"Example: (kinfeas .*)", command.help or "")
     inner = getattr(command, "commands", {}).values()
     return [*own, *(line for one in inner for line in examples(one))]
@@ -117,3 +119,29 @@ def test_task_of_the_page_on_tasks(tmp_path):
     path.write_text(dict(reversed(blocks((DOCS / "tasks.md").read_text())))["yaml"])
     task = load_task(str(path))
     assert [subgoal.dwell for subgoal in task.subgoals] == [0.0, 2.0, 0.0]
+
+
+def test_the_pages_hold_what_the_record_says():
+    script = runpy.run_path(str(DOCS / "results_tables.py"))
+    study, bullet, mujoco = (
+        json.loads((DOCS / f"figures/{one}.json").read_text()) for one in RECORDS
+    )
+    tables, physics = (DOCS / "reference/tables.md").read_text(), (DOCS / "physics.md").read_text()
+    assert script["tables_page"](study, bullet, mujoco) == tables
+    readme = (ROOT / "README.md").read_text()
+    assert script["fill_readme"](readme, study, bullet) == readme
+    assert script["fill_physics"](physics, bullet, mujoco) == physics
+
+
+@pytest.mark.slow
+def test_the_site(tmp_path):
+    for package in ("sphinx", "myst_parser", "furo", "sphinx_copybutton"):
+        pytest.importorskip(package, reason='pip install "kinfeas[docs]"')
+    options = ["--fail-on-warning", "--keep-going", "--quiet", "--doctree-dir", tmp_path / "trees"]
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", *options, DOCS, tmp_path / "site"],
+        capture_output=True, text=True, env={**os.environ, "PYTHONWARNINGS": "ignore"}, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for page in DOCS.rglob("*.md"):
+        assert (tmp_path / "site" / page.relative_to(DOCS).with_suffix(".html")).is_file()

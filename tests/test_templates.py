@@ -1,5 +1,3 @@
-"""Distributions written by `kinfeas plugins new` work, and wrong requests raise."""
-
 import runpy
 
 import pytest
@@ -34,14 +32,3 @@ def test_names_that_are_invalid_or_taken_raise(name, tmp_path):
     with pytest.raises(KinfeasError, match=name):
         write_distribution("motion_generator", name, tmp_path / "new")
     assert not (tmp_path / "new").exists()
-
-
-def test_folders_and_kinds_that_are_invalid_raise(tmp_path):
-    (tmp_path / "file").write_text("")
-    for folder in (tmp_path, tmp_path / "file", tmp_path / "file" / "inner"):
-        with pytest.raises(KinfeasError, match=str(folder)):
-            write_distribution("task", "mine", folder)
-    (tmp_path / "empty").mkdir()
-    assert write_distribution("task", "mine", tmp_path / "empty")
-    with pytest.raises(KinfeasError, match=r"'robt'.*'robot'"):
-        write_distribution("robt", "mine", tmp_path / "new")

@@ -1,5 +1,3 @@
-"""The wheel alone, in a fresh environment, has all modules, data and entry points."""
-
 import os
 import shutil
 import subprocess
@@ -78,7 +76,6 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture
 def home(wheel, tmp_path):
-    """A fresh environment with the wheel alone."""
     venv.create(tmp_path / "home", with_pip=False, symlinks=True)
     python = tmp_path / "home" / "bin" / "python"
     run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel)
@@ -124,24 +121,17 @@ DEPLOY = "deploy follow_ee --robot hsr --goal 0.9 0.1 0.8 --no-real-time --secon
 LACKING = {
     "demo": "train,plots",
     "train --robot hsr --steps 64": "train",
-    "speed --robot hsr": "train",
-    "fit --demonstrations . --out model.yaml": "train",
     "sweep sweep/pr2": "train,plots,sweep",
-    "benchmark --policy pretrained": "plots",
     f"{EVALUATE} --picture a.png": "plots",
     f"{EVALUATE} --video a.mp4": "video",
     f"{EVALUATE} --replay a.html": "view",
     "play --robot hsr": "view,plots",
-    "view --picture a.png": "plots",
     "export pretrained --robot hsr --out a.onnx": "export",
     "push pretrained someone/policy": "hub",
-    "pull someone/policy --out out": "hub",
     "evaluate --policy whole_body_qp --robot hsr --episodes 1": "qp",
     f"{EVALUATE} --world pybullet": "pybullet",
-    f"{DEPLOY} --backend mujoco": "mujoco",
     DEPLOY: "pybullet" if sys.version_info < (3, 12) else "mujoco",
     f"{DEPLOY} --backend ros2": "ros2",
-    "simulate --robot hsr": "ros2",
     "robot import mesh.urdf --out out": "meshes",
     "dataset . --out out": "lerobot",
 }

@@ -52,13 +52,7 @@ def test_metrics_are_those_of_the_command(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "arguments",
-    [
-        {"policy": "folow_ee"},
-        {"world": "real"},
-        {"episodes": 0},
-        {"settings": {"world.dtt": 1}},
-        {"robot": "r2d2"},
-    ],
+    [{"policy": "folow_ee"}, {"world": "real"}, {"episodes": 0}, {"settings": {"world.dtt": 1}}],
 )
 def test_bad_input_is_an_error(arguments):
     with pytest.raises(KinfeasError):

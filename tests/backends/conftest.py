@@ -7,6 +7,7 @@ from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.scenes.scene import read_scene
+from tests.builders import at, twist
 
 INERTIA = "<mass value='{}'/><inertia ixx='{}' iyy='{}' izz='{}' ixy='0' ixz='0' iyz='0'/>"
 URDFS = {
@@ -43,7 +44,6 @@ def hsr():
 
 @pytest.fixture(scope="session", params=["pybullet", "mujoco"])
 def engine(request):
-    """The class of a backend with physics."""
     pytest.importorskip(request.param)
     return registry.load("kinfeas.backends", request.param)
 
@@ -105,18 +105,13 @@ def between_fingers(hsr):
 def place(world, x=0.0, y=0.0, yaw=0.0, joints=None, scene=None):
     """Reset a world to the home configuration, at the origin by default."""
     joints = world.robot.home["home"] if joints is None else joints
-    base = spatial.planar_pose(*np.array([[x], [y], [yaw]]))
+    base = at(x, y, yaw)
     if scene is not None:
         world.place(0, scene, base[0], joints)
     return world.reset(base, joints[np.newaxis])
 
 
-def twist(x=0.0, y=0.0, turn=0.0):
-    return np.array([[x, y, 0.0, 0.0, 0.0, turn]])
-
-
 def stay(world, ticks, base_twist=None, dt=0.02):
-    """Return the states of control periods with the arm at home."""
     home = world.robot.home["home"][np.newaxis]
     command = twist() if base_twist is None else base_twist
     return [world.step(command, home, dt) for _ in range(ticks)]

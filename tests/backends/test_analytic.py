@@ -1,7 +1,6 @@
 import numpy as np
 
 from kinfeas.backends.analytic import AnalyticBackend
-from kinfeas.core.backend import Resumable, Stochastic
 from kinfeas.core.spatial import integrate, planar_pose
 
 
@@ -40,16 +39,3 @@ def test_a_reset_of_rows_leaves_other_rows_and_old_states_alone():
     np.testing.assert_array_equal(after.joint_positions.sum(axis=1), [7, 0, 0, 7])
     np.testing.assert_array_equal(before.base_pose, held)
     assert not before.joint_positions.any()
-
-
-def test_a_snapshot_is_resumed():
-    backend, other = AnalyticBackend(), AnalyticBackend()
-    assert isinstance(backend, Resumable)
-    assert not isinstance(backend, Stochastic)
-    backend.reset(bases(3), np.zeros((3, 7)))
-    saved = backend.snapshot()
-    moved = backend.step(twists(3), np.ones((3, 7)), 0.1)
-    np.testing.assert_array_equal(other.restore(saved).base_pose, bases(3))
-    again = other.step(twists(3), np.ones((3, 7)), 0.1)
-    np.testing.assert_array_equal(again.base_pose, moved.base_pose)
-    backend.close()

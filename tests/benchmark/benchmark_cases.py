@@ -40,8 +40,8 @@ def study(data=None, *overrides):
     return config.from_mapping(BenchmarkConfig, data or {}, "study", overrides)
 
 
-def result(success, *, episodes=100, learned=False, **changes):
-    found = {
+def result(success, *, episodes=100, **changes):
+    return {
         "episodes": episodes,
         "success": success,
         "within_5cm": success,
@@ -58,8 +58,6 @@ def result(success, *, episodes=100, learned=False, **changes):
         "head_start": 0.0,
         **changes,
     }
-    points = {"feasible": [[0.5, 0.1, 0.8]] * 9, "infeasible": [[0.2, 0.0, 0.5]]}
-    return {**found, "workspace": points} if learned else found
 
 
 def findings():
@@ -78,10 +76,8 @@ def findings():
 
         ceiling = {"success": 0.98, "success_low": 0.93, "success_high": 1.0}
         found.append((job(CEILING), ceiling))
-        found += [
-            (job("sac", seed), result(success, learned=True))
-            for seed, success in enumerate((0.90, 0.92, 0.94))
-        ]
+        shares = enumerate((0.90, 0.92, 0.94))
+        found += [(job("sac", seed), result(success)) for seed, success in shares]
         found.append((job("sac", 0, "feasibility filter"), result(0.97, filters=["feasibility"])))
         found.append((job("follow_ee"), result(0.6)))
     return found

@@ -1,18 +1,15 @@
 from collections import Counter
 
-import numpy as np
+import pytest
 
 from kinfeas.benchmark import evaluations as module
-from kinfeas.benchmark.evaluations import CEILING, PART, WorkspaceSamples, plan_evaluations
+from kinfeas.benchmark.config import read_benchmark, restricted
+from kinfeas.benchmark.evaluations import CEILING, PART, plan_evaluations
 from kinfeas.benchmark.runs import Run
-from kinfeas.envs.episodes import run_episodes
-from kinfeas.envs.world import World, WorldConfig
+from kinfeas.core.errors import KinfeasError
 from kinfeas.evaluation.evaluate import evaluate, prepare
 from kinfeas.jobs.job import run_jobs
 from kinfeas.jobs.local import Local
-from kinfeas.policies.baselines.following import FollowEe
-from kinfeas.robots.loading import load_robot
-from kinfeas.tasks.ggr import ggr
 from tests.benchmark.benchmark_cases import PYBULLET, SMALL, study
 
 
@@ -22,23 +19,15 @@ def small(*overrides):
 
 def test_plan():
     planned = [(job.robot, job.task, job.variant, job.policy, job.row) for job in small()]
-    assert planned == [
-        ("hsr", "ggr", "", CEILING, ""),
-        ("hsr", "ggr", "", "pretrained", ""),
-        ("hsr", "ggr", "", "follow_ee", ""),
-        ("hsr", "pick_place", "", CEILING, ""),
-        ("hsr", "pick_place", "", "pretrained", ""),
-        ("tiago", "ggr", "", CEILING, ""),
-        ("tiago", "ggr", "", "pretrained", ""),
-        ("tiago", "ggr", "", "pretrained", "feasibility filter"),
-        ("tiago", "ggr", "", "follow_ee", ""),
-        ("tiago", "pick_place", "", CEILING, ""),
-        ("tiago", "pick_place", "", "pretrained", ""),
-        ("tiago", "pick_place", "", "pretrained", "feasibility filter"),
-        ("hsr", "ggr", "low", CEILING, ""),
-        ("hsr", "ggr", "low", "pretrained", ""),
-        ("hsr", "ggr", "low", "follow_ee", ""),
-    ]
+    plain, filtered = [(CEILING, ""), ("pretrained", "")], ("pretrained", "feasibility filter")
+    expected = {
+        ("hsr", "ggr", ""): [*plain, ("follow_ee", "")],
+        ("hsr", "pick_place", ""): plain,
+        ("tiago", "ggr", ""): [*plain, filtered, ("follow_ee", "")],
+        ("tiago", "pick_place", ""): [*plain, filtered],
+        ("hsr", "ggr", "low"): [*plain, ("follow_ee", "")],
+    }
+    assert planned == [(*place, *row) for place, rows in expected.items() for row in rows]
 
 
 def test_rows_are_of_sac_and_runs_replace_the_shipped_policy(tmp_path):
@@ -101,12 +90,43 @@ def test_results_are_those_of_an_evaluation(tmp_path):
     assert ceiling.keys() == {"success", "success_low", "success_high"}
 
 
-def test_workspace_samples():
-    robot = load_robot("tiago")
-    world = World(robot, ggr(), WorldConfig(max_failures=9, max_seconds=10.0), seed=1)
-    samples = WorkspaceSamples()
-    records = run_episodes(world, FollowEe(robot.base), 6, watch=samples)
-    kept = {kind: np.array(points) for kind, points in samples.kept().items()}
-    assert len(kept["infeasible"]) == records.failures.sum() > 0
-    assert 0 < len(kept["feasible"]) <= records.steps.sum() / WorkspaceSamples.EVERY
-    assert np.all(np.linalg.norm(kept["feasible"][:, :2], axis=1) < 1.5)
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.yaml").write_text("note: mine\n")
+    return "study.yaml"
+
+
+@pytest.mark.parametrize("name", ["study", "quick", "physics", "physics_quick"])
+def test_shipped_benchmarks_are_valid(name):
+    read = read_benchmark(f"benchmark/{name}")
+    assert read.backend == ("pybullet" if name.startswith("physics") else "analytic")
+
+
+def test_fewer_robots():
+    whole = study({}, "trainings=[{robot: pr2}, {robot: hsr}]")
+    assert restricted(whole, {"hsr"}).robots == ("hsr",)
+    with pytest.raises(KinfeasError, match="fetch"):
+        restricted(whole, {"fetch"})
+
+
+VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ("baselines={follow_me: [ggr]}", "follow_me"),
+        ("tasks=[ggr, fly]", "fly"),
+        ("robots=[]", "robots"),
+        ("seeds=[1, 1]", "seeds"),
+        (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
+        ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
+        ("rows=[{label: a}, {label: a, tasks: [ggr]}]", "rows"),
+        ("rows=[{label: ''}]", "rows"),
+        ("rows=[{label: a, settings: ['world.slw=1']}]", "slw"),
+    ],
+)
+def test_the_wrong_key_or_value_is_named(mine, override, named):
+    with pytest.raises(KinfeasError, match=named):
+        read_benchmark(mine, [override])

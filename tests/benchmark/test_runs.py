@@ -17,7 +17,6 @@ from tests.benchmark.benchmark_cases import study
 from tests.training.conftest import TINY
 
 OUT = Path("out")
-TWO = ("robots=[pr2,hsr]", "trainings=[{robot: pr2, steps: 64}, {robot: pr2, algorithm: td3}]")
 
 
 def tiny(*overrides):
@@ -43,15 +42,6 @@ def test_runs_are_found_and_not_trained_again(run, tmp_path):
         find_runs([run, tmp_path])
     with pytest.raises(KinfeasError, match=r"config\.yaml"):
         find_runs([tmp_path / "none"])
-
-
-def test_a_run_for_each_training_and_seed():
-    plans = plan_runs(study({}, *TWO, "robots=[pr2]", "seeds=[0,3]"), OUT)
-    assert [job.path.parent for job in plans] == [
-        OUT / "runs" / name for name in ("pr2-sac-0", "pr2-sac-3", "pr2-td3-0", "pr2-td3-3")
-    ]
-    for settings, folder in (job.description for job in plans):
-        assert folder.name == f"{settings.robot}-{settings.learner.algorithm}-{settings.seed}"
 
 
 def test_settings_of_a_training():

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from kinfeas.benchmark import peers, speed
-from kinfeas.benchmark.learning_speed import LearningCurve
 from kinfeas.benchmark.peers import Peer, arm_urdf
 from kinfeas.benchmark.speed import (
     Effort,
     Figure,
     cold_targets,
     measure_speed,
-    measure_training,
     time_ours,
     time_peer,
     warm_targets,
@@ -20,6 +18,7 @@ from kinfeas.core import spatial
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.self_collision import self_collides
+from tests.builders import assert_near
 
 KEYS = {
     "ik_warm_us", "ik_cold_us", "ik_cold_solved", "pinocchio_warm_us", "pinocchio_cold_us",
@@ -55,21 +54,6 @@ def test_all_figures(monkeypatch, installed):
     assert installed or missing == {"pinocchio_warm_us", "pinocchio_cold_us", "pybullet_warm_us"}
 
 
-@pytest.mark.slow
-def test_training_is_timed_by_the_robot_s_own_recipe():
-    figures = {one.key: one.value for one in measure_training("tiago", Effort(train_minutes=0.2))}
-    assert figures["train_steps_per_s"] > 100.0 * figures["updates_per_s"] > 100.0
-    assert 0.0 < figures["update_share"] < 1.0
-    assert 0.0 < figures["waiting_share"] < 1.0 - figures["update_share"]
-    assert figures["learner_cpu_us"] > 0.0
-    assert figures["environment_cpu_us"] > 0.0
-
-
-def test_the_first_evaluation_at_a_level_counts():
-    curve = LearningCurve((5.0, 10.0, 15.0), (0.2, 0.8, 0.7))
-    assert [curve.time_to(level) for level in (0.1, 0.7, 0.8, 0.9)] == [5.0, 10.0, 10.0, math.inf]
-
-
 def test_targets(pr2, cold, warm):
     solver = IkSolver(pr2)
     for targets in (cold, warm):
@@ -101,6 +85,4 @@ def test_the_arm_of_the_peers_is_ours(robot, solver):
     for seed in cold_targets(robot, 20, np.random.default_rng(0)).seed:
         pin.framesForwardKinematics(model, data, seed)
         theirs = pin.SE3ToXYZQUAT(data.oMf[model.getFrameId(robot.ee_frame)])
-        metres, radians = spatial.distance(forward(solver.chain, seed), theirs)
-        assert metres < 1e-9
-        assert radians < 1e-7
+        assert_near(forward(solver.chain, seed), theirs, 1e-9, 1e-7)

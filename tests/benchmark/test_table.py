@@ -1,11 +1,12 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kinfeas.benchmark.evaluations import CEILING, Evaluation
-from kinfeas.benchmark.markdown import to_markdown
+from kinfeas.benchmark.pictures import evaluation_curve, training_curve
 from kinfeas.benchmark.table import interval, tabulate
 from kinfeas.core.metrics import wilson
 from tests.benchmark.benchmark_cases import cells, result
@@ -81,14 +82,20 @@ def test_seeds_that_differ_widen_the_interval():
     assert alike.high - alike.low < 0.02
 
 
-def test_markdown():
-    text = to_markdown(cells(), "Small.", ["kinfeas benchmark"], ["table.png"])
-    assert "**Small.**" in text
-    assert "**92.0 ± 2.0** (92.0)" in text
-    assert "*90.2 (91.2)*" in text
-    assert "98.0 (93.0 - 100.0)" in text
-    assert "*paper: geometric_modulation*" in text
-    assert "## PR2, goals up to 1.4 m" in text
-    assert text.index("## HSR") < text.index("## PR2, goals")
-    assert "Collisions" not in text
-    assert "![Episodes without a failure](table.png)" in text
+def metrics(end, success, evaluations):
+    evaluated = np.full(5, np.nan)
+    evaluated[[2, 4]] = evaluations
+    shares = np.array([np.nan, *np.linspace(0.0, success, 4)])
+    steps = np.linspace(0.0, end, 5)
+    return {"steps": steps, "train/success": shares, "evaluation/success": evaluated}
+
+
+def test_curves_have_common_steps():
+    runs = [metrics(1000, 0.8, (0.7, 0.9)), metrics(2000, 0.8, (0.5, 0.7))]
+    steps, success = training_curve(runs)
+    assert steps[-1] == 1000.0
+    assert np.isnan(success[:, 0]).all()
+    np.testing.assert_allclose(success[:, -1], [0.8, 0.8 / 3.0])
+    steps, success = evaluation_curve(runs)
+    np.testing.assert_allclose(steps, [750.0, 1500.0])
+    np.testing.assert_allclose(success, [[0.7, 0.9], [0.5, 0.7]])

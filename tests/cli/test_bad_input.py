@@ -1,5 +1,3 @@
-"""Bad input ends each command with code 2 and one line that names it, and writes nothing."""
-
 import shlex
 from dataclasses import replace
 from pathlib import Path

@@ -40,21 +40,6 @@ def test_info_on_parameters(info):
     assert {one["name"]: one["default"] for one in info("ggr")["parameters"]}["distance"] == [1, 5]
 
 
-@pytest.mark.parametrize("name", ["base_noise", "pybullet", "feasibility", "follow_ee"])
-def test_info_on_all_kinds(info, name):
-    names = [one["name"] for one in info(name)["parameters"]]
-    assert not {"backend", "robot"} & set(names)
-
-
-def test_info_on_a_task(info, tmp_path):
-    grips = [one["grip"] for one in info("door")["subgoals"]]
-    assert grips == ["close", None]
-    (tmp_path / "fetch.yaml").write_text(
-        "{name: fetch, places: {here: {position: [1, 0, 1]}}, subgoals: [{place: here}]}"
-    )
-    assert info("fetch.yaml")["subgoals"][0]["motion"]["generator"] == "linear"
-
-
 def test_check_reports_every_rule(kinfeas, tmp_path):
     kinfeas("plugins", "check", "linear", "--picture", "a.png", "--json", "a.json", code=0)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")

@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 
 import pytest
 
@@ -32,14 +31,3 @@ def test_the_winner_is_a_recipe_that_train_takes(kinfeas, tmp_path):
     assert json.loads((tmp_path / "out.json").read_text())[:3] == trials
     check_one_line(kinfeas(*words, "--set", "seed=4"), "out")
     check_one_line(kinfeas("sweep", "none"), "none")
-
-
-@pytest.mark.slow  # Optuna waits half a minute
-def test_the_lock_of_a_killed_worker_is_released(kinfeas, tmp_path):
-    from kinfeas.jobs.sweep import open_study
-
-    (tmp_path / "mine.yaml").write_text(SWEEP)
-    words = ("sweep", "mine.yaml", "--out", "out", "--processes", "1", "--set", "trials=1")
-    kinfeas(*words, code=0)
-    open_study(Path("out"))._storage._backend._lock.acquire()
-    kinfeas(*words[:-1], "trials=2", code=0)

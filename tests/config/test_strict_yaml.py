@@ -22,14 +22,11 @@ PLAIN = st.recursive(
     ("text", "value"),
     [
         ("1e-3", 1e-3),
-        ("-12_000_000", -12_000_000),
         ("1000_000", "1000_000"),
         (".inf", math.inf),
-        ("true", True),
         ("off", "off"),
         ("010", "010"),
         ("2024-01-01", "2024-01-01"),
-        ("null", None),
         ("", None),
         ("{a: [1, b]}", {"a": [1, "b"]}),
     ],
@@ -49,7 +46,6 @@ def test_scalars_are_those_of_yaml_1_2(text, value):
         ("!!python/object/apply:os.getcwd []", "os.getcwd"),
         ("a: 1\n---\nb: 2", "line 2"),
         ("[" * 5000, "broken YAML"),
-        ("a: \x00", "broken YAML"),
     ],
 )
 def test_broken_text_is_an_error_of_one_line(text, named):

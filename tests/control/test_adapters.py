@@ -11,7 +11,6 @@ from kinfeas.control.adapters import chain, execution_of, read_sim2real, wrap
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.core import registry
 from kinfeas.core.backend import BackendWrapper
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -28,22 +27,7 @@ def test_shipped_lists_suit_any_robot():
         assert isinstance(links[-1], AnalyticBackend)
 
 
-def test_lists_in_files(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("adapters: [{name: base_noise, parameters: {linear: [0.1, 0.2]}}]")
-    adapters = read_sim2real(str(path)).adapters
-    assert adapters == (PluginSpec("base_noise", {"linear": [0.1, 0.2]}),)
-    for text in ("", "null", "{}", "adapter: []"):
-        path.write_text(text)
-        with pytest.raises(KinfeasError, match=r"mine\.yaml.*adapters"):
-            read_sim2real(str(path))
-    with pytest.raises(KinfeasError, match="harsh"):
-        read_sim2real("hars")
-
-
 class ExecutionChanger(BackendWrapper):
-    """An adapter whose execution is that of a test."""
-
     answer = None
     reset = step = close = None
 

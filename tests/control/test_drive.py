@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinfeas.control.drive import action_toward, base_twist, command_size
-from kinfeas.core.spatial import integrate, planar_pose, wrap, yaw
+from kinfeas.core.spatial import integrate, planar_pose, yaw
 from kinfeas.robots.robot import Base
 
 OMNI = Base("omnidirectional", 0.2, 1.0, 1.0, 1.0, "base")
@@ -64,17 +64,6 @@ def test_limits_hold_and_the_floor_is_kept(base):
     assert speed.max() > 0.99 * base.max_velocity
     assert np.abs(twist[:, 5]).max() <= base.max_rotation
     np.testing.assert_array_equal(twist[:, 2:5], 0.0)
-
-
-@pytest.mark.parametrize("base", [OMNI, DIFFERENTIAL])
-def test_turning_the_world_turns_the_twist(base):
-    poses, action = random_bases(100), random_actions(base, 100)
-    turned = planar_pose(poses[:, 0], poses[:, 1], wrap(yaw(poses) + 1.0))
-    plain, other = (base_twist(base, each, action, DT) for each in (poses, turned))
-    cosine, sine = np.cos(1.0), np.sin(1.0)
-    expected = plain[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
-    np.testing.assert_allclose(other[:, :2], expected, atol=1e-14)
-    np.testing.assert_array_equal(other[:, 5], plain[:, 5])
 
 
 def test_omnidirectional_action_toward_is_the_inverse():

@@ -1,4 +1,3 @@
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.plugins.linear import Linear
+from tests.builders import random_poses, rngs
 
 
 class Recorder:
@@ -46,19 +46,12 @@ class Recorder:
         return RobotState(self.base.copy(), self.joints.copy())
 
 
-def rngs(n: int, seed: int = 0) -> Sequence[np.random.Generator]:
-    return [np.random.default_rng((seed, i)) for i in range(n)]
-
-
 def starts(robot, n, seed=0):
     """Return n episodes from the home configuration to goals one or two metres away."""
     rng = np.random.default_rng(seed)
     heading, bearing = rng.uniform(-np.pi, np.pi, (2, n))
-    goal = np.zeros((n, 7))
-    reach = rng.uniform(1.0, 2.0, n)
+    goal, reach = random_poses(n, seed), rng.uniform(1.0, 2.0, n)
     goal[:, 0], goal[:, 1], goal[:, 2] = reach * np.cos(bearing), reach * np.sin(bearing), 0.7
-    goal[:, 3:] = rng.normal(size=(n, 4))
-    goal[:, 3:] /= np.linalg.norm(goal[:, 3:], axis=1, keepdims=True)
     base = spatial.planar_pose(np.zeros(n), np.zeros(n), heading)
     return Start(base, np.tile(robot.home["home"], (n, 1)), goal[:, np.newaxis])
 
@@ -75,15 +68,6 @@ def actions(loop, n, rng):
 
 def still(loop):
     return np.zeros((len(loop.desired), loop.command_size))
-
-
-def test_begins_at_the_ee_with_the_start_configuration(solver):
-    loop, start = make_loop(solver, 5), starts(solver.robot, 5)
-    ee = spatial.compose(start.base_pose, forward(solver.chain, start.joint_positions))
-    np.testing.assert_array_equal(loop.desired, ee)
-    np.testing.assert_array_equal(loop.ee_pose, ee)
-    np.testing.assert_allclose(loop.goal, start.target_poses[:, 0], atol=1e-12)
-    np.testing.assert_array_equal(loop.state.base_pose, start.base_pose)
 
 
 def test_desired_pose_is_the_generators_integrated_whatever_the_base_does(solver):
@@ -153,30 +137,6 @@ def test_an_infeasible_step_keeps_the_arm_still(solver):
     recorder.base[1, :2] -= 6.0
     loop.step(still(loop))
     assert loop.step(still(loop)).feasible[1]
-
-
-def test_restarting_rows_leaves_the_others_alone(solver):
-    rng = np.random.default_rng(1)
-    whole, other = make_loop(solver, 5), make_loop(solver, 5)
-    rows = np.array([3, 1])
-    fresh = starts(solver.robot, 2, seed=7)
-    for i in range(30):
-        action = actions(whole, 5, rng)
-        whole.step(action)
-        other.step(action)
-        if i == 10:
-            held = [other.desired, other.observation, other.planned]
-            before = [array.copy() for array in held]
-            other.start(fresh, rngs(2, 7), rows)
-            np.testing.assert_array_equal(np.hstack(held), np.hstack(before))
-            ee = spatial.compose(fresh.base_pose, forward(solver.chain, fresh.joint_positions))
-            np.testing.assert_array_equal(other.desired[rows], ee)
-            np.testing.assert_allclose(other.goal[rows], fresh.target_poses[:, 0], atol=1e-12)
-        for name in ("desired", "observation", "ee_pose", "planned"):
-            np.testing.assert_array_equal(
-                getattr(whole, name)[[0, 2, 4]], getattr(other, name)[[0, 2, 4]], err_msg=name
-            )
-    assert np.abs(whole.desired[rows] - other.desired[rows]).max() > 0.05
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.05])
@@ -281,19 +241,6 @@ def test_only_a_feasible_step_ends_a_subgoal(solver):
     assert not step.finished.any()
 
 
-def test_the_base_moves_while_the_ee_dwells(solver):
-    loop = chained(solver, 1, ({"dwell": 1.0}, {}), (0.0, -0.3))
-    loop.step(still(loop))
-    stood, base, action = loop.desired, loop.state.base_pose, np.array([[0.3, 0.0, 0.0]])
-    for _ in range(10):
-        np.testing.assert_array_equal(loop.planned, stood)
-        assert loop.step(action).subgoal == [0]
-        np.testing.assert_array_equal(loop.desired, stood)
-    assert np.linalg.norm(loop.state.base_pose - base) > 0.01
-    assert loop.step(action).subgoal == [1]
-    assert loop.desired[0, 2] < stood[0, 2]
-
-
 class Hands(Recorder):
     """Writes down what the grippers are told, with the number of steps until then."""
 
@@ -332,7 +279,6 @@ def test_time_scale_changes_the_motion_but_not_the_observation(solver):
 
 
 def test_ik_starts_from_the_last_joint_command(solver):
-    """An arm that lags behind is no reason to look for another configuration."""
     loop, expected = (make_loop(solver, 2, Recorder()) for _ in range(2))
     for _ in range(5):
         loop.step(still(loop))

@@ -78,14 +78,6 @@ def test_moving_the_world_changes_nothing(solver, turn):
     assert half_turn.sum() <= 1
 
 
-def test_quaternions_are_unit_with_w_not_negative(solver):
-    given = parts(solver, 500)
-    for name in ("ee_orientation", "planned_rotation", "goal_orientation"):
-        quaternion = term(name, *given)
-        np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0, atol=1e-12)
-        assert quaternion[:, 3].min() >= 0.0
-
-
 def test_scales_and_descriptions_have_the_size_of_observations(robot):
     assert scale(robot).shape == (size(robot),)
     # The w of a small rotation is 1.

@@ -62,13 +62,6 @@ def test_nothing_is_run_that_another_user_may_have_written(nowhere):
     assert not numba.config.CACHE_DIR
 
 
-def test_the_users_own_folder_for_caches_comes_first(nowhere, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(nowhere / "caches"))
-    kernel_cache.settle()
-    assert Path(numba.config.CACHE_DIR) == nowhere / "caches" / "kinfeas"
-    assert (nowhere / "caches" / "kinfeas").stat().st_mode & 0o777 == 0o700
-
-
 @pytest.mark.slow
 def test_processes_may_compile_at_once(tmp_path):
     code = """

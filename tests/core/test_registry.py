@@ -1,12 +1,15 @@
 import re
 import sys
 import textwrap
+import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.extras import EXTRAS, missing_extra, require
 from kinfeas.core.registry import Plugin
 
 MOTIONS, ROBOTS = "kinfeas.motion_generators", "kinfeas.robots"
@@ -50,8 +53,6 @@ SOUND = """
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """A function that makes a distribution of one module and puts it on the path."""
-
     def make(name: str, module: str, source: str, entries: dict[str, list[str]]) -> None:
         site = tmp_path / name
         info = site / f"{name}-1.2.dist-info"
@@ -68,7 +69,6 @@ def install(tmp_path, monkeypatch):
 
 @pytest.fixture
 def sound(install):
-    """A distribution of plugins that work."""
     motions = ["wave = sound_module:Wave", "any = sound_module:anything"]
     motions += ["lenient = sound_module:Lenient", "shaped = sound_module:Shaped"]
     motions += ["number = sound_module:NUMBER", "absent = sound_module:Absent"]
@@ -91,12 +91,6 @@ def test_built_in_and_outside_plugins_are_listed(sound):
     plugin = Plugin(MOTIONS, "wave", "sound", "1.2")
     assert plugin in registry.plugins(MOTIONS)
     assert str(plugin) == "motion generator 'wave' (sound 1.2)"
-
-
-def test_load_and_build(sound):
-    assert registry.load(MOTIONS, "wave").__name__ == "Wave"
-    assert registry.build(MOTIONS, "wave", {"height": 2.0, "width": 3.0}).size == (2.0, 3.0)
-    assert registry.build(MOTIONS, "any", {"x": 1}) == {"x": 1}
 
 
 def test_unknown_names_and_groups(sound):
@@ -137,31 +131,6 @@ def test_parameters_are_converted_to_their_annotations(sound):
     assert given == {"shape": {"ends": [1, 2]}, "file": "a.yaml"}
 
 
-@pytest.mark.parametrize("kind", ["tasks", "adapters", "backends"])
-def test_objects_need_the_methods_of_their_group(install, kind):
-    group = f"kinfeas.{kind}"
-    source = "def nothing():\n    pass"
-    install("empty", "empty_module", source, {group: ["nothing = empty_module:nothing"]})
-    method = "sample" if kind == "tasks" else "step"
-    assert method in message(registry.build, group, "nothing", {})
-
-
-@pytest.mark.parametrize(
-    ("source", "cause"),
-    [
-        ("import surely_no_such_module", "ModuleNotFoundError"),
-        ("raise SystemExit(0)", "SystemExit"),
-        ("pass", "AttributeError"),
-    ],
-)
-def test_a_broken_plugin_does_not_affect_others(sound, install, source, cause):
-    install("broken", "broken_module", source, {MOTIONS: ["bad = broken_module:Broken"]})
-    text = message(registry.load, MOTIONS, "bad")
-    assert text.startswith(f"motion generator 'bad' (broken 1.2) cannot be loaded: {cause}")
-    assert "bad" in registry.names(MOTIONS)
-    assert registry.load(MOTIONS, "wave").__name__ == "Wave"
-
-
 class Hop:
     pass
 
@@ -179,3 +148,27 @@ def test_register_raises_for_used_names_inner_classes_and_unknown_groups(registe
     assert "'linear'" in message(registry.register, MOTIONS, "linear", Hop)
     assert "Inner" in message(registry.register, MOTIONS, "inner", Inner)
     assert "kinfeas.hops" in message(registry.register, "kinfeas.hops", "hop", Hop)
+
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+
+
+def test_the_extras_are_those_of_the_distribution():
+    distribution = set(PROJECT["optional-dependencies"])
+    assert set(EXTRAS) == distribution - {"all", "docs", "test", "dev"}
+
+
+def test_missing_packages_are_named_with_their_extras(monkeypatch):
+    monkeypatch.setattr(
+        "kinfeas.core.extras.find_spec",
+        lambda name: None if name in ("torch", "av") else find_spec(name),
+    )
+    require("numpy")
+    with pytest.raises(KinfeasError, match=r"'kinfeas\[train,video\]'"):
+        require("torch", "numpy", "av")
+
+
+def test_other_import_errors_are_no_missing_extras():
+    assert missing_extra(ModuleNotFoundError(name="torch.nn")) is not None
+    assert missing_extra(ModuleNotFoundError(name="of_a_plugin")) is None
+    assert missing_extra(ImportError(name="torch")) is None

@@ -1,5 +1,3 @@
-"""Poses form a group, twists lead from one to another, and angles wrap."""
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +7,6 @@ from hypothesis.extra.numpy import arrays
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import (
     IDENTITY,
-    canonical,
     compose,
     distance,
     integrate,
@@ -21,16 +18,10 @@ from kinfeas.core.spatial import (
     wrap,
     yaw,
 )
+from tests.builders import random_poses
 
 SHAPES = [(), (3,), (2, 3)]
 shapes = st.sampled_from(SHAPES)
-
-
-def random_poses(shape, seed=0):
-    rng = np.random.default_rng(seed)
-    quaternion = rng.normal(size=(*shape, 4))
-    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    return np.concatenate([rng.uniform(-3.0, 3.0, (*shape, 3)), canonical(quaternion)], axis=-1)
 
 
 @st.composite
@@ -94,23 +85,6 @@ def test_every_pose_is_canonical(shape):
     for pose in (compose(a, b), relative(a, b), integrate(a, b[..., :6], 0.7)):
         assert np.all(pose[..., 6] >= 0.0)
         assert np.allclose(np.linalg.norm(pose[..., 3:], axis=-1), 1.0)
-
-
-def test_a_row_has_the_same_bits_in_any_batch():
-    a, b = random_poses((17,), 1), random_poses((17,), 2)
-    functions = (
-        compose,
-        relative,
-        lambda a, b: integrate(a, b[..., :6], 0.1),
-        lambda a, b: twist_between(a, b, 0.1),
-        lambda a, b: np.stack(distance(a, b), axis=-1),
-        lambda a, b: planar_pose(a[..., 0], a[..., 1], b[..., 2]),
-        lambda a, b: yaw(a),
-    )
-    for function in functions:
-        batch = function(a, b)
-        assert np.array_equal(batch, [function(a[i], b[i]) for i in range(17)])
-        assert np.array_equal(batch[3:8], function(a[3:8], b[3:8]))
 
 
 def test_twists_are_along_the_axes_of_the_world():

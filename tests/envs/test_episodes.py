@@ -64,21 +64,6 @@ def test_records_are_sums_over_the_steps(world, policy, records, episode):
     assert records.mean_deviation[episode] == pytest.approx(deviation.mean())
 
 
-def test_progress_and_watch(world, policy, records, monkeypatch):
-    monkeypatch.setattr(module, "BATCH", 5)
-    ended, steps = [], np.zeros(24, dtype=int)
-
-    def watch(seen, transition, rows, episodes):
-        assert seen is world
-        assert len(rows) == len(set(rows)) == len(episodes) <= 5
-        assert transition.reward.shape == (5,)
-        steps[episodes] += 1
-
-    run_episodes(world, policy, 24, ended.append, watch)
-    assert sum(ended) == 24
-    np.testing.assert_array_equal(steps, records.steps)
-
-
 def test_an_episode_that_never_begins_its_last_sub_goal_ends_far_from_it(world, policy):
     short = WorldConfig(max_seconds=0.3)
     records = run_episodes(World(world.robot, pick_place(), short, seed=0), policy, 3)

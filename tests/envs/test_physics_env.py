@@ -1,5 +1,3 @@
-"""The Gymnasium environments with physics."""
-
 from dataclasses import replace
 
 import gymnasium
@@ -7,9 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs import PHYSICS_ENVIRONMENTS
-from kinfeas.envs.gym import BaseMotionEnv
 from kinfeas.envs.world import evaluation_world
 
 
@@ -21,7 +17,6 @@ def engine(request):
 
 @pytest.fixture
 def make(engine):
-    """A function that makes the environment of an engine."""
     return lambda robot="hsr", **arguments: gymnasium.make(
         PHYSICS_ENVIRONMENTS[engine], robot=robot, **arguments
     )
@@ -49,24 +44,7 @@ def test_steps_count_contacts_and_pictures_show_the_robot(make, engine):
     env.close()
 
 
-def test_every_observation_is_within_the_space(make):
-    env = make().unwrapped
-    rng = np.random.default_rng(1)
-    seen, _ = env.reset(seed=3)
-    for _ in range(100):
-        assert seen in env.observation_space
-        seen, *_ = env.step(rng.uniform(-1.0, 1.0, 3).astype(np.float32))
-    env.close()
-
-
 def test_no_filter_changes_commands_unless_the_world_has_one(make, engine):
     assert not make("pr2").unwrapped.world.config.filters
     own = evaluation_world(engine, "pr2")
     assert make("pr2", world=own).unwrapped.world.config.filters == own.filters
-
-
-def test_a_window_without_a_screen(monkeypatch):
-    pytest.importorskip("pybullet")
-    monkeypatch.setenv("DISPLAY", ":77")
-    with pytest.raises(KinfeasError, match="DISPLAY"):
-        BaseMotionEnv("hsr", backend="pybullet", render_mode="human")

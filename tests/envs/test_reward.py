@@ -3,9 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinfeas import config
 from kinfeas.control.loop import Step
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.reward import RewardConfig, limit_distance, reward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.spec import PoseTolerance
@@ -29,7 +27,6 @@ def exact_robot():
 
 
 def middle(robot, n=1):
-    """Return configurations in the middle between all limits."""
     half = [0.0 if joint.continuous else (joint.lower + joint.upper) / 2.0 for joint in robot.arm]
     return np.tile(half, (n, 1))
 
@@ -106,9 +103,3 @@ def test_continuous_joints_have_no_limit():
         replace(joint, continuous=True, lower=-np.inf, upper=np.inf) for joint in robot.arm
     )
     np.testing.assert_array_equal(limit_distance(replace(robot, arm=endless), joints), [1.0])
-
-
-@pytest.mark.parametrize("entry", [{"limit_penalty": -1}, {"limit_margin": 0.0}, {"failure": "x"}])
-def test_invalid_weights_are_named(entry):
-    with pytest.raises(KinfeasError, match=next(iter(entry))):
-        config.from_mapping(RewardConfig, entry, "reward")

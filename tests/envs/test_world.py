@@ -12,13 +12,14 @@ from kinfeas.core import registry
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import yaw
+from kinfeas.core.spatial import planar_pose, yaw
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.policies.baselines.following import FollowEe
 from kinfeas.policies.network import Network
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import ggr
+from kinfeas.tasks.loading import load_task
 
 FAST = {"gain": 0.5, "max_velocity": 0.2, "max_angular_velocity": None}
 CHAIN = config.from_mapping(
@@ -87,16 +88,6 @@ def hsr():
 @pytest.fixture
 def world(hsr):
     return make(hsr, world=WorldConfig(max_seconds=5.0), seed=0)
-
-
-def test_sizes(robot):
-    world, joints = make(robot), len(robot.arm)
-    assert world.action_size == (2 if robot.base.drive == "differential" else 3)
-    assert world.start(range(3)).shape == (3, 21 + joints) == (3, observation.size(robot))
-    transition = world.step(idle(world, 3))
-    assert transition.observation.shape == (3, 21 + joints)
-    for values in (transition.reward, transition.terminated, transition.truncated, transition.done):
-        assert values.shape == (3,)
 
 
 @pytest.mark.parametrize("task", [ggr(), CHAIN], ids=["one sub-goal", "chain"])
@@ -220,21 +211,7 @@ def test_a_restart_counts_from_zero(world):
     np.testing.assert_array_equal(world.failures, [10, 0])
 
 
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"adapters": (PluginSpec("base_nose"),)}, "base_nose"),
-        ({"backend_parameters": {"gravity": 9.81}}, "gravity"),
-    ],
-)
-def test_wrong_settings_are_named(hsr, settings, named):
-    with pytest.raises(KinfeasError, match=named):
-        make(hsr, world=WorldConfig(**settings))
-
-
 class RealRobot(AnalyticBackend):
-    """A backend with a clock of its own."""
-
     closed = False
 
     def read(self):
@@ -257,21 +234,16 @@ def test_episodes_do_not_run_on_real_robots(hsr, monkeypatch):
 
 @dataclass(frozen=True)
 class Walled:
-    """Random goals with a wall one metre ahead of the base."""
-
     name: str = "walled"
     subgoals: tuple = ggr().subgoals
 
     def sample(self, solver, rng):
         start = ggr().sample(solver, rng)
         solids = Solids.empty(1, 1)
-        solids.pose[0, 0] = [*(1.0 * heading(start.base_pose)), yaw(start.base_pose)]
+        turn = yaw(start.base_pose)
+        solids.pose[0, 0] = [np.cos(turn), np.sin(turn), turn]
         solids.size[0, 0] = [0.1, 3.0, 0.0, 0.3]
         return replace(start, solids=solids)
-
-
-def heading(base):
-    return np.array([np.cos(yaw(base)), np.sin(yaw(base))])
 
 
 def test_a_collision_of_the_base_ends_the_episode_without_success(hsr):
@@ -317,3 +289,15 @@ def test_a_world_with_solids_resumes_to_the_bit(hsr):
         one, other = (world.step(action) for world in worlds)
         np.testing.assert_array_equal(one.observation, other.observation)
         np.testing.assert_array_equal(one.reward, other.reward)
+
+
+def test_furniture_is_scanned_and_has_distances_in_the_analytic_world(hsr):
+    world = World(hsr, load_task("shelf"), WorldConfig(), 0)
+    world.start([0])
+    before_shelf = planar_pose(np.array([2.0]), np.zeros(1), np.zeros(1))
+    world.backend.reset(before_shelf, hsr.home["home"][np.newaxis], np.zeros(1, dtype=np.intp))
+    ahead = world.backend.scan()[0, :, SCAN_BEAMS // 2]
+    np.testing.assert_allclose(ahead, 0.5)
+    found = world.backend.obstacle_distances(1.0)
+    assert found.distance.min() == pytest.approx(0.5 - 0.226, abs=0.01)  # the base's radius
+    world.close()

@@ -1,14 +1,11 @@
-"""Evaluation with physics."""
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from kinfeas.core.errors import KinfeasError
 from kinfeas.envs.episodes import Collisions, run_episodes
 from kinfeas.envs.world import World, evaluation_world
-from kinfeas.evaluation.evaluate import EvalConfig, read_settings, run
+from kinfeas.evaluation.evaluate import EvalConfig, run
 from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -35,12 +32,6 @@ def policy(chosen):
 @pytest.fixture(scope="module")
 def records(chosen, policy):
     return run(chosen, policy)
-
-
-@pytest.mark.parametrize("wrong", ["world.time_scale=1.5", "world.action_repeat=3"])
-def test_wrong_settings_are_named(wrong, engine):
-    with pytest.raises(KinfeasError, match=wrong.partition("=")[0]):
-        read_settings("hsr", engine, [wrong])
 
 
 def test_records(records):

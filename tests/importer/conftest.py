@@ -56,8 +56,6 @@ def dolly(tmp_path) -> Path:
 
 @pytest.fixture
 def changed(tmp_path):
-    """Write the URDF with other words in place of some of its own."""
-
     def write(*changes: tuple[str, str]) -> Path:
         text = ARM
         for old, new in changes:

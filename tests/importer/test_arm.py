@@ -4,7 +4,6 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
-from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf_file import parse_urdf
 
@@ -69,19 +68,6 @@ def test_robots_without_an_arm_are_errors(dolly, changed):
         arm_of(changed(('type="revolute"', 'type="fixed"'), ("continuous", "fixed")))
 
 
-def test_link_poses_are_those_of_forward_kinematics():
-    robot = load_robot("hsr")
-    home = robot.home["home"]
-    positions = {joint.name: at for joint, at in zip(robot.arm, home, strict=True)}
-    expected = forward(build_chain(robot), home[np.newaxis])[0]
-    found = robot.urdf.link_poses(robot.fixed_joints | positions)[robot.ee_frame]
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-def hand_of(path):
-    return read_hand(parse_urdf(path), arm_of(path))
-
-
 def axes(quaternion):
     """The approach, the finger axis and the third, as columns."""
     return Rotation.from_quat(quaternion).inv().as_matrix()
@@ -102,7 +88,8 @@ OUTSIDE = ('xyz="0.02 0.01 0"', 'xyz="0.02 -0.06 0"'), ('xyz="0.02 -0.01 0"', 'x
 
 @pytest.mark.parametrize(("changes", "closed"), [((), 0.0), (OUTSIDE, 0.04)])
 def test_reads_the_fingers_and_the_tip(changed, changes, closed):
-    hand = hand_of(changed(*changes))
+    path = changed(*changes)
+    hand = read_hand(parse_urdf(path), arm_of(path))
     np.testing.assert_allclose(hand.tip, [0.12, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(hand.rotation, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
     assert (hand.gripper.fingers, hand.gripper.effort) == (("l", "r"), 20.0)

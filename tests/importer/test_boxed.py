@@ -53,47 +53,10 @@ def test_a_box_becomes_that_box_wherever_it_is():
     np.testing.assert_allclose(sorted(shape.size), size + 2.0 * MARGIN, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["cylinder", "sphere"])
-def test_round_meshes_become_round_primitives(kind):
-    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    if kind == "cylinder":
-        points = np.concatenate([np.insert(0.1 * circle, 2, z, axis=1) for z in (-0.3, 0.3)])
-    else:
-        up = np.linspace(-1.0, 1.0, 25)
-        rings = [np.insert(np.sqrt(1.0 - z * z) * circle, 2, z, axis=1) for z in up]
-        points = 0.1 * np.unique(np.concatenate(rings).round(9), axis=0)
-    (shape,) = fit_primitives(triangles(points))
-    assert shape.kind == kind
-    assert shape.size[0] == pytest.approx(0.1, rel=0.02)
-
-
 def boxed(path, **options):
     out = path.with_name("boxed.urdf")
     out.write_text(boxed_urdf(path, **options))
     return parse_urdf(out)
-
-
-def test_primitives_and_joints_stay(dolly):
-    before, after = parse_urdf(dolly), boxed(dolly)
-    assert list(after.links) == list(before.links)
-    for name, joint in before.joints.items():
-        np.testing.assert_array_equal(after.joints[name].origin, joint.origin)
-        assert after.joints[name].axis == joint.axis
-    for name, link in before.links.items():
-        assert [one.size for one in after.links[name].shapes] == [one.size for one in link.shapes]
-
-
-def test_many_shapes_of_a_link_become_few_that_enclose_them(changed):
-    rng = np.random.default_rng(0)
-    centres = rng.uniform(-0.2, 0.2, (300, 3)).round(4)
-    plate = '<origin xyz="{} {} {}"/><geometry><box size="0.02 0.02 0.00001"/></geometry>'
-    plates = "".join(f"<collision>{plate.format(*c)}</collision>" for c in centres)
-    shapes = boxed(changed(('<link name="lower"/>', f'<link name="lower">{plates}</link>')))
-    shapes = shapes.links["lower"].shapes
-    corners = np.concatenate([centres + corner * [0.02, 0.02, 0.0] for corner in CUBE])
-    assert len(shapes) <= 4
-    assert np.all(np.any([holds(shape, corners) for shape in shapes], axis=0))
 
 
 def mesh_file(folder, suffix, corners, unit=""):
@@ -127,15 +90,6 @@ def test_broken_meshes_are_errors(changed, corners):
         boxed_urdf(path)
 
 
-def test_visual_shapes_replace_missing_collision_shapes(changed):
-    seen = '<link name="tool"><visual><geometry><sphere radius="0.3"/></geometry></visual></link>'
-    tool = ('<link name="tool"/>', seen)
-    assert not boxed(changed(tool)).links["tool"].shapes
-    links = boxed(changed(tool, ("collision>", "visual>"))).links
-    assert links["palm"].shapes[0].size == (0.04, 0.1, 0.04)
-    assert links["tool"].shapes[0].size == (0.3,)
-
-
 SLIDE = (
     '<link name="world"/><joint name="slide" type="prismatic"><parent link="world"/>'
     '<child link="base"/><limit lower="-9" upper="9" velocity="1"/></joint>'
@@ -154,13 +108,6 @@ def test_planar_joints_below_the_base_are_left_out(changed, joints, root):
     urdf = boxed(changed(('<robot name="dolly">', f'<robot name="dolly">{joints}')))
     assert urdf.root == root
     assert "map" not in urdf.links
-
-
-def test_the_base_can_be_chosen(dolly):
-    urdf = boxed(dolly, base="upper")
-    assert (urdf.root, set(urdf.joints)) == ("upper", {"elbow", "mount", "frame", "l", "r"})
-    with pytest.raises(KinfeasError, match="'bass'"):
-        boxed_urdf(dolly, "bass")
 
 
 @pytest.mark.parametrize(

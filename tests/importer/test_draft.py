@@ -9,13 +9,11 @@ from kinfeas.importer.draft import bands, draft_robot, stated
 from kinfeas.importer.reach import (
     Heights,
     built_to_touch,
-    comfortable,
     free_share,
     with_pairs,
 )
-from kinfeas.kinematics.forward import build_chain, forward
+from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.self_collision import build_collision_model, self_collides
 from kinfeas.robots.loading import read_robot
 from kinfeas.robots.urdf_file import parse_urdf
 from tests.importer.conftest import STUCK
@@ -27,7 +25,6 @@ TOUCHING = ('<link name="lower"/>', f'<link name="lower">{WIDE}</link>')
 
 @pytest.fixture
 def few(monkeypatch):
-    """Fewer goals."""
     monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
     monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
 
@@ -71,12 +68,6 @@ def test_goal_heights_are_those_with_many_reachable_goals(share, expected):
         assert bands(heights, "arm") == expected
 
 
-def spec_of(path):
-    urdf = parse_urdf(path)
-    arm = find_arm(urdf, None, "dolly")
-    return stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
-
-
 @pytest.mark.parametrize(
     ("limits", "turn"),
     [
@@ -88,7 +79,10 @@ def spec_of(path):
 def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     lower, upper = limits
     path = changed((LIMITS, f'lower="{lower}" upper="{upper}"'))
-    found = spec_of(path).arm["lift"].soft_limits
+    urdf = parse_urdf(path)
+    arm = find_arm(urdf, None, "dolly")
+    spec = stated("dolly", urdf, arm, read_hand(urdf, arm), "differential")
+    found = spec.arm["lift"].soft_limits
     assert found == (turn and pytest.approx(turn, abs=1e-9))
     assert turn is None or lower <= found[0] < found[1] <= upper
 
@@ -100,14 +94,3 @@ def test_pairs_that_touch_are_those_of_the_shipped_file(hsr):
     assert set(found) <= {tuple(sorted(pair)) for pair in hsr.ignored_collisions}
     assert all(0.0 < share <= 1.0 for share in found.values())
     assert free_share(with_pairs(bare, found)) > 0.3
-
-
-def test_the_home_is_free_in_front_and_off_the_limits(hsr, monkeypatch):
-    home, (lower, upper) = comfortable(hsr), hsr.finite_joint_limits
-    assert np.all(np.minimum(home - lower, upper - home) > 0.02 * (upper - lower))
-    assert not self_collides(build_collision_model(hsr), home)
-    assert forward(build_chain(hsr), home)[0] > 0.0
-    always = lambda model, joints: np.ones(len(joints), bool)  # noqa: E731
-    monkeypatch.setattr("kinfeas.importer.reach.self_collides", always)
-    with pytest.raises(KinfeasError, match=r"hsr.*self-collision"):
-        comfortable(hsr)

@@ -1,17 +1,13 @@
 import json
+from dataclasses import replace
 
 import pytest
 
 from kinfeas.config import to_mapping
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.policy import TermInfo
-from kinfeas.io.policy_metadata import (
-    Trained,
-    policy_folder,
-    read_best,
-    read_trained,
-    write_trained,
-)
+from kinfeas.io import policy_metadata
+from kinfeas.io.policy_metadata import Trained, read_best, read_trained, write_trained
 
 FIGURES = {"episodes": 256, "success": 0.9, "success_low": 0.8, "success_high": 1.0}
 TERMS = {
@@ -19,19 +15,11 @@ TERMS = {
     "action": (TermInfo("base", 2, "base_footprint", "m/s", ("x", "y"), (0.2, 0.2)),),
 }
 BARE = Trained(robot="pr2", layers=3, **TERMS)
-TRAINED = Trained(
-    robot="pr2",
-    layers=3,
-    **TERMS,
-    kinematics="sha256:0",
-    config={"robot": "my/pr2.yaml", "world": {"dt": 0.1}, "task_parameters": {"x": float("inf")}},
-    steps=0,
-    evaluation=FIGURES,
-    seed=1,
-    version="0.1.0",
-    command="kinfeas train",
-    benchmark={"door": {"success": 0.5}},
-)
+CONFIG = {"robot": "my/pr2.yaml", "world": {"dt": 0.1}, "task_parameters": {"x": float("inf")}}
+TRAINED = replace(
+    BARE, kinematics="sha256:0", config=CONFIG, steps=0, evaluation=FIGURES, seed=1,
+    version="0.1.0", command="kinfeas train", benchmark={"door": {"success": 0.5}},
+)  # fmt: skip
 
 
 def write(folder, **changes):
@@ -50,7 +38,7 @@ def test_a_run_has_the_metadata_of_its_best_checkpoint(tmp_path):
     best = tmp_path / "checkpoints" / "best"
     best.mkdir(parents=True)
     write_trained(TRAINED, best)
-    assert policy_folder(tmp_path) == best
+    assert policy_metadata.policy_folder(tmp_path) == best
     assert read_trained(tmp_path) == read_best(tmp_path) == TRAINED
 
 

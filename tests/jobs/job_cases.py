@@ -1,7 +1,6 @@
 """Jobs that are quick, and jobs whose worker dies."""
 
 import os
-import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from kinfeas.jobs.job import Job
 
 
 def draw(description):
-    """Return numbers that depend on the description alone."""
     seed, _ = description
     return {"seed": seed, "numbers": np.random.default_rng(seed).normal(size=3).tolist()}
 
@@ -31,11 +29,6 @@ def die(description):
 
 def fail(description):
     raise KinfeasError("key 'speed' is wrong")
-
-
-def wait(description):
-    time.sleep(0.2)
-    return draw(description)
 
 
 def jobs(folder: Path, *calls):

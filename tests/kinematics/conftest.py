@@ -17,8 +17,6 @@ from kinfeas.robots.urdf import Shape
 
 
 class Pinocchio:
-    """Pinocchio's poses of the EE and the links of a robot."""
-
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.model = pinocchio.buildModelFromUrdf(str(robot.urdf_path))
@@ -122,7 +120,6 @@ def _radius(shape: Shape) -> float:
 
 
 def touch(one: Any, other: Any) -> bool:
-    """Return whether two of FCL's objects touch."""
     return fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
 

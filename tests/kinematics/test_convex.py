@@ -15,8 +15,6 @@ PAIRS = [pytest.param(*pair, id="-".join(KINDS[k] for k in pair)) for pair in pr
 
 
 class Solid:
-    """A shape for the kernel and for FCL."""
-
     def __init__(self, kind, size, turn, position):
         self.kind, self.size, self.turn = kind, np.array(size, dtype=float), turn
         self.position = np.array(position, dtype=float)

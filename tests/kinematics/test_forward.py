@@ -1,10 +1,8 @@
 import ast
-import importlib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numba.core.registry import CPUDispatcher
 from scipy.spatial.transform import Rotation
 
 import kinfeas
@@ -42,15 +40,6 @@ def test_the_jacobian_is_the_derivative_of_the_pose(odd_robot):
     np.testing.assert_allclose(jacobian(chain, joints), np.stack(columns, -1), rtol=0.0, atol=1e-8)
 
 
-def test_any_memory_layout_and_number_type(odd_robot):
-    chain, joints = build_chain(odd_robot), draw(odd_robot, 6)
-    expected = forward(chain, joints)
-    np.testing.assert_array_equal(forward(chain, np.asfortranarray(joints)), expected)
-    np.testing.assert_array_equal(forward(chain, np.repeat(joints, 2, axis=0)[::2]), expected)
-    zeros = np.zeros(len(odd_robot.arm), dtype=int)
-    np.testing.assert_array_equal(forward(chain, zeros), forward(chain, 1.0 * zeros))
-
-
 @pytest.mark.parametrize("shape", [(1, 3), (), (4, 0), (2, 3, 99)])
 @pytest.mark.parametrize("function", [forward, jacobian])
 def test_another_number_of_joints_is_an_error(odd_robot, function, shape):
@@ -68,15 +57,6 @@ def test_poses_and_matrices_are_converted_back():
         write_pose(position, matrix, pose)
         sign = np.sign(pose[3:] @ quaternion)
         np.testing.assert_allclose(pose, [*position, *(sign * quaternion)], atol=1e-14)
-
-
-def test_every_kernel_declares_whether_it_is_inlined():
-    """Otherwise it depends on the first caller: bits change, and compilation takes minutes."""
-    for name in ("convex", "descent", "forward", "search", "self_collision"):
-        entries = vars(importlib.import_module(f"kinfeas.kinematics.{name}")).values()
-        kernels = [entry for entry in entries if isinstance(entry, CPUDispatcher)]
-        assert kernels
-        assert all("forceinline" in kernel.targetoptions for kernel in kernels)
 
 
 def test_no_kernel_has_powers():

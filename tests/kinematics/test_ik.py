@@ -22,18 +22,15 @@ TIME = 0.1  # s of a control step
 
 @pytest.fixture(scope="module")
 def tiago():
-    """An exact solver of a redundant arm with a lift."""
     return IkSolver(load_robot("tiago"), EXACT)
 
 
 @pytest.fixture(scope="module")
 def hsr():
-    """A solver with a pose tolerance."""
     return IkSolver(load_robot("hsr"))
 
 
 def draw_free(solver, n, seed=0):
-    """Return n random configurations without self-collision."""
     joints = draw(solver.robot, 3 * n, seed)
     free = joints[~self_collides(solver.collision, joints)][:n]
     assert len(free) == n

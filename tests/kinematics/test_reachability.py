@@ -11,7 +11,6 @@ from kinfeas.robots.loading import load_robot
 
 
 def made_by_the_arm(solver, count):
-    """Return EE poses of random configurations and base poses."""
     rng = np.random.default_rng(4)
     joints = spread_configurations(solver.robot, 4 * count, seed=9)
     joints = joints[~self_collides(solver.collision, joints)][:count]
@@ -28,7 +27,6 @@ def at_height(count, low, high):
 
 
 def by_chance(solver, goals, tries):
-    """Return which goals are reached from one of many random base poses."""
     rng = np.random.default_rng(6)
     reached = np.zeros(len(goals), dtype=bool)
     home = np.tile(solver.robot.home["home"], (tries, 1))

@@ -11,8 +11,6 @@ from tests.kinematics.conftest import Primitives, draw, touch
 
 
 class Pairs(Primitives):
-    """Primitives and their checked pairs."""
-
     def __init__(self, robot, judge):
         super().__init__(robot, judge)
         checked = {frozenset(pair) for pair in checked_links(robot)}

@@ -88,7 +88,6 @@ def speeds(twists):
 
 
 def write_waypoints(path, poses=WAYPOINTS, time=None):
-    """Write waypoints as CSV and return the path."""
     rows = [",".join(map(repr, row)) for row in np.asarray(poses).tolist()]
     header = "x,y,z,qx,qy,qz,qw"
     if time is not None:
@@ -109,7 +108,6 @@ def models(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def files(tmp_path_factory):
-    """Paths of a demonstration and of waypoints."""
     folder = tmp_path_factory.mktemp("files")
     write_demonstration(SHOWN, folder / "shown.csv")
     waypoints = write_waypoints(folder / "waypoints.csv")

@@ -1,5 +1,3 @@
-"""Properties of all built-in generators: arrival, limits, rates, batches, frames, parameters."""
-
 import inspect
 from dataclasses import dataclass
 
@@ -12,6 +10,7 @@ from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose, integrate, make_pose, relative
 from kinfeas.plugins.limits import norm, slowed
 from kinfeas.testing import check_motion_generator
+from tests.builders import assert_near
 from tests.plugins.conftest import (
     DT,
     SHOWN,
@@ -61,7 +60,6 @@ def case(request):
 
 @pytest.fixture(scope="module")
 def make(case, models, files):
-    """A function that builds the generator with further parameters."""
     given = {"model": models.get(case.model), "file": files.get(case.file), "frame": case.frame}
     given = {key: value for key, value in given.items() if value}
     return lambda **more: registry.build(GROUP, case.name, {**given, **more})
@@ -95,9 +93,7 @@ def test_arrives_from_anywhere_within_its_limits_and_comes_back_when_pushed(gene
 def test_motions_do_not_depend_on_the_rate(generator):
     start, target = starts_and_targets(6, 2)
     fine, coarse = (run(generator, start, target, 40.0, dt)[0] for dt in (0.02, 0.1))
-    metres, radians = apart(fine[::5], coarse)
-    assert metres.max() < 0.1
-    assert radians.max() < 0.3
+    assert_near(fine[::5], coarse, 0.1, 0.3)
 
 
 def test_a_motion_has_the_same_bits_whatever_the_others_and_their_rates_are(generator):
@@ -130,9 +126,7 @@ def test_moves_with_its_target_or_stays_in_the_world(generator, case):
         return
     here, _, _ = run(generator, start, target, 30.0)
     there, _, _ = run(generator, compose(moved, start), compose(moved, target), 30.0)
-    metres, radians = apart(there, compose(moved, here))
-    assert metres.max() < 1e-8
-    assert radians.max() < 1e-6
+    assert_near(there, compose(moved, here), 1e-8, 1e-6)
     # A target that moves during the motion is followed to where it stops.
     for i in range(1300):
         now = target + min(i, 100) * np.array([0.005, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -1,16 +1,20 @@
-"""Learned motions and their model files."""
-
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Demonstrated
-from kinfeas.core.spatial import compose, distance, planar_pose, relative
+from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, planar_pose, relative
+from kinfeas.io.demonstrations import (
+    Demonstration,
+)
+from kinfeas.plugins.fit import fit
 from kinfeas.plugins.imitation import (
     GaussianMixture,
     Imitation,
@@ -19,7 +23,17 @@ from kinfeas.plugins.imitation import (
     regress,
 )
 from kinfeas.plugins.path import below
-from tests.plugins.conftest import DT, KINDS, apart, random_poses, run, starts_and_targets
+from tests.builders import assert_near
+from tests.plugins.conftest import (
+    ANGLE,
+    KINDS,
+    RADIUS,
+    apart,
+    door_demonstrations,
+    random_poses,
+    run,
+    starts_and_targets,
+)
 
 
 @pytest.fixture(params=KINDS)
@@ -65,9 +79,7 @@ def test_the_base_moves_as_demonstrated(model):
     door = planar_pose(np.array([1.0, 1.0]), np.array([2.0, 2.0]), np.array([0.5, 0.5]))
     door[:, 2] = 0.7
     shown = planar_pose(np.array([-0.7, -1.0]), np.array([0.0, 0.3]), np.pi + np.array([0.0, 0.5]))
-    metres, radians = distance(path.base_at(index, door), compose(below(door), shown))
-    assert metres.max() < 0.02
-    assert radians.max() < 0.03
+    assert_near(path.base_at(index, door), compose(below(door), shown), 0.02, 0.03)
 
 
 def test_generators_return_the_base_or_nan(models, imitation, mixture):
@@ -98,23 +110,13 @@ def test_imitation_first_comes_to_the_beginning_then_follows_the_path(imitation)
     assert metres.min(axis=0).max() < 1e-2
 
 
-def test_imitation_waits_for_an_ee_that_is_held(imitation):
-    start, target = starts_and_targets(4, 11)
-    state = imitation.start(start, target, [])
-    for _ in range(200):
-        _, state = imitation.twist(state, start, target, np.full(4, DT))
-    assert state["phase"].max() < 1e-3
-
-
 def test_gaussian_mixture_keeps_its_time_or_runs_ahead(mixture):
     target = random_poses(3, 0)
     start = compose(target, np.repeat(mixture.path.knots[:1], 3, axis=0))
     poses, _, state = run(mixture, start, target, 30.0)
     for share in (0.25, 0.5, 1.0):
         now = relative(poses[round(300 * share)], target)
-        metres, radians = distance(now, mixture.path.at(np.full(3, share)))
-        assert metres.max() < 1e-3
-        assert radians.max() < 0.02
+        assert_near(now, mixture.path.at(np.full(3, share)), 1e-3, 0.02)
     assert np.allclose(state["phase"], 1.0)
     far = target + np.array([2.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     poses, _, state = run(mixture, far, target, 10.0)
@@ -154,3 +156,59 @@ def test_wrong_models_raise(key, value, models, tmp_path):
     strict_yaml.write(broken, path)
     with pytest.raises(KinfeasError, match=f"^{path}: .*{key.split('.')[0]}"):
         read_model(str(path), "imitation")
+
+
+def knots(shown, **options):
+    return learned_path(fit(shown, **options).model).knots
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_learns_the_demonstrated_path_and_the_mean_end(kind):
+    found = fit(door_demonstrations(scatter=0.0), kind)
+    path = learned_path(found.model).knots
+    radius = np.hypot(path[:, 0] + RADIUS, path[:, 1])
+    assert np.abs(radius - RADIUS).max() < 0.008
+    assert np.abs(path[:, 2]).max() < 1e-6
+    assert max(found.position_residual) < 0.004
+    assert max(found.rotation_residual) < 0.02
+    assert found.length == pytest.approx(RADIUS * ANGLE, rel=1e-3)
+    shown = door_demonstrations()
+    ends = np.stack([relative(one.ee_pose[-1], one.object_pose[0]) for one in shown])
+    mean = make_pose(ends[:, :3].mean(axis=0), Rotation.from_quat(ends[:, 3:]).mean())
+    assert max(distance(knots(shown, kind=kind)[-1], mean)) < 1e-7
+
+
+def _paused(shown):
+    """Return the demonstration with a second's rest before, amidst and after it."""
+    last = len(shown.time) - 1
+    index = np.sort(np.concatenate([np.arange(last + 1), np.repeat([0, last // 2, last], 30)]))
+    poses = (shown.ee_pose, shown.base_pose, shown.object_pose)
+    return Demonstration(np.arange(len(index)) / 30.0, *(pose[index] for pose in poses))
+
+
+def test_the_object_s_pose_and_pauses_do_not_matter():
+    shown = door_demonstrations(base=False)
+    moved = [
+        replace(one, ee_pose=compose(pose, one.ee_pose), object_pose=compose(pose, one.object_pose))
+        for one, pose in zip(shown, random_poses(len(shown), 0), strict=True)
+    ]
+    expected = knots(shown)
+    assert np.allclose(knots(moved), expected, atol=1e-5)
+    assert np.allclose(knots([_paused(one) for one in shown]), expected, atol=1e-5)
+
+
+def test_learns_the_base_if_all_demonstrations_have_one():
+    shown = door_demonstrations(12, scatter=0.0)
+    base = learned_path(fit(shown).model).base
+    assert np.ptp(base[:, 2]) < 0.6  # headings a turn apart are the same
+    assert not fit([*shown, *door_demonstrations(1, base=False)]).model.has_base
+
+
+def test_other_wrong_input_raises():
+    angle = np.linspace(0.0, 7.0, 100)[:, np.newaxis]
+    ee = make_pose(np.zeros((100, 3)), Rotation.from_rotvec(angle * [0.0, 0.0, 1.0]))
+    still = np.tile(IDENTITY, (100, 1))
+    with pytest.raises(KinfeasError, match="3 rad"):
+        fit([Demonstration(np.linspace(0.0, 5.0, 100), ee, still, still)])
+    with pytest.raises(KinfeasError, match="demonstration"):
+        fit([])

@@ -1,7 +1,4 @@
-"""The `planned` motion among solids: clearance, smoothness, batches, plans that change."""
-
 import numpy as np
-import pytest
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 
@@ -137,15 +134,6 @@ def test_free_motions_are_straight_and_low_solids_are_passed_above():
     assert np.abs(points[:, 1]).max() > 3.0
 
 
-def test_without_a_path_the_motion_is_straight():
-    _, start, goal = across(2.0)
-    walls = Solids.empty(1, 4)
-    walls.pose[0] = [[2.5, 0, 0], [3.5, 0, 0], [3, -0.5, np.pi / 2], [3, 0.5, np.pi / 2]]
-    walls.size[0] = [0.05, 0.6, 0.0, 2.0]
-    points = planned(walls, start, goal)[1]["points"][0]
-    np.testing.assert_allclose(points[:, 0], np.linspace(0.0, 3.0, 64), atol=1e-9)
-
-
 def test_ends_beside_a_solid_are_left_and_reached():
     solids, start, goal = across(2.0, at=2.93)
     goal[:, 0] = 3.03
@@ -171,49 +159,6 @@ def test_a_new_plan_begins_with_the_velocity_of_the_old_one():
     linear, _ = speeds(np.diff(twists, axis=0) / DT)
     assert linear.max() < 0.25
     assert np.max(distance(poses[-1], goal)) < 1e-6
-
-
-def test_plans_stay_while_they_are_free():
-    solids, start, goal = across(2.0)
-    generator, state = planned(solids, start, goal)
-    elsewhere = across(2.0, at=9.0)[0]
-    both = Solids(
-        *(np.concatenate(pair, axis=1) for pair in zip(*(
-            vars(one).values() for one in (solids, elsewhere)
-        ), strict=True))
-    )  # fmt: skip
-    again = generator.replan(state, start, goal, both)
-    assert all(np.array_equal(values, state[key]) for key, values in again.items())
-
-
-def test_poses_ahead_are_those_that_the_motion_comes_to():
-    solids, start, goal = across(2.0)
-    generator, state = planned(solids, start, goal)
-    poses, _ = follow(generator, state, start, goal, 150.0)
-    way = np.cumsum(np.linalg.norm(np.diff(poses[:, 0, :3], axis=0), axis=1))
-    for i in (0, 200, 400):
-        far = poses[0:1, 0]
-        twisted, ee = state, start
-        for _ in range(i):
-            twist, twisted = generator.twist(twisted, ee, goal, np.full(1, DT))
-            ee = integrate(ee, twist, DT)
-        far = generator.ahead(twisted, ee, goal, np.array([0.0, 0.7, 99.0]))[0]
-        later = np.searchsorted(way, way[i - 1] * (i > 0) + 0.7) + 1
-        for pose, expected in zip(far, (poses[i, 0], poses[later, 0], goal[0]), strict=True):
-            metres, radians = distance(pose, expected)
-            assert metres < 0.02
-            assert radians < 0.01
-
-
-@pytest.mark.parametrize("dt", [0.02, 0.5])
-def test_plans_are_followed_at_any_rate(dt):
-    solids, start, goal = across(2.0)
-    generator, state = planned(solids, start, goal)
-    for _ in range(round(150.0 / dt)):
-        twist, state = generator.twist(state, start, goal, np.full(1, dt))
-        start = integrate(start, twist, dt)
-        assert clearance(solids, 0, start[:, :3])[0] > RADIUS
-    assert np.max(distance(start, goal)) < 1e-6
 
 
 def test_splines_are_random_smooth_and_within_their_spread():

@@ -1,5 +1,3 @@
-"""The `linear` and `minimum_jerk` motions."""
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp

@@ -1,16 +1,16 @@
-"""The `replay` motion and the recordings that it reads."""
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import IDENTITY
+from kinfeas.core.spatial import IDENTITY, relative
 from kinfeas.io.demonstrations import write_demonstration
 from kinfeas.io.run_log import About, Moment, Recorder
-from kinfeas.plugins.replay import Replay, read_recording
-from tests.plugins.conftest import DT, SHOWN, apart, random_poses, run
+from kinfeas.plugins.dmp import Dmp
+from kinfeas.plugins.replay import Replay, read_recording, resampled
+from tests.builders import assert_near
+from tests.plugins.conftest import DT, SHOWN, random_poses, run
 
 HEADER = "time,ee_x,ee_y,ee_z,ee_qx,ee_qy,ee_qz,ee_qw\n"
 ABOUT = About("pr2", "ggr", "follow_ee", "analytic", 0.1, ("a", "b"), "2026-01-01T00:00:00+00:00")
@@ -22,9 +22,9 @@ def test_repeats_a_slow_recording_to_the_moment(tmp_path):
     generator = Replay(file=str(tmp_path / "slow.csv"), frame="world")
     poses, _, _ = run(generator, slow.ee_pose[:1], IDENTITY[np.newaxis], slow.time[-1])
     for i in range(0, len(slow.time), 10):
-        metres, radians = apart(poses[round(slow.time[i] / DT), 0], slow.ee_pose[i])
-        assert metres < 6e-3  # half a step, at most
-        assert radians < 2e-2
+        assert_near(
+            poses[round(slow.time[i] / DT), 0], slow.ee_pose[i], 6e-3, 2e-2
+        )  # half a step, at most
 
 
 def test_reads_an_ee_without_base_and_object(tmp_path):
@@ -56,3 +56,23 @@ def test_reads_the_desired_motion_of_a_run(tmp_path, name):
     for frame, times in (("object", np.arange(5)), ("goal", [0.1] * 5), ("goal", [0, 2, 1, 1, 1])):
         with pytest.raises(KinfeasError, match=name):
             read_recording(write_run(path, desired, times), frame)
+
+
+FAST = {"max_velocity": 10.0, "max_angular_velocity": 10.0}
+IN_END = relative(SHOWN.ee_pose, np.broadcast_to(SHOWN.ee_pose[-1], SHOWN.ee_pose.shape))
+
+
+@pytest.fixture(scope="module")
+def library():
+    """The module that learns the force, an extra that is built from source."""
+    return pytest.importorskip("movement_primitives.dmp", reason="the extra dmp is not installed")
+
+
+def test_reproduces_the_demonstration_in_its_time_or_slower_within_limits(library, files):
+    fast, _, _ = run(Dmp(file=files["shown"], **FAST), IN_END[:1], IDENTITY[np.newaxis], 10.0, 0.01)
+    moments = np.arange(0.0, SHOWN.time[-1], 0.2)
+    expected = resampled(SHOWN.time, IN_END, moments / SHOWN.time[-1])
+    assert_near(fast[np.round(moments / 0.01).astype(int), 0], expected, 5e-3, 0.02)
+    slow, _, _ = run(Dmp(file=files["shown"]), IN_END[:1], IDENTITY[np.newaxis], 40.0)
+    metres = np.linalg.norm(slow[:, 0, np.newaxis, :3] - fast[:, 0, :3], axis=-1)
+    assert metres.min(axis=1).max() < 5e-3

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from kinfeas.core import spatial
 from kinfeas.plugins.servo import Servo
+from tests.builders import assert_near
 
 LIMITS = {
     "max_velocity": 0.2,
@@ -59,9 +60,7 @@ def test_an_ee_stays_within_a_box_of_targets_and_reaches_the_last_one(seed):
     box = np.concatenate([start[np.newaxis], targets])
     assert np.all(ways[..., :3] >= box.min(axis=0)[:, :3] - 1e-9)
     assert np.all(ways[..., :3] <= box.max(axis=0)[:, :3] + 1e-9)
-    metres, radians = spatial.distance(ways[-1], targets[-1])
-    assert metres.max() < 1e-4
-    assert radians.max() < 1e-3
+    assert_near(ways[-1], targets[-1], 1e-4, 1e-3)
 
 
 def test_a_motion_does_not_depend_on_the_control_rate():

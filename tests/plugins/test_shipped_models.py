@@ -1,5 +1,3 @@
-"""The shipped models: made by a script, and shaped as the mechanisms."""
-
 import runpy
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from kinfeas.core.spatial import compose, distance, make_pose, planar_pose, rela
 from kinfeas.plugins.fit import fit
 from kinfeas.plugins.imitation import learned_path, read_model
 from kinfeas.scenes.scene import read_scene
+from tests.builders import assert_near
 from tests.plugins.conftest import run
 
 N = 16
@@ -48,9 +47,7 @@ def test_the_documented_commands_make_them(name):
         shipped = read_model(f"{name}_{motion}", "imitation")
         assert made.duration == pytest.approx(shipped.duration)
         index = np.linspace(0.0, 1.0, 50)
-        metres, radians = distance(learned_path(made).at(index), learned_path(shipped).at(index))
-        assert metres.max() < 1e-3
-        assert radians.max() < 1e-2
+        assert_near(learned_path(made).at(index), learned_path(shipped).at(index), 1e-3, 1e-2)
 
 
 def test_every_grasp_ends_at_the_handle(rolled):

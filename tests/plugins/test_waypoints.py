@@ -1,12 +1,11 @@
-"""The `waypoints` motion and its files."""
-
 import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY
 from kinfeas.plugins.waypoints import Waypoints, read_waypoints
-from tests.plugins.conftest import DT, WAYPOINTS, apart, run, speeds, write_waypoints
+from tests.builders import assert_near
+from tests.plugins.conftest import DT, WAYPOINTS, apart, run, write_waypoints
 
 TIME = [0.0, 6.0, 16.0, 40.0]
 YAML = "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n- [1, 2, 4, 0, 0, 0.7071, 0.7071]\n"
@@ -28,26 +27,11 @@ def test_passes_every_waypoint_smoothly(files):
     assert np.abs(np.diff(twists, axis=0)).max() < 0.05
 
 
-def test_moves_straight_at_full_speed_between_gentle_ends(tmp_path):
-    ends = WAYPOINTS[[0, 2]] * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0])
-    file = write_waypoints(tmp_path / "w.csv", ends)
-    poses, twists = from_the_first(Waypoints(file=file, ramp=2.0), 20.0, ends)
-    linear, _ = speeds(twists)
-    way = ends[1, :3] - ends[0, :3]
-    duration = np.linalg.norm(way) / 0.1 + 2.0
-    assert linear[0] < 0.005
-    assert np.allclose(linear[21 : round((duration - 2.0) / DT) - 1], 0.1, atol=1e-3)
-    assert np.all(apart(poses[round(duration / DT) + 1 :], poses[-1])[0] < 1e-6)
-    assert np.linalg.norm(np.cross(poses[:, :3] - ends[0, :3], way), axis=-1).max() < 1e-9
-
-
 def test_meets_the_times_of_the_file_and_rests_at_repeated_waypoints(tmp_path):
     file = write_waypoints(tmp_path / "timed.csv", time=TIME)
     poses, _ = from_the_first(Waypoints(file=file, max_angular_velocity=10.0), 50.0)
     for moment, waypoint in zip(TIME, WAYPOINTS, strict=True):
-        metres, radians = apart(poses[round(moment / DT)], waypoint)
-        assert metres < 2e-3
-        assert radians < 1e-2
+        assert_near(poses[round(moment / DT)], waypoint, 2e-3, 1e-2)
     rest = WAYPOINTS[[0, 0, 1]]
     file = write_waypoints(tmp_path / "rest.csv", rest, [0.0, 5.0, 20.0])
     assert apart(from_the_first(Waypoints(file=file), 4.0)[0], rest[0])[0].max() < 0.02

@@ -26,18 +26,14 @@ def observations(n, inputs=28, seed=1):
     return np.random.default_rng(seed).normal(size=(n, inputs))
 
 
-def plain(net, observation):
-    """Return the network's output in double precision by matrix products."""
-    values = np.clip(observation * net.scale.astype(float), -CLIP, CLIP)
-    for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
-        values = np.maximum(values @ weight.astype(float) + bias, 0.0)
-    return np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])
-
-
 @pytest.mark.parametrize("sizes", [(28, 3), (28, 7, 2), (28, 256, 256, 3), (26, 400, 300, 3)])
 def test_is_a_perceptron(sizes):
     net, observation = network(sizes), observations(40, sizes[0])
-    np.testing.assert_allclose(net(observation), plain(net, observation), atol=1e-5)
+    values = np.clip(observation * net.scale.astype(float), -CLIP, CLIP)
+    for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
+        values = np.maximum(values @ weight.astype(float) + bias, 0.0)
+    expected = np.tanh(values @ net.weights[-1].astype(float) + net.biases[-1])
+    np.testing.assert_allclose(net(observation), expected, atol=1e-5)
     assert np.all(np.abs(net(observation * 100.0)) <= 1.0)
 
 

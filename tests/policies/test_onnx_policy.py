@@ -1,6 +1,3 @@
-import pickle
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -19,14 +16,12 @@ from tests.sim2real.policy_cases import change, get_entry, set_entry, write_poli
 
 @pytest.fixture(scope="module")
 def exported(hsr, tmp_path_factory):
-    """A network of the HSR and the bytes of its policy file."""
     network, path = write_policy_file(hsr, tmp_path_factory.mktemp("file"), net_arch=64)
     return network, path.read_bytes()
 
 
 @pytest.fixture
 def path(exported, tmp_path):
-    """A policy file of the HSR to change."""
     (tmp_path / "hsr.onnx").write_bytes(exported[1])
     return tmp_path / "hsr.onnx"
 
@@ -59,14 +54,6 @@ def test_non_finite_observations_give_nan(path, hsr, bad):
     assert finite.tolist() == [True, False, True]
 
 
-def test_pickles_for_worker_processes(path, exported, hsr):
-    policy = read_policy_file(path, hsr)
-    copy = pickle.loads(pickle.dumps(policy))
-    seen = observations(exported[0], 2)
-    assert copy.metadata == policy.metadata
-    np.testing.assert_array_equal(copy(seen), policy(seen))
-
-
 def test_metadata_describe_the_robot(robot, tmp_path):
     found = read_policy_file(write_policy_file(robot, tmp_path)[1], None).metadata
     assert found.robot.name == robot.name
@@ -78,19 +65,6 @@ def test_metadata_describe_the_robot(robot, tmp_path):
     assert (found.control.period, found.control.horizon) == (0.1, HORIZON)
     assert found.training["steps"] == 1000
     assert found.success["evaluation"] == {"episodes": 256, "success": 0.9}
-
-
-def test_needs_neither_torch_nor_onnx_libraries(path):
-    code = f"""
-import sys
-from pathlib import Path
-from kinfeas.policies.onnx_policy import read_policy_file
-
-read_policy_file(Path({str(path)!r}), None)
-print({{"torch", "gymnasium", "onnx", "onnxruntime", "sklearn"}} & set(sys.modules))
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "set()\n", "")
 
 
 def rejected(path, robot, word):

@@ -93,8 +93,7 @@ def test_arm_limits_are_read_only_arrays(tmp_path):
         (robot.finite_joint_limits[1], [1.0, 1.5, math.pi]),
     ):
         np.testing.assert_array_equal(found, values, strict=True)
-        with pytest.raises(ValueError, match="read-only"):
-            found[0] = 0.0
+        assert not found.flags.writeable
 
 
 WITHOUT_SWING = {"arm": {"lift": {}, "spin": {"velocity": 3}}, "home": {"home": [0.5, 0.0]}}
@@ -115,7 +114,7 @@ def test_other_joints_are_fixed_or_mimic(tmp_path, changes, positions):
     assert read_robot(write(tmp_path, crane() | changes)).fixed_joints == pytest.approx(positions)
 
 
-BASE, ARM = crane()["base"], crane()["arm"]
+ARM = crane()["arm"]
 
 
 @pytest.mark.parametrize(
@@ -125,9 +124,7 @@ BASE, ARM = crane()["base"], crane()["arm"]
         ({"urdf": "none.urdf"}, "none.urdf"),
         ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
         ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
-        ({"base": BASE | {"max_velocity": 0}}, "'base.max_velocity'"),
         ({"name": "a/b"}, "'name'"),
-        ({"arm": {}}, "'arm'"),
         ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
         ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
         ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
@@ -146,13 +143,11 @@ BASE, ARM = crane()["base"], crane()["arm"]
         ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
         ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
         ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
-        ({"arm": None}, "'arm'"),  # None stands for a missing key
     ],
 )
 def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
-    spec = {key: value for key, value in (crane() | changes).items() if value is not None}
     with pytest.raises(KinfeasError, match=f"^{tmp_path}.*{where}"):
-        read_robot(write(tmp_path, spec))
+        read_robot(write(tmp_path, crane() | changes))
 
 
 def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path):

@@ -3,10 +3,17 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, planar_pose
+from kinfeas.kinematics.self_collision import build_collision_model
+from kinfeas.kinematics.solids import collides
+from kinfeas.robots.loading import load_robot
 from kinfeas.robots.urdf import Shape
+from kinfeas.robots.urdf_file import parse_urdf
+from kinfeas.scenes import scene as scenes
 from kinfeas.scenes.check import Solids
 from kinfeas.scenes.collision import SceneCollision, robot_touches
+from kinfeas.scenes.objects import SceneObject, rest_positions
 from kinfeas.scenes.scene import read_scene
+from kinfeas.scenes.solids import furniture_solids
 
 SIZES = {"box": (0.2, 0.2, 0.2), "cylinder": (0.1, 0.2), "sphere": (0.1,)}
 SHELF = "[-1.0, 0.0, 0.4]"
@@ -74,8 +81,6 @@ def inertial(mass="1", ixx="1", iyy="1", izz="1", ixy="0"):
 
 @pytest.fixture
 def read(tmp_path):
-    """A function that reads a scene with one thing of one or two links."""
-
     def read_thing(root, child=None, kind="prismatic", fixed=False):
         links = f"<link name='a'>{BOX}{root}</link>"
         if child is not None:
@@ -120,9 +125,46 @@ def test_a_robot_touches_furniture_and_walls(room, hsr):
     assert robot_touches(moved, hsr, IDENTITY, home)
 
 
-def test_an_arm_touches_where_the_base_does_not(room, hsr):
-    rng, base = np.random.default_rng(0), floor(0.0, 2.2, np.pi / 2.0)
-    lower, upper = hsr.finite_joint_limits
-    near = SceneCollision(room)
-    found = {robot_touches(near, hsr, base, rng.uniform(lower, upper)) for _ in range(200)}
-    assert found == {True, False}
+@pytest.mark.parametrize("name", ["room", "shelf", "doorway"])
+def test_robots_touch_the_solids_that_they_touch_as_furniture(name):
+    robot, scene, rng = load_robot("hsr"), read_scene(name), np.random.default_rng(0)
+    fixed = {key: one for key, one in scene.objects.items() if one.fixed}
+    scene.objects.clear()
+    scene.objects.update(fixed)
+    furniture, solids = SceneCollision(scene), furniture_solids(scene)
+    lower, upper = robot.finite_joint_limits
+    joints = rng.uniform(lower, upper, (400, len(lower)))
+    base = planar_pose(*rng.uniform([-4.0, -4.0, -np.pi], [4.0, 4.0, np.pi], (400, 3)).T)
+    rows = solids.of(np.zeros(400, dtype=np.intp))
+    found = collides(build_collision_model(robot), joints, base, rows).any(axis=1)
+    expected = [robot_touches(furniture, robot, *row) for row in zip(base, joints, strict=True)]
+    assert found[expected].all()
+    assert 0.0 < np.mean(expected) <= np.mean(found) <= np.mean(expected) + 0.01
+
+
+def test_grasped_links_and_movable_objects_are_no_solids():
+    room = read_scene("room")
+    everything = furniture_solids(room)
+    without = furniture_solids(room, ("drawer_shelf", "handle"))
+    moved = [link for link, _ in room.objects["drawer_shelf"].shapes() if link != "body"]
+    assert everything.places - without.places == len(moved)
+    opened = room.with_joints({"door_shelf": {"hinge": 1.0}})
+    assert not np.array_equal(furniture_solids(opened).pose, everything.pose)
+    shapes = [one for name in room.objects for one in room.objects[name].shapes() if name != "box"]
+    assert everything.places == len(shapes)
+
+
+MOVING = [("shelf_with_door", "hinge", 1.92), ("shelf_with_drawer", "slide", 0.35)]
+PLAY = 3e-3  # m, that stays between what moves and what does not
+
+
+@pytest.mark.parametrize(("name", "joint", "upper"), MOVING)
+def test_doors_and_drawers_open_all_the_way_without_touching_their_body(name, joint, upper):
+    path = scenes._FOLDER / f"{name}.urdf"
+    urdf = parse_urdf(path)
+    for position in np.linspace(0.0, upper, 60):
+        rest = rest_positions(urdf, {joint: position})
+        shapes = list(SceneObject(path, urdf, IDENTITY, True, rest).shapes())
+        body = [shape for link, shape in shapes if link == "body"]
+        moved = [shape for link, shape in shapes if link != "body"]
+        assert not Solids(body, -PLAY).touches(Solids(moved)), position

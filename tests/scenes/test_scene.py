@@ -67,12 +67,6 @@ def test_unknown_names_are_errors(room, change, where):
         change(room)
 
 
-def test_a_scene_with_shipped_furniture(write):
-    scene = read_scene(write(), ["objects.shelf.joints.hinge=0.5"])
-    assert (scene.name, list(scene.objects)) == ("mine", ["table", "shelf"])
-    assert scene.objects["shelf"].joint_positions == {"hinge": 0.5}
-
-
 def test_the_documented_scene_is_one(tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
     path = tmp_path / "kitchen.yaml"

@@ -63,7 +63,6 @@ def time():
 
 @pytest.fixture(scope="session")
 def rig(pr2):
-    """Return a function that puts an adapter around a recorder."""
     return lambda adapter, **arguments: Rig(adapter, pr2, **arguments)
 
 

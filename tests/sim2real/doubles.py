@@ -74,8 +74,6 @@ def joints_at(robot, positions=None, **others):
 
 
 def present(robot, x=1.0, y=2.0, yaw=0.5, **base):
-    """Return an answer of a robot at home."""
-
     def answer(readings):
         readings.base(BaseReading(x, y, yaw, **base))
         readings.joints(joints_at(robot))

@@ -20,7 +20,6 @@ TRAINED = {
 
 
 def write_run(robot, folder, net_arch=8, extra=None):
-    """Write an untrained policy as a training run does and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     network = random_network(robot, net_arch)
     write_network(network, folder, robot, TRAINED if extra is None else extra)
@@ -46,13 +45,11 @@ def change(path, edit, sign=True):
 
 
 def set_entry(model, key, value):
-    """Set an entry of a model's metadata."""
     for entry in model.metadata_props:
         if entry.key == f"kinfeas.{key}":
             entry.value = json.dumps(value)
 
 
 def get_entry(model, key):
-    """Return an entry of a model's metadata."""
     (text,) = (one.value for one in model.metadata_props if one.key == f"kinfeas.{key}")
     return json.loads(text)

@@ -22,7 +22,6 @@ from tests.sim2real.doubles import TIMEOUT, wait
 
 
 def _ros1_is_there() -> bool:
-    """Return whether ROS 1 is installed."""
     path = list(sys.path)
     try:
         for name in ("rospy", "nav_msgs.msg", "tf2_msgs.msg", "trajectory_msgs.msg"):
@@ -79,8 +78,6 @@ while True:
 
 
 class Process:
-    """A Python process with its output in a file."""
-
     def __init__(self, code: str, arguments: list[str], out: Path, env: dict[str, str]) -> None:
         self.out = out
         with out.open("w") as file:
@@ -107,7 +104,6 @@ class Process:
         return self.process.wait(TIMEOUT)
 
     def kill(self) -> float:
-        """Kill it and return when."""
         now = time.monotonic()
         self.process.kill()
         self.process.wait()
@@ -115,15 +111,8 @@ class Process:
 
 
 class Bus:
-    """The processes on one bus.
-
-    Attributes:
-        version: Version of ROS.
-        dead: Whether it cannot be used any more.
-    """
-
     version: int
-    dead = False
+    dead = False  # cannot be used any more
 
     def __init__(self, folder: Path, env: dict[str, str]) -> None:
         self.folder, self.env = folder, os.environ | env
@@ -139,7 +128,6 @@ class Bus:
         return self.started[-1]
 
     def robot(self) -> Process:
-        """Return a simulated robot that listens."""
         if self._robot is None or self._robot.process.poll() is not None:
             played = ["simulate", "--backend", f"ros{self.version}", "--robot", "pr2"]
             self._robot = self.run(_COMMAND, *played, "--seconds", "2000")
@@ -193,8 +181,6 @@ class Bus:
 
 
 class Ros1(Bus):
-    """With a master of its own."""
-
     version = 1
 
     def __init__(self, folder: Path) -> None:
@@ -217,16 +203,6 @@ class Ros1(Bus):
         os.kill(pid, signal.SIGKILL)
         return now
 
-    def kill_node(self, of: Process) -> float:
-        """Shut down the node of a process, as rosnode kill does it, and return when."""
-        master = ServerProxy(self.uri)
-        topics, _, _ = master.getSystemState("/test")[2]
-        names = {name for _, nodes in topics for name in nodes}
-        (name,) = (name for name in names if f"_{of.process.pid}_" in name)
-        now = time.monotonic()
-        ServerProxy(master.lookupNode("/test", name)[2]).shutdown("/test", "killed")
-        return now
-
     def close(self) -> None:
         super().close()
         self._core.send_signal(signal.SIGINT)
@@ -244,8 +220,6 @@ class Ros1(Bus):
 
 
 class Ros2(Bus):
-    """In a domain of its own on this machine."""
-
     version = 2
 
     def __init__(self, folder: Path) -> None:
@@ -253,5 +227,4 @@ class Ros2(Bus):
 
 
 def own_domain() -> str:
-    """Return a domain that other test processes on this machine hardly use."""
     return str(1 + os.getpid() % 100)

@@ -1,5 +1,4 @@
 import json
-import math
 import re
 import runpy
 from pathlib import Path
@@ -71,18 +70,6 @@ def test_a_policy_that_deviates_is_not_written(pr2, tmp_path, monkeypatch):
     with pytest.raises(KinfeasError, match="deviates"):
         export(tmp_path, pr2, tmp_path / "policy.onnx")
     assert not (tmp_path / "policy.onnx").exists()
-
-
-def test_settings_and_figures_that_are_no_numbers_become_words(pr2, tmp_path):
-    endless = {"task_parameters": {"speeds": [math.inf, -math.inf, math.nan]}, "world": {"dt": 0.1}}
-    write_run(pr2, tmp_path, extra={"config": endless})
-    (tmp_path / "evaluation.json").write_text('{"success": NaN, "episodes": 9}')
-    policy, _ = export(tmp_path, pr2, tmp_path / "policy.onnx")
-    words = policy.metadata.training["config"]["task_parameters"]["speeds"]
-    assert [float(word) for word in words[:2]] == [math.inf, -math.inf]
-    assert policy.metadata.success["evaluation"] == {"success": words[2], "episodes": 9}
-    assert math.isnan(float(words[2]))
-    assert policy.metadata.control.period == 0.1
 
 
 def test_inference_with_onnxruntime_alone(pr2, tmp_path, monkeypatch):

@@ -1,16 +1,12 @@
-"""The Hub is a folder here; nothing is sent."""
-
 import shutil
 from types import SimpleNamespace
 
 import pytest
 
-from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import read_policy_file
-from kinfeas.sim2real.card import model_card
-from tests.sim2real.policy_cases import write_policy_file, write_run
+from tests.sim2real.policy_cases import write_run
 
 hub = pytest.importorskip("kinfeas.sim2real.hub")
 
@@ -69,15 +65,3 @@ def test_what_is_no_policy_is_not_kept(remote, pr2, tmp_path):
     write_run(pr2, tmp_path / "run")
     with pytest.raises(KinfeasError, match="a b"):
         hub.push(tmp_path / "run", pr2, "me/a b")
-
-
-def test_the_card_has_the_metadata_of_the_hub_and_the_results(pr2, tmp_path):
-    _, path = write_policy_file(pr2, tmp_path)
-    card = model_card(read_policy_file(path, pr2).metadata)
-    _, head, text = card.split("---\n", 2)
-    front = strict_yaml.parse(head, "card")
-    assert front["library_name"] == "kinfeas"
-    assert "pr2" in front["tags"]
-    assert "| `door` | 500 | 80.0 |" in text
-    for words in ("ee_position", "base_velocity", "dt: 0.1", "steps: 1000"):
-        assert words in text

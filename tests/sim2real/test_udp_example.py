@@ -1,5 +1,3 @@
-"""The transport of examples/udp_backend.py."""
-
 import socket
 import types
 from pathlib import Path

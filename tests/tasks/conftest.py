@@ -26,7 +26,6 @@ def sample(hsr):
 
 @pytest.fixture(scope="session")
 def uniform():
-    """A function that returns whether values may be uniform between two bounds."""
     from scipy.stats import kstest
 
     return lambda values, low, high: kstest(values, "uniform", (low, high - low)).pvalue > 1e-4

@@ -2,10 +2,13 @@ import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import rotation, yaw
+from kinfeas.core.solids import Solids
+from kinfeas.core.spatial import compose, rotation, yaw
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.self_collision import self_collides
+from kinfeas.kinematics.solids import collides
 from kinfeas.tasks.ggr import ggr, ggr_restricted
+from kinfeas.tasks.obstacles import ggr_dynamic, ggr_obstacles
 from kinfeas.tasks.task import MotionSpec, Subgoal
 
 
@@ -57,3 +60,63 @@ def test_parameters(hsr, sample):
     assert np.all((goal[:, 2] >= 1.3) & (goal[:, 2] <= 1.4))
     with pytest.raises(KinfeasError, match="'stacking'"):
         ggr(name="stacking").sample(hsr, np.random.default_rng(0))
+
+
+TASKS = pytest.mark.parametrize("task", [ggr_obstacles(), ggr_dynamic()], ids=lambda one: one.name)
+
+
+def test_gaps_are_those_of_the_nearest_of_many_points_of_the_solid():
+    rng = np.random.default_rng(0)
+    for cylinder in (False, True):
+        pose, half = rng.uniform(-1.0, 1.0, 3), rng.uniform(0.1, 1.0, 2)
+        half = np.full(2, half[0]) if cylinder else half
+        solids = Solids.empty(1, 2)
+        solids.pose[0, 0], solids.size[0, 0] = pose, [*half, 0.2, 0.9]
+        solids.cylinder[0, 0] = cylinder
+        edge = np.linspace(-1.0, 1.0, 201)
+        inside = np.stack(np.meshgrid(edge, edge), axis=-1).reshape(-1, 2)
+        inside = inside[np.hypot(*inside.T) <= 1.0] if cylinder else inside
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        inside = pose[:2] + (inside * half) @ np.array([[cosine, sine], [-sine, cosine]])
+        points = rng.uniform(-2.5, 2.5, (200, 3))
+        planar, vertical = solids.gaps(points[np.newaxis])
+        nearest = np.linalg.norm(points[:, np.newaxis, :2] - inside, axis=2).min(axis=1)
+        np.testing.assert_allclose(planar[0, :, 0], nearest, atol=0.01)
+        assert np.isinf(planar[0, :, 1]).all()
+        z = points[:, 2]
+        np.testing.assert_array_equal(vertical[0, :, 0], np.abs(z - np.clip(z, 0.2, 0.9)))
+
+
+@TASKS
+def test_starts_and_goals_are_free_of_solids(hsr, sample, task):
+    found = sample(task, 100)
+    solids, (low, high) = found.solids, hsr.robot.goal_heights["ggr"]
+    assert solids.pose.shape == (100, task.places, 3)
+    goal = found.target_poses[:, 0, :3]
+    assert np.all((goal[:, 2] >= low) & (goal[:, 2] <= high))
+    assert np.hypot(goal[:, 0], goal[:, 1]).max() > 6.0
+    assert not collides(hsr.collision, found.joint_positions, found.base_pose, solids).any()
+    ee = compose(found.base_pose, forward(hsr.chain, found.joint_positions))[:, :3]
+    for point in (found.base_pose[:, :3], ee):
+        assert solids.gaps(point[:, np.newaxis])[0].min() >= 0.7
+    for seconds in np.linspace(0.0, 60.0, 7):
+        gaps = np.hypot(*solids.at(np.full(100, seconds)).gaps(goal[:, np.newaxis]))[:, 0]
+        assert gaps.min() >= (0.25 if seconds == 0.0 else 0.1)  # seen at moments
+
+
+def test_standing_solids_fill_the_room_and_a_third_is_high(sample):
+    solids = sample(ggr_obstacles(), 50).solids
+    full, height = solids.size[:, :, 0] > 0.0, solids.size[:, :, 3]
+    assert full.sum(axis=1).min() > 50
+    assert 2.0 * solids.size[full].max(axis=0)[0] <= 1.5
+    for low, high, share in ((2.0, 2.0, 1 / 3), (0.05, 0.35, 1 / 3), (0.5, 0.9, 1 / 3)):
+        of_kind = (height[full] >= low) & (height[full] <= high)
+        assert abs(of_kind.mean() - share) < 0.05
+    assert 0.1 < solids.cylinder[full].mean() < 0.3
+    assert not solids.velocity.any()
+
+
+@pytest.mark.parametrize("wrong", [{"places": 65}, {"spacing": 0.1}, {"footprint": [0.1, 1.0]}])
+def test_wrong_parameters_raise(wrong):
+    with pytest.raises(KinfeasError, match=next(iter(wrong))):
+        ggr_obstacles(**wrong)

@@ -1,6 +1,4 @@
-import shutil
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +8,7 @@ from kinfeas.core.solids import MOST_SOLIDS, Solids
 from kinfeas.core.spatial import IDENTITY, compose
 from kinfeas.core.start import Start, stacked
 from kinfeas.kinematics.forward import forward
-from kinfeas.kinematics.ik import IkOptions, IkSolver
 from kinfeas.kinematics.self_collision import self_collides
-from kinfeas.robots.loading import read_robot
 from kinfeas.tasks.chain import ChainTask
 from kinfeas.tasks.ggr import GoalReaching
 from kinfeas.tasks.loading import load_task, task_name
@@ -72,20 +68,8 @@ def test_arms_keep_to_the_condition_or_are_free_if_either_is_enough(hsr):
         random_arm(hsr, RNG, lambda ee: ee[:, 2] > 9.0)
 
 
-def test_links_that_always_collide_are_named(tmp_path):
-    folder = Path(__file__).parents[2] / "examples" / "own_robot"
-    wide = (folder / "scout.urdf").read_text().replace("0.16 0.26 0.62", "1.8 1.8 2.6")
-    (tmp_path / "scout.urdf").write_text(wide)
-    shutil.copy(folder / "scout.yaml", tmp_path)
-    solver = IkSolver(read_robot(tmp_path / "scout.yaml"), IkOptions(self_collision=False))
-    with pytest.raises(KinfeasError, match="'mast_link'"):
-        random_arm(solver, RNG)
-
-
 @dataclass(frozen=True)
 class Given:
-    """A plugin's task that returns or raises what it is made with."""
-
     start: object = None
     name: str = "given"
     subgoals: tuple = (Subgoal(),)

@@ -37,8 +37,6 @@ def tiny():
 
 @pytest.fixture(scope="session")
 def digest():
-    """A function that returns the hashes of all files in a folder."""
-
     def hashes(folder):
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         return {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
@@ -48,7 +46,6 @@ def digest():
 
 @pytest.fixture(scope="session")
 def whole(tiny, tmp_path_factory):
-    """A finished run that nothing interrupted."""
     out = tmp_path_factory.mktemp("whole") / "run"
     train(tiny(), out)
     return out

@@ -1,12 +1,16 @@
 import json
 import shutil
 
-import numpy as np
 import pytest
 
 from kinfeas import config
+from kinfeas.config.recipes import load_recipe, recipes
 from kinfeas.core.errors import KinfeasError
+from kinfeas.envs.world import World
 from kinfeas.io.policy_metadata import Trained, write_trained
+from kinfeas.robots.loading import load_robot
+from kinfeas.tasks.loading import load_task
+from kinfeas.training.config import TrainConfig
 from kinfeas.training.run import (
     Progress,
     check_begun,
@@ -65,15 +69,6 @@ def test_an_initial_policy_is_evaluated_as_well(tiny, init, first):
     settings = tiny(f"init={init}", "schedule.evaluations=4")
     due = [evaluations_due(settings, Progress(share=share)) for share in (0.0, 0.24, 0.5, 1.0)]
     assert due == [first, first, first + 2, first + 4]
-
-
-def test_success_is_that_of_recent_episodes():
-    progress = Progress()
-    assert np.isnan(progress.success)
-    progress.recent.extend([True, False])
-    assert progress.success == 0.5
-    progress.recent.extend([True] * 256)
-    assert progress.success == 1.0
 
 
 @pytest.fixture
@@ -138,3 +133,20 @@ def test_wrong_progress_raises(write_run, tmp_path, key, value):
     (last / "state.json").write_text(json.dumps(state))
     with pytest.raises(KinfeasError, match=rf"state\.json: .*'{key}[.0]*'"):
         finished(tmp_path)
+
+
+@pytest.mark.parametrize("name", [*recipes("train"), *recipes("paper")])
+def test_every_recipe_makes_a_world(name):
+    recipe = load_recipe(TrainConfig, name, "train")
+    task = load_task(recipe.task, recipe.task_parameters)
+    World(load_robot(recipe.robot), task, recipe.world, recipe.seed)
+    assert config.from_mapping(TrainConfig, config.to_mapping(recipe), "again") == recipe
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["learner.algorithm=ppo", "learner.gamma=1.5", "schedule.steps=null", "processes=9"],
+)
+def test_values_out_of_range_raise(tiny, override):
+    with pytest.raises(KinfeasError, match=override.split("=")[0].split(".")[-1]):
+        tiny(override)

@@ -1,5 +1,3 @@
-"""Trackers of runs, without a network."""
-
 import pytest
 
 from kinfeas import __version__

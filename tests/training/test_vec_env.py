@@ -112,28 +112,6 @@ def test_a_world_in_mujoco_resumes_to_the_bit():
         one.close()
 
 
-def test_a_seed_begins_again_from_its_first_episode():
-    env = make(3)
-    first = env.reset()
-    assert not np.array_equal(first, env.reset())
-    env.seed(4)
-    np.testing.assert_array_equal(env.reset(), first)
-    env.seed(5)
-    assert not np.array_equal(env.reset(), first)
-
-
-def test_wrong_actions_raise_and_the_environment_goes_on():
-    env = make(2)
-    env.reset()
-    wrong = (np.zeros((1, 3)), np.zeros((2, 4)), np.zeros(3), np.full((2, 3), np.nan))
-    for actions in wrong:
-        with pytest.raises(KinfeasError):
-            env.step_async(actions)
-    assert np.isfinite(env.step(np.zeros((2, 3)))[0]).all()
-    with pytest.raises(KinfeasError, match="num_envs"):
-        make(0)
-
-
 PHYSICAL = {
     "robot": "hsr",
     "num_envs": 3,

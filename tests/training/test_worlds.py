@@ -1,5 +1,3 @@
-"""Episodes of training and of evaluation differ."""
-
 import numpy as np
 import pytest
 

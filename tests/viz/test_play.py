@@ -1,16 +1,14 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.spatial import distance, rotation
+from kinfeas.core.spatial import distance
 from kinfeas.io.demonstrations import read_demonstration
 from kinfeas.sim2real.servo import simulation
 from kinfeas.sim2real.servo.choice import Choice
 from kinfeas.viz.play import PlayPage
 from kinfeas.viz.server import serving
-from tests.viz.browser import BINARY, Browser
+from studies.browser import BINARY, Browser, on_screen
 
 pytest.importorskip("viser")
 
@@ -25,7 +23,7 @@ def server():
 def make_page(server, tmp_path):
     pages = []
 
-    def make(**changes) -> PlayPage:
+    def make(**changes):
         pages.append(PlayPage(server, Choice("pr2", **changes), tmp_path / "demonstrations"))
         pages[-1].start()
         return pages[-1]
@@ -35,14 +33,10 @@ def make_page(server, tmp_path):
         one.close()
 
 
-def drag(page: PlayPage, way: tuple[float, float, float]) -> None:
-    page.handle.position = page.handle.position + np.array(way)
-
-
 def test_robots_of_two_policies_follow_the_handle_and_the_motion_is_saved(make_page, tmp_path):
     page = make_page(second_policy="follow_ee")
     page.record()
-    drag(page, (0.5, 0.3, 0.1))
+    page.handle.position = page.handle.position + np.array([0.5, 0.3, 0.1])
     for _ in range(150):
         page.frame()
     page.record()
@@ -51,20 +45,6 @@ def test_robots_of_two_policies_follow_the_handle_and_the_motion_is_saved(make_p
     saved = read_demonstration(tmp_path / "demonstrations" / "001.csv")
     assert saved.has_base
     assert np.ptp(saved.ee_pose[:, 0]) == pytest.approx(0.5, abs=0.02)
-
-
-def test_other_generators_wait_until_the_handle_is_released(make_page):
-    page = make_page(generator="linear")
-    page._held = True
-    drag(page, (0.1, 0.0, 0.0))
-    before = page._episodes[0].ee_pose
-    for _ in range(10):
-        page.frame()
-    assert distance(page._episodes[0].ee_pose, before)[0] < 1e-3
-    page._held = False
-    for _ in range(100):
-        page.frame()
-    assert distance(page._episodes[0].ee_pose, page.target)[0] < 0.08
 
 
 def test_a_choice_that_cannot_be_built_leaves_the_episode(make_page, monkeypatch):
@@ -102,16 +82,7 @@ def test_the_mouse_drags_the_target_in_a_browser(make_page, server, tmp_path, si
             page.run(0.2)
         browser.mouse("mouseReleased", x, up)
         page.run(3.0)
-        browser.screenshot(Path(tmp_path / "page.png"))
         assert page.handle.position[2] > height + 0.1
         assert page._episodes[0].ee_pose[2] > height + 0.1
     finally:
         browser.close()
-
-
-def on_screen(camera, point) -> tuple[float, float]:
-    """Return the pixel of a world point."""
-    pose = np.concatenate([camera.position, np.roll(camera.wxyz, -1)])
-    x, y, z = rotation(pose).as_matrix().T @ (point - camera.position)
-    focal = camera.image_height / 2.0 / np.tan(camera.fov / 2.0)
-    return camera.image_width / 2.0 + focal * x / z, camera.image_height / 2.0 + focal * y / z

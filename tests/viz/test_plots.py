@@ -2,36 +2,26 @@ import numpy as np
 import pytest
 
 from kinfeas.core.checks import CheckedMotion
+from kinfeas.core.spatial import IDENTITY
 from kinfeas.plugins.linear import Linear
+from kinfeas.scenes.scene import read_scene
 from kinfeas.testing.trial import Trial, sample_motions
+from kinfeas.viz.figures import scene_figure
+from kinfeas.viz.pages import episode_html, scene_html
 from kinfeas.viz.plots import learning_curve, motion_figure, read_metrics
-from kinfeas.viz.style import png
-
-TABLE = """steps,seconds,train/success,evaluation/success
-0,0.5,,
-1000,30,0.25,
-2000,60,0.5,0.75
-"""
+from kinfeas.viz.shapes import corners, robot_solids
+from kinfeas.viz.style import ARM, BODY, png
 
 
-@pytest.fixture
-def run(tmp_path):
-    (tmp_path / "metrics.csv").write_text(TABLE)
-    return tmp_path
-
-
-def test_metrics_are_read_as_columns(run):
-    with (run / "metrics.csv").open("a") as file:
-        file.write("3000,9")  # cut short by a kill
-    metrics = read_metrics(run)
+def test_the_learning_curve_is_drawn_with_its_levels(tmp_path):
+    header = "steps,seconds,train/success,evaluation/success"
+    rows = "0,0.5,,\n1000,30,0.25,\n2000,60,0.5,0.75\n3000,9"  # cut short by a kill
+    (tmp_path / "metrics.csv").write_text(f"{header}\n{rows}")
+    metrics = read_metrics(tmp_path)
     np.testing.assert_array_equal(metrics["steps"], [0.0, 1000.0, 2000.0, 3000.0])
     np.testing.assert_array_equal(metrics["evaluation/success"], [np.nan, np.nan, 0.75, np.nan])
-
-
-def test_the_learning_curve_names_its_levels(run):
-    figure = learning_curve(read_metrics(run), {"follow_ee": 0.6, "ceiling": 0.98})
-    texts = [text.get_text() for text in figure.axes[0].texts]
-    assert texts == ["follow_ee 60.0%", "ceiling 98.0%"]
+    figure = learning_curve(metrics, {"follow_ee": 0.6, "ceiling": 0.98})
+    assert len(figure.axes[0].texts) == 2
     assert png(figure).startswith(b"\x89PNG")
 
 
@@ -42,3 +32,26 @@ def test_paths_speeds_and_limits_are_drawn(limit):
     above, _, speed, _ = motion_figure("linear", samples, trial).axes
     assert len(above.lines) == 3 * 12
     assert len(speed.lines) == 12 + (limit is not None)
+
+
+def test_a_robot_has_an_arm_and_a_body_above_the_floor(robot):
+    solids = robot_solids(robot, IDENTITY, robot.home["home"])
+    points = corners(solids)
+    assert {solid.colour for solid in solids} == {ARM, BODY}
+    assert -0.05 < points[:, 2].min() < 0.5 < points[:, 2].max() < 2.2
+
+
+def test_a_scene_has_its_objects_and_the_paths_of_its_handles():
+    room = read_scene("room")
+    (axes,) = scene_figure(room).axes
+    assert {text.get_text() for text in axes.texts} == set(room.objects) - {"walls"}
+    paths = [line.get_data_3d() for line in axes.lines if len(line.get_data_3d()[0]) > 1]
+    ends = {tuple(np.round([axis[0] for axis in path], 6)) for path in paths}
+    assert ends == {tuple(np.round(room.handle_pose(name)[:3], 6)) for name in room.handles}
+
+
+def test_pages_are_self_contained(hsr, recordings):
+    pytest.importorskip("viser")
+    for html in (scene_html(read_scene("room")), episode_html(recordings[0], hsr)):
+        assert html.lstrip().lower().startswith("<!doctype html")
+        assert not any(place in html for place in ('src="http', "src='http", 'href="http'))

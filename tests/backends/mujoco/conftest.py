@@ -7,5 +7,4 @@ from kinfeas.backends.mujoco.backend import MuJoCoBackend
 
 @pytest.fixture(scope="session")
 def engine():
-    """The class of the backend."""
     return MuJoCoBackend

@@ -1,21 +1,16 @@
-"""What only MuJoCo does: saved states, batches, and grasps by a constraint."""
-
 import numpy as np
 import pytest
 
-from kinfeas.backends.mujoco.backend import MuJoCoBackend
 from kinfeas.core import spatial
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
-from tests.backends.conftest import stay, twist
+from tests.backends.conftest import stay
+from tests.builders import twist
 
 DT = 0.02
 
 
 @pytest.fixture
 def begun(hsr, scene, opened, between_fingers):
-    """A function that builds a world of n robots that are about to grasp a bar."""
-
     def build(n=1):
         world = opened(hsr, scene)
         world.handle("bar", "bar")
@@ -32,7 +27,6 @@ def begun(hsr, scene, opened, between_fingers):
 
 
 def run(world, ticks, first=0):
-    """Return the measurements of robots that close their hands and move apart."""
     n, seen = len(world._positions), []
     home = np.stack([world.robot.home["home"]] * n)
     for tick in range(first, first + ticks):
@@ -129,8 +123,3 @@ def test_a_grasp_breaks_above_its_limit(begun):
     weigh(world, 400.0)
     stay(world, 25)
     assert not world.holds(0, "bar")
-
-
-def test_a_window_is_an_error(hsr):
-    with pytest.raises(KinfeasError, match="window"):
-        MuJoCoBackend(hsr, gui=True).open()

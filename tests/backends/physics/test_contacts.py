@@ -9,7 +9,8 @@ from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.plugins.linear import Linear
-from tests.backends.conftest import place, stay, twist
+from tests.backends.conftest import place, stay
+from tests.builders import twist
 
 WALL = -2.95  # m, x of the wall's front
 

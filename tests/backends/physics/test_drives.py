@@ -9,7 +9,8 @@ from kinfeas.backends.physics.kernels import cubic
 from kinfeas.core import spatial
 from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
-from tests.backends.conftest import place, stay, twist
+from tests.backends.conftest import place, stay
+from tests.builders import twist
 
 NUMBER = st.floats(-2.0, 2.0)
 STEP = 1 / 240
@@ -46,19 +47,6 @@ def test_joints_use_and_keep_their_velocity_limits(world, begin):
     assert np.any(fastest >= 0.9)
 
 
-def test_joints_move_in_proportion_to_a_far_target(world, begin):
-    robot, home = world.robot, world.robot.home["home"]
-    # One second of the first joint's motion, a tenth of that of the others.
-    away = np.where(np.arange(len(home)) == 0, 1.0, 0.1) * robot.max_joint_velocity
-    away = np.where(home + away > robot.joint_limits[1], -away, away)
-    begin()
-    for _ in range(20):
-        state = world.step(twist(), (home + away)[np.newaxis], 0.02)
-        share = (state.joint_positions[0] - home) / away
-        np.testing.assert_allclose(share, share[0], atol=0.08)
-    assert 0.2 < share[0] < 0.5
-
-
 def test_a_continuous_joint_takes_the_shorter_way(opened):
     world = opened(load_robot("pr2"))
     home = world.robot.home["home"].copy()
@@ -71,15 +59,6 @@ def test_a_continuous_joint_takes_the_shorter_way(opened):
     assert np.abs(seen).max() <= np.pi
     assert seen[-1] == pytest.approx(-3.0, abs=1e-4)
     assert np.abs(seen).min() > 2.9
-
-
-def test_springs_carry_the_arm_of_the_pr2(opened):
-    joints = np.array([0.0, 0.0, 0.0, -0.2, 0.0, -0.2, 0.0])
-    world = opened(load_robot("pr2"))
-    place(world, joints=joints)
-    for _ in range(50):
-        state = world.step(twist(), joints[np.newaxis], 0.02)
-    np.testing.assert_allclose(state.joint_positions[0], joints, atol=1e-3)
 
 
 def test_a_joint_without_effort_is_an_error(engine):

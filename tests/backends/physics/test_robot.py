@@ -13,10 +13,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.backends.physics.robot import (
     FRAME,
     PLANAR_JOINTS,
-    Follower,
     Inertia,
-    arm_followers,
-    finger_followers,
     merge_fixed_links,
     moving_joints,
     physical,
@@ -44,17 +41,6 @@ STL = bytes(80) + struct.pack("<I", 4) + b"".join(
     struct.pack("<12fH", 0, 0, 1, *(x for i in range(4) if i != left for x in CORNERS[i]), 0)
     for left in range(4)
 )  # fmt: skip
-
-
-def test_mimicking_joints_follow_their_leaders():
-    assert arm_followers(load_robot("hsr")) == (
-        Follower("torso_lift_joint", "arm_lift_joint", 0.5, 0.0),
-    )
-    tips = {one.name: one.leader for one in finger_followers(load_robot("pr2"))}
-    assert sorted(tips) == ["r_gripper_l_finger_tip_joint", "r_gripper_r_finger_tip_joint"]
-    assert tips["r_gripper_r_finger_tip_joint"] == "r_gripper_r_finger_joint"
-    for one in finger_followers(load_robot("hsr")):
-        assert (one.multiplier, one.offset) == (-1.0, pytest.approx(-0.087))
 
 
 def test_the_urdf_is_the_robot_on_planar_joints(robot, tmp_path):

@@ -6,7 +6,7 @@ from kinfeas.core import spatial
 from kinfeas.core.solids import Solids
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, distances
-from tests.backends.conftest import twist
+from tests.builders import twist
 
 DT, ROWS = 0.02, np.arange(2)
 
@@ -35,7 +35,6 @@ def start(robot):
 
 
 def run(world, ticks, *command):
-    """Yield the states of robots that drive."""
     _, joints = start(world.robot)
     for _ in range(ticks):
         yield world.step(np.repeat(twist(*command), 2, axis=0), joints, DT)

@@ -7,7 +7,6 @@ from kinfeas.backends.pybullet.backend import PyBulletBackend
 
 @pytest.fixture(scope="session")
 def engine():
-    """The class of the backend."""
     return PyBulletBackend
 
 

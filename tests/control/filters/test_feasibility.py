@@ -4,21 +4,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinfeas.config import PluginSpec
 from kinfeas.control.drive import KinematicStep, base_twist, command_size
 from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
 from kinfeas.core.solids import Solids
-from kinfeas.envs.episodes import run_episodes
-from kinfeas.envs.world import World, WorldConfig
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.solids import collides, in_base
-from kinfeas.policies.loading import load_policy
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import exceeds_joint_velocity
-from kinfeas.tasks.loading import load_task
 from tests.kinematics.test_solids import draw_solids
 
 DT, ROWS = 0.5, 64
@@ -95,30 +90,9 @@ def test_feasible_commands_stay_and_others_become_the_nearest_candidate(loop, co
     assert helped > 0
 
 
-def test_its_ik_solution_is_that_of_the_solver(loop, command):
-    found, _ = filtered(loop, command)
-    solved, twist, arm = loop.solved
-    np.testing.assert_array_equal(solved, found)
-    wanted, alone = loop.kinematic_step(
-        found, loop.state.base_pose, loop.next_desired, loop.joint_command, loop.solids
-    )
-    np.testing.assert_array_equal(twist, wanted)
-    np.testing.assert_array_equal(arm.feasible, alone.feasible)
-    np.testing.assert_array_equal(arm.joint_positions, alone.joint_positions)
-
-
 def test_paused_rows_stay_and_change_no_other(loop, command):
     together, _ = filtered(loop, command)
     loop.paused = np.arange(ROWS) % 2 == 0
     found, _ = filtered(loop, command)
     np.testing.assert_array_equal(found[loop.paused], command[loop.paused])
     np.testing.assert_array_equal(found[~loop.paused], together[~loop.paused])
-
-
-def test_an_arm_jumps_less_with_the_filter():
-    tiago, jumps = load_robot("tiago"), []
-    for filters in ((), (PluginSpec("feasibility"),)):
-        world = World(tiago, load_task("ggr"), WorldConfig(filters=filters), seed=1)
-        records = run_episodes(world, load_policy("follow_ee_feedback", tiago), 12)
-        jumps.append(records.joint_jumps.mean())
-    assert jumps[1] < 0.5 * jumps[0]

@@ -60,15 +60,6 @@ def test_points_come_to_the_nearest_place(count, size):
     assert max(away) < 0.1
 
 
-def test_no_row_depends_on_the_others():
-    points, normals, offsets = drawn(1)
-    together, _ = put(points, normals, offsets)
-    for row in range(0, len(points), 7):
-        one = slice(row, row + 1)
-        alone, _ = put(points[one], normals[one], offsets[one])
-        np.testing.assert_array_equal(alone[0], together[row])
-
-
 def test_points_are_pushed_out_of_the_origin_s_place():
     normals = np.array([[[1.0, 0.0], [0.0, 1.0]]])
     moved, outside = put(np.array([[[0.5, 0.3], [-0.5, 0.2]]]), normals, np.array([[-0.2, 0.4]]))

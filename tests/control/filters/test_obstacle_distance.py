@@ -28,8 +28,6 @@ def robot(request):
 
 
 class Pillars(AnalyticBackend):
-    """The analytic world with points as obstacles of round bases."""
-
     def __init__(self, *pillars):
         super().__init__()
         self.pillars = np.array(pillars).reshape(-1, 2)
@@ -52,16 +50,12 @@ class Pillars(AnalyticBackend):
 
 
 class Blind:
-    """A backend that measures no distances."""
-
     def __init__(self):
         world = AnalyticBackend()
         self.reset, self.step, self.close = world.reset, world.step, world.close
 
 
 class Fixed(AnalyticBackend):
-    """A backend with the answer of a test."""
-
     def __init__(self, answer):
         super().__init__()
         self.obstacle_distances = lambda within: answer()
@@ -105,30 +99,6 @@ def test_no_base_comes_nearer_than_its_distance(robot):
     # A turn and a drive at once lead a little off the straight way.
     assert KEPT - 0.005 < nearest.min() < KEPT + 0.02
     assert np.linalg.norm(loop.state.base_pose[:, :2], axis=1).max() > 0.3
-
-
-@ROBOTS
-def test_far_from_obstacles_commands_stay_bit_identical(robot):
-    backend, plain = Pillars([9.0, 9.0]), AnalyticBackend()
-    loops = [loop_among(robot, backend, 8), loop_among(robot, plain, 8, [])]
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        action = rng.uniform(-2.0, 2.0, (8, loops[0].command_size))
-        for loop in loops:
-            loop.step(action)
-    np.testing.assert_array_equal(backend.state.base_pose, plain.state.base_pose)
-    np.testing.assert_array_equal(loops[0].joint_command, loops[1].joint_command)
-
-
-def test_a_base_slides_along_a_wall(robot):
-    backend = Pillars(*([1.0, y] for y in np.linspace(-1.0, 3.0, 81)))
-    loop = loop_among(robot, backend, 1)
-    backend.state.base_pose[:] = spatial.planar_pose(np.array([0.6]), np.zeros(1), np.zeros(1))
-    for _ in range(50):
-        loop.step(np.array([[0.7, 0.7, 0.0]]))
-    x, y = backend.state.base_pose[0, :2]
-    assert x == pytest.approx(1.0 - RADIUS - KEPT, abs=0.01)
-    assert y == pytest.approx(50 * DT * robot.base.max_velocity * 0.7, rel=0.2)
 
 
 def test_a_base_may_leave_an_obstacle_that_it_touches(robot):

@@ -39,7 +39,6 @@ def run(robot, policy, task="ggr_restricted", episodes=8, first=0, **parameters)
 
 
 def planner_of(world, policy, rows=4, **parameters):
-    """Return a planner of a started world's loop."""
     world.loop.set_policy(policy)
     world.start(range(rows))
     planner = RolloutPlanner(**parameters)
@@ -73,27 +72,6 @@ def test_no_offset_where_the_policy_does_not_fail():
     command = planner(np.zeros((4, 3)), world.loop.policy_input)
     np.testing.assert_array_equal(command, np.zeros((4, 3)))
     assert policy.asked == [4]
-
-
-def test_more_samples_only_where_they_may_help(monkeypatch):
-    world = world_of("pr2")
-    planner = planner_of(world, Still(3), num_samples=12)
-    # Row 0 never fails, 1 is helped by the second sample, 2 by the last one, 3 fails already.
-    asked = []
-
-    def outcome(now, rows, offsets, limit):
-        k = offsets.shape[1]
-        asked.append((rows.tolist(), k))
-        cost = np.where(rows == 0, 0.0, 5.0)[:, np.newaxis].repeat(k, axis=1)
-        if k > 1:
-            cost[rows == 1, 1] = 0.0
-            cost[rows == 2, -1] = 3.0 if k == 4 else 5.0
-        return cost, (rows == 3)[:, np.newaxis].repeat(k, axis=1)
-
-    monkeypatch.setattr(planner, "_rollout", outcome)
-    planner(np.zeros((4, 3)), world.loop.policy_input)
-    assert asked == [([0, 1, 2, 3], 1), ([1, 2, 3], 7), ([2], 4)]
-    np.testing.assert_array_equal(planner.offset.any(axis=1), [False, True, True, False])
 
 
 def test_offsets_do_not_depend_on_other_rows_and_aborted_rollouts(monkeypatch):

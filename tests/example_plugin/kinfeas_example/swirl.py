@@ -7,17 +7,7 @@ from kinfeas.core.spatial import twist_between
 
 
 class Swirl:
-    """To the target on a spiral about the vertical through it.
-
-    Args:
-        gain: Speed per distance to the goal, 1/s.
-        swirl: Speed around the goal per speed toward it, at least 0.
-        max_velocity: Upper limit of the speed in m/s.
-        max_angular_velocity: Upper limit of the angular speed in rad/s.
-
-    Raises:
-        KinfeasError: If the gain is not positive.
-    """
+    """To the target on a spiral about the vertical through it."""
 
     def __init__(
         self,
@@ -33,15 +23,12 @@ class Swirl:
         self.max_velocity, self.max_angular_velocity = max_velocity, max_angular_velocity
 
     def start(self, ee_pose, target_pose, rngs):
-        """Return the state of n motions, which is empty."""
         return {}
 
     def goal_pose(self, state, target_pose):
-        """Return the world poses at which the motions end, shape (n, 7)."""
         return target_pose
 
     def twist(self, state, ee_pose, target_pose, dt):
-        """Return the world twist for the next `dt` seconds, shape (n, 6), and the next state."""
         way = twist_between(ee_pose, target_pose, 1.0)
         toward, turn = way[:, :3], way[:, 3:]
         around = self.swirl * np.stack([-toward[:, 1], toward[:, 0], 0.0 * toward[:, 2]], axis=1)

@@ -48,7 +48,6 @@ def poses(n, seed=0):
 
 
 def on_reset(backend, robot, seeds, env_ids=None):
-    """Begin episodes whose start depends on their seed alone."""
     places = np.arange(len(seeds)) if env_ids is None else np.array(env_ids)
     backend.seed(np.array(seeds, dtype=np.uint64), places)
     base = np.concatenate([poses(1, seed) for seed in seeds])
@@ -195,17 +194,3 @@ def test_adapters_have_the_optional_methods_of_their_backend(pr2):
     adapter.close()
     able.seed.assert_called_once()
     able.close.assert_called_once()
-
-
-class Changed(Adapter):
-    """An adapter with hooks that a test sets."""
-
-
-@pytest.mark.parametrize("hook", ["on_reset", "modify_state", "modify_command", "on_step"])
-def test_exceptions_of_hooks_name_the_adapter(pr2, hook):
-    adapter = Changed(AnalyticBackend(), pr2)
-    setattr(adapter, hook, lambda *arguments: {}["key"])
-    with pytest.raises(KeyError) as caught:
-        adapter.reset(poses(2), np.zeros((2, 7)))
-        adapter.step(np.zeros((2, 6)), np.ones((2, 7)), 0.1)
-    assert caught.value.__notes__ == ["raised by adapter Changed"]

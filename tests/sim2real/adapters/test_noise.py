@@ -3,11 +3,13 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import kstest
 
 from kinfeas.core.backend import SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.spatial import yaw
 from kinfeas.kinematics.forward import build_chain, forward
 from kinfeas.sim2real.adapters.noise import BaseNoise, EeNoise, JointNoise, Localisation, ScanNoise
+from kinfeas.sim2real.adapters.random_numbers import normal, uniform
 
 STILL = {"drift": 0.0, "turn_drift": 0.0, "jump": 0.0, "turn_jump": 0.0, "rate": 0.0}
 
@@ -128,3 +130,29 @@ def test_noise_and_losses_of_scans_are_those_of_their_parameters(scanned):
     lossy = scanned(n=50, deviation=0.0, lost=0.1, seconds=0.0)
     assert np.mean(lossy[:, :, 0] == SCAN_RANGE) == pytest.approx(0.1, abs=0.01)
     np.testing.assert_array_equal(scanned(n=3, deviation=0.03), scanned(n=5, deviation=0.03)[:, :3])
+
+
+def seeds(n, first=0):
+    return np.arange(first, first + n, dtype=np.uint64)
+
+
+def steps(n, value=0):
+    return np.full(n, value, dtype=np.uint64)
+
+
+@pytest.mark.parametrize(("draw", "law"), [(normal, "norm"), (uniform, "uniform")])
+def test_draws_follow_their_law_in_each_column(draw, law):
+    found = draw(seeds(20_000), steps(20_000), 12)
+    for column in found.T:
+        assert kstest(column, law).pvalue > 1e-3
+    correlations = np.corrcoef(found.T) - np.eye(12)
+    assert np.abs(correlations).max() < 5.0 / np.sqrt(20_000)
+
+
+@pytest.mark.parametrize("draw", [normal, uniform])
+def test_rows_and_steps_are_on_their_own(draw):
+    together = draw(seeds(5), steps(5, 3), 4)
+    for row in range(5):
+        alone = draw(seeds(1, row), steps(1, 3), 4)
+        np.testing.assert_array_equal(alone[0], together[row])
+    assert np.intersect1d(together, draw(seeds(5), steps(5, 4), 4)).size == 0

@@ -18,6 +18,7 @@ from kinfeas.sim2real.adapters.adapter import Adapter
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.guards import Guarded
 from kinfeas.sim2real.link.scans import ANGLES
+from tests.builders import at, twist
 from tests.sim2real.doubles import Time
 
 DT = 0.02
@@ -26,8 +27,6 @@ PR2 = ROBOTS["pr2"]
 
 
 class Double:
-    """A backend that keeps its commands and returns the state that a test sets."""
-
     def __init__(self, robot, time):
         self.robot, self.time, self.took = robot, time, DT
         self.sent = []
@@ -91,14 +90,6 @@ def guarded(robot="pr2", guards=None, kind=Double, adapters=()):
     guard = Guarded(backend, ROBOTS[robot], guards, adapters=adapters, clock=time.clock)
     guard.reset(backend.state.base_pose, backend.state.joint_positions)
     return guard, backend
-
-
-def at(x=0.0, y=0.0, yaw=0.0):
-    return spatial.planar_pose(*np.array([[x], [y], [yaw]]))
-
-
-def twist(x=0.0, y=0.0, turn=0.0):
-    return np.array([[x, y, 0.0, 0.0, 0.0, turn]])
 
 
 def arm(guard, joint=0, by=0.0):
@@ -286,6 +277,9 @@ def test_a_stall_before_a_command_or_after_it_stops_the_robot(kind):
 
 def test_an_old_measurement_and_a_short_stall_add_up():
     guard, backend = guarded(kind=RealTime)
+    backend.state = home(PR2)  # of a real robot, without an age
+    stops(guard, backend, "age")
+    guard, backend = guarded(kind=RealTime)
     backend.state = home(PR2, age=np.array([0.15]))
     guard.step(twist(0.02), arm(guard), DT)
     backend.time.passes(0.1)
@@ -301,23 +295,13 @@ def test_a_system_clock_that_is_set_stops_the_robot(by):
     stops(guard, backend, "clock")
 
 
-def test_states_of_real_robots_need_an_age():
-    guard, backend = guarded(kind=RealTime)
-    backend.state = home(PR2)
-    stops(guard, backend, "age")
-
-
 class Slow(Adapter):
-    """An adapter that takes 0.3 s for a command."""
-
     def modify_command(self, twist, targets, dt):
         self.backend.backend.time.passes(0.3)
         return twist, targets
 
 
 class Keeping(Adapter):
-    """An adapter that drops commands."""
-
     def step(self, base_twist, joint_targets, dt):
         return self.backend._state
 
@@ -344,8 +328,6 @@ def test_an_adapter_stays_within_the_limits():
 
 
 class Hiding(Adapter):
-    """An adapter that returns another state than the measured one."""
-
     def modify_state(self, state):
         return home(PR2)
 
@@ -443,8 +425,6 @@ def test_every_command_is_within_the_limits_or_zero(name, steps):
 
 
 class Scanning(RealTime):
-    """A robot with a scan that a test sets."""
-
     def __init__(self, robot, time):
         super().__init__(robot, time)
         self.now = MeasuredScan(np.ones((1, 2, SCAN_BEAMS)), np.zeros(SCAN_BEAMS, dtype=bool), 0.0)
@@ -460,6 +440,7 @@ class Scanning(RealTime):
 def test_an_old_or_blind_scan_stops_the_robot_that_uses_it(age, blind):
     guard, backend = guarded(kind=Scanning)
     np.testing.assert_array_equal(guard.scan(), backend.now.ranges)
+    assert not isinstance(guarded(kind=RealTime)[0], SupportsScan)
     backend.now = replace(backend.now, age=age, blind=np.full(SCAN_BEAMS, blind))
     guard.step(twist(0.01), arm(guard), DT)  # a policy without scans may go on
     with pytest.raises(Fault, match="scan"):
@@ -476,7 +457,3 @@ def test_the_base_does_not_drive_where_its_scan_is_blind(adapters):
         guard.step(command, arm(guard), DT)
     guard.scan()
     stops(guard, backend, "blind", twist(-0.03))
-
-
-def test_a_backend_without_a_scan_has_none():
-    assert not isinstance(guarded(kind=RealTime)[0], SupportsScan)

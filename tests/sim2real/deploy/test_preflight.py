@@ -4,13 +4,17 @@ import pytest
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.execution import ExecutionConfig
 from kinfeas.control.loop import Loop
+from kinfeas.core import spatial
+from kinfeas.core.backend import RobotState
 from kinfeas.core.errors import KinfeasError
+from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.kinematics.reachability import reachable
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.deploy.config import Guards
 from kinfeas.sim2real.deploy.goal_task import begin, make_goal_task
 from kinfeas.sim2real.deploy.preflight import preflight
+from kinfeas.sim2real.deploy.rate import Clock, Rate
 from kinfeas.tasks.loading import load_task
 from kinfeas.tasks.task import MotionSpec, build_subgoals
 
@@ -22,7 +26,6 @@ def goal(*position, rpy=None):
 
 
 def checked(task, guards, execution=None, solver=HSR):
-    """Return the warning about a task."""
     rng = np.random.default_rng(3)
     loop = Loop(solver, build_subgoals(task.subgoals), AnalyticBackend(), 0.02, execution)
     return preflight(loop, begin(task, solver, rng, None), rng, guards)
@@ -62,3 +65,83 @@ def test_warns_of_a_base_that_is_slower_than_the_ee(speed, time_scale, factor):
     warning = checked(far, guards, ExecutionConfig(time_scale=time_scale))
     assert bool(warning) is (factor is not None)
     assert factor is None or f"time_scale={factor}" in warning
+
+
+@pytest.mark.parametrize("base", [spatial.IDENTITY, spatial.planar_pose(3.0, 1.0, 2.0)])
+def test_begins_where_the_robot_is_with_its_orientation_as_the_goal(base):
+    solver = IkSolver(load_robot("hsr"))
+    joints = solver.robot.home["home"][np.newaxis]
+    real = None if base is spatial.IDENTITY else RobotState(base[np.newaxis], joints)
+    task = make_goal_task((1.0, 2.0, 0.5), None, MotionSpec())
+    start = begin(task, solver, np.random.default_rng(1), real)
+    ee = spatial.compose(base[np.newaxis], forward(solver.chain, joints))
+    np.testing.assert_array_equal(start.base_pose, [base])
+    np.testing.assert_array_equal(start.joint_positions, joints)
+    np.testing.assert_allclose(start.target_poses[0, 0], [1.0, 2.0, 0.5, *ee[0, 3:]], atol=1e-12)
+
+
+def test_an_orientation_is_given_by_angles_or_a_quaternion():
+    half = np.sqrt(0.5)
+    for turn in ((0.0, 0.0, np.pi / 2.0), (0.0, 0.0, half, half)):
+        task = make_goal_task((0.0, 0.0, 1.0), turn, MotionSpec())
+        np.testing.assert_allclose(task.orientation, [0.0, 0.0, half, half], atol=1e-12)
+
+
+@pytest.mark.parametrize(("position", "turn"), [
+    ((np.nan, 0.0, 0.0), None),
+    ((0.0, 0.0, 0.0), (np.inf, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
+])  # fmt: skip
+def test_invalid_goals_are_errors(position, turn):
+    with pytest.raises(KinfeasError, match="goal"):
+        make_goal_task(position, turn, MotionSpec())
+
+
+def test_a_real_robot_has_the_solids_of_the_task_around_it_already():
+    robot, task = load_robot("hsr"), load_task("ggr_obstacles", {})
+    real = RobotState(spatial.IDENTITY[np.newaxis], robot.home["home"][np.newaxis])
+    for measured in (None, real):
+        start = begin(task, IkSolver(robot), np.random.default_rng(0), measured)
+        assert (start.solids is None) == (measured is not None)
+
+
+@pytest.fixture
+def rate(time):
+    started = Rate(0.02, time.clock)
+    assert started.wait() == 0.0
+    return started
+
+
+def test_late_awakenings_do_not_add_up(time):
+    clock = Clock(lambda: time.monotonic, sleep=lambda seconds: time.passes(seconds + 0.001))
+    rate = Rate(0.02, clock)
+    rate.wait()
+    for _ in range(1000):
+        time.passes(0.005)
+        rate.wait()
+    assert time.monotonic == pytest.approx(1000.0 + 1000 * 0.02 + 0.001, abs=1e-6)
+    timing = rate.timing()
+    assert (timing.periods, timing.misses) == (1000, 0)
+    assert timing.p50 == pytest.approx(0.02)
+    assert (timing.work_p50, timing.work_p99) == (pytest.approx(0.005), pytest.approx(0.005))
+
+
+@pytest.mark.parametrize(
+    ("late", "periods"), [(0.025, [0.025, 0.015, 0.02]), (0.09, [0.09, 0.01, 0.02])]
+)
+def test_a_late_period_is_counted_and_shifts_no_deadline(rate, time, late, periods):
+    time.passes(late)
+    np.testing.assert_allclose([rate.wait() for _ in range(3)], periods, atol=1e-9)
+    assert rate.timing().misses == 1
+
+
+def test_measures_periods_that_a_robot_times(time):
+    rate = Rate(0.02, time.clock)
+    assert rate.tick() == 0.0
+    assert rate.timing().periods == 0
+    for period in (0.02, 0.029, 0.031, 0.019):
+        time.passes(period)
+        assert rate.tick() == pytest.approx(period)
+    timing = rate.timing()
+    assert (timing.periods, timing.misses, timing.work_p50) == (4, 1, None)
+    assert timing.longest == pytest.approx(0.031)

@@ -43,7 +43,6 @@ def policy():
 
 @pytest.fixture
 def loop(policy):
-    """A loop in which base and EE part."""
     task = load_task("ggr_restricted", {})
     world = World(load_robot("pr2"), task, evaluation_world("analytic", "pr2"), seed=3)
     world.loop.set_policy(policy)
@@ -65,12 +64,10 @@ def planner(loop):
 
 
 def settle(planner):
-    """Wait for the plan under way."""
     planner._coming.exception()
 
 
 def drive(planner, loop, periods):
-    """Return the filtered commands of some periods."""
     commands = []
     for _ in range(periods):
         commands.append(planner(BACKWARDS, loop.policy_input))

@@ -26,7 +26,6 @@ from kinfeas.sim2real.deploy.rate import Rate
 from kinfeas.sim2real.deploy.rollout_planner_thread import RolloutPlannerThread
 from kinfeas.sim2real.deploy.runtime import Code, Setup, Signals, deploy
 from kinfeas.sim2real.deploy.watchdog import StopCall
-from kinfeas.tasks.chain_file import read_chain
 from kinfeas.tasks.task import MotionSpec
 
 DT = 0.02
@@ -75,8 +74,6 @@ class RealTimeRobot:
 
 
 class WatchedRobot(RealTimeRobot):
-    """A robot that another process can stop."""
-
     def stop_call(self):
         return StopCall("nowhere:stop")
 
@@ -110,8 +107,6 @@ def goal(*position):
 
 @pytest.fixture
 def run(tmp_path, time):
-    """Return a function that runs a policy and returns outcome and record."""
-
     def start(backend, driver, task=None, **changes):
         settings = {"dt": DT, "seconds": 2.0, "clock": time.clock, **changes}
         setup = Setup(PR2, driver, task or goal(3.0, 0.0, 0.8), backend, **settings)
@@ -127,8 +122,6 @@ def run(tmp_path, time):
 
 
 class WithObjects:
-    """A task with objects."""
-
     def __init__(self, task, done):
         self.name, self.subgoals, self.sample = task.name, task.subgoals, task.sample
         self.done, self.settle, self.drawn = lambda: done, lambda joints, dt: None, dict
@@ -145,21 +138,6 @@ def test_reaches_the_goal_and_reports_task_success(run, trained, done, end):
     assert record.base_twist.any()
     assert record.time[-1] == pytest.approx(outcome.seconds)
     np.testing.assert_allclose(record.goal[:, :3], np.tile(target.goal, (len(record.goal), 1)))
-
-
-def test_goes_through_a_chain_of_sub_goals(run, trained, tmp_path):
-    (tmp_path / "two.yaml").write_text(
-        "{name: two, start: {square: 0.0, heading: 0.0}, places: {a: {position: [0.9, 0, 0.8]}, "
-        "b: {position: [0.9, 0.1, 0.8]}}, "
-        "subgoals: [{place: a, dwell: 0.1, motion: {parameters: {gain: 1}}}, "
-        "{place: b, motion: {parameters: {gain: 1}}}]}"
-    )
-    task = read_chain(tmp_path / "two.yaml")
-    outcome, record = run(AnalyticBackend(), trained, task, seconds=200.0, real_time=False)
-    assert outcome.code is Code.REACHED
-    change = record.event.index("sub-goal 2 begins")
-    assert record.subgoal[change : change + 2].tolist() == [0, 1]
-    np.testing.assert_allclose(record.goal[change : change + 2, 1], [0.0, 0.1])
 
 
 def test_a_run_in_real_time_keeps_its_rate_and_ends_in_time(run, time):
@@ -256,12 +234,6 @@ def test_a_watchdog_that_is_lost_ends_a_run_and_one_takes_over_where_stopping_fa
     assert outcome.code is (Code.FAULT if lost else Code.TIME_OVER)
     assert (dog.abandon.called, outcome.unstopped) == (not lost, "" if lost else "gone")
     assert outcome.timing.periods == pytest.approx(9 if lost else 100, abs=2)
-
-
-@pytest.mark.parametrize(("guards", "warns"), [(Guards(), True), (Guards(watchdog=None), False)])
-def test_a_robot_without_a_watchdog_gets_a_warning(run, time, capsys, guards, warns):
-    run(RealTimeRobot(time), Drive(), seconds=0.1, guards=guards)
-    assert ("watchdog" in capsys.readouterr().err) is warns
 
 
 def test_the_rollout_planner_ends_with_the_run(run, trained):

@@ -47,7 +47,6 @@ while True:
 
 @pytest.fixture
 def stops(tmp_path, monkeypatch):
-    """The path of the times at which the double of a robot is stopped."""
     (tmp_path / "stand_in.py").write_text(ROBOT)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     return tmp_path / "stops"

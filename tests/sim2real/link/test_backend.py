@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from kinfeas.control import drive
-from kinfeas.core import spatial
 from kinfeas.core.backend import (
     SCAN_BEAMS,
     ArmLimited,
@@ -18,6 +17,7 @@ from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import BaseReading, JointReading
 from kinfeas.sim2real.link.backend import LinkBackend
 from kinfeas.sim2real.link.scans import CostmapReading, LaserReading
+from tests.builders import at
 from tests.sim2real.doubles import MemoryLink, Time, connected, joints_at, present
 
 DT = 0.02
@@ -29,15 +29,7 @@ ELBOW, ROLL = ARM.index("r_elbow_flex_joint"), ARM.index("r_forearm_roll_joint")
 
 @pytest.fixture
 def ends(time):
-    """A connected backend and its link."""
     return connected(PR2, time)
-
-
-def away(joint, by):
-    """Return joint targets, one joint of which is not at home."""
-    targets = AT_HOME.copy()
-    targets[0, joint] += by
-    return targets
 
 
 def test_reset_leaves_the_robot_where_it_is(ends):
@@ -45,17 +37,13 @@ def test_reset_leaves_the_robot_where_it_is(ends):
     for protocol in (RealTimeBackend, SupportsGripper, ArmLimited):
         assert isinstance(backend, protocol)
     state = backend.read()
-    np.testing.assert_allclose(
-        state.base_pose, spatial.planar_pose(*np.array([[1.0], [2.0], [0.5]]))
-    )
+    np.testing.assert_allclose(state.base_pose, at(1.0, 2.0, 0.5))
     np.testing.assert_array_equal(state.joint_positions, AT_HOME)
     assert state.age[0] == 0.0
     assert link.driven == link.moved == []
 
 
 def parts(joints=None, base=True):
-    """Return an answer of a robot that measures only these."""
-
     def answer(readings):
         if base:
             readings.base(BaseReading(0.0, 0.0, 0.0))
@@ -127,7 +115,7 @@ def test_no_joint_is_sent_faster_than_its_limit(ends, share, used):
     fastest = PR2.max_joint_velocity
     if share is not None:
         backend.limit_arm(share * fastest)
-    backend.step(np.zeros((1, 6)), away(ELBOW, 1.0), DT)
+    backend.step(np.zeros((1, 6)), AT_HOME + np.eye(7)[ELBOW], DT)
     assert link.moved[-1][1] == pytest.approx(1.0 / (used * fastest[ELBOW]))
 
 
@@ -190,19 +178,12 @@ def test_grips_and_closes_once(ends):
     assert (link.closed, len(link.driven)) == (1, 1)
 
 
-def scanning(time, **sources):
-    """Return a backend whose link has sources of scans, and the link."""
-    link = MemoryLink(present(PR2))
-    kinds = {"laser": LaserReading, "costmap": CostmapReading}
-    link.scan_sources = {kinds[name]: topic for name, topic in sources.items()}
-    backend = LinkBackend(PR2, link, clock=time.clock, timeout=1.0)
-    backend.reset(None, None)
-    return backend, link
-
-
 def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
     assert not isinstance(ends[0], SupportsScan)
-    backend, link = scanning(time, laser="/scan", costmap="/costmap")
+    link = MemoryLink(present(PR2))
+    link.scan_sources = {LaserReading: "/scan", CostmapReading: "/costmap"}
+    backend = LinkBackend(PR2, link, clock=time.clock, timeout=1.0)
+    backend.reset(None, None)
     assert isinstance(backend, SupportsMeasuredScan)
     link.readings.scan(LaserReading(np.full(SCAN_BEAMS, 2.0), -np.pi, 2.0 * np.pi / SCAN_BEAMS))
     with pytest.raises(KinfeasError, match="/costmap"):
@@ -216,9 +197,3 @@ def test_scans_have_the_ranges_and_the_age_of_their_sources(ends, time):
     assert not scan.blind.any()
     np.testing.assert_allclose(scan.ranges[0, 0], 2.0)
     assert np.all((scan.ranges[0, 1] > 0.39) & (scan.ranges[0, 1] < 0.65))
-
-
-def test_a_policy_that_needs_a_scan_is_told_the_keys(time):
-    backend, _ = scanning(time)
-    with pytest.raises(KinfeasError, match=r"'scan'.*'costmap'"):
-        backend.scan()

@@ -13,7 +13,6 @@ from kinfeas.sim2real.link.scans import (
     LaserReading,
     beam,
     combined,
-    costmap_of,
     costmap_ranges,
     laser_ranges,
 )
@@ -51,7 +50,6 @@ def seen(solids, pose, beams=SCAN_BEAMS, longest=SCAN_RANGE):
 
 
 def laser(solids, pose, mount=(0.0, 0.0, 0.0), share=slice(None), **changes):
-    """Return a laser's ranges at some of many rays."""
     ranges = seen(solids, compose(pose, planar_pose(*np.array(mount)[:, np.newaxis])), RAYS, 8.0)
     ranges = np.where(ranges < 8.0, ranges, np.inf)[share]
     first = -np.pi + 2.0 * np.pi / RAYS * (share.start or 0)
@@ -60,7 +58,6 @@ def laser(solids, pose, mount=(0.0, 0.0, 0.0), share=slice(None), **changes):
 
 
 def sector_minima(solids, pose):
-    """Return the shortest of many beams from the base in each sector."""
     fine = seen(solids, pose, RAYS)
     each = RAYS // SCAN_BEAMS
     return np.roll(fine, each // 2).reshape(SCAN_BEAMS, each).min(axis=1)
@@ -147,18 +144,6 @@ def test_a_costmap_is_blind_where_it_is_unknown():
     certain = replace(costmap, occupied=100)
     assert costmap_ranges(certain, (0.0, 0.0, 0.0))[SCAN_BEAMS // 2] == SCAN_RANGE
     assert np.isnan(costmap_ranges(costmap, (9.0, 9.0, 0.0))).all()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_costmap_of_a_scan_has_its_ranges(seed):
-    solids, pose, base = draw(seed)
-    expected = seen(solids, pose)
-    found = costmap_ranges(costmap_of(expected, base, 2.0 * SCAN_RANGE, CELL), base)
-    around = np.array([np.roll(expected, shift) for shift in (-1, 0, 1)])
-    assert np.all(found >= around.min(axis=0) - CELL)
-    assert np.mean(np.abs(found - expected) < 1.5 * CELL) > 0.9
-    empty = costmap_of(np.full(SCAN_BEAMS, SCAN_RANGE), base, 2.0 * SCAN_RANGE, CELL)
-    np.testing.assert_array_equal(costmap_ranges(empty, base), SCAN_RANGE)
 
 
 def test_a_band_without_its_sensor_has_the_ranges_of_the_other():

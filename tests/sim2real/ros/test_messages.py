@@ -1,5 +1,3 @@
-"""Messages of both versions of ROS carry the same; those of ROS 2 have the bytes of ROS 2."""
-
 import dataclasses
 
 import numpy as np
@@ -9,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from kinfeas.core import spatial
 from kinfeas.core.backend import SCAN_BEAMS
+from kinfeas.core.errors import KinfeasError
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link.scans import CostmapReading, laser_ranges
 from kinfeas.sim2real.ros import messages as ros_messages
@@ -39,7 +38,6 @@ def named(kind):
 
 
 def filled(kind, rng):
-    """Return a message with something in each of its fields."""
     message = kind()
     for one in dataclasses.fields(kind):
         value = getattr(message, one.name)
@@ -240,3 +238,47 @@ def test_a_planar_pose_has_no_tilt_and_needs_a_unit_quaternion():
     assert yaw == pytest.approx(0.7)
     for quaternion in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.5), (np.nan,) * 4):
         assert np.isnan(ros_messages.planar(np.array([1.0, 2.0, 0.0, *quaternion]))).all()
+
+
+TOPICS = """
+base: {command: /cmd, odometry: /odom}
+joints:
+  measured: /joint_states
+  controllers:
+  - {command: /arm, joints: [%s]}
+"""
+
+
+HSR = load_robot("hsr")
+ARM = [joint.name for joint in HSR.arm]
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_every_shipped_robot_has_its_names(robot, version):
+    topics = read_topics(robot, version)
+    assert topics.base.frame == robot.base.frame
+    assert topics.gripper.open > topics.gripper.closed
+    for topic in (topics.base.command, topics.base.odometry, topics.joints.measured):
+        assert topic.startswith("/")
+    joints = [name for one in topics.joints.controllers for name in one.joints]
+    assert joints == [joint.name for joint in robot.arm]
+
+
+def test_a_file_may_have_other_joint_names(tmp_path):
+    path = tmp_path / "mine.yaml"
+    names = "  names: {arm_lift_joint: lift}\n"
+    path.write_text(TOPICS % ", ".join(["lift", *ARM[1:]]) + names)
+    topics = read_topics(HSR, 2, str(path))
+    assert (topics.base.command, topics.gripper) == ("/cmd", None)
+    assert topics.joints.controllers[0].joints[0] == "lift"
+
+
+@pytest.mark.parametrize(
+    ("joints", "named"),
+    [(ARM[:-1], ARM[-1]), ([*ARM, "head_pan_joint"], "head_pan"), ([*ARM, ARM[0]], ARM[0])],
+)
+def test_controllers_must_have_each_joint_of_the_arm_once(tmp_path, joints, named):
+    path = tmp_path / "mine.yaml"
+    path.write_text(TOPICS % ", ".join(joints))
+    with pytest.raises(KinfeasError, match=f"mine.yaml: 'joints.controllers'.*{named}"):
+        read_topics(HSR, 1, str(path))

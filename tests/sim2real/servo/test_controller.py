@@ -12,15 +12,9 @@ from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.servo.controller import ServoTask, TargetController
 from kinfeas.tasks.task import build_subgoals
+from tests.sim2real.doubles import Time
 
 DT = 0.02
-
-
-class Time:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +24,7 @@ def solver():
 
 def begin(solver, **rules):
     clock = Time()
-    controller = TargetController(solver.robot, TargetRules(**rules), clock=clock)
+    controller = TargetController(solver.robot, TargetRules(**rules), clock=clock.clock.monotonic)
     analytic = registry.build("kinfeas.backends", "analytic", {})
     subgoals = build_subgoals(ServoTask(controller).subgoals)
     scaling = registry.build("kinfeas.filters", "time_scaling", {})
@@ -43,7 +37,7 @@ def begin(solver, **rules):
 
 
 def step(clock, loop, base=0.0):
-    clock.now += DT
+    clock.passes(DT)
     return loop.step(np.full((1, 3), base))
 
 
@@ -58,8 +52,8 @@ def test_the_ee_follows_twists_and_rests_within_0_3_s_after_the_last_one(solver)
         before = loop.ee_pose
         assert step(clock, loop).feasible[0]
     assert speed(loop, before) == pytest.approx(0.05, rel=1e-3)
-    ended = clock.now
-    while clock.now < ended + 0.3:
+    ended = clock.monotonic
+    while clock.monotonic < ended + 0.3:
         before = loop.ee_pose
         step(clock, loop, base=0.5)
     assert speed(loop, before) < 0.002
@@ -97,7 +91,7 @@ def test_stamps_of_another_clock_order_messages_and_show_their_age(solver):
         step(clock, loop)
     assert controller.counts["repeated"] == 2
     controller.set_twist(up, stamp=there + 0.041)  # 60 ms after the last one
-    clock.now += 0.5
+    clock.passes(0.5)
     controller.set_twist(up, stamp=there + 0.05)
     step(clock, loop)
     assert controller.counts["late"] == 1

@@ -5,7 +5,6 @@ import pytest
 
 from kinfeas.config.recipes import ENGINES
 from kinfeas.core.backend import SCAN_RANGE, SupportsScan
-from kinfeas.core.start import episode_rng
 from kinfeas.robots.loading import load_robot
 from kinfeas.sim2real.link import JointPath
 from kinfeas.sim2real.simulator.simulation import (
@@ -113,17 +112,6 @@ def test_runs_in_real_time(world, time):
     assert stamps == sorted(stamps)
     reported = 5 if isinstance(robot._backend, SupportsScan) else 0
     assert link.report_scan.call_count == pytest.approx(reported, abs=1)
-
-
-def test_starts_as_an_episode_of_a_task():
-    robot, task = load_robot("hsr"), load_task("drawer", {})
-    places = []
-    for episode in (0, 0, 1):
-        backend, state = spawn(robot, task, rng=episode_rng(1, episode))
-        assert backend.scene is not None
-        places.append(state.base_pose[0, 0])
-        backend.close()
-    assert places[0] == places[1] != places[2]
 
 
 def test_solids_of_the_task_are_in_its_scan(time):

@@ -1,4 +1,4 @@
-"""A headless Chromium over its DevTools protocol, for tests of live pages."""
+"""A headless Chromium over its DevTools protocol, for live pages in studies and tests."""
 
 import base64
 import json
@@ -10,6 +10,10 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from kinfeas.core.spatial import rotation
 
 BINARY = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -86,3 +90,11 @@ class Browser:
         self._socket.close()
         self._process.terminate()
         self._process.wait()
+
+
+def on_screen(camera: Any, point: Any) -> tuple[float, float]:
+    """Return the pixel of a world point."""
+    pose = np.concatenate([camera.position, np.roll(camera.wxyz, -1)])
+    x, y, z = rotation(pose).as_matrix().T @ (point - camera.position)
+    focal = camera.image_height / 2.0 / np.tan(camera.fov / 2.0)
+    return camera.image_width / 2.0 + focal * x / z, camera.image_height / 2.0 + focal * y / z

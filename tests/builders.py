@@ -1,0 +1,36 @@
+"""Poses, random numbers and comparisons that many tests share."""
+
+import numpy as np
+
+from kinfeas.core.spatial import canonical, distance, planar_pose
+
+
+def assert_near(one, other, metres, radians):
+    """Check that poses are at most so far apart; `other` may be one pose for all."""
+    found = [np.max(part) for part in distance(one, np.broadcast_to(other, np.shape(one)))]
+    assert np.all(np.array(found) <= [metres, radians]), found
+
+
+def at(x=0.0, y=0.0, yaw=0.0):
+    """Return one base pose, shape (1, 7)."""
+    return planar_pose(*np.array([[x], [y], [yaw]], dtype=float))
+
+
+def twist(x=0.0, y=0.0, turn=0.0):
+    """Return one planar twist, shape (1, 6)."""
+    return np.array([[x, y, 0.0, 0.0, 0.0, turn]])
+
+
+def rngs(n, seed=0):
+    return [np.random.default_rng((seed, i)) for i in range(n)]
+
+
+def random_poses(shape, seed=0, reach=1.0):
+    """Return poses in a cube of twice `reach`, in any orientation, shape (*shape, 7)."""
+    rng, shape = np.random.default_rng(seed), np.atleast_1d(shape).tolist() if shape != () else []
+    pose = np.concatenate(
+        [rng.uniform(-reach, reach, (*shape, 3)), rng.normal(size=(*shape, 4))], -1
+    )
+    pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
+    pose[..., 3:] = canonical(pose[..., 3:])
+    return pose

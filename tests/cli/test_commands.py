@@ -1,0 +1,174 @@
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinfeas.cli import options
+from kinfeas.core.errors import KinfeasError
+from kinfeas.io.demonstrations import demonstration_files, read_demonstration, write_demonstration
+from kinfeas.plugins.imitation import GaussianMixture, Imitation
+from kinfeas.robots.loading import load_robot, read_robot
+from tests.cli.conftest import check_one_line
+from tests.importer.conftest import ARM
+from tests.plugins.conftest import door_demonstrations
+from tests.sim2real.policy_cases import write_run
+
+
+@pytest.fixture
+def file(kinfeas, tmp_path):
+    """The export of a training run of the HSR, `run`."""
+    write_run(load_robot("hsr"), tmp_path / "run" / "checkpoints" / "best")
+    kinfeas("export", "run", "--robot", "hsr", "--out", "hsr.onnx", "--json", "out.json", code=0)
+    return tmp_path / "hsr.onnx"
+
+
+def test_export_and_check_show_the_same_metadata(kinfeas, file, tmp_path):
+    exported = json.loads((tmp_path / "out.json").read_text())
+    assert (tmp_path / "hsr.md").read_text().startswith("---")
+    assert 0.0 <= exported.pop("parity") <= 1e-5
+    assert exported["robot"]["name"] == "hsr"
+    outcome = kinfeas(
+        "export", "--check", "hsr.onnx", "--robot", "hsr", "--json", "check.json", code=0
+    )
+    assert json.loads((tmp_path / "check.json").read_text()) == exported
+    for words in ("name: hsr", "arm_lift_joint", "not compared"):
+        assert (words in outcome.out) is (words != "not compared")
+    assert "not compared" in kinfeas("export", "--check", "hsr.onnx").out
+
+
+@pytest.fixture
+def shown(tmp_path):
+    (tmp_path / "shown").mkdir()
+    for number, one in enumerate(door_demonstrations(4)):
+        write_demonstration(one, tmp_path / "shown" / f"{number}.csv")
+    return tmp_path / "shown"
+
+
+@pytest.mark.parametrize(
+    ("generator", "kind", "components"),
+    [(Imitation, "imitation", 8), (GaussianMixture, "gaussian_mixture", 5)],
+)
+def test_generator_follows_the_model(kinfeas, shown, tmp_path, generator, kind, components):
+    given = ("--demonstrations", "shown", "--out", "door.yaml", "--json", "door.json")
+    kinfeas("fit", *given, "--kind", kind, "--components", str(components), "--seed", "3", code=0)
+    generator(model="./door.yaml")
+    figures = json.loads((tmp_path / "door.json").read_text())
+    assert (figures["demonstrations"], figures["base"]) == (4, True)
+    assert figures["components"] == components
+    assert max(figures["position_residual_m"]) < 0.04
+    text = (tmp_path / "door.yaml").read_text()
+    assert "kinfeas fit --demonstrations shown" in text
+    assert str(tmp_path) not in text
+
+
+SCENE = "{name: 'm[/x]', size: [4, 4], objects: {'t[b]': {urdf: table.urdf}}}"
+
+
+@pytest.fixture
+def record(kinfeas, tmp_path):
+    words = ("--robot", "hsr", "--backend", "analytic", "--goal", "1", "0", "0.8")
+    kinfeas("deploy", "pretrained", *words, "--no-real-time", "--seconds", "0.2",
+            "--record", "run.csv")  # fmt: skip
+    return tmp_path / "run.csv"
+
+
+def test_own_scene_as_table_picture_and_page(kinfeas, tmp_path):
+    pytest.importorskip("viser")
+    (tmp_path / "mine.yaml").write_text(SCENE)
+    done = kinfeas(
+        "view", "--scene", "mine.yaml", "--picture", "mine.png", "--html", "mine.html", code=0
+    )
+    assert "scene m[/x]" in done.out
+    assert "t[b]" in done.out
+    assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "mine.html").stat().st_size > 1000
+
+
+def test_replay_of_a_run(kinfeas, record, tmp_path):
+    kinfeas("view", "--record", "run.csv", "--picture", "run.png", "--json", "run.json", code=0)
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    facts = json.loads((tmp_path / "run.json").read_text())
+    assert facts["events"][0]["event"] == "start"
+    assert facts["seconds"] == pytest.approx(0.2)
+    record.write_bytes(record.read_bytes()[:-300])
+    kinfeas("view", "--record", "run.csv", code=0)
+
+
+@pytest.fixture
+def robot(kinfeas, tmp_path, monkeypatch):
+    """Return a function that runs `kinfeas robot import dolly.urdf ARGUMENTS`, with few goals."""
+    monkeypatch.setattr("kinfeas.importer.reach._GOALS", 8)
+    monkeypatch.setattr("kinfeas.importer.reach._STAGES", (4, 16))
+    (tmp_path / "dolly.urdf").write_text(ARM)
+    return partial(kinfeas, "robot", "import", "dolly.urdf")
+
+
+def test_other_commands_take_the_robot(robot, kinfeas, tmp_path):
+    robot("--out", "new", "--json", "found.json", "--picture", "dolly.png", code=0)
+    found = json.loads((tmp_path / "found.json").read_text())
+    known = read_robot(tmp_path / "new" / "dolly.yaml")
+    assert list(found["arm"]) == [joint.name for joint in known.arm] == ["pan", "lift", "elbow"]
+    assert found["guessed_velocities"] == ["pan"]
+    assert len(found["heights_m"]) == len(found["reachable"])
+    assert (tmp_path / "dolly.png").read_bytes().startswith(b"\x89PNG")
+    words = ("--policy", "follow_ee", "--episodes", "1", "--set", "world.max_seconds=1")
+    kinfeas("evaluate", "--robot", "new/dolly.yaml", *words, code=0)
+
+
+def test_existing_files_are_kept(robot, tmp_path):
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "dolly.yaml").write_text("mine")
+    check_one_line(robot("--out", "new"), "new/dolly.yaml")
+    assert (tmp_path / "new" / "dolly.yaml").read_text() == "mine"
+    robot("--out", "new", "--name", "other", code=0)
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "target_source.py"
+
+
+def test_the_ee_follows_a_source_of_the_working_directory(kinfeas, tmp_path):
+    pytest.importorskip("mujoco")
+    shutil.copy(EXAMPLE, tmp_path / "circles.py")
+    relaxed = [f"guards.{name}=5" for name in ("max_age", "max_period", "max_clock_skew")]
+    settings = [word for one in relaxed for word in ("--set", one)]
+    kinfeas(
+        "servo", "--robot", "pr2", "--backend", "mujoco", "--source", "circles:Circle",
+        "--seconds", "2", "--record", "run.csv", "--json", "run.json", *settings, code=0,
+    )  # fmt: skip
+    found = json.loads((tmp_path / "run.json").read_text())
+    assert (found["failures"], found["time_scale"]) == (0, 1.0)
+    lines = [line.split(",") for line in (tmp_path / "run.csv").read_text().splitlines()[1:]]
+    column = lines[0].index("desired.y")
+    assert lines[1][column] != lines[-1][column]
+    kinfeas("dataset", "run.csv", "--out", "shown", "--kind", "csv", code=0)
+    (shown,) = map(read_demonstration, demonstration_files(tmp_path / "shown"))
+    assert np.ptp(shown.ee_pose[:, 1]) > 1e-3
+    assert shown.has_base
+    kinfeas("dataset", "shown", "run.csv", "--out", "set", code=0)
+    about = json.loads((tmp_path / "set/meta/info.json").read_text())
+    assert about["total_episodes"] == 2
+
+
+def test_output_files_are_checked_in_advance(tmp_path):
+    check = options.output_file(".png")
+    assert check(None) is None
+    assert check(tmp_path / "a.PNG") == tmp_path / "a.PNG"
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "lost.png").symlink_to("missing/target")
+    for wrong in ("missing/a.png", "file/a.png", "folder.png", "lost.png", "a.txt"):
+        with pytest.raises(KinfeasError, match=str(tmp_path / wrong)):
+            check(tmp_path / wrong)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("path", ["-", "/dev/stdout"])
+def test_json_on_standard_output_is_alone_there(kinfeas, tmp_path, path):
+    done = kinfeas("plugins", "check", "linear", "--duration", "60", "--json", path, code=0)
+    assert json.loads(done.out)["passed"] is True
+    assert "motion generator linear" in done.err
+    assert list(tmp_path.iterdir()) == []
+    assert "linear" in kinfeas("plugins", "check", "linear", "--duration", "60").out
