@@ -4,8 +4,7 @@ import pytest
 
 from kinfeas.benchmark import evaluations
 from kinfeas.config.recipes import default_engine
-from kinfeas.core.errors import KinfeasError
-from tests.cli.conftest import TINY, check_one_line
+from tests.cli.conftest import TINY
 
 STUDY = f"""
 note: A very small one.
@@ -75,11 +74,3 @@ def test_physics_beside_the_analytic_world(run, tmp_path):
     rows = (("pretrained", ""), ("pretrained", "late"), ("follow_ee", ""))
     assert cells == [(*row, engine) for row in rows]
     assert None not in [one["analytic_success"] for one in entries]
-
-
-def test_unusable_baseline_is_an_error_before_training(run, monkeypatch):
-    def missing(name, robot):
-        raise KinfeasError("no such library")
-
-    monkeypatch.setattr(evaluations, "load_policy", missing)
-    check_one_line(run(), "no such library")

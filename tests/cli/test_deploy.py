@@ -61,15 +61,6 @@ def test_every_run_has_a_record(kinfeas, tmp_path):
     assert record.read_bytes() == before
 
 
-def test_record_of_an_own_robot_can_be_read_elsewhere(run, kinfeas, tmp_path, monkeypatch):
-    shutil.copytree(OWN_ROBOT, tmp_path / "own")
-    _, record = run("follow_ee", *BRIEF[1:], "--robot", "own/scout.yaml", code=4)
-    assert record.about.robot == str(tmp_path / "own" / "scout.yaml")
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    kinfeas("view", "--record", "../run.csv", code=0)
-
-
 def test_adapters_change_the_run(run, tmp_path):
     (tmp_path / "mine.yaml").write_text("adapters: [{name: base_noise, linear: 0.05}]")
     paths = [run(*BRIEF, *more)[1].base_pose for more in ((), ("--adapters", "mine.yaml"))]

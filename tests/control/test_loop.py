@@ -10,7 +10,6 @@ from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core import spatial
 from kinfeas.core.backend import RobotState
-from kinfeas.core.errors import KinfeasError
 from kinfeas.core.start import Start
 from kinfeas.kinematics.forward import forward
 from kinfeas.plugins.linear import Linear
@@ -167,21 +166,6 @@ def test_backends_that_draw_get_a_seed_for_each_episode(solver):
     assert len(set(first.values())) == len(first) == 4
     loop.start(starts(solver.robot, 1), [rngs(4)[2]], np.array([1]))
     assert backend.seeds == {1: first[2]}
-
-
-def test_errors_of_backends_name_them(solver):
-    recorder = Recorder()
-    loop = make_loop(solver, 4, recorder)
-    for use in (loop.snapshot, lambda: loop.restore({})):
-        with pytest.raises(KinfeasError, match="Recorder"):
-            use()
-    recorder.disturb = lambda: setattr(recorder, "joints", recorder.joints[:, 1:])
-    with pytest.raises(KinfeasError, match="backend Recorder: step: joint_positions"):
-        loop.step(still(loop))
-    recorder.disturb = lambda: {}["key"]
-    with pytest.raises(KeyError) as caught:
-        loop.step(still(loop))
-    assert caught.value.__notes__ == ["raised by backend Recorder"]
 
 
 def targets_at(loop, *shifts):

@@ -18,13 +18,7 @@ SOUND = RobotState(np.tile(IDENTITY, (3, 1)), np.zeros((3, 5)))
 
 
 @pytest.mark.parametrize(
-    "value",
-    [
-        np.zeros((3, 5)),
-        np.zeros(SHAPE).tolist(),
-        np.zeros(SHAPE).astype(object),
-        np.full(SHAPE, np.nan),
-    ],
+    "value", [np.zeros((3, 5)), [[0.0] * 6] * 3, np.zeros(SHAPE, object), np.full(SHAPE, np.nan)]
 )
 def test_other_arrays_raise_errors(value):
     with pytest.raises(KinfeasError, match=r"^mine "):

@@ -9,7 +9,7 @@ import pytest
 
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.extras import EXTRAS, missing_extra, require
+from kinfeas.core.extras import EXTRAS, require
 from kinfeas.core.registry import Plugin
 
 MOTIONS, ROBOTS = "kinfeas.motion_generators", "kinfeas.robots"
@@ -166,9 +166,3 @@ def test_missing_packages_are_named_with_their_extras(monkeypatch):
     require("numpy")
     with pytest.raises(KinfeasError, match=r"'kinfeas\[train,video\]'"):
         require("torch", "numpy", "av")
-
-
-def test_other_import_errors_are_no_missing_extras():
-    assert missing_extra(ModuleNotFoundError(name="torch.nn")) is not None
-    assert missing_extra(ModuleNotFoundError(name="of_a_plugin")) is None
-    assert missing_extra(ImportError(name="torch")) is None

@@ -166,13 +166,6 @@ def test_a_reset_without_a_seed_takes_the_next_episodes():
 
 
 @BOTH
-@pytest.mark.parametrize("seed", [[1, 2], "1", 1.0])
-def test_a_seed_is_one_number(kind, seed):
-    with pytest.raises(KinfeasError, match="seed"):
-        kind(robot="hsr").reset(seed=seed)
-
-
-@BOTH
 def test_seeds_are_random_at_first_and_actions_need_an_episode(kind):
     one, two = (kind(robot="hsr") for _ in range(2))
     with pytest.raises(ResetNeeded):

@@ -16,7 +16,6 @@ from kinfeas.envs.world import World, WorldConfig, evaluation_world
 from kinfeas.evaluation.evaluate import (
     EvalConfig,
     evaluate,
-    prepare,
     reachability_of,
     run,
 )
@@ -107,14 +106,6 @@ def test_workers_end_with_their_parent():
         process.kill()
         # Ends when no process holds the pipe any more.
         assert process.communicate(timeout=60)[0] == b""
-
-
-def test_names_and_settings_make_an_evaluation():
-    made, _ = prepare("follow_ee", "hsr", "ggr", seed=7, overrides=["world.max_failures=5"])
-    assert (made.robot.name, made.task.name, made.episodes, made.seed) == ("hsr", "ggr", 500, 7)
-    assert made.world.max_failures == 5
-    with pytest.raises(KinfeasError, match="adapter 'none'"):
-        prepare("follow_ee", "hsr", "ggr", overrides=["world.adapters=[{name: none}]"])
 
 
 TASKS = pytest.mark.parametrize("task", [ggr(), pick_place()], ids=lambda task: task.name)

@@ -38,15 +38,8 @@ SEED = 1
 
 def episodes(robot, task, count, *settings, backend="analytic"):
     """Return the records of episodes of the pretrained policy."""
-    chosen, policy = prepare(
-        pretrained.NAME,
-        robot,
-        task,
-        backend,
-        episodes=count,
-        seed=SEED,
-        overrides=settings,
-    )
+    given = {"episodes": count, "seed": SEED, "overrides": settings}
+    chosen, policy = prepare(pretrained.NAME, robot, task, backend, **given)
     return _records(run(chosen, policy))
 
 
@@ -85,12 +78,8 @@ def ik(robot, count=1000):
     }
     figure = {"targets": targets}
     for start, solution in found.items():
-        figure |= {
-            f"{start}_joint_positions": solution.joint_positions,
-            f"{start}_feasible": solution.feasible,
-            f"{start}_position_error": solution.position_error,
-            f"{start}_rotation_error": solution.rotation_error,
-        }
+        for name in ("joint_positions", "feasible", "position_error", "rotation_error"):
+            figure[f"{start}_{name}"] = getattr(solution, name)
     return figure
 
 
@@ -118,14 +107,9 @@ def policy(robot, count=8, steps=5):
 
 def training(robot, steps=20_000):
     """Return the progress of a training run in the analytic world and its final weights."""
-    settings = [
-        f"robot={robot}",
-        f"seed={SEED}",
-        f"schedule.steps={steps}",
-        "schedule.minutes=null",
-        "schedule.evaluations=1",
-        "schedule.evaluation_episodes=20",
-    ]
+    settings = [f"robot={robot}", f"seed={SEED}", f"schedule.steps={steps}"]
+    settings += [f"schedule.{one}" for one in ("minutes=null", "evaluations=1")]
+    settings += ["schedule.evaluation_episodes=20"]
     chosen = load_section(TrainConfig, "train", robot, settings)
     with TemporaryDirectory() as temporary:
         out = Path(temporary) / "run"
@@ -143,21 +127,10 @@ def training(robot, steps=20_000):
 
 
 def _records(records):
-    return {
-        "success": records.success,
-        "reached": records.reached,
-        "failures": records.failures,
-        "max_deviation": records.max_deviation,
-        "mean_deviation": records.mean_deviation,
-        "final_distance": records.final_distance,
-        "joint_jumps": records.joint_jumps,
-        "steps": records.steps,
-        **{
-            name: values
-            for name in ("task_done", "base_collisions", "arm_collisions")
-            if (values := getattr(records, name)) is not None
-        },
-    }
+    names = ("success", "reached", "failures", "max_deviation", "mean_deviation", "final_distance")
+    names += ("joint_jumps", "steps", "task_done", "base_collisions", "arm_collisions")
+    found = {name: getattr(records, name) for name in names}
+    return {name: values for name, values in found.items() if values is not None}
 
 
 def _run_onnx(file, seen):

@@ -17,16 +17,8 @@ import numpy as np
 
 DATA = Path(__file__).parent / "data"
 _MACHINE = "machine"
-_PACKAGES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "llvmlite",
-    "torch",
-    "onnxruntime",
-    "pybullet",
-    "python-fcl",
-)
+_PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "torch", "onnxruntime", "pybullet")
+_PACKAGES += ("python-fcl",)
 
 
 def machine():

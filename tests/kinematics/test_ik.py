@@ -216,16 +216,14 @@ def test_numbers_that_are_not_finite_have_no_solution(hsr):
 @pytest.mark.parametrize(
     ("targets", "seeds", "step", "name"),
     [
-        ((1, 7), (3, 5), None, "seeds"),
-        ((1, 7), (5,), None, "seeds"),
-        ((2, 6), (2, 5), None, "targets"),
-        ((2, 7), (2, 5), (2, 5), "max_joint_step"),
-        ((2, 7), (2, 5), (0,), "max_joint_step"),
+        ((1, 7), (3, 5), 5, "seeds"),
+        ((2, 6), (2, 5), 5, "targets"),
+        ((2, 7), (2, 5), 0, "max_joint"),
     ],
 )
 def test_other_shapes_are_errors(hsr, targets, seeds, step, name):
-    with pytest.raises(KinfeasError, match=f"^{name} "):
-        hsr.solve(np.ones(targets), np.ones(seeds), None if step is None else np.ones(step))
+    with pytest.raises(KinfeasError, match=f"^{name}"):
+        hsr.solve(np.ones(targets), np.ones(seeds), np.ones(step))
 
 
 def test_self_collision_can_be_left_out(tiago):

@@ -264,13 +264,8 @@ def test_a_parallel_wall_has_the_corners_of_the_base(pr2):
     wall.size[0, 0, 2:] = [1.5, 2.0]
     above = base_obstacles(model, at(), wall, 1.0)
     assert above.distance.size == 0
-    inside = wall.pose.copy()
-    inside[0, 0, 0] = front + 0.05
-    wall = Solids(
-        inside, np.array([[[0.1, 2.0, 0.0, 0.2]]]), wall.cylinder, wall.velocity, wall.span
-    )
-    touching = base_obstacles(model, at(), wall, 1.0)
-    np.testing.assert_allclose(touching.distance.min(), -0.05)
+    wall.pose[0, 0, 0], wall.size[0, 0, 2:] = front + 0.05, [0.0, 0.2]
+    np.testing.assert_allclose(base_obstacles(model, at(), wall, 1.0).distance.min(), -0.05)
 
 
 START, BEYOND, BESIDE = np.zeros(2), [3.0, 0.0], [0.0, 3.0]

@@ -16,7 +16,6 @@ from tests.plugins.conftest import (
     SHOWN,
     WAYPOINTS,
     apart,
-    random_poses,
     run,
     speeds,
     starts_and_targets,
@@ -185,12 +184,3 @@ def test_limits_scale_twists_and_waste_nothing():
     full = np.maximum(linear / 0.1, angular / 0.3) >= 1.0 - 1e-12
     assert np.all(full | (share == 1.0))
     assert np.array_equal(slowed(np.zeros((2, 6)), 0.1, 0.1), [1.0, 1.0])
-
-
-@pytest.mark.parametrize("name", ["linear", "minimum_jerk"])
-def test_quaternions_of_either_sign_are_the_same(name):
-    generator, start, goal = registry.build(GROUP, name, {}), random_poses(3, 0), random_poses(3, 1)
-    signs = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0])
-    _, (twist,), _ = run(generator, start, goal, DT)
-    for a, b in ((start * signs, goal), (start, goal * signs), (start * signs, goal * signs)):
-        assert np.allclose(run(generator, a, b, DT)[1][0], twist, atol=1e-9)

@@ -197,13 +197,6 @@ def test_the_object_s_pose_and_pauses_do_not_matter():
     assert np.allclose(knots([_paused(one) for one in shown]), expected, atol=1e-5)
 
 
-def test_learns_the_base_if_all_demonstrations_have_one():
-    shown = door_demonstrations(12, scatter=0.0)
-    base = learned_path(fit(shown).model).base
-    assert np.ptp(base[:, 2]) < 0.6  # headings a turn apart are the same
-    assert not fit([*shown, *door_demonstrations(1, base=False)]).model.has_base
-
-
 def test_other_wrong_input_raises():
     angle = np.linspace(0.0, 7.0, 100)[:, np.newaxis]
     ee = make_pose(np.zeros((100, 3)), Rotation.from_rotvec(angle * [0.0, 0.0, 1.0]))

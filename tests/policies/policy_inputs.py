@@ -1,7 +1,6 @@
 """What policies see of robots with random arms on random places."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core.policy import PolicyInput
@@ -24,22 +23,3 @@ def policy_inputs(robot, count, twist=None, seed=0, base_pose=None, joints=None)
     planned = integrate(ee, np.broadcast_to(twist, (count, 6)), HORIZON)
     seen = observe(Seen(base_pose, in_base, planned, planned, joints))
     return PolicyInput(seen, base_pose, ee, joints, ee, planned, np.full((count, 7), np.nan))
-
-
-def turned_about(policy_input, angle, shift):
-    """Return the same situations elsewhere: turned about the origin, then shifted."""
-    frame = np.array([*shift, 0.0, *Rotation.from_rotvec([0.0, 0.0, angle]).as_quat()])
-
-    def moved(poses):
-        with np.errstate(invalid="ignore"):  # where there is no demonstrated base
-            return compose(np.broadcast_to(frame, poses.shape), poses)
-
-    return PolicyInput(
-        policy_input.observation,
-        moved(policy_input.base_pose),
-        moved(policy_input.ee_pose),
-        policy_input.joint_positions,
-        moved(policy_input.desired),
-        moved(policy_input.planned),
-        moved(policy_input.demonstrated_base),
-    )

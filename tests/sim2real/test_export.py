@@ -10,7 +10,7 @@ import pytest
 from kinfeas.control.observation import Seen, observe
 from kinfeas.core.errors import KinfeasError
 from kinfeas.policies import pretrained
-from kinfeas.policies.network import Network, read_network, write_network
+from kinfeas.policies.network import read_network
 from kinfeas.policies.onnx_policy import TOLERANCE, read_policy_file
 from kinfeas.sim2real import export as export_module
 from kinfeas.sim2real.export import GOLDEN_PAIRS, export
@@ -32,22 +32,6 @@ def test_the_shipped_policies(robot, tmp_path):
     model = onnx.load(tmp_path / "policy.onnx", load_external_data=False)
     assert {node.op_type for node in model.graph.node} == {"Mul", "Clip", "Gemm", "Relu", "Tanh"}
     assert [one.type.tensor_type.shape.dim[0].dim_param for one in model.graph.input] == ["batch"]
-
-
-@pytest.mark.parametrize("sizes", [(28, 3), (28, 40, 30, 20, 3)])
-def test_any_number_of_layers(pr2, tmp_path, sizes):
-    rng = np.random.default_rng(0)
-    pairs = [(sizes[i], sizes[i + 1]) for i in range(len(sizes) - 1)]
-    network = Network(
-        np.ones(28, dtype=np.float32),
-        tuple((rng.normal(size=pair) / pair[0] ** 0.5).astype(np.float32) for pair in pairs),
-        tuple(rng.normal(size=pair[1]).astype(np.float32) for pair in pairs),
-    )
-    write_network(network, tmp_path, pr2, {})
-    policy, off = export(tmp_path, pr2, tmp_path / "policy.onnx")
-    assert off <= TOLERANCE
-    assert policy.metadata.control.period is None
-    assert policy.metadata.training == policy.metadata.success == {}
 
 
 def test_takes_the_best_checkpoint_and_its_run_s_figures(pr2, tmp_path):

@@ -170,14 +170,6 @@ def test_episodes_in_clutter_start_free_with_furniture_and_solids(hsr, name, pla
     np.testing.assert_array_equal(again.solids.pose, start.solids.pose)
 
 
-def test_clutter_without_furniture_and_wrong_clutter(hsr):
-    free = load_task("door")
-    assert free.sample(hsr, np.random.default_rng(0)).solids is None
-    assert load_task("door", {"clutter": 0}).clutter == 0
-    with pytest.raises(KinfeasError, match="clutter"):
-        load_task("door", {"clutter": -1})
-
-
 def test_a_file_extends_another(write, tmp_path):
     base = read_chain(write())
     (tmp_path / "more.yaml").write_text("extends: task.yaml\nname: more\nstart: {square: 0.5}\n")

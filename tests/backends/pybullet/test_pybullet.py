@@ -29,17 +29,6 @@ def test_a_control_period_has_a_whole_number_of_steps(physics):
             physics.divide(dt)
 
 
-def test_a_closed_world_raises_and_leaves_the_next_one_alone():
-    physics = Physics(PhysicsConfig())
-    physics.close()
-    other = Physics(PhysicsConfig())
-    physics.close()
-    with pytest.raises(KinfeasError, match="window"), physics.connected():
-        physics.client.stepSimulation()
-    other.client.stepSimulation()
-    other.close()
-
-
 @pytest.mark.parametrize("kind", ["visual", "collision"])
 @pytest.mark.parametrize("mesh", ["none.stl", "text.stl"])
 def test_an_unreadable_mesh_is_an_error_of_one_line(physics, tmp_path, capfd, kind, mesh):

@@ -1,4 +1,3 @@
-import os
 import select
 import socket
 
@@ -35,10 +34,3 @@ def test_no_master_is_an_error(server):
     server.close()
     with pytest.raises(KinfeasError, match=r"no ROS master at http://127\.0\.0\.1"):
         MasterWatch()
-
-
-def test_nodes_on_one_machine_use_an_address_that_works(server, monkeypatch):
-    monkeypatch.delenv("ROS_IP")
-    monkeypatch.delenv("ROS_HOSTNAME", raising=False)
-    MasterWatch().close()
-    assert os.environ["ROS_IP"] == "127.0.0.1"
