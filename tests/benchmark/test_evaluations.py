@@ -113,20 +113,17 @@ def test_fewer_robots():
 VARIANT = "{label: x, task: ggr, parameters: {distance: [1, 2]}, robots: [pr2]}"
 
 
-@pytest.mark.parametrize(
-    ("override", "named"),
-    [
-        ("baselines={follow_me: [ggr]}", "follow_me"),
-        ("tasks=[ggr, fly]", "fly"),
-        ("robots=[]", "robots"),
-        ("seeds=[1, 1]", "seeds"),
-        (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
-        ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
-        ("rows=[{label: a}, {label: a, tasks: [ggr]}]", "rows"),
-        ("rows=[{label: ''}]", "rows"),
-        ("rows=[{label: a, settings: ['world.slw=1']}]", "slw"),
-    ],
-)
+@pytest.mark.parametrize(("override", "named"), [
+    ("baselines={follow_me: [ggr]}", "follow_me"),
+    ("tasks=[ggr, fly]", "fly"),
+    ("robots=[]", "robots"),
+    ("seeds=[1, 1]", "seeds"),
+    (f"variants=[{VARIANT}, {VARIANT}]", "variants"),
+    ("variants=[{label: x, task: ggr, parameters: {colour: 1}, robots: [pr2]}]", "colour"),
+    ("rows=[{label: a}, {label: a, tasks: [ggr]}]", "rows"),
+    ("rows=[{label: ''}]", "rows"),
+    ("rows=[{label: a, settings: ['world.slw=1']}]", "slw"),
+])  # fmt: skip
 def test_the_wrong_key_or_value_is_named(mine, override, named):
     with pytest.raises(KinfeasError, match=named):
         read_benchmark(mine, [override])

@@ -79,15 +79,12 @@ def test_the_best_seed_is_published(tmp_path):
         publish(runs[:1], {}, tmp_path / "none")
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        [],
-        ["robot=hsr", "seed=4", "schedule.steps=2000", "schedule.minutes=null"],
-        ["learner.algorithm=td3", "learner.net_arch=[400, 300]", "world.adapters=[]"],
-        ["world.adapters=[{name: base_noise, parameters: {linear: 0.15}}]", "task=door"],
-    ],
-)
+@pytest.mark.parametrize("overrides", [
+    [],
+    ["robot=hsr", "seed=4", "schedule.steps=2000", "schedule.minutes=null"],
+    ["learner.algorithm=td3", "learner.net_arch=[400, 300]", "world.adapters=[]"],
+    ["world.adapters=[{name: base_noise, parameters: {linear: 0.15}}]", "task=door"],
+])  # fmt: skip
 def test_the_command_has_all_settings(overrides):
     from kinfeas.config.recipes import load_section
 

@@ -67,15 +67,12 @@ def raising(error):
     return app
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "message"),
-    [
-        (KinfeasError("first\n  second"), 2, "error: first second\n"),
-        (PermissionError(13, "Permission denied", "/locked"), 2, "error: /locked: Permission deni"),
-        (OSError("gone"), 2, "error: gone\n"),
-        (KeyboardInterrupt(), 130, ""),
-    ],
-)
+@pytest.mark.parametrize(("error", "code", "message"), [
+    (KinfeasError("first\n  second"), 2, "error: first second\n"),
+    (PermissionError(13, "Permission denied", "/locked"), 2, "error: /locked: Permission deni"),
+    (OSError("gone"), 2, "error: gone\n"),
+    (KeyboardInterrupt(), 130, ""),
+])  # fmt: skip
 def test_errors_are_one_line_and_a_code(monkeypatch, capsys, error, code, message):
     monkeypatch.setattr(module, "app", raising(error))
     with pytest.raises(SystemExit) as end:

@@ -74,34 +74,28 @@ def test_file_and_back_is_the_identity(tmp_path_factory, recipe):
     assert load(Recipe, path) == recipe
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
-        ("either", [1, 2], (1.0, 2.0)),
-        ("parameters", {"a": {"b": [1, None]}}, {"a": {"b": [1, None]}}),
-        ("many", {"a": {}, "b": {"lag": 1}}, {"a": Noise(), "b": Noise(lag=1)}),
-        ("adapters", ["clamp"], (PluginSpec("clamp"),)),
-        ("adapters", [{"name": "clamp", "by": 2}], (PluginSpec("clamp", {"by": 2}),)),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "expected"), [
+    ("either", [1, 2], (1.0, 2.0)),
+    ("parameters", {"a": {"b": [1, None]}}, {"a": {"b": [1, None]}}),
+    ("many", {"a": {}, "b": {"lag": 1}}, {"a": Noise(), "b": Noise(lag=1)}),
+    ("adapters", ["clamp"], (PluginSpec("clamp"),)),
+    ("adapters", [{"name": "clamp", "by": 2}], (PluginSpec("clamp", {"by": 2}),)),
+])  # fmt: skip
 def test_value_is_converted(key, value, expected):
     converted = getattr(from_mapping(Recipe, {"robot": "pr2", key: value}, "x"), key)
     assert converted == expected
     assert type(converted) is type(expected)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "named"),
-    [
-        ("steps", 0, "steps"),
-        ("rate", float("nan"), "rate"),
-        ("layers", [1, "b"], "layers.1"),
-        ("noise", {"base": 2}, "noise.base"),
-        ("noise", {"lag": 101}, "noise"),
-        ("stages", [{}, {"lags": 1}], "stages.1.lags"),
-        ("stps", 1, "stps"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "named"), [
+    ("steps", 0, "steps"),
+    ("rate", float("nan"), "rate"),
+    ("layers", [1, "b"], "layers.1"),
+    ("noise", {"base": 2}, "noise.base"),
+    ("noise", {"lag": 101}, "noise"),
+    ("stages", [{}, {"lags": 1}], "stages.1.lags"),
+    ("stps", 1, "stps"),
+])  # fmt: skip
 def test_error_names_file_and_key_in_one_line(key, value, named):
     with pytest.raises(KinfeasError, match=r"^recipe.yaml: ") as caught:
         from_mapping(Recipe, {"robot": "pr2", key: value}, "recipe.yaml")
@@ -109,22 +103,19 @@ def test_error_names_file_and_key_in_one_line(key, value, named):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("override", "changed"),
-    [
-        ("rate=1e-5", {"rate": 1e-5}),
-        ("layers.1=8", {"layers": (256, 8)}),
-        ("window.0=-1", {"window": (-1.0, 1.0)}),
-        ("out=a=b", {"out": Path("a=b")}),
-        ("parameters.a.b=x", {"parameters": {"a": {"b": "x"}}}),
-        # A block that the file leaves out keeps its other defaults.
-        ("noise.base=1", {"noise": Noise(base=1.0, lag=3)}),
-        ("noise={lag: 1}", {"noise": Noise(lag=1)}),
-        ("extra.lag=1", {"extra": Noise(lag=1)}),
-        ("stages.0.lag=5", {"stages": (Noise(base=1.0, lag=5),)}),
-        ("adapters.0.by=3", {"adapters": (PluginSpec("clamp", {"by": 3}),)}),
-    ],
-)
+@pytest.mark.parametrize(("override", "changed"), [
+    ("rate=1e-5", {"rate": 1e-5}),
+    ("layers.1=8", {"layers": (256, 8)}),
+    ("window.0=-1", {"window": (-1.0, 1.0)}),
+    ("out=a=b", {"out": Path("a=b")}),
+    ("parameters.a.b=x", {"parameters": {"a": {"b": "x"}}}),
+    # A block that the file leaves out keeps its other defaults.
+    ("noise.base=1", {"noise": Noise(base=1.0, lag=3)}),
+    ("noise={lag: 1}", {"noise": Noise(lag=1)}),
+    ("extra.lag=1", {"extra": Noise(lag=1)}),
+    ("stages.0.lag=5", {"stages": (Noise(base=1.0, lag=5),)}),
+    ("adapters.0.by=3", {"adapters": (PluginSpec("clamp", {"by": 3}),)}),
+])  # fmt: skip
 def test_override_wins_over_the_file(tmp_path, override, changed):
     path = tmp_path / "recipe.yaml"
     lines = "window: [0, 1]", "stages: [{lag: 1, base: 1}]", "adapters: [{name: clamp, by: 2}]"

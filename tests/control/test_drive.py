@@ -24,15 +24,12 @@ def random_actions(base, n, seed=1):
     return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, command_size(base)))
 
 
-@pytest.mark.parametrize(
-    ("heading", "action", "expected"),
-    [
-        (np.pi / 2, (0.5, 0.0, 1.0), (0.0, 0.1, 1.0)),
-        (0.0, (0.0, 0.5, 0.0), (0.0, 0.1, 0.0)),
-        (0.0, (0.6, 0.8, 0.0), (0.12, 0.16, 0.0)),
-        (0.0, (1.0, -1.0, 0.0), (0.2 / np.sqrt(2.0), -0.2 / np.sqrt(2.0), 0.0)),  # by its norm
-    ],
-)
+@pytest.mark.parametrize(("heading", "action", "expected"), [
+    (np.pi / 2, (0.5, 0.0, 1.0), (0.0, 0.1, 1.0)),
+    (0.0, (0.0, 0.5, 0.0), (0.0, 0.1, 0.0)),
+    (0.0, (0.6, 0.8, 0.0), (0.12, 0.16, 0.0)),
+    (0.0, (1.0, -1.0, 0.0), (0.2 / np.sqrt(2.0), -0.2 / np.sqrt(2.0), 0.0)),  # by its norm
+])  # fmt: skip
 def test_omnidirectional_translates_with_the_old_heading_then_rotates(heading, action, expected):
     twist = base_twist(OMNI, headings(heading), np.array([action]), DT)
     np.testing.assert_allclose(twist[:, [0, 1, 5]], [expected], atol=1e-15)

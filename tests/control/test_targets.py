@@ -65,18 +65,15 @@ def test_poses_of_a_chunk_are_reached_at_their_times():
     np.testing.assert_allclose(box.target[0, :2], [0.02, 0.03], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("rule", "sent", "pose"),
-    [
-        ("invalid", 1.0, at(np.nan)),
-        ("invalid", np.nan, at()),
-        ("invalid", 1.0, at(1e300)),
-        ("invalid", 1.0, np.zeros(7)),
-        ("late", 0.85, at()),
-        ("repeated", 0.98, at()),
-        ("jump", 1.0, at(0.6)),
-    ],
-)
+@pytest.mark.parametrize(("rule", "sent", "pose"), [
+    ("invalid", 1.0, at(np.nan)),
+    ("invalid", np.nan, at()),
+    ("invalid", 1.0, at(1e300)),
+    ("invalid", 1.0, np.zeros(7)),
+    ("late", 0.85, at()),
+    ("repeated", 0.98, at()),
+    ("jump", 1.0, at(0.6)),
+])  # fmt: skip
 def test_a_rule_ignores_a_message(rule, sent, pose):
     box = inbox()
     send(box, 0.99, at(0.01))

@@ -101,20 +101,17 @@ def test_unknown_names_and_groups(sound):
     assert "'kinfeas.robot'" in message(registry.names, "kinfeas.robot")
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters", "key"),
-    [
-        ("wave", {"hight": 1}, "hight"),
-        ("wave", {}, "height"),
-        ("wave", {"height": -1}, "height must be positive, not -1"),
-        ("wave", {"height": "x"}, "str"),
-        ("lenient", {"lag": "x"}, "lag"),
-        ("lenient", {"ends": [1.0, "x"]}, "ends"),
-        ("shaped", {"shape": {"end": 1}}, r"shape\.end"),
-        ("number", {}, "int"),
-        ("absent", {}, "Absent"),
-    ],
-)
+@pytest.mark.parametrize(("name", "parameters", "key"), [
+    ("wave", {"hight": 1}, "hight"),
+    ("wave", {}, "height"),
+    ("wave", {"height": -1}, "height must be positive, not -1"),
+    ("wave", {"height": "x"}, "str"),
+    ("lenient", {"lag": "x"}, "lag"),
+    ("lenient", {"ends": [1.0, "x"]}, "ends"),
+    ("shaped", {"shape": {"end": 1}}, r"shape\.end"),
+    ("number", {}, "int"),
+    ("absent", {}, "Absent"),
+])  # fmt: skip
 def test_invalid_parameters_name_plugin_and_key(sound, name, parameters, key):
     text = message(registry.build, MOTIONS, name, parameters)
     assert text.startswith(f"motion generator '{name}' (sound 1.2)")

@@ -186,15 +186,12 @@ def test_actions_are_finite_numbers_of_their_shape(kind):
             env.step(wrong)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ({"robot": None}, "robot"),
-        ({"world": 3}, "world"),
-        ({"task_parameters": {"distnce": [1, 2]}}, "distnce"),
-        ({"render_mode": "ansi"}, "render_mode"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "named"), [
+    ({"robot": None}, "robot"),
+    ({"world": 3}, "world"),
+    ({"task_parameters": {"distnce": [1, 2]}}, "distnce"),
+    ({"render_mode": "ansi"}, "render_mode"),
+])  # fmt: skip
 def test_wrong_arguments_are_named(arguments, named):
     with pytest.raises(KinfeasError, match=named):
         BaseMotionEnv(**arguments)

@@ -43,16 +43,13 @@ ON_TOOL = '<parent link="palm"/><child link="left"/>', '<parent link="tool"/><ch
 NO_ROOM = 'lower="-2" upper="2"', 'lower="1" upper="1"'
 
 
-@pytest.mark.parametrize(
-    ("changes", "joints", "fingers"),
-    [
-        ((), ["pan", "lift", "elbow"], ["l", "r"]),
-        (WITHOUT_FINGERS, ["pan", "lift", "elbow"], []),
-        ((fixed("r"),), ["pan", "lift", "elbow"], ["l"]),  # a jaw closes on a fixed one
-        ((ON_TOOL,), ["pan", "lift", "elbow"], ["l", "r"]),
-        ((NO_ROOM,), ["pan", "elbow"], ["l", "r"]),
-    ],
-)
+@pytest.mark.parametrize(("changes", "joints", "fingers"), [
+    ((), ["pan", "lift", "elbow"], ["l", "r"]),
+    (WITHOUT_FINGERS, ["pan", "lift", "elbow"], []),
+    ((fixed("r"),), ["pan", "lift", "elbow"], ["l"]),  # a jaw closes on a fixed one
+    ((ON_TOOL,), ["pan", "lift", "elbow"], ["l", "r"]),
+    ((NO_ROOM,), ["pan", "elbow"], ["l", "r"]),
+])  # fmt: skip
 def test_the_hand_is_at_the_end_of_the_longest_chain(changed, changes, joints, fingers):
     arm = arm_of(changed(*changes))
     assert (arm.hand, names(arm.joints), names(arm.fingers)) == ("palm", joints, fingers)

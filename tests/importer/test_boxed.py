@@ -110,14 +110,11 @@ def test_planar_joints_below_the_base_are_left_out(changed, joints, root):
     assert "map" not in urdf.links
 
 
-@pytest.mark.parametrize(
-    ("taken", "name"),
-    [
-        ({}, "base_footprint"),
-        ({'name="mount"': 'name="base_footprint_joint"'}, "footprint"),
-        ({"head": "base_footprint", '"tool"': '"footprint"'}, "footprint_2"),
-    ],
-)
+@pytest.mark.parametrize(("taken", "name"), [
+    ({}, "base_footprint"),
+    ({'name="mount"': 'name="base_footprint_joint"'}, "footprint"),
+    ({"head": "base_footprint", '"tool"': '"footprint"'}, "footprint_2"),
+])  # fmt: skip
 def test_a_root_above_the_floor_gets_one_on_it(changed, taken, name):
     path = changed(('origin xyz="0 0 0.2"', 'origin xyz="0 0 -0.1"'), *taken.items())
     text, lifted = on_the_floor(path.read_text(), find_arm(parse_urdf(path), None, "dolly"), "")

@@ -51,14 +51,11 @@ def test_a_draft_is_a_robot(changed, tmp_path, few):
     assert (again.yaml, again.urdf) == (draft.yaml, draft.urdf)
 
 
-@pytest.mark.parametrize(
-    ("share", "expected"),
-    [
-        ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], ((1.0, 4.0), (2.0, 3.0))),
-        ([1.0, 1.0, 0.0, 0.9, 0.9, 0.9], ((3.0, 5.0), (0.0, 1.0))),  # the longest range
-        ([0.0, 0.9, 0.0, 0.0, 0.0, 0.0], None),
-    ],
-)
+@pytest.mark.parametrize(("share", "expected"), [
+    ([0.1, 0.9, 1.0, 1.0, 0.9, 0.1], ((1.0, 4.0), (2.0, 3.0))),
+    ([1.0, 1.0, 0.0, 0.9, 0.9, 0.9], ((3.0, 5.0), (0.0, 1.0))),  # the longest range
+    ([0.0, 0.9, 0.0, 0.0, 0.0, 0.0], None),
+])  # fmt: skip
 def test_goal_heights_are_those_with_many_reachable_goals(share, expected):
     heights = Heights(np.arange(6.0), np.array(share))
     if expected is None:
@@ -68,14 +65,11 @@ def test_goal_heights_are_those_with_many_reachable_goals(share, expected):
         assert bands(heights, "arm") == expected
 
 
-@pytest.mark.parametrize(
-    ("limits", "turn"),
-    [
-        ((-1e16, 1e16), (-3.1416, 3.1416)),
-        ((-1.0, 20.0), (-1.0, 5.2832)),
-        ((-6.3, 6.27), None),
-    ],
-)
+@pytest.mark.parametrize(("limits", "turn"), [
+    ((-1e16, 1e16), (-3.1416, 3.1416)),
+    ((-1.0, 20.0), (-1.0, 5.2832)),
+    ((-6.3, 6.27), None),
+])  # fmt: skip
 def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     lower, upper = limits
     path = changed((LIMITS, f'lower="{lower}" upper="{upper}"'))

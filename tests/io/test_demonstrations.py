@@ -60,16 +60,13 @@ def test_the_base_may_be_missing(tmp_path):
     assert not found.has_base
 
 
-@pytest.mark.parametrize(
-    ("rows", "place"),
-    [
-        (changed(0, "time", 0.0)[:1], "at least 2"),
-        (changed(0, "base_y", "nan"), "row 1: base_pose"),
-        (changed(1, "time", "inf"), "row 2: time"),
-        (changed(1, "time", 0.0), "row 2: time"),
-        (changed(1, "object_qw", 0.99), "row 2: object_pose"),
-    ],
-)
+@pytest.mark.parametrize(("rows", "place"), [
+    (changed(0, "time", 0.0)[:1], "at least 2"),
+    (changed(0, "base_y", "nan"), "row 1: base_pose"),
+    (changed(1, "time", "inf"), "row 2: time"),
+    (changed(1, "time", 0.0), "row 2: time"),
+    (changed(1, "object_qw", 0.99), "row 2: object_pose"),
+])  # fmt: skip
 def test_invalid_samples_of_tables(tmp_path, rows, place):
     path = tmp_path / "one.csv"
     path.write_text("".join(",".join(map(str, line)) + "\n" for line in [columns(), *rows]))

@@ -111,16 +111,13 @@ def test_bad_trials_are_pruned_and_diverging_ones_fail(tmp_path, monkeypatch):
     assert {state for state, _ in states.values()} == {"complete", "pruned", "failed"}
 
 
-@pytest.mark.parametrize(
-    ("space", "named"),
-    [
-        ({"learner.speed": {"choices": [1]}}, "learner.speed"),
-        ({"num_envs": {"low": 1, "high": -1}}, "low"),
-        ({"num_envs": {"choices": [0, 4]}}, "num_envs"),
-        ({"num_envs": {}}, "choices"),
-        ({"num_envs": {"choices": [4], "when": {"seed": 1}}}, "seed"),
-    ],
-)
+@pytest.mark.parametrize(("space", "named"), [
+    ({"learner.speed": {"choices": [1]}}, "learner.speed"),
+    ({"num_envs": {"low": 1, "high": -1}}, "low"),
+    ({"num_envs": {"choices": [0, 4]}}, "num_envs"),
+    ({"num_envs": {}}, "choices"),
+    ({"num_envs": {"choices": [4], "when": {"seed": 1}}}, "seed"),
+])  # fmt: skip
 def test_the_wrong_key_or_value_is_named(tmp_path, space, named):
     (tmp_path / "wrong.yaml").write_text(json.dumps({"space": space}))
     with pytest.raises(KinfeasError, match=named):

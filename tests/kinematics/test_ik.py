@@ -213,14 +213,11 @@ def test_numbers_that_are_not_finite_have_no_solution(hsr):
     np.testing.assert_array_equal(solution.joint_positions[:2], joints[:2])
 
 
-@pytest.mark.parametrize(
-    ("targets", "seeds", "step", "name"),
-    [
-        ((1, 7), (3, 5), 5, "seeds"),
-        ((2, 6), (2, 5), 5, "targets"),
-        ((2, 7), (2, 5), 0, "max_joint"),
-    ],
-)
+@pytest.mark.parametrize(("targets", "seeds", "step", "name"), [
+    ((1, 7), (3, 5), 5, "seeds"),
+    ((2, 6), (2, 5), 5, "targets"),
+    ((2, 7), (2, 5), 0, "max_joint"),
+])  # fmt: skip
 def test_other_shapes_are_errors(hsr, targets, seeds, step, name):
     with pytest.raises(KinfeasError, match=f"^{name}"):
         hsr.solve(np.ones(targets), np.ones(seeds), np.ones(step))

@@ -52,18 +52,15 @@ def test_files_are_yaml_or_csv(tmp_path, name, text, time):
     assert (None if read is None else read.tolist()) == time
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "named"),
-    [
-        ("w.yaml", "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n", "at least 2"),
-        ("w.yaml", YAML + "speed: 2\n", "'speed'"),
-        ("w.yaml", YAML + "time: [1, 1]\n", "row 2"),
-        ("w.yaml", YAML.replace("0.7071]", "0.9]"), "row 2"),
-        ("w.csv", "x,y,z,qx,qy,qz\n", "'qw'"),
-        ("w.csv", CSV.replace("4,0", "inf,0"), "row 2"),
-        ("w.csv", TIMED.replace(",2\n", ",nan\n"), "row 2"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text", "named"), [
+    ("w.yaml", "poses:\n- [1, 2, 3, 0, 0, 0, 1]\n", "at least 2"),
+    ("w.yaml", YAML + "speed: 2\n", "'speed'"),
+    ("w.yaml", YAML + "time: [1, 1]\n", "row 2"),
+    ("w.yaml", YAML.replace("0.7071]", "0.9]"), "row 2"),
+    ("w.csv", "x,y,z,qx,qy,qz\n", "'qw'"),
+    ("w.csv", CSV.replace("4,0", "inf,0"), "row 2"),
+    ("w.csv", TIMED.replace(",2\n", ",nan\n"), "row 2"),
+])  # fmt: skip
 def test_wrong_files_raise(tmp_path, name, text, named):
     path = tmp_path / name
     path.write_text(text)

@@ -99,17 +99,14 @@ def test_arm_limits_are_read_only_arrays(tmp_path):
 WITHOUT_SWING = {"arm": {"lift": {}, "spin": {"velocity": 3}}, "home": {"home": [0.5, 0.0]}}
 
 
-@pytest.mark.parametrize(
-    ("changes", "positions"),
-    [
-        ({}, {"wave": 0.5, "ring": 1.1}),  # as near to 0 as the limits allow
-        ({"fixed_joints": {"wave": 0.7}}, {"wave": 0.7, "ring": 1.5}),
-        (
-            WITHOUT_SWING | {"fixed_joints": {"swing": 0.3}},
-            {"swing": 0.3, "wave": 0.5, "ring": 1.1, "grip": 0.3},
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "positions"), [
+    ({}, {"wave": 0.5, "ring": 1.1}),  # as near to 0 as the limits allow
+    ({"fixed_joints": {"wave": 0.7}}, {"wave": 0.7, "ring": 1.5}),
+    (
+        WITHOUT_SWING | {"fixed_joints": {"swing": 0.3}},
+        {"swing": 0.3, "wave": 0.5, "ring": 1.1, "grip": 0.3},
+    ),
+])  # fmt: skip
 def test_other_joints_are_fixed_or_mimic(tmp_path, changes, positions):
     assert read_robot(write(tmp_path, crane() | changes)).fixed_joints == pytest.approx(positions)
 
@@ -117,34 +114,31 @@ def test_other_joints_are_fixed_or_mimic(tmp_path, changes, positions):
 ARM = crane()["arm"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "where"),
-    [
-        ({"tool_tip": [0.1, 0.0, math.nan]}, "'tool_tip.2'"),
-        ({"urdf": "none.urdf"}, "none.urdf"),
-        ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
-        ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
-        ({"name": "a/b"}, "'name'"),
-        ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
-        ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
-        ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
-        ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
-        ({"arm": ARM | {"spin": {"velocity": 3, "soft_limits": [-1, 1]}}}, "'arm.spin'"),
-        ({"arm": ARM | {"swing": {"soft_limits": [-3, 1]}}}, "'arm.swing'.*-3"),
-        (WITHOUT_SWING, "'swing'"),
-        ({"home": {"home": [0.5, 1.6, 0]}}, "'home.home': swing.*1.6"),
-        ({"goal_heights": {"ggr": [0.2, 1.2]}}, "'goal_heights'"),
-        ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae'"),
-        ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift'"),
-        ({"fixed_joints": {"ring": 0.5}}, "'fixed_joints.ring'"),
-        ({"fixed_joints": {"wave": 0.1}}, "'fixed_joints.wave'"),
-        ({"ignored_collisions": [["mast", "sea"]]}, "'ignored_collisions'.*'sea'"),
-        ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
-        ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
-        ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
-        ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "where"), [
+    ({"tool_tip": [0.1, 0.0, math.nan]}, "'tool_tip.2'"),
+    ({"urdf": "none.urdf"}, "none.urdf"),
+    ({"ee_frame": "hok"}, "'ee_frame'.*'hook'"),
+    ({"gripper_rotation": [0, 0, 1, 1]}, "'gripper_rotation'"),
+    ({"name": "a/b"}, "'name'"),
+    ({"arm": {"lfit": {}}}, "'arm.lfit'.*'lift'"),
+    ({"arm": {"grip": {}}, "ee_frame": "claw"}, "'arm.grip'"),
+    ({"arm": {"lift": {}, "wave": {}}}, "'arm'"),
+    ({"arm": ARM | {"spin": {}}}, "'arm.spin'.*'velocity'"),
+    ({"arm": ARM | {"spin": {"velocity": 3, "soft_limits": [-1, 1]}}}, "'arm.spin'"),
+    ({"arm": ARM | {"swing": {"soft_limits": [-3, 1]}}}, "'arm.swing'.*-3"),
+    (WITHOUT_SWING, "'swing'"),
+    ({"home": {"home": [0.5, 1.6, 0]}}, "'home.home': swing.*1.6"),
+    ({"goal_heights": {"ggr": [0.2, 1.2]}}, "'goal_heights'"),
+    ({"fixed_joints": {"wvae": 1.0}}, "'fixed_joints.wvae'"),
+    ({"fixed_joints": {"lift": 0.5}}, "'fixed_joints.lift'"),
+    ({"fixed_joints": {"ring": 0.5}}, "'fixed_joints.ring'"),
+    ({"fixed_joints": {"wave": 0.1}}, "'fixed_joints.wave'"),
+    ({"ignored_collisions": [["mast", "sea"]]}, "'ignored_collisions'.*'sea'"),
+    ({"gripper": GRIPPER | {"fingers": ["wave", "wavy"]}}, "'gripper.fingers'"),
+    ({"gripper": GRIPPER | {"fingers": ["wave", "swing"]}}, "'gripper.fingers'"),
+    ({"gripper": GRIPPER | {"open": 1.5}}, "'gripper.open'"),
+    ({"counterbalanced": ["wave"]}, "'counterbalanced'.*'wave'"),
+])  # fmt: skip
 def test_a_broken_robot_is_an_error_with_its_key(tmp_path, changes, where):
     with pytest.raises(KinfeasError, match=f"^{tmp_path}.*{where}"):
         read_robot(write(tmp_path, crane() | changes))
@@ -159,14 +153,11 @@ def test_displacements_take_the_short_way_and_jumps_exceed_the_velocity(tmp_path
     assert exceeds_joint_velocity(robot, before, after, 0.099)
 
 
-@pytest.mark.parametrize(
-    ("name", "joints", "drive", "limits", "heights"),
-    [
-        ("pr2", 7, "omnidirectional", (0.2, 1.0), ((0.2, 1.2), (0.4, 1.0))),
-        ("tiago", 8, "differential", (0.2, 0.4), ((0.2, 1.5), (0.4, 1.1))),
-        ("hsr", 5, "omnidirectional", (0.2, 1.5), ((0.2, 1.4), (0.4, 1.1))),
-    ],
-)
+@pytest.mark.parametrize(("name", "joints", "drive", "limits", "heights"), [
+    ("pr2", 7, "omnidirectional", (0.2, 1.0), ((0.2, 1.2), (0.4, 1.0))),
+    ("tiago", 8, "differential", (0.2, 0.4), ((0.2, 1.5), (0.4, 1.1))),
+    ("hsr", 5, "omnidirectional", (0.2, 1.5), ((0.2, 1.4), (0.4, 1.1))),
+])  # fmt: skip
 def test_shipped_robots_are_those_of_the_method(name, joints, drive, limits, heights):
     robot = load_robot(name)
     assert (robot.name, len(robot.arm), robot.base.drive) == (name, joints, drive)

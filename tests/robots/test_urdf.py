@@ -74,16 +74,13 @@ def fixed(name, parent, child):
 SOFT = '<safety_controller soft_lower_limit="-0.5" soft_upper_limit="1.5"/></joint>'
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
-        ('lower="-1" upper="2"', 'lower="-1e16" upper="1e16"', {"lower": -1e16, "upper": 1e16}),
-        ('lower="-1" ', "", {"lower": 0.0, "upper": 2.0}),
-        ("</joint>", SOFT, {"lower": -1.0, "soft_lower": -0.5, "soft_upper": 1.5}),
-        ('"revolute"', '"continuous"', {"lower": -math.inf, "upper": math.inf, "velocity": 3.0}),
-        ('type="revolute"', 'type="fixed"', {"lower": 0.0, "velocity": 0.0, "moves": False}),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "expected"), [
+    ('lower="-1" upper="2"', 'lower="-1e16" upper="1e16"', {"lower": -1e16, "upper": 1e16}),
+    ('lower="-1" ', "", {"lower": 0.0, "upper": 2.0}),
+    ("</joint>", SOFT, {"lower": -1.0, "soft_lower": -0.5, "soft_upper": 1.5}),
+    ('"revolute"', '"continuous"', {"lower": -math.inf, "upper": math.inf, "velocity": 3.0}),
+    ('type="revolute"', 'type="fixed"', {"lower": 0.0, "velocity": 0.0, "moves": False}),
+])  # fmt: skip
 def test_reads_limits(tmp_path, old, new, expected):
     elbow = parse_urdf(write(tmp_path, ARM.replace(old, new))).joints["elbow"]
     assert {key: getattr(elbow, key) for key in expected} == expected
@@ -104,32 +101,29 @@ def test_mimic_joints_lead_to_the_joint_that_they_follow(tmp_path):
     assert urdf.rigid["tip"] == {"tip"}
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "where"),
-    [
-        ("</robot>", "", "XML"),
-        ("<robot", '<!DOCTYPE r [<!ENTITY a "1">]><robot', "document types"),
-        ('robot name="arm"', "robot", "'name'"),
-        ('link name="hand"', 'link name="base"', "link 'base'"),
-        ('ixx="1"', 'ixx="-1"', "'ixx'"),
-        ('<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>', "", "<inertia>"),
-        ('xyz="1 2 3"', 'xyz="1 2 1e999"', "joint 'elbow', <origin>: 'xyz'"),
-        ('<box size="1 2 3"/>', '<cylinder radius="1"/>', "<cylinder>: the attribute 'length'"),
-        ('<box size="1 2 3"/>', "<cone/>", "<geometry>"),
-        ('"revolute"', '"floating"', "joint 'elbow': type"),
-        ('xyz="0 3 4"', 'xyz="0 0 0"', "axis"),
-        ("<limit ", "<limits ", "<limit>"),
-        ('upper="2"', 'upper="-2"', "'upper'"),
-        ('parent link="base"', 'parent link="bass"', "link 'bass'"),
-        ('child link="hand"', 'child link="base"', "'base'"),
-        ("</robot>", '<link name="lone"/></robot>', "base, lone"),
-        ("</joint>", SOFT.replace("-0.5", "-2"), "soft limits"),
-        ("</joint>", '<mimic joint="knee"/></joint>', "<mimic>.*'knee'"),
-        ("</joint>", '<mimic joint="elbow"/></joint>', "<mimic>"),
-        ("</robot>", fixed("loop", "hand", "base"), "root"),
-        ("</robot>", fixed("again", "base", "hand"), "joint 'again'"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "where"), [
+    ("</robot>", "", "XML"),
+    ("<robot", '<!DOCTYPE r [<!ENTITY a "1">]><robot', "document types"),
+    ('robot name="arm"', "robot", "'name'"),
+    ('link name="hand"', 'link name="base"', "link 'base'"),
+    ('ixx="1"', 'ixx="-1"', "'ixx'"),
+    ('<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>', "", "<inertia>"),
+    ('xyz="1 2 3"', 'xyz="1 2 1e999"', "joint 'elbow', <origin>: 'xyz'"),
+    ('<box size="1 2 3"/>', '<cylinder radius="1"/>', "<cylinder>: the attribute 'length'"),
+    ('<box size="1 2 3"/>', "<cone/>", "<geometry>"),
+    ('"revolute"', '"floating"', "joint 'elbow': type"),
+    ('xyz="0 3 4"', 'xyz="0 0 0"', "axis"),
+    ("<limit ", "<limits ", "<limit>"),
+    ('upper="2"', 'upper="-2"', "'upper'"),
+    ('parent link="base"', 'parent link="bass"', "link 'bass'"),
+    ('child link="hand"', 'child link="base"', "'base'"),
+    ("</robot>", '<link name="lone"/></robot>', "base, lone"),
+    ("</joint>", SOFT.replace("-0.5", "-2"), "soft limits"),
+    ("</joint>", '<mimic joint="knee"/></joint>', "<mimic>.*'knee'"),
+    ("</joint>", '<mimic joint="elbow"/></joint>', "<mimic>"),
+    ("</robot>", fixed("loop", "hand", "base"), "root"),
+    ("</robot>", fixed("again", "base", "hand"), "joint 'again'"),
+])  # fmt: skip
 def test_a_broken_urdf_is_an_error_with_its_place(tmp_path, old, new, where):
     assert old in ARM
     path = write(tmp_path, ARM.replace(old, new).strip())
@@ -152,17 +146,14 @@ def mesh_of(name, urdf):
     return find_mesh(mesh, urdf.absolute().parent, (".stl", ".obj", ".dae"))
 
 
-@pytest.mark.parametrize(
-    ("name", "where"),
-    [
-        ("../meshes/part.stl", "rover/meshes/part.stl"),
-        ("{0}/rover/meshes/part.stl", "rover/meshes/part.stl"),
-        ("file://{0}/rover/meshes/part.stl", "rover/meshes/part.stl"),
-        ("package://rover/meshes/part.stl", "rover/meshes/part.stl"),
-        ("package:///rover/meshes/part.stl", "rover/meshes/part.stl"),
-        ("package://rover_meshes/PART.STL", "rover_meshes/PART.STL"),
-    ],
-)
+@pytest.mark.parametrize(("name", "where"), [
+    ("../meshes/part.stl", "rover/meshes/part.stl"),
+    ("{0}/rover/meshes/part.stl", "rover/meshes/part.stl"),
+    ("file://{0}/rover/meshes/part.stl", "rover/meshes/part.stl"),
+    ("package://rover/meshes/part.stl", "rover/meshes/part.stl"),
+    ("package:///rover/meshes/part.stl", "rover/meshes/part.stl"),
+    ("package://rover_meshes/PART.STL", "rover_meshes/PART.STL"),
+])  # fmt: skip
 def test_meshes_are_found(rover, tmp_path, monkeypatch, name, where):
     monkeypatch.chdir(tmp_path)
     for urdf in (rover, rover.relative_to(tmp_path)):

@@ -43,19 +43,16 @@ def test_shrunk_groups_allow_an_overlap(kind):
     assert Solids([sheet], 1e-3).touches(Solids([at(kind, 0.0)], 1e-3))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "where"),
-    [
-        (SHELF, "[0.8, 0.1, 0.4]", "'table' and 'shelf'"),
-        (SHELF, "[1.0, 0.0, 0.5185]", "'table' and 'shelf'"),  # the table's top is at 0.52 m
-        (SHELF, "[-2.5, 0.0, 0.4]", r"'shelf'.*\(-2.5, 0\)"),
-        ("[1.0, 0.0, 0.0]", "[1.0, 0.0, -0.1]", "'table'.*0.1 m below"),
-        (SHELF, "[-1.0, 0.0, 1.7]", "'door'.*1.87"),
-        ("table.urdf, position: [1.0, 0.0,", "box.urdf, position: [-0.7, -0.1,", "'door'"),
-        ("link: handle", "link: handle" + AROUND, "'door'"),
-        (SHELF, "[1.8, 1.2, 0.4]", "'door'"),  # in a corner of the floor, its door to the wall
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "where"), [
+    (SHELF, "[0.8, 0.1, 0.4]", "'table' and 'shelf'"),
+    (SHELF, "[1.0, 0.0, 0.5185]", "'table' and 'shelf'"),  # the table's top is at 0.52 m
+    (SHELF, "[-2.5, 0.0, 0.4]", r"'shelf'.*\(-2.5, 0\)"),
+    ("[1.0, 0.0, 0.0]", "[1.0, 0.0, -0.1]", "'table'.*0.1 m below"),
+    (SHELF, "[-1.0, 0.0, 1.7]", "'door'.*1.87"),
+    ("table.urdf, position: [1.0, 0.0,", "box.urdf, position: [-0.7, -0.1,", "'door'"),
+    ("link: handle", "link: handle" + AROUND, "'door'"),
+    (SHELF, "[1.8, 1.2, 0.4]", "'door'"),  # in a corner of the floor, its door to the wall
+])  # fmt: skip
 def test_overlaps_and_unreachable_handles_are_errors(write, old, new, where):
     if "box.urdf" in new:
         new = new.replace("-0.1,", "-0.1, 0.6], rpy: [0.0, 0.0,")
@@ -92,16 +89,13 @@ def read(tmp_path):
     return read_thing
 
 
-@pytest.mark.parametrize(
-    "broken",
-    [
-        "",
-        inertial(mass="0"),
-        inertial(ixx="0", iyy="0", izz="0"),
-        inertial(ixy="2"),
-        inertial(ixx="1", iyy="0.1", izz="0.1"),
-    ],
-)
+@pytest.mark.parametrize("broken", [
+    "",
+    inertial(mass="0"),
+    inertial(ixx="0", iyy="0", izz="0"),
+    inertial(ixy="2"),
+    inertial(ixx="1", iyy="0.1", izz="0.1"),
+])  # fmt: skip
 def test_moving_links_need_a_possible_inertia(read, broken):
     with pytest.raises(KinfeasError, match=r"thing\.urdf: link 'a'"):
         read(broken)

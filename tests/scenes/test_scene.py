@@ -50,18 +50,15 @@ def test_a_task_may_move_objects(room):
         room.with_poses({"box": box}).check_places("moved")
 
 
-@pytest.mark.parametrize(
-    ("change", "where"),
-    [
-        (lambda room: room.with_poses({"boxx": None}), "'boxx'.*'box'"),
-        (lambda room: room.with_joints({"door": {}}), "'door'"),
-        (lambda room: room.with_joints({"door_shelf": {"slide": 0.0}}), "'slide'"),
-        (lambda room: room.with_joints({"door_shelf": {"hinge": 2.0}}), "hinge.*2"),
-        (lambda room: room.handle_pose("dor"), "'dor'.*'door'"),
-        (lambda _: read_scene("rom"), "'rom'.*'room'"),
-        (lambda _: read_scene("none/none.yaml"), "none.yaml"),
-    ],
-)
+@pytest.mark.parametrize(("change", "where"), [
+    (lambda room: room.with_poses({"boxx": None}), "'boxx'.*'box'"),
+    (lambda room: room.with_joints({"door": {}}), "'door'"),
+    (lambda room: room.with_joints({"door_shelf": {"slide": 0.0}}), "'slide'"),
+    (lambda room: room.with_joints({"door_shelf": {"hinge": 2.0}}), "hinge.*2"),
+    (lambda room: room.handle_pose("dor"), "'dor'.*'door'"),
+    (lambda _: read_scene("rom"), "'rom'.*'room'"),
+    (lambda _: read_scene("none/none.yaml"), "none.yaml"),
+])  # fmt: skip
 def test_unknown_names_are_errors(room, change, where):
     with pytest.raises(KinfeasError, match=where):
         change(room)
@@ -85,18 +82,15 @@ def test_a_scene_with_other_furniture(write, tmp_path, room, folder):
         assert table.mass == own.mass
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "where"),
-    [
-        ("table.urdf", "tabel.urdf", "'objects.table.urdf'.*table.urdf"),
-        ("object: shelf", "object: shell", "'handles.door.object'.*'shell'.*'shelf'"),
-        ("link: handle", "link: knob", "'handles.door.link'.*'knob'"),
-        ("position: [1.0,", "place: [1.0,", "'objects.table.place'"),
-        ("0.4]}", "0.4], joints: {hinge: -1}}", "joints': hinge.*-1"),
-        ("0.4]}", "0.4], joints: {slide: 0}}", "'slide'.*hinge"),
-        ("0.4]}", "0.4], joints: {door_to_handle: 0}}", "'door_to_handle'"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "where"), [
+    ("table.urdf", "tabel.urdf", "'objects.table.urdf'.*table.urdf"),
+    ("object: shelf", "object: shell", "'handles.door.object'.*'shell'.*'shelf'"),
+    ("link: handle", "link: knob", "'handles.door.link'.*'knob'"),
+    ("position: [1.0,", "place: [1.0,", "'objects.table.place'"),
+    ("0.4]}", "0.4], joints: {hinge: -1}}", "joints': hinge.*-1"),
+    ("0.4]}", "0.4], joints: {slide: 0}}", "'slide'.*hinge"),
+    ("0.4]}", "0.4], joints: {door_to_handle: 0}}", "'door_to_handle'"),
+])  # fmt: skip
 def test_an_invalid_scene_is_an_error_with_its_key(write, old, new, where):
     path = write(old, new)
     with pytest.raises(KinfeasError, match=f"^{path}: .*{where}"):
@@ -106,17 +100,14 @@ def test_an_invalid_scene_is_an_error_with_its_key(write, old, new, where):
 LINK = "<robot name='a'><link name='a'>{}</link></robot>"
 
 
-@pytest.mark.parametrize(
-    ("urdf", "where"),
-    [
-        ("<robot name='a'><link name='a'>", "XML"),
-        (LINK.format(""), "<collision>"),
-        (
-            LINK.format("<collision><geometry><mesh filename='a.stl'/></geometry></collision>"),
-            "'a'",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("urdf", "where"), [
+    ("<robot name='a'><link name='a'>", "XML"),
+    (LINK.format(""), "<collision>"),
+    (
+        LINK.format("<collision><geometry><mesh filename='a.stl'/></geometry></collision>"),
+        "'a'",
+    ),
+])  # fmt: skip
 def test_furniture_is_made_of_primitives(write, tmp_path, urdf, where):
     (tmp_path / "own.urdf").write_text(urdf)
     with pytest.raises(KinfeasError, match=rf"own\.urdf: .*{where}"):

@@ -110,23 +110,20 @@ def test_files_are_found_beside_the_task_from_any_folder(write, tmp_path, monkey
     assert read_chain(path, {"scene": {"name": "way.yaml"}}).scene.name == "way.yaml"
 
 
-@pytest.mark.parametrize(
-    ("line", "key"),
-    [
-        ("subgoals: []", "subgoals"),
-        ("subgoals: [{place: cap}]", r"subgoals\.0\.place.*'cup'"),
-        ("subgoals: [{place: cup, offset: [0, 0, 1e300]}]", r"subgoals\.0\.offset\.2"),
-        ("places: {cup: {position: [1, 2, [4, 3]]}}", "position"),
-        ("places: {cup: {position: [1, 2, 3], rpy: [0, [1, 0], 0]}}", "rpy"),
-        ("places: {cup: {position: [1, 2, 3]}, cp: {position: [1, 2, 3]}}", r"places\.cp"),
-        ("colour: red", "colour"),
-        ("scene: {name: room, success: {object: box}}", "parent"),
-        (
-            "scene: {name: a, success: {object: b, parent: a}, moves: {b: {place: tea}}}",
-            r"scene\.moves\.b\.place",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("line", "key"), [
+    ("subgoals: []", "subgoals"),
+    ("subgoals: [{place: cap}]", r"subgoals\.0\.place.*'cup'"),
+    ("subgoals: [{place: cup, offset: [0, 0, 1e300]}]", r"subgoals\.0\.offset\.2"),
+    ("places: {cup: {position: [1, 2, [4, 3]]}}", "position"),
+    ("places: {cup: {position: [1, 2, 3], rpy: [0, [1, 0], 0]}}", "rpy"),
+    ("places: {cup: {position: [1, 2, 3]}, cp: {position: [1, 2, 3]}}", r"places\.cp"),
+    ("colour: red", "colour"),
+    ("scene: {name: room, success: {object: box}}", "parent"),
+    (
+        "scene: {name: a, success: {object: b, parent: a}, moves: {b: {place: tea}}}",
+        r"scene\.moves\.b\.place",
+    ),
+])  # fmt: skip
 def test_wrong_files_raise(write, line, key):
     path = write(line)
     with pytest.raises(KinfeasError, match=f"^{path}: .*{key}"):

@@ -17,14 +17,11 @@ from kinfeas.tasks.task import MotionSpec, Subgoal, build_subgoals, random_arm, 
 RNG = np.random.default_rng(0)
 
 
-@pytest.mark.parametrize(
-    ("motion", "named"),
-    [
-        (MotionSpec("liner"), "'liner'"),
-        (MotionSpec("linear", {"gian": 1.0}), "'gian'"),
-        (MotionSpec("replay"), "'file'"),
-    ],
-)
+@pytest.mark.parametrize(("motion", "named"), [
+    (MotionSpec("liner"), "'liner'"),
+    (MotionSpec("linear", {"gian": 1.0}), "'gian'"),
+    (MotionSpec("replay"), "'file'"),
+])  # fmt: skip
 def test_wrong_motions_raise(motion, named):
     with pytest.raises(KinfeasError, match=named):
         build_subgoals([Subgoal(motion)])

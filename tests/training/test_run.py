@@ -50,16 +50,13 @@ def test_a_run_is_not_written_over_and_suggests_to_resume_it(tmp_path):
             check_begun(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("schedule", "share"),
-    [
-        ("{steps: 2000, minutes: null}", 0.2),
-        ("{steps: null, minutes: 2}", 0.25),
-        ("{steps: 2000, minutes: 2}", 0.25),
-        ("{steps: 2000, minutes: 20}", 0.2),
-        ("{steps: 300, minutes: 20}", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("schedule", "share"), [
+    ("{steps: 2000, minutes: null}", 0.2),
+    ("{steps: null, minutes: 2}", 0.25),
+    ("{steps: 2000, minutes: 2}", 0.25),
+    ("{steps: 2000, minutes: 20}", 0.2),
+    ("{steps: 300, minutes: 20}", 1.0),
+])  # fmt: skip
 def test_steps_or_time_end_a_run_whichever_comes_first(tiny, schedule, share):
     assert share_done(tiny(f"schedule={schedule}").schedule, Progress(400, 30.0)) == share
 

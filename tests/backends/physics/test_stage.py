@@ -120,21 +120,18 @@ def test_a_task_without_objects_has_no_success_condition(hsr, engine):
     stage.backend.close()
 
 
-@pytest.mark.parametrize(
-    ("name", "changes", "key"),
-    [
-        ("door", {"success": {"object": "x"}}, "success.object"),
-        ("door", {"success": {"joint": "x"}}, "success.joint"),
-        ("door", {"success": {"threshold": 2.0}}, "success.threshold"),
-        ("door", {"success": {"threshold": -1.0}}, "success.threshold"),
-        ("door", {"grasped_object": {"object": "x"}}, "grasped_object.object"),
-        ("door", {"grasped_object": {"link": "x"}}, "grasped_object.link"),
-        ("pick_place", {"success": {"parent": "tabel"}}, "success.parent"),
-        ("pick_place", {"success": {"parent": "box"}}, "success.parent"),
-        ("pick_place", {"moves": {"bax": {"place": "table"}}}, "moves.bax"),
-        ("pick_place", {"grasped_object": FIXED}, "grasped_object"),
-    ],
-)
+@pytest.mark.parametrize(("name", "changes", "key"), [
+    ("door", {"success": {"object": "x"}}, "success.object"),
+    ("door", {"success": {"joint": "x"}}, "success.joint"),
+    ("door", {"success": {"threshold": 2.0}}, "success.threshold"),
+    ("door", {"success": {"threshold": -1.0}}, "success.threshold"),
+    ("door", {"grasped_object": {"object": "x"}}, "grasped_object.object"),
+    ("door", {"grasped_object": {"link": "x"}}, "grasped_object.link"),
+    ("pick_place", {"success": {"parent": "tabel"}}, "success.parent"),
+    ("pick_place", {"success": {"parent": "box"}}, "success.parent"),
+    ("pick_place", {"moves": {"bax": {"place": "table"}}}, "moves.bax"),
+    ("pick_place", {"grasped_object": FIXED}, "grasped_object"),
+])  # fmt: skip
 def test_a_task_needs_its_objects(name, changes, key, hsr):
     wanted = load_task(name, {"scene": changes}).scene
     with pytest.raises(KinfeasError, match=f"^task 'mine': 'scene.{key}'"):

@@ -63,17 +63,14 @@ def room_world(hsr):
 
 
 # The place table is 0.52 m high at (0.25, -2.75), one of its legs ends at x = 0.58, y = -2.42.
-@pytest.mark.parametrize(
-    ("pose", "stands"),
-    [
-        ([0.25, -2.75, 0.636, 0.0, 0.0, 0.0, 1.0], True),
-        ([0.25, -2.75, 0.636, 0.0, 0.0, 0.7071, 0.7071], True),
-        ([0.25, -2.75, 0.60, 0.7071, 0.0, 0.0, 0.7071], False),  # on its side
-        ([0.25, -2.75, 0.90, 0.0, 0.0, 0.0, 1.0], False),  # still falling
-        ([0.6295, -2.42, 0.115, 0.0, 0.0, 0.0, 1.0], False),  # on the floor, touching a leg
-        ([-0.5, -2.0, 0.115, 0.0, 0.0, 0.0, 1.0], False),  # on the floor
-    ],
-)
+@pytest.mark.parametrize(("pose", "stands"), [
+    ([0.25, -2.75, 0.636, 0.0, 0.0, 0.0, 1.0], True),
+    ([0.25, -2.75, 0.636, 0.0, 0.0, 0.7071, 0.7071], True),
+    ([0.25, -2.75, 0.60, 0.7071, 0.0, 0.0, 0.7071], False),  # on its side
+    ([0.25, -2.75, 0.90, 0.0, 0.0, 0.0, 1.0], False),  # still falling
+    ([0.6295, -2.42, 0.115, 0.0, 0.0, 0.0, 1.0], False),  # on the floor, touching a leg
+    ([-0.5, -2.0, 0.115, 0.0, 0.0, 0.0, 1.0], False),  # on the floor
+])  # fmt: skip
 def test_an_object_stands_if_upright_at_rest_on_another(room_world, pose, stands):
     sim = room_world.sims[0]
     place(room_world)

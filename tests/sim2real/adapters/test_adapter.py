@@ -141,20 +141,17 @@ def test_ranges_are_drawn_for_each_episode(rig):
     np.testing.assert_array_equal(many.adapter.number("linear")[:, 0], drawn)
 
 
-@pytest.mark.parametrize(
-    ("name", "key", "value"),
-    [
-        *(("base_noise", "linear", value) for value in ("much", [1], -1, np.nan, [2, 1])),
-        ("dropped_commands", "share", 1.1),
-        ("acceleration_limit", "linear", 0),
-        ("velocity_clamp", "joints", 0),
-        ("joint_limit_clamp", "margin", 1.0),
-        ("actuator_lag", "arm", -1),
-        ("head_start", "seconds", -1),
-        ("time_scale", "factor", 2.0),
-        ("time_scale", "factor", [0.5, 1.0]),
-    ],
-)
+@pytest.mark.parametrize(("name", "key", "value"), [
+    *(("base_noise", "linear", value) for value in ("much", [1], -1, np.nan, [2, 1])),
+    ("dropped_commands", "share", 1.1),
+    ("acceleration_limit", "linear", 0),
+    ("velocity_clamp", "joints", 0),
+    ("joint_limit_clamp", "margin", 1.0),
+    ("actuator_lag", "arm", -1),
+    ("head_start", "seconds", -1),
+    ("time_scale", "factor", 2.0),
+    ("time_scale", "factor", [0.5, 1.0]),
+])  # fmt: skip
 def test_invalid_parameters(pr2, name, key, value):
     with pytest.raises(KinfeasError, match=f"{name}.*{key}"):
         wrap(AnalyticBackend(), [PluginSpec(name, {key: value})], pr2)

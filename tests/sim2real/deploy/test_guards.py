@@ -188,13 +188,10 @@ def test_a_continuous_joint_goes_the_short_way():
     np.testing.assert_allclose(guard.commands.joint_targets, targets)
 
 
-@pytest.mark.parametrize(
-    ("guards", "joint", "by", "named"),
-    [
-        (Guards(joint_jump=2.0, max_consecutive_ik_failures=3), 4, 2.5, "too far"),
-        (Guards(max_tracking_delay=0.11, max_consecutive_ik_failures=3), 3, 1.0, "r_elbow_flex"),
-    ],
-)
+@pytest.mark.parametrize(("guards", "joint", "by", "named"), [
+    (Guards(joint_jump=2.0, max_consecutive_ik_failures=3), 4, 2.5, "too far"),
+    (Guards(max_tracking_delay=0.11, max_consecutive_ik_failures=3), 3, 1.0, "r_elbow_flex"),
+])  # fmt: skip
 def test_an_arm_that_cannot_go_on_holds_until_the_run_ends(guards, joint, by, named):
     guard, backend = guarded(guards=guards)
     targets = arm(guard, joint, by)

@@ -191,14 +191,11 @@ def test_a_robot_in_trouble_is_stopped_in_time(run, time, capsys, trouble, reaso
     assert ("Traceback" in capsys.readouterr().err) is isinstance(trouble, KeyError | SystemExit)
 
 
-@pytest.mark.parametrize(
-    ("driver", "named"),
-    [
-        (Drive(action=(np.nan, 0.0, 0.0)), "not finite"),
-        (Drive(action=(0.0, 0.0)), "shape"),
-        (Drive(at=5, do=lambda: 1 / 0), "ZeroDivisionError"),
-    ],
-)
+@pytest.mark.parametrize(("driver", "named"), [
+    (Drive(action=(np.nan, 0.0, 0.0)), "not finite"),
+    (Drive(action=(0.0, 0.0)), "shape"),
+    (Drive(at=5, do=lambda: 1 / 0), "ZeroDivisionError"),
+])  # fmt: skip
 @pytest.mark.parametrize("filters", [(), (FeasibilityFilter(),)])
 def test_a_policy_that_fails_stops_the_robot(run, time, driver, named, filters):
     robot = RealTimeRobot(time)

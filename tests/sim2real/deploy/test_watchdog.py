@@ -142,15 +142,12 @@ def test_a_stop_that_always_fails_ends(stops):
     assert dog._process.returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("path", "arguments"),
-    [
-        ("stand_in:conect", {}),
-        ("no_such_module:stop", {}),
-        ("stand_in:connect", {}),
-        ("stand_in:broken", {"error": "SystemExit(0)"}),
-    ],
-)
+@pytest.mark.parametrize(("path", "arguments"), [
+    ("stand_in:conect", {}),
+    ("no_such_module:stop", {}),
+    ("stand_in:connect", {}),
+    ("stand_in:broken", {"error": "SystemExit(0)"}),
+])  # fmt: skip
 def test_a_call_that_fails_is_an_error(stops, path, arguments, capfd):
     with pytest.raises(KinfeasError, match=path):
         Watchdog(StopCall(path, arguments), 0.2)

@@ -53,16 +53,13 @@ def parts(joints=None, base=True):
     return answer
 
 
-@pytest.mark.parametrize(
-    ("answer", "deaf", "named"),
-    [
-        (parts(joints_at(PR2), base=False), None, "/odometer"),
-        (parts(), None, "/encoders"),
-        (present(PR2), "/cmd_vel", "/cmd_vel"),
-        (parts(JointReading(dict.fromkeys(ARM[:-1], 0.0))), None, ARM[-1]),
-        (parts(joints_at(PR2, torso_lift_joint=0.2)), None, "torso_lift_joint"),
-    ],
-)
+@pytest.mark.parametrize(("answer", "deaf", "named"), [
+    (parts(joints_at(PR2), base=False), None, "/odometer"),
+    (parts(), None, "/encoders"),
+    (present(PR2), "/cmd_vel", "/cmd_vel"),
+    (parts(JointReading(dict.fromkeys(ARM[:-1], 0.0))), None, ARM[-1]),
+    (parts(joints_at(PR2, torso_lift_joint=0.2)), None, "torso_lift_joint"),
+])  # fmt: skip
 def test_errors_of_reset_name_the_missing_part(answer, deaf, named):
     with pytest.raises(KinfeasError, match=named):
         LinkBackend(PR2, MemoryLink(answer, deaf), timeout=0.05).reset(None, None)
