@@ -36,17 +36,8 @@ def test_run_has_settings_metrics_and_the_evaluation_of_its_best_policy(kinfeas,
     outcome = kinfeas(*SHORT, "--seed", "3", "--adapters", "harsh", "--set", filters, code=0)
     (line,) = [line for line in outcome.out.splitlines() if "kinfeas evaluate" in line]
     words = shlex.split(line.partition(": ")[2])
-    assert words[:-1] == [
-        "kinfeas",
-        "evaluate",
-        "--robot",
-        "hsr",
-        "--task",
-        "ggr",
-        "--policy",
-        "run",
-        "--set",
-    ]
+    expected = "kinfeas evaluate --robot hsr --task ggr --policy run --set"
+    assert words[:-1] == expected.split()
     assert yaml.safe_load(words[-1].removeprefix("world.filters=")) == [{"name": "feasibility"}]
     run = tmp_path / "run"
     metrics = json.loads((run / "evaluation.json").read_text())

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -9,8 +8,6 @@ from kinfeas.config import PluginSpec
 from kinfeas.config.recipes import recipes
 from kinfeas.control.adapters import chain, execution_of, read_sim2real, wrap
 from kinfeas.control.execution import ExecutionConfig
-from kinfeas.core import registry
-from kinfeas.core.backend import BackendWrapper
 from kinfeas.envs.world import World, WorldConfig
 from kinfeas.robots.loading import load_robot
 from kinfeas.tasks.ggr import ggr
@@ -27,38 +24,13 @@ def test_shipped_lists_suit_any_robot():
         assert isinstance(links[-1], AnalyticBackend)
 
 
-class ExecutionChanger(BackendWrapper):
-    answer = None
-    reset = step = close = None
-
-    def __init__(self, backend, robot):
-        self.backend = backend
-
-    def execution(self, execution):
-        return self.answer(execution)
-
-
-@pytest.fixture
-def changer(monkeypatch):
-    """Registers the adapter `changer` with an answer."""
-    monkeypatch.setattr(registry, "_REGISTERED", [])
-
-    def make(answer):
-        monkeypatch.setattr(ExecutionChanger, "answer", staticmethod(answer))
-        registry.register("kinfeas.adapters", "changer", ExecutionChanger)
-
-    return make
-
-
-def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2, changer):
-    changer(lambda execution: replace(execution, time_scale=0.5 * execution.time_scale))
-    names = ("changer", "base_noise", "head_start")
-    innermost = AnalyticBackend()
+def test_the_first_adapter_is_innermost_and_each_changes_the_execution_once(pr2):
+    names, innermost = ("time_scale", "base_noise", "head_start"), AnalyticBackend()
     backend = wrap(innermost, [PluginSpec(name) for name in names], pr2)
     kinds = [type(link).__name__ for link in chain(backend)]
-    assert kinds == ["HeadStart", "BaseNoise", "ExecutionChanger", "AnalyticBackend"]
-    found = execution_of(backend, ExecutionConfig(time_scale=0.8))
-    assert found == ExecutionConfig(time_scale=0.4, head_start=3.0)
+    assert kinds == ["HeadStart", "BaseNoise", "TimeScale", "AnalyticBackend"]
+    found = execution_of(backend, ExecutionConfig(time_scale=0.8, head_start=1.0))
+    assert found == ExecutionConfig(time_scale=0.4, head_start=4.0)
     assert execution_of(innermost, ExecutionConfig()) == ExecutionConfig()
 
 

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from kinfeas.core.backend import RobotState
-from kinfeas.core.checks import (
-    CheckedMotion,
-    ConformanceError,
-    check_array,
-    check_state,
-)
+from kinfeas.core.checks import CheckedMotion, ConformanceError, check_array, check_state
 from kinfeas.core.errors import KinfeasError, plugin_note, raised_by
 from kinfeas.core.spatial import IDENTITY
 

@@ -13,12 +13,7 @@ from kinfeas.core.metrics import Share, join
 from kinfeas.envs import episodes
 from kinfeas.envs.episodes import run_episodes, worker_pool
 from kinfeas.envs.world import World, WorldConfig, evaluation_world
-from kinfeas.evaluation.evaluate import (
-    EvalConfig,
-    evaluate,
-    reachability_of,
-    run,
-)
+from kinfeas.evaluation.evaluate import EvalConfig, evaluate, reachability_of, run
 from kinfeas.evaluation.reachability import A_SUBGOAL, draw_goals, draw_waypoints
 from kinfeas.evaluation.recording import record_episodes
 from kinfeas.kinematics.forward import forward

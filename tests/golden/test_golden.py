@@ -77,10 +77,7 @@ ELSEWHERE = {
     "policy": check_close,
     "obstacle_filter": check_close,
     "training": check_training,
-    **dict.fromkeys(
-        ("plain", "feasibility_filter", "rollout_planner", "physics"),
-        check_episodes,
-    ),
+    **dict.fromkeys(("plain", "feasibility_filter", "rollout_planner", "physics"), check_episodes),
 }
 
 

@@ -6,12 +6,7 @@ import pytest
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.importer.draft import bands, draft_robot, stated
-from kinfeas.importer.reach import (
-    Heights,
-    built_to_touch,
-    free_share,
-    with_pairs,
-)
+from kinfeas.importer.reach import Heights, built_to_touch, free_share, with_pairs
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import read_robot

@@ -2,11 +2,7 @@ from itertools import combinations
 
 import numpy as np
 
-from kinfeas.kinematics.self_collision import (
-    build_collision_model,
-    checked_links,
-    self_collides,
-)
+from kinfeas.kinematics.self_collision import build_collision_model, checked_links, self_collides
 from tests.kinematics.conftest import Primitives, draw, touch
 
 

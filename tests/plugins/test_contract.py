@@ -11,15 +11,7 @@ from kinfeas.core.spatial import IDENTITY, compose, integrate, make_pose, relati
 from kinfeas.plugins.limits import norm, slowed
 from kinfeas.testing import check_motion_generator
 from tests.builders import assert_near
-from tests.plugins.conftest import (
-    DT,
-    SHOWN,
-    WAYPOINTS,
-    apart,
-    run,
-    speeds,
-    starts_and_targets,
-)
+from tests.plugins.conftest import DT, SHOWN, WAYPOINTS, apart, run, speeds, starts_and_targets
 
 GROUP = "kinfeas.motion_generators"
 TARGET_FRAMES = ("goal", "object")

@@ -11,17 +11,9 @@ from kinfeas.config import strict_yaml
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.motion import Demonstrated
 from kinfeas.core.spatial import IDENTITY, compose, distance, make_pose, planar_pose, relative
-from kinfeas.io.demonstrations import (
-    Demonstration,
-)
+from kinfeas.io.demonstrations import Demonstration
 from kinfeas.plugins.fit import fit
-from kinfeas.plugins.imitation import (
-    GaussianMixture,
-    Imitation,
-    learned_path,
-    read_model,
-    regress,
-)
+from kinfeas.plugins.imitation import GaussianMixture, Imitation, learned_path, read_model, regress
 from kinfeas.plugins.path import below
 from tests.builders import assert_near
 from tests.plugins.conftest import (
@@ -127,10 +119,7 @@ def test_gaussian_mixture_keeps_its_time_or_runs_ahead(mixture):
 def test_models_are_found_by_name_and_path_and_have_a_kind(models):
     assert read_model("door_open", "imitation").has_base
     assert not read_model(models["nobase"], "imitation").has_base
-    for missing, named in (
-        ("door_opn", "'door_open'"),
-        ("here.yaml", r"here\.yaml"),
-    ):
+    for missing, named in (("door_opn", "'door_open'"), ("here.yaml", r"here\.yaml")):
         with pytest.raises(KinfeasError, match=named):
             read_model(missing, "imitation")
     with pytest.raises(KinfeasError, match="'kind'"):

@@ -9,24 +9,16 @@ from kinfeas.training.config import TrainConfig
 from kinfeas.training.train import train
 
 TINY = {
-    "robot": "hsr",
-    "num_envs": 8,
+    "robot": "hsr", "num_envs": 8,
     "world": {"max_seconds": 1.5, "adapters": [{"name": "base_noise"}]},
     "learner": {
-        "net_arch": [16, 16],
-        "batch_size": 32,
-        "learning_starts": 80,
-        "buffer_size": 240,
+        "net_arch": [16, 16], "batch_size": 32, "learning_starts": 80, "buffer_size": 240,
     },
     "schedule": {
-        "steps": 320,
-        "minutes": None,
-        "evaluations": 2,
-        "evaluation_episodes": 2,
-        "final_episodes": 2,
-        "checkpoint_seconds": 0.05,
+        "steps": 320, "minutes": None, "evaluations": 2, "evaluation_episodes": 2,
+        "final_episodes": 2, "checkpoint_seconds": 0.05,
     },
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -120,8 +120,7 @@ def test_a_checkpoint_of_other_settings_raises(write_run, tiny, override, key):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("steps", -8), ("seconds", float("nan")), ("best", 2.0), ("recent", [0.5])],
+    ("key", "value"), [("steps", -8), ("seconds", float("nan")), ("best", 2.0), ("recent", [0.5])]
 )
 def test_wrong_progress_raises(write_run, tmp_path, key, value):
     _, last = write_run()
@@ -141,8 +140,7 @@ def test_every_recipe_makes_a_world(name):
 
 
 @pytest.mark.parametrize(
-    "override",
-    ["learner.algorithm=ppo", "learner.gamma=1.5", "schedule.steps=null", "processes=9"],
+    "override", ["learner.algorithm=ppo", "learner.gamma=1.5", "schedule.steps=null", "processes=9"]
 )
 def test_values_out_of_range_raise(tiny, override):
     with pytest.raises(KinfeasError, match=override.split("=")[0].split(".")[-1]):

@@ -264,8 +264,7 @@ def test_the_best_policy_is_kept_and_evaluated_afresh_once(tiny, tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    "override",
-    ["task=dance", "world.adapters=[{name: fog}]", "init=follow_ee"],
+    "override", ["task=dance", "world.adapters=[{name: fog}]", "init=follow_ee"]
 )
 def test_a_wrong_configuration_raises_before_anything_is_written(tiny, tmp_path, override):
     with pytest.raises(KinfeasError):

@@ -119,13 +119,8 @@ PHYSICAL = {
     "action_repeat": 5,
     "world": {"backend": "pybullet", "dt": 0.02, "max_seconds": 0.6, "max_failures": 99},
     "learner": {"batch_size": 16, "learning_starts": 40, "critic_steps": 40, "buffer_size": 500},
-    "schedule": {
-        "steps": 200,
-        "minutes": None,
-        "evaluations": 1,
-        "evaluation_episodes": 1,
-        "final_episodes": 1,
-    },
+    "schedule": {"steps": 200, "minutes": None, "evaluations": 1, "evaluation_episodes": 1}
+    | {"final_episodes": 1},
 }
 
 

@@ -5,10 +5,7 @@ import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.run_log import REACHED, About, Record
-from kinfeas.viz.episodes import (
-    as_recording,
-    episodes_figure,
-)
+from kinfeas.viz.episodes import as_recording, episodes_figure
 from kinfeas.viz.style import FAILURE
 
 
