@@ -169,14 +169,15 @@ def test_joint_targets_stay_within_their_limits():
     for _ in range(100):
         guard.step(twist(), targets, DT)
     assert backend.sent[-1][1][0, 1] == PR2.arm[1].upper
-    # A joint that starts beyond its limit does not jump to it.
+    # A joint that starts beyond a limit does not jump to it.
     beyond = PR2.home["home"].copy()
-    beyond[1] = PR2.arm[1].upper + 0.05
-    backend.state = home(PR2, joint_positions=beyond[np.newaxis])
-    guard.reset(None, None)
-    for by in (0.0, 0.1):
-        guard.step(twist(), arm(guard, 1, by), DT)
-        assert backend.sent[-1][1][0, 1] == beyond[1]
+    for start, by in ((PR2.arm[1].upper + 0.05, 0.1), (PR2.arm[1].lower - 0.05, -0.1)):
+        beyond[1] = start
+        backend.state = home(PR2, joint_positions=beyond[np.newaxis])
+        guard.reset(None, None)
+        for further in (0.0, by):
+            guard.step(twist(), arm(guard, 1, further), DT)
+            assert backend.sent[-1][1][0, 1] == start
 
 
 def test_a_continuous_joint_goes_the_short_way():
@@ -217,7 +218,7 @@ def test_only_ik_failures_in_a_row_end_the_run():
     assert not backend.sent[-1][0].any()
 
 
-TILTED = np.array([[0.0, 0.0, 0.0, 0.2, 0.0, 0.0, np.sqrt(0.96)]])
+TILTED = np.array([[0.0, 0.0, 0.0, 0.08, 0.0, 0.0, np.sqrt(1.0 - 0.08**2)]])  # by 0.16 rad
 BENT = PR2.home["home"] + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -237,6 +238,14 @@ def test_measurements_beyond_the_limits_stop_the_robot(changes, named):
     guard.step(twist(0.02), arm(guard), DT)
     backend.state = home(PR2, **changes)
     stops(guard, backend, named, twist(0.04))
+
+
+def test_a_state_that_is_read_before_a_run_is_checked():
+    guard, backend = guarded(kind=RealTime)
+    assert guard.read() is backend.state
+    backend.state = home(PR2, age=np.zeros(1), base_pose=TILTED)
+    with pytest.raises(Fault, match="leans"):
+        guard.read()
 
 
 def test_the_base_may_not_leave_its_surroundings():
