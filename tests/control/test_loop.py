@@ -5,7 +5,8 @@ import pytest
 
 from kinfeas.backends.analytic import AnalyticBackend
 from kinfeas.control.drive import base_twist
-from kinfeas.control.execution import ExecutionConfig, SubgoalMotion
+from kinfeas.control.execution import GRASP_METRES, ExecutionConfig, SubgoalMotion
+from kinfeas.control.filters.feasibility import FeasibilityFilter
 from kinfeas.control.loop import Loop
 from kinfeas.control.observation import HORIZON, Seen, observe
 from kinfeas.core import spatial
@@ -175,12 +176,13 @@ def targets_at(loop, *shifts):
     return poses
 
 
-def chained(solver, n, subgoals, shifts, backend=None):
+def chained(solver, n, subgoals, shifts, backend=None, **execution):
     start = starts(solver.robot, n)
     start = replace(start, target_poses=targets_at(make_loop(solver, n), *shifts))
     linear = Linear()
     motions = [SubgoalMotion(linear, **subgoal) for subgoal in subgoals]
-    loop = Loop(solver, motions, backend or Recorder())
+    execution = ExecutionConfig(**execution)
+    loop = Loop(solver, motions, backend or Recorder(), execution=execution)
     loop.start(start, rngs(n))
     return loop
 
@@ -244,6 +246,13 @@ def test_grippers_act_at_the_ends_of_subgoals(solver):
     assert hands.grips[:2] == [("close", [0, 1], 1), ("open", [0, 1], 4)]
 
 
+def test_a_gripper_acts_when_the_ee_has_come_near_enough(solver):
+    hands = Hands()
+    loop = chained(solver, 1, ({"grip": "close"}, {}), (-0.02, 0.0), hands, grasp_settle_time=20.0)
+    away = [loop.step(still(loop)).goal_distance[0] for _ in range(199) if not hands.grips]
+    assert away[-1] <= GRASP_METRES < away[-2]
+
+
 def test_time_scale_changes_the_motion_but_not_the_observation(solver):
     plain, slow = loops = [
         make_loop(solver, 3, execution=ExecutionConfig(time_scale=scale)) for scale in (1.0, 0.5)
@@ -286,13 +295,24 @@ class Swinging(Recorder):
         joints[0, 1] += 0.0 if self.there else 1.0
         return RobotState(self.base.copy(), joints)
 
+    def snapshot(self):
+        return {"backend.base": self.base, "backend.joints": self.joints}
+
+    def restore(self, snapshot):
+        self.base, self.joints = snapshot["backend.base"], snapshot["backend.joints"]
+        return self.state
+
 
 def test_base_and_motion_pause_while_an_arm_reconfigures(solver):
-    backend = Swinging()
-    loop = make_loop(solver, 2, backend, execution=ExecutionConfig(arm_settle_timeout=0.5))
+    pausing = ExecutionConfig(arm_settle_timeout=0.5)
+    backend, resumed = Swinging(), Swinging()
+    loop, other = (make_loop(solver, 2, one, execution=pausing) for one in (backend, resumed))
     loop.joint_command = backend.joints.copy()
     moves = []
     for period in range(10):
+        if period == 3:
+            other.restore(loop.snapshot())
+            loop, backend = other, resumed
         backend.there = period == 7
         before = loop.desired
         loop.step(np.ones((2, loop.command_size)))
@@ -342,6 +362,7 @@ def test_policies_and_filters_are_reset_for_rows_that_begin_anew(solver):
         loop.step(policy.act(loop.policy_input))
     loop.start(starts(solver.robot, 1), rngs(1), np.array([1]))
     assert policy.calls.tolist() == [2, 0, 2]
+    assert loop.periods.tolist() == [2, 0, 2]
     assert halves.fresh == [[0, 1, 2], [1]]
 
 
@@ -359,3 +380,9 @@ def test_filters_apply_in_order(solver):
         sent.append(recorder.steps[-1][0][:, 5])
     np.testing.assert_allclose(2.0 * sent[0], sent[1])
     assert np.all(sent[1] == solver.robot.base.max_rotation)
+    loop = make_loop(solver, 2, filters=[FeasibilityFilter(), Halves()])
+    before = loop.state.base_pose
+    loop.step(np.ones((2, 3)))
+    twist = base_twist(loop.robot.base, before, loop.previous_command, loop.dt)
+    moved = spatial.integrate(before, twist, loop.dt)
+    np.testing.assert_array_equal(loop.state.base_pose, moved)

@@ -79,10 +79,10 @@ def test_the_tip_moves_straight_and_takes_the_ee_along(robot):
         np.testing.assert_allclose(np.stack(error), 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("dt", "periods"), [(0.1, 20), (0.02, 100), (0.3, 7)])
+@pytest.mark.parametrize(("dt", "periods"), [(0.1, 11), (0.02, 55), (0.3, 4)])
 def test_a_dwell_keeps_its_time(robot, dt, periods):
     linear = Linear()
-    subgoals = [SubgoalMotion(linear, dwell=2.0), SubgoalMotion(linear)]
+    subgoals = [SubgoalMotion(linear, dwell=1.1), SubgoalMotion(linear)]
     sequence = begin(robot, 2, subgoals, dt, grasp_settle_time=1.0)  # they have no grip
     sequence.move(sequence.plan(dt))
     sequence.advance(np.array([True, False]))
@@ -201,3 +201,26 @@ def test_poses_ahead_lie_between_the_desired_pose_and_the_goal(robot):
     apart = spatial.compose(tips.ahead(np.array([0.1])), tool_pose(robot))[:, 0]
     tip = spatial.compose(tips.desired, np.broadcast_to(tool_pose(robot), (6, 7)))
     np.testing.assert_allclose(spatial.distance(apart, tip)[0], 0.1, atol=1e-9)
+
+
+def test_paused_rows_stay(robot):
+    sequence, paused = begin(robot), np.array([True, False] * 3)
+    for subgoal in range(4):
+        before, moves = sequence.desired, sequence.plan(HORIZON)
+        kept = sequence.snapshot()
+        sequence.move(moves, paused)
+        expected = np.where(paused[:, None], before, moves.desired)
+        np.testing.assert_array_equal(sequence.desired, expected)
+        for key, values in sequence.snapshot().items():
+            np.testing.assert_array_equal(values[paused], kept[key][paused], err_msg=key)
+        sequence.advance(np.ones(6, dtype=bool))
+        if subgoal == 1:
+            follow(sequence, 3)
+
+
+def test_randomness_differs_between_rows_and_subgoals(robot):
+    sequence = MotionSequence([SubgoalMotion(Wander()), SubgoalMotion(Wander())], robot, HORIZON)
+    sequence.start(random_poses(2), np.tile(spatial.IDENTITY, (2, 2, 1)), rngs(range(2)))
+    first = sequence.goal
+    sequence.advance(np.ones(2, dtype=bool))
+    assert len(np.unique(np.concatenate([first, sequence.goal])[:, 0])) == 4

@@ -103,3 +103,12 @@ def test_continuous_joints_have_no_limit():
         replace(joint, continuous=True, lower=-np.inf, upper=np.inf) for joint in robot.arm
     )
     np.testing.assert_array_equal(limit_distance(replace(robot, arm=endless), joints), [1.0])
+
+
+def test_collisions_and_slow_motions_cost(exact_robot):
+    weights = RewardConfig("indicator", 0.0, limit_penalty=0.0, slow_penalty=0.5)
+    touched = np.array([[True, False], [False, True], [False, False]])
+    scale = np.array([1.0, 1.0, 0.2])
+    seen = replace(step(np.ones(3, dtype=bool)), collision=touched, time_scale=scale)
+    earned = reward(weights, exact_robot, seen, np.zeros((3, 2)), middle(exact_robot, 3))
+    np.testing.assert_allclose(earned, [-10.0, -1.0, -0.32])

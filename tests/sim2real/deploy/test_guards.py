@@ -220,11 +220,13 @@ def test_only_ik_failures_in_a_row_end_the_run():
 
 TILTED = np.array([[0.0, 0.0, 0.0, 0.08, 0.0, 0.0, np.sqrt(1.0 - 0.08**2)]])  # by 0.16 rad
 BENT = PR2.home["home"] + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+BELOW = np.where(np.arange(7) == 1, PR2.arm[1].lower - 0.11, PR2.home["home"])
 
 
 @pytest.mark.parametrize(("changes", "named"), [
     ({"base_pose": np.full((1, 7), np.nan)}, "base_pose is not finite"),
     ({"joint_positions": BENT[np.newaxis]}, "r_shoulder_lift_joint"),
+    ({"joint_positions": np.array([BELOW])}, "r_shoulder_lift_joint"),
     ({"base_pose": spatial.IDENTITY[np.newaxis] * 0.9}, "unit quaternion"),
     ({"base_pose": TILTED}, "leans"),
     ({"base_pose": at(0.5)}, "jumped by 0.5 m"),
@@ -246,6 +248,15 @@ def test_a_state_that_is_read_before_a_run_is_checked():
     backend.state = home(PR2, age=np.zeros(1), base_pose=TILTED)
     with pytest.raises(Fault, match="leans"):
         guard.read()
+
+
+def test_the_base_may_be_measured_where_it_can_have_driven():
+    guard, backend = guarded()
+    backend.took = 0.15  # s, in which the base drives 3 cm
+    backend.state = home(PR2, base_pose=at(0.325))
+    guard.step(twist(0.02), arm(guard), DT)
+    backend.state = home(PR2, base_pose=at(0.66))
+    stops(guard, backend, "jumped by 0.335 m", twist(0.04))
 
 
 def test_the_base_may_not_leave_its_surroundings():
