@@ -23,10 +23,7 @@ settings.load_profile("kinfeas")
 
 @pytest.fixture(autouse=True)
 def in_the_foreground():
-    """Let signals come through that nohup, and a shell in the background, have processes ignore.
-
-    Processes that a test starts do not inherit that then, either.
-    """
+    """Let signals through that processes ignore under nohup or in the background of a shell."""
     wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: lambda *_: None}
     ignored = [one for one in wanted if signal.getsignal(one) is signal.SIG_IGN]
     for one in ignored:

@@ -1,12 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.importer.arm import find_arm, read_hand
 from kinfeas.importer.draft import bands, draft_robot, stated
-from kinfeas.importer.reach import Heights, built_to_touch, free_share, with_pairs
+from kinfeas.importer.reach import Heights
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
 from kinfeas.robots.loading import read_robot
@@ -74,12 +72,3 @@ def test_joints_of_more_than_two_turns_get_one(changed, limits, turn):
     found = spec.arm["lift"].soft_limits
     assert found == (turn and pytest.approx(turn, abs=1e-9))
     assert turn is None or lower <= found[0] < found[1] <= upper
-
-
-def test_pairs_that_touch_are_those_of_the_shipped_file(hsr):
-    assert not built_to_touch(hsr)
-    bare = replace(hsr, ignored_collisions=frozenset())
-    found = built_to_touch(bare)
-    assert set(found) <= {tuple(sorted(pair)) for pair in hsr.ignored_collisions}
-    assert all(0.0 < share <= 1.0 for share in found.values())
-    assert free_share(with_pairs(bare, found)) > 0.3

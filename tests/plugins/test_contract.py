@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core import registry
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.spatial import IDENTITY, compose, integrate, make_pose, relative
-from kinfeas.plugins.limits import norm, slowed
 from kinfeas.testing import check_motion_generator
 from tests.builders import assert_near
 from tests.plugins.conftest import DT, SHOWN, WAYPOINTS, apart, run, speeds, starts_and_targets
@@ -164,15 +163,3 @@ def test_wrong_parameters_raise(make, case):
             make(frame="goals")
         with pytest.raises(KinfeasError, match=r"none\.csv"):
             make(file="none.csv")
-
-
-def test_limits_scale_twists_and_waste_nothing():
-    rng = np.random.default_rng(0)
-    twist = rng.normal(size=(500, 6)) * 10.0 ** rng.uniform(-9.0, 9.0, (500, 1))
-    share = slowed(twist, 0.1, 0.3)
-    linear, angular = norm((twist * share[:, np.newaxis])[:, :3]), norm(twist[:, 3:]) * share
-    assert np.all(linear <= 0.1 * (1.0 + 1e-12))
-    assert np.all(angular <= 0.3 * (1.0 + 1e-12))
-    full = np.maximum(linear / 0.1, angular / 0.3) >= 1.0 - 1e-12
-    assert np.all(full | (share == 1.0))
-    assert np.array_equal(slowed(np.zeros((2, 6)), 0.1, 0.1), [1.0, 1.0])

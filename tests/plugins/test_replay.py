@@ -62,13 +62,8 @@ FAST = {"max_velocity": 10.0, "max_angular_velocity": 10.0}
 IN_END = relative(SHOWN.ee_pose, np.broadcast_to(SHOWN.ee_pose[-1], SHOWN.ee_pose.shape))
 
 
-@pytest.fixture(scope="module")
-def library():
-    """The module that learns the force, an extra that is built from source."""
-    return pytest.importorskip("movement_primitives.dmp", reason="the extra dmp is not installed")
-
-
-def test_reproduces_the_demonstration_in_its_time_or_slower_within_limits(library, files):
+def test_reproduces_the_demonstration_in_its_time_or_slower_within_limits(files):
+    pytest.importorskip("movement_primitives.dmp", reason="the extra dmp is built from source")
     fast, _, _ = run(Dmp(file=files["shown"], **FAST), IN_END[:1], IDENTITY[np.newaxis], 10.0, 0.01)
     moments = np.arange(0.0, SHOWN.time[-1], 0.2)
     expected = resampled(SHOWN.time, IN_END, moments / SHOWN.time[-1])

@@ -13,7 +13,6 @@ import pytest
 from safetensors.numpy import load_file
 
 from kinfeas import config
-from kinfeas.control.observation import OBSERVATION
 from kinfeas.core.errors import KinfeasError
 from kinfeas.io.files import alone
 from kinfeas.policies.network import read_network
@@ -320,12 +319,3 @@ def test_an_initial_policy_sets_the_layers_and_waits_for_the_critics(
     assert any(row["train/critic_loss"] for row in rows(out))
     # A policy that has not changed is evaluated once.
     assert [row[0] for row in evaluated(out)] == ["0"]
-
-
-def test_a_policy_with_more_terms_goes_on_from_one_without(whole, tiny, tmp_path):
-    seen = f"observation={json.dumps([*OBSERVATION, 'previous_command'])}"
-    settings = tiny(f"init={whole}", seen, "action=[base_velocity, time_scale]")
-    train(settings, tmp_path / "run")
-    network = read_network(tmp_path / "run", load_robot(settings.robot))
-    assert network.action_terms == settings.action
-    assert network.observation_terms == settings.observation
