@@ -108,8 +108,10 @@ def shares_ahead(points, share, distances, out):
         first = min(int(t), POINTS - 2)
         for d in range(len(distances)):
             left, k, done = distances[d], first, t - first
+            end = on_curve(points[i], k)
             while k < POINTS - 1:
-                length = math.sqrt(squared_way(on_curve(points[i], k), on_curve(points[i], k + 1)))
+                begin, end = end, on_curve(points[i], k + 1)
+                length = math.sqrt(squared_way(begin, end))
                 if left <= length * (1.0 - done):
                     done += left / max(length, 1e-12)
                     break
@@ -123,14 +125,17 @@ def on_curve(points, t):
     """Return the position of a path at `t` control points from its beginning, shape (3,)."""
     k = min(int(t), POINTS - 2)
     u = t - k
-    b, c = points[k], points[k + 1]
-    a = points[k - 1] if k > 0 else 2.0 * b - c
-    d = points[k + 2] if k < POINTS - 2 else 2.0 * c - b
     v = 1.0 - u
     p, q = v * v * v, u * u * u
-    return (
-        p * a + (4.0 - 6.0 * u * u + 3.0 * q) * b + (4.0 - 6.0 * v * v + 3.0 * p) * c + q * d
-    ) / 6.0
+    position = np.empty(3)
+    for i in range(3):
+        b, c = points[k, i], points[k + 1, i]
+        a = points[k - 1, i] if k > 0 else 2.0 * b - c
+        d = points[k + 2, i] if k < POINTS - 2 else 2.0 * c - b
+        position[i] = (
+            p * a + (4.0 - 6.0 * u * u + 3.0 * q) * b + (4.0 - 6.0 * v * v + 3.0 * p) * c + q * d
+        ) / 6.0
+    return position
 
 
 @kernel
