@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from kinfeas.core.pose_kernels import TWIST, planar_twist
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array, integrate, relative, yaw
 from kinfeas.kinematics.ik import IkSolution, IkSolver
@@ -26,7 +27,7 @@ def base_twist(base: Base, base_pose: Array, action: Array, dt: float) -> Array:
         action: Shares of the limits, clipped to [-1, 1], shape (n, 3) or (n, 2).
         dt: Duration in seconds for which the twist will hold.
     """
-    action = np.clip(action, -1.0, 1.0)
+    action = action.clip(-1.0, 1.0)
     velocity = np.zeros((len(action), 3))
     velocity[:, 0] = action[:, 0] * base.max_velocity
     velocity[:, 2] = action[:, -1] * base.max_rotation
@@ -43,10 +44,7 @@ def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Arr
     The velocity is forward, left and rotation, m/s and rad/s; other arguments as in `base_twist`.
     """
     cosine, sine = _direction(base, base_pose, velocity[:, 2], dt)
-    twist = np.zeros((len(velocity), 6))
-    twist[:, 0] = cosine * velocity[:, 0] - sine * velocity[:, 1]
-    twist[:, 1] = sine * velocity[:, 0] + cosine * velocity[:, 1]
-    twist[:, 5] = velocity[:, 2]
+    twist: Array = planar_twist(velocity, cosine, sine, TWIST)
     return twist
 
 

@@ -139,7 +139,7 @@ class MotionSequence:
     def demonstrated_base(self) -> Array:
         """World pose at which the base was demonstrated to be now, shape (n, 7), or NaN."""
         if not self._demonstrated:
-            return np.broadcast_to(np.nan, (len(self.subgoal), 7))
+            return np.full((len(self.subgoal), 7), np.nan)
         return self._ask(CheckedMotion.base_pose)
 
     def aim(self, target_poses: Array) -> None:
@@ -320,6 +320,8 @@ class MotionSequence:
     @property
     def _target(self) -> Array:
         """World pose of the target of each row's sub-goal, shape (n, 7)."""
+        if len(self.subgoals) == 1:
+            return self._targets[:, 0]
         target: Array = self._targets[np.arange(len(self.subgoal)), self.subgoal]
         return target
 

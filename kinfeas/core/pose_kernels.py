@@ -89,6 +89,14 @@ def twist_between(start, end, dt, like, out):
     out[3], out[4], out[5] = x * scale / dt, y * scale / dt, z * scale / dt
 
 
+@compiled(["void(f8[:], f8, f8, f8[:], f8[:])"], "(v),(),(),(t)->(t)")
+def planar_twist(velocity, cosine, sine, like, out):
+    """World twist of a velocity forward, left and about z along a heading; `like` as above."""
+    out[0] = cosine * velocity[0] - sine * velocity[1]
+    out[1] = sine * velocity[0] + cosine * velocity[1]
+    out[2], out[3], out[4], out[5] = 0.0, 0.0, 0.0, velocity[2]
+
+
 @compiled(["void(f8[:], f8[:], f8[:], f8[:])"], "(p),(p)->(),()")
 def distance(a, b, metres, radians):
     """Metres between two poses, and the angle between them in [0, pi]."""
@@ -100,13 +108,28 @@ def distance(a, b, metres, radians):
     radians[0] = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 
 
+@inlined
+def _wrapped(angle):
+    turn = 2.0 * math.pi
+    # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
+    return math.pi - (math.pi - angle) % turn % turn
+
+
 @compiled(["void(f8, f8[:])"], "()->()")
 def wrap(angle, out):
     """Angle in (-pi, pi]."""
-    turn = 2.0 * math.pi
-    # Twice, because a tiny negative number modulo a turn rounds up to a whole turn.
-    out[0] = math.pi - (math.pi - angle) % turn % turn
+    out[0] = _wrapped(angle)
+
+
+@compiled(["void(f8[:], f8[:], b1[:], f8[:], b1[:])"], "(j),(j),(j),(j)->()")
+def moves_farther(before, after, continuous, longest, out):
+    """Whether a joint moves farther than its `longest` way; continuous ones the shorter way."""
+    out[0] = False
+    for j in range(len(before)):
+        way = after[j] - before[j]
+        if abs(_wrapped(way) if continuous[j] else way) > longest[j]:
+            out[0] = True
 
 
 TWIST = np.zeros(6)
-"""Argument `like` of `twist_between`."""
+"""Argument `like` of `twist_between` and `planar_twist`."""

@@ -200,7 +200,7 @@ class World:
         Args:
             action: Action terms in [-1, 1], shape (n, a).
         """
-        action, loop = np.clip(action, -1.0, 1.0), self.loop
+        action, loop = action.clip(-1.0, 1.0), self.loop
         way = planned_way = None
         if loop.target_stream is not None:
             before = loop.true_state[1]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from kinfeas.core import spatial
+from kinfeas.core.pose_kernels import moves_farther
 from kinfeas.core.spatial import Array
 from kinfeas.robots.spec import BaseSpec, Gripper, PoseTolerance
 from kinfeas.robots.urdf import Joint, Urdf
@@ -113,7 +114,8 @@ def _read_only(values: ArrayLike) -> NDArray[Any]:
 
 def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
     """Return the displacement of each joint, (..., j), in (-pi, pi] for continuous joints."""
-    return np.where(robot.continuous, spatial.wrap(after - before), after - before)
+    way = after - before
+    return np.where(robot.continuous, spatial.wrap(way), way)
 
 
 def exceeds_joint_velocity(
@@ -121,8 +123,7 @@ def exceeds_joint_velocity(
 ) -> NDArray[np.bool_]:
     """Return whether a joint, shape (..., j), exceeds its velocity limit in `dt` seconds, (...)."""
     longest = robot.max_joint_velocity * dt * _ROUNDING
-    way = np.abs(joint_displacement(robot, before, after))
-    jumps: NDArray[np.bool_] = np.any(way > longest, axis=-1)
+    jumps: NDArray[np.bool_] = moves_farther(before, after, robot.continuous, longest)
     return jumps
 
 
