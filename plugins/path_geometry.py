@@ -103,19 +103,22 @@ def positions_at(points, share, out):
 @kernel
 def shares_ahead(points, share, distances, out):
     """Write the shares of paths that lie some metres ahead, (n,) and (d,) -> (n, d), at most 1."""
+    lengths = np.empty(POINTS - 1)
     for i in range(len(share)):
         t = share[i] * (POINTS - 1)
         first = min(int(t), POINTS - 2)
+        measured, end = first, on_curve(points[i], first)
         for d in range(len(distances)):
             left, k, done = distances[d], first, t - first
-            end = on_curve(points[i], k)
             while k < POINTS - 1:
-                begin, end = end, on_curve(points[i], k + 1)
-                length = math.sqrt(squared_way(begin, end))
-                if left <= length * (1.0 - done):
-                    done += left / max(length, 1e-12)
+                if k == measured:
+                    begin, end = end, on_curve(points[i], k + 1)
+                    lengths[k] = math.sqrt(squared_way(begin, end))
+                    measured += 1
+                if left <= lengths[k] * (1.0 - done):
+                    done += left / max(lengths[k], 1e-12)
                     break
-                left -= length * (1.0 - done)
+                left -= lengths[k] * (1.0 - done)
                 k, done = k + 1, 0.0
             out[i, d] = min((k + min(done, 1.0)) / (POINTS - 1), 1.0)
 
