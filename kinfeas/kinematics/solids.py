@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinfeas.core.backend import SCAN_BANDS, SCAN_BEAMS, SCAN_RANGE
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.kernel_cache import compiled
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, yaw
 from kinfeas.kinematics.convex import BOX, CYLINDER, closer_than, distance
@@ -28,15 +29,24 @@ Rows = tuple[Array, Array, NDArray[np.bool_]]
 
 def in_base(solids: Solids, base_pose: Array) -> Solids:
     """Return the solids as seen from bases on the floor, world poses of shape (n, 7)."""
-    heading = yaw(base_pose)[:, np.newaxis]
-    cosine, sine = np.cos(heading), np.sin(heading)
-    pose, velocity = np.empty_like(solids.pose), np.empty_like(solids.velocity)
-    x, y = solids.pose[:, :, 0] - base_pose[:, :1], solids.pose[:, :, 1] - base_pose[:, 1:2]
-    pose[:, :, 0], pose[:, :, 1] = cosine * x + sine * y, cosine * y - sine * x
-    pose[:, :, 2] = solids.pose[:, :, 2] - heading
-    x, y = solids.velocity[:, :, 0], solids.velocity[:, :, 1]
-    velocity[:, :, 0], velocity[:, :, 1] = cosine * x + sine * y, cosine * y - sine * x
+    heading = yaw(base_pose)
+    turn = heading, np.cos(heading), np.sin(heading)
+    pose, velocity = _turned(solids.pose, solids.velocity, base_pose, *turn)
     return replace(solids, pose=pose, velocity=velocity)
+
+
+@compiled(
+    ["void(f8[:,:], f8[:,:], f8[:], f8, f8, f8, f8[:,:], f8[:,:])"],
+    "(k,p),(k,v),(b),(),(),()->(k,p),(k,v)",
+)
+def _turned(pose, velocity, base, heading, cosine, sine, pose_out, velocity_out):
+    """Poses and velocities of k solids in the frame of a base."""
+    for k in range(len(pose)):
+        x, y = pose[k, 0] - base[0], pose[k, 1] - base[1]
+        pose_out[k, 0], pose_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
+        pose_out[k, 2] = pose[k, 2] - heading
+        x, y = velocity[k, 0], velocity[k, 1]
+        velocity_out[k, 0], velocity_out[k, 1] = cosine * x + sine * y, cosine * y - sine * x
 
 
 def rows_of(solids: Solids, n: int) -> Rows:
@@ -109,7 +119,8 @@ def scan(
     angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
     ranges = np.full((len(base_pose), len(bands), beams), float(max_range))
     rows = rows_of(in_base(solids, base_pose), len(base_pose))
-    _scan_batch(*rows, np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles), ranges)
+    around = np.array(bands).reshape(-1, 2), np.cos(angles), np.sin(angles)
+    _scan_batch(*rows, *around, float(max_range), ranges)
     return ranges
 
 
@@ -260,25 +271,24 @@ def _gap(s, kind, scratch):
 
 
 @kernel
-def _scan_batch(pose, size, cylinder, bands, cosine, sine, ranges):
+def _scan_batch(pose, size, cylinder, bands, cosine, sine, max_range, ranges):
     for i in range(len(pose)):
         for k in range(pose.shape[1]):
             if not is_empty(size[i, k]):
-                _scan(pose[i, k], size[i, k], cylinder[i, k], bands, cosine, sine, ranges[i])
+                _scan(
+                    pose[i, k], size[i, k], cylinder[i, k],
+                    bands, cosine, sine, max_range, ranges[i],
+                )  # fmt: skip
 
 
 @inlined
-def _scan(pose, size, cylinder, bands, cosine, sine, ranges):
+def _scan(pose, size, cylinder, bands, cosine, sine, max_range, ranges):
     """Shorten the ranges of one row, shape (b, beams), that end at a solid."""
     x, y = pose[0], pose[1]
     squared, around = x * x + y * y, squared_radius(size, cylinder)
-    farthest, beams = 0.0, ranges.shape[1]
-    for b in range(len(bands)):
-        if size[2] < bands[b, 1] and size[3] > bands[b, 0]:
-            for j in range(beams):
-                farthest = max(farthest, ranges[b, j])
-    if squared >= square(farthest + math.sqrt(around)):
+    if squared >= square(max_range + math.sqrt(around)):
         return
+    beams = ranges.shape[1]
     # The beams that pass through the circle around it; rounding may add one at each side.
     first, last = 0, beams - 1
     if squared > around:
