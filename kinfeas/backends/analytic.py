@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinfeas.core.backend import ObstacleDistances, RobotState
 from kinfeas.core.solids import MovingSolids, Solids
 from kinfeas.core.spatial import Array, integrate
-from kinfeas.kinematics.base_obstacles import base_obstacles
+from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
 from kinfeas.kinematics.self_collision import build_collision_model
 from kinfeas.kinematics.solids import scan_now
 from kinfeas.robots.robot import Robot
@@ -24,7 +24,7 @@ class AnalyticBackend:
 
     def __init__(self, robot: Robot | None = None) -> None:
         """Make an empty world; only with a robot does it measure distances to obstacles."""
-        self._shapes = None if robot is None else build_collision_model(robot)
+        self._prisms = None if robot is None else base_prisms(build_collision_model(robot))
         self.state = RobotState(np.empty((0, 7)), np.empty((0, 0)))
         self.solids = MovingSolids()
 
@@ -38,10 +38,10 @@ class AnalyticBackend:
 
     def obstacle_distances(self, within: float) -> ObstacleDistances:
         """Return the solids near the bases, as in `SupportsObstacleDistances`."""
-        assert self._shapes is not None
+        assert self._prisms is not None
         base = self.state.base_pose
         solids = self.solids.after() or Solids.empty(len(base))
-        return base_obstacles(self._shapes, base, solids, within)
+        return base_obstacles(self._prisms, base, solids, within)
 
     def reset(
         self, base_pose: Array, joint_positions: Array, env_ids: NDArray[np.intp] | None = None

@@ -8,9 +8,9 @@ from kinfeas.core.backend import ObstacleDistances
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.convex import CYLINDER, SPHERE
-from kinfeas.kinematics.kernels import copy_row, inlined, kernel
+from kinfeas.kinematics.kernels import copy_row, inlined, kernel, square
 from kinfeas.kinematics.self_collision import MARGIN, CollisionModel
-from kinfeas.kinematics.solids import in_base, is_empty, rows_of
+from kinfeas.kinematics.solids import in_base, is_empty, rows_of, squared_radius
 
 _AS_NEAR = 0.1
 """Distance beyond that of the nearest point of a solid within which others are reported, metres."""
@@ -20,7 +20,7 @@ _PLACES = 48
 
 
 def base_obstacles(
-    model: CollisionModel, base_pose: Array, solids: Solids, within: float
+    prisms: Array, base_pose: Array, solids: Solids, within: float
 ) -> ObstacleDistances:
     """Return the solids nearer than `within` metres to the shapes that the arm does not move.
 
@@ -29,7 +29,7 @@ def base_obstacles(
     one point of a side that is parallel to a wall, a base could rotate about it into the wall.
 
     Args:
-        model: Shapes of the robot.
+        prisms: Shapes of the robot, from `base_prisms`.
         base_pose: World poses of the bases, on the floor, shape (n, 7).
         solids: In the world, n rows.
         within: Metres.
@@ -37,7 +37,6 @@ def base_obstacles(
     n, used = len(base_pose), _PLACES
     local = in_base(solids, base_pose)
     rows, velocity = rows_of(local, n), np.ascontiguousarray(local.velocity)
-    prisms = _prisms(model)
     while True:
         found = np.zeros((n, used, 6))
         found[:, :, 4] = np.inf
@@ -48,7 +47,7 @@ def base_obstacles(
     return ObstacleDistances(found[..., :2], found[..., 2:4], found[..., 4], found[..., 5])
 
 
-def _prisms(model: CollisionModel) -> Array:
+def base_prisms(model: CollisionModel) -> Array:
     """Return upright boxes around the shapes on the base, shape (s, 9), in the base frame.
 
     Each has the cosine and sine of its yaw, x and y of its centre, its half extents, the radius by
@@ -81,13 +80,19 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
 
     Returns the largest number of a row.
     """
-    most = 0
+    most, reach = 0, 0.0
+    for s in range(len(prisms)):
+        one = prisms[s]
+        around = math.sqrt(one[4] * one[4] + one[5] * one[5]) + one[6]
+        reach = max(reach, math.sqrt(one[2] * one[2] + one[3] * one[3]) + around)
     pairs = np.empty((8 * len(prisms), 6))
     solid = np.zeros(9)
     for i in range(len(pose)):
         used = 0
         for k in range(pose.shape[1]):
-            if is_empty(size[i, k]):
+            farthest = reach + within + math.sqrt(squared_radius(size[i, k], cylinder[i, k]))
+            squared = square(pose[i, k, 0]) + square(pose[i, k, 1])
+            if is_empty(size[i, k]) or squared > square(farthest):
                 continue
             _write_prism(pose[i, k], size[i, k], cylinder[i, k], solid)
             count, nearest = 0, within
@@ -117,7 +122,7 @@ def _obstacles_batch(prisms, pose, size, cylinder, velocity, within, out):
 
 @inlined
 def _write_prism(pose, size, cylinder, out):
-    """Write a solid as in `_prisms`."""
+    """Write a solid as in `base_prisms`."""
     out[0], out[1], out[2], out[3] = math.cos(pose[2]), math.sin(pose[2]), pose[0], pose[1]
     out[4], out[5], out[6] = size[0], size[1], 0.0
     if cylinder:

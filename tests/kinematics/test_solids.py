@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, planar_pose, rotation, yaw
-from kinfeas.kinematics.base_obstacles import base_obstacles
+from kinfeas.kinematics.base_obstacles import base_obstacles, base_prisms
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.free_space import connected
 from kinfeas.kinematics.ik import IkSolver
@@ -218,7 +218,7 @@ def test_base_obstacles_are_nearest_points(hsr):
     model, n = build_collision_model(hsr), 300
     bases, solids, joints = draw_bases(n), draw_solids(n, 1), draw(hsr, n)
     solids.size[:, :, 2:] = [0.0, 3.0]
-    near = base_obstacles(model, bases, solids, 1.0)
+    near = base_obstacles(base_prisms(model), bases, solids, 1.0)
     exact = distances(model, joints, bases, solids)[:, 0]
     nearest = near.distance.min(axis=1)
     free = (exact > 0.0) & (exact < 1.0)
@@ -240,7 +240,8 @@ def test_closing_speeds_are_those_at_which_distances_shrink(hsr):
     solids.size[:, :, 2:] = [0.0, 3.0]
     solids.velocity[:], solids.span[:] = np.random.default_rng(0).normal(size=(n, 1, 2)), 9.0
     near, later = (
-        base_obstacles(model, bases, solids.at(np.full(n, seconds)), 9.0) for seconds in (0.0, dt)
+        base_obstacles(base_prisms(model), bases, solids.at(np.full(n, seconds)), 9.0)
+        for seconds in (0.0, dt)
     )
     one, other = near.distance.min(axis=1), later.distance.min(axis=1)
     first = near.distance.argmin(axis=1)[:, np.newaxis]
@@ -254,7 +255,7 @@ def test_a_parallel_wall_has_the_corners_of_the_base(pr2):
     model, wall = build_collision_model(pr2), Solids.empty(1, 1)
     front = model.offset[0, 0] + model.size[0, 0]
     wall.pose[0, 0, 0], wall.size[0, 0] = front + 0.3, [0.1, 2.0, 0.0, 0.2]
-    found = base_obstacles(model, at(), wall, 1.0)
+    found = base_obstacles(base_prisms(model), at(), wall, 1.0)
     points = found.closest_point[0, np.isfinite(found.distance[0])]
     np.testing.assert_allclose(found.distance.min(), 0.2, atol=1e-9)
     assert {tuple(point.round(3)) for point in points} == {
@@ -262,10 +263,12 @@ def test_a_parallel_wall_has_the_corners_of_the_base(pr2):
     }
     np.testing.assert_allclose(found.normal[0], [[1.0, 0.0]] * len(points), atol=1e-12)
     wall.size[0, 0, 2:] = [1.5, 2.0]
-    above = base_obstacles(model, at(), wall, 1.0)
+    above = base_obstacles(base_prisms(model), at(), wall, 1.0)
     assert above.distance.size == 0
     wall.pose[0, 0, 0], wall.size[0, 0, 2:] = front + 0.05, [0.0, 0.2]
-    np.testing.assert_allclose(base_obstacles(model, at(), wall, 1.0).distance.min(), -0.05)
+    np.testing.assert_allclose(
+        base_obstacles(base_prisms(model), at(), wall, 1.0).distance.min(), -0.05
+    )
 
 
 START, BEYOND, BESIDE = np.zeros(2), [3.0, 0.0], [0.0, 3.0]
